@@ -1,7 +1,8 @@
-"""The folder on disk in which compiled kernels are kept: private, and every file whole.
+"""The folder on disk in which compiled libraries are kept: private, and every file whole.
 
-A library is named by the digest of what it was made of and by that of its bytes, so a file that
-was cut is never loaded. Files appear by renaming: two processes that write one do no harm.
+The name of a library contains the digest of its source and the digest of its bytes, so a truncated
+file is never loaded. Files are created by renaming. Two processes that write the same library do
+not conflict.
 """
 
 from __future__ import annotations
@@ -9,37 +10,38 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from zeno_orbits.errors import KernelError
 
 _SUFFIX = ".kernels"
-_FAILED = ".failed"
-JOB = ".job"
-"""Suffix of a request that somebody works on."""
+_OF_EARLIER_RELEASES = (".failed", ".job")
+"""Suffixes of files that `clear` removes as well."""
 
 _MOST = 400
-"""Libraries that are kept; the oldest go."""
+"""Largest number of libraries. The oldest libraries are removed."""
 
 _OTHERS_MAY_WRITE = 0o022
 
 
 @dataclass(frozen=True, slots=True)
-class KernelFolder:
-    """The folder of kernels.
+class LibraryFolder:
+    """The folder of libraries.
 
     Attributes:
-        path: Where it is, or will be.
+        path: Path of the folder, which may not exist yet.
     """
 
     path: Path
 
     def make(self) -> None:
-        """Make the folder if it is not there, for its owner alone.
+        """Create the folder if it does not exist, accessible to its owner alone.
 
         Raises:
-            KernelError: If it cannot be made, or others may write to it.
+            KernelError: If the folder cannot be created, or others may write to it.
         """
         try:
             self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -65,13 +67,13 @@ class KernelFolder:
             raise KernelError(f"`{path}` must be the user's alone, but others may write to it")
 
     def find(self, key: str) -> Path | None:
-        """Return a library that can be trusted, if there is one.
+        """Return a trusted library, if one exists.
 
         Args:
-            key: Digest of what it is made of.
+            key: Digest of the library's source.
 
         Raises:
-            KernelError: If there is one, but others may have written it.
+            KernelError: If the library exists, but other users may have written it.
         """
         found = sorted(self.path.glob(f"{key}-*{_SUFFIX}"))
         if not found:
@@ -84,69 +86,72 @@ class KernelFolder:
         return None
 
     def store(self, key: str, library: Path) -> Path:
-        """Move a library to its place, whole, and return it.
+        """Move a library to its final path, atomically, and return the path.
 
         Args:
-            key: Digest of what it was made of.
+            key: Digest of the library's source.
             library: The file, on the same disk.
         """
         target = self.path / f"{key}-{_digest_of(library)}{_SUFFIX}"
         library.chmod(0o600)
         library.replace(target)
-        self.failure_of(key).unlink(missing_ok=True)
         libraries = sorted(self.libraries(), key=lambda file: file.stat().st_mtime_ns)
         for old in libraries[: max(len(libraries) - _MOST, 0)]:
             old.unlink(missing_ok=True)
         return target
 
+    @contextmanager
+    def held(self) -> Generator[None]:
+        """Hold the lock of the folder: one process compiles, and the others find its library.
+
+        The operating system releases the lock if the process ends.
+        """
+        if sys.platform == "win32":
+            yield
+            return
+        import fcntl
+
+        with self.lock.open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
     @property
     def lock(self) -> Path:
         """The file that whoever compiles here holds."""
-        return self.path / ".lock"
-
-    def failure_of(self, key: str) -> Path:
-        """Return the file that says why a library could not be made."""
-        return self.path / f"{key}{_FAILED}"
-
-    def job_of(self, key: str) -> Path:
-        """Return the file that says that somebody makes a library, and from what."""
-        return self.path / f"{key}{JOB}"
+        return self.path / ".loop-lock"
 
     def libraries(self) -> list[Path]:
         """Return the libraries that are there."""
         return list(self.path.glob(f"*-*{_SUFFIX}"))
 
-    def failures(self) -> list[str]:
-        """Return why libraries could not be made, one sentence each, without repetition."""
-        files = sorted(self.path.glob(f"*{_FAILED}"))
-        return list(dict.fromkeys(file.read_text(encoding="utf-8").strip() for file in files))
-
     def size(self) -> int:
-        """Return how many bytes the libraries take."""
+        """Return the total size of the libraries in bytes."""
         return sum(file.stat().st_size for file in self.libraries())
 
     def clear(self) -> int:
         """Remove everything that was made, and return how many libraries there were."""
         libraries = self.libraries()
-        kinds = (_SUFFIX, _FAILED, JOB)
+        kinds = (_SUFFIX, *_OF_EARLIER_RELEASES)
         for file in (file for kind in kinds for file in self.path.glob(f"*{kind}")):
-            file.unlink(missing_ok=True)
+            # A folder of that name is not ours.
+            with suppress(OSError):
+                file.unlink(missing_ok=True)
         self.lock.unlink(missing_ok=True)
         return len(libraries)
 
 
-def kernel_folder() -> KernelFolder:
-    """Return the folder: that of the variable `ZENO_ORBITS_CACHE`, else the system's place."""
+def library_folder() -> LibraryFolder:
+    """Return the folder from the variable `ZENO_ORBITS_CACHE`, else the system's cache folder."""
     chosen = os.environ.get("ZENO_ORBITS_CACHE", "")
     if chosen:
-        return KernelFolder(Path(chosen).expanduser().absolute() / "kernels")
+        return LibraryFolder(Path(chosen).expanduser().absolute() / "kernels")
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     elif sys.platform == "darwin":
         base = Path.home() / "Library" / "Caches"
     else:
         base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return KernelFolder(base / "zeno_orbits" / "kernels")
+    return LibraryFolder(base / "zeno_orbits" / "kernels")
 
 
 def _digest_of(file: Path) -> str:

@@ -1,17 +1,15 @@
-"""The C compiler of this machine: `CC`, `cc`, `gcc`, `clang`, or the one of the extra `compiled`.
-
-Arithmetic stays that of the interpreter: no fast-math, and no product and sum contracted into one
-rounding. So NaN and infinity survive, and results agree, mostly to the last bit.
-"""
+"""The C compiler of this machine: `CC`, else `cc`, `gcc`, `clang`, or the extra `compiled`."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,14 +17,9 @@ from pathlib import Path
 from zeno_orbits.errors import KernelError
 
 _NAMES = ("cc", "gcc", "clang")
-_STRICT = ("-fno-fast-math", "-fno-unsafe-math-optimizations", "-fno-finite-math-only")
-"""They come after a user's own flags: whatever those say, NaN, infinity and tiny numbers survive.
-"""
-_FLAGS = (*("-O1", "-fPIC", "-shared", *_STRICT), "-ffp-contract=off", "-fno-math-errno", "-w")
-"""At `-O1` the kernels are as fast as at `-O2`, and compiled in two thirds of the time."""
 _ZIG_FLAGS = ("-mcpu=baseline", "-fno-sanitize=undefined")
-"""Zig compiles for the very processor and adds checks, unless it is told not to."""
-_LIBRARIES = ("-lm",)
+"""By default Zig compiles for the processor of this machine and adds checks. These flags prevent
+both."""
 _LONGEST = 600.0
 """Longest time that a compiler may take [s]."""
 
@@ -36,8 +29,8 @@ class Compiler:
     """A C compiler.
 
     Attributes:
-        command: The words that start it, and its own flags.
-        file: The program, whose size and date tell one version from another.
+        command: Command of the compiler with its own flags.
+        file: Executable, whose size and date distinguish versions.
     """
 
     command: tuple[str, ...]
@@ -45,19 +38,36 @@ class Compiler:
 
     @property
     def identity(self) -> str:
-        """All that the code depends on but its source: compiler, version, flags, processor."""
+        """All that the code depends on but its source and flags: compiler, version, processor."""
         stat = self.file.stat()
         version = f"{self.file} {stat.st_size} {stat.st_mtime_ns}"
-        words = (*self.command, *_FLAGS, *_LIBRARIES)
-        return "\n".join((version, " ".join(words), sys.platform, platform.machine()))
+        return "\n".join((version, " ".join(self.command), sys.platform, platform.machine()))
 
-    def compile(self, source: Path, target: Path) -> None:
+    @property
+    def digest(self) -> str:
+        """A digest of the same."""
+        return hashlib.sha256(self.identity.encode()).hexdigest()[:16]
+
+    def compile(
+        self,
+        source: Path,
+        target: Path,
+        *,
+        flags: Sequence[str],
+        libraries: Sequence[str],
+    ) -> None:
         """Compile a source into a shared library.
 
+        Args:
+            source: The C code.
+            target: The library.
+            flags: Flags of the compiler.
+            libraries: Flags that follow the source.
+
         Raises:
-            KernelError: If that fails; it says why.
+            KernelError: If the compilation fails. The message contains the reason.
         """
-        words = [*self.command, *_FLAGS, str(source), "-o", str(target), *_LIBRARIES]
+        words = [*self.command, *flags, str(source), "-o", str(target), *libraries]
         try:
             done = subprocess.run(
                 words,
@@ -78,17 +88,20 @@ class Compiler:
 
 
 def find_compiler() -> Compiler | None:
-    """Return the compiler to use: that of the variable `CC`, else the first there is, if any.
+    """Return the compiler: from the variable `CC`, else the first available, or ``None``.
 
     Raises:
-        KernelError: If `CC` names no program.
+        KernelError: If `CC` names no program, or cannot be split into words.
     """
     chosen = os.environ.get("CC", "").strip()
     if chosen:
-        first, *rest = shlex.split(chosen)
+        try:
+            first, *rest = shlex.split(chosen)
+        except ValueError as error:
+            raise KernelError(f"CC=`{chosen}` is not a command ({error})") from error
         place = shutil.which(first)
         if place is None:
-            raise KernelError(f"`CC` must name a C compiler, but there is no program `{first}`")
+            raise KernelError(f"`CC` must name a C compiler, but the program `{first}` is missing")
         return Compiler(command=(place, *rest), file=Path(place).resolve())
     for name in _NAMES:
         place = shutil.which(name)

@@ -1,0 +1,210 @@
+"""Derivatives in the loop are those of the formulas in Python, along the same steps."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.loop.agreement import looped, needs_compiler, task_of
+from tests.support.units import Units, in_units
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators import Radau, RungeKutta, Tolerance
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.orbits import floquet_multipliers
+from zeno_orbits.simulation import (
+    ArcShifts,
+    Execution,
+    Perturbations,
+    PlasticAfter,
+    SimulationSettings,
+    SimulationTask,
+    ZenoExtrapolation,
+    motion_of,
+)
+
+pytestmark = needs_compiler
+
+ROUNDING = 1e-11
+"""Of the largest entry of a column, where the motion itself is no worse conditioned."""
+
+CHATTER = SimulationSettings(completion=ZenoExtrapolation())
+ENGINES = {"explicit": RungeKutta(), "implicit": Radau(), "usual": CHATTER.engine}
+
+
+def _walk(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Perturbations:
+    assert dynamics.differentiation is not None
+    return Perturbations(
+        dynamics=dynamics,
+        differentials=dynamics.differentiation.by(chosen),
+        n_parameters=len(chosen),
+        tolerance=Tolerance(),
+    )
+
+
+def _rows(shifts: list[ArcShifts]) -> Vector:
+    return np.array(
+        [
+            np.vstack([shift.time, shift.state, shift.rate])
+            for one in shifts
+            for shift in (one.start, one.end, one.after)
+        ]
+    )
+
+
+def _by_loop(walk: Perturbations, run: Execution) -> Vector:
+    motions = motion_of(walk, run, walk.at_start())
+    return _rows([motions.of(arc) for arc in run.arcs if id(arc) in motions.shifts])
+
+
+def _require_equal(task: SimulationTask, chosen: tuple[int, ...]) -> Execution:
+    run = looped(task).execution
+    assert run is not None
+    walk = _walk(task.dynamics, chosen)
+    found, expected = _by_loop(walk, run), _rows(walk.along(run, walk.at_start(), 0))
+    distance = _distance(found, expected)
+    assert distance < ROUNDING or distance < _of_one_rounding(task, walk, expected)
+    return run
+
+
+def _distance(found: Vector, expected: Vector) -> float:
+    assert found.shape == expected.shape
+    sizes = 1 + np.max(np.abs(expected), axis=1, keepdims=True)
+    return float(np.max(np.abs(found - expected) / sizes, initial=0.0))
+
+
+def _of_one_rounding(task: SimulationTask, walk: Perturbations, expected: Vector) -> float:
+    """Return how far the derivatives in Python move if the start is rounded once."""
+    run = looped(replace(task, state=np.nextafter(task.state, np.inf))).execution
+    assert run is not None
+    return _distance(_rows(walk.along(run, walk.at_start(), 0)), expected)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", zo.bundled_problems())
+def test_every_arc_moves_as_in_python(name: str, engine: str) -> None:
+    settings = SimulationSettings(completion=ZenoExtrapolation(), engine=ENGINES[engine])
+    task = task_of(zo.load_problem(name), until=0.7, settings=settings)
+    assert task.dynamics.formulas is not None
+    n_p = task.dynamics.formulas.values.size
+    # Four parameters fill the lanes of most problems and overflow those of some.
+    _require_equal(task, tuple(range(0, n_p, max(1, n_p // 4))))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", zo.bundled_problems())
+def test_every_arc_moves_by_every_parameter_as_in_python(name: str) -> None:
+    problem = zo.load_problem(name)
+    for start in range(len(problem.starts)):
+        task = task_of(problem, until=4.0, start=start, settings=CHATTER)
+        assert task.dynamics.formulas is not None
+        _require_equal(task, tuple(range(task.dynamics.formulas.values.size)))
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.05, 0.95])
+@pytest.mark.parametrize("name", ["curved_surface", "falling_pendulum", "vibrating_table"])
+def test_it_is_the_same_at_any_restitution(name: str, restitution: float) -> None:
+    values = {"restitution": restitution}
+    task = task_of(zo.load_problem(name), until=1.2, values=values, settings=CHATTER)
+    run = _require_equal(task, (0, 1))
+    assert run.impacts
+
+
+def test_it_is_the_same_in_millimetres_and_milliseconds() -> None:
+    units = Units(mass=1e3, length=1e3, time=1e3)
+    problem = in_units(zo.load_problem("falling_pendulum"), units)
+    run = _require_equal(task_of(problem, until=4e3, settings=CHATTER), (0, 1, 2))
+    assert run.zeno_points
+
+
+def test_threads_carry_the_same_derivatives() -> None:
+    task = task_of(zo.load_problem("motor_pendulum"), until=2.0, settings=CHATTER)
+    run = looped(task).execution
+    assert run is not None
+    walk = _walk(task.dynamics, (0, 1))
+    expected = _by_loop(walk, run).tolist()
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: _by_loop(walk, run).tolist(), range(16)))
+    assert all(one == expected for one in found)
+
+
+MULTIPLIERS = """
+import numpy as np, zeno_orbits as zo
+from zeno_orbits.orbits import floquet_multipliers
+from zeno_orbits.simulation import SimulationSettings
+problem = zo.load_problem("motor_pendulum")
+x = np.array([0.1985068301199, 0, -5.2365375521764, 0, -1.8591703843225])
+found = floquet_multipliers(
+    problem.dynamics(problem.values()), x, scale=1 + np.abs(x), period=1.81371293903044,
+    settings=SimulationSettings(),
+)
+print(repr(max(found.values, key=abs).real), repr(found.error))
+"""
+
+
+@pytest.mark.slow
+def test_multipliers_are_the_same_without_compiled_code() -> None:
+    root = Path(__file__).resolve().parents[2]
+    said: list[tuple[float, float]] = []
+    for loop in ("use", "never"):
+        environment = {**os.environ, "ZENO_ORBITS_LOOP": loop, "PYTHONPATH": str(root)}
+        done = subprocess.run(
+            [sys.executable, "-c", MULTIPLIERS],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=300,
+        )
+        value, error = map(float, done.stdout.split())
+        said.append((value, error))
+    (one, error), (other, _) = said
+    # Implicit steps end at other last digits, which one period magnifies a hundred times.
+    assert one == pytest.approx(other, abs=1e-13)
+    assert one == pytest.approx(-0.0193686140388, abs=1e-12)
+    assert error < 1e-10
+
+
+def test_multipliers_and_cut_returns_take_their_derivatives_from_the_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refused(*_: object, **__: object) -> list[ArcShifts]:
+        raise AssertionError("derivatives are carried in Python")
+
+    monkeypatch.setattr(Perturbations, "along", refused)
+    problem = zo.load_problem("motor_pendulum")
+    x = np.array([0.1985068301199, 0, -5.2365375521764, 0, -1.8591703843225])
+    found = floquet_multipliers(
+        problem.dynamics(problem.values()),
+        x,
+        scale=1 + np.abs(x),
+        period=1.81371293903044,
+        settings=SimulationSettings(),
+    )
+    assert found.spectral_radius == pytest.approx(0.0193686140388, abs=1e-12)
+    cut = SimulationSettings(completion=PlasticAfter(n_impacts=3))
+    run = looped(task_of(problem, until=2.0, settings=cut)).execution
+    assert run is not None
+    walk = _walk(problem.dynamics(problem.values()), ())
+    assert len(_by_loop(walk, run)) == 3 * len(run.arcs)
+
+
+def test_states_and_numbers_that_are_no_motion_end_in_numbers() -> None:
+    rng = np.random.default_rng(3)
+    problem = zo.load_problem("motor_pendulum")
+    task = task_of(problem, until=0.4, settings=CHATTER)
+    run = looped(task).execution
+    assert run is not None
+    for special in (np.nan, np.inf, 1e300, -1e-300):
+        walk = _walk(task.dynamics, (0,))
+        start = walk.at_start()
+        start.state[rng.integers(5)] = special
+        motions = motion_of(walk, run, start)
+        assert len(motions.shifts) == len(run.arcs)

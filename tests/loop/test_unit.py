@@ -1,0 +1,325 @@
+"""A co-simulation unit gives the execution of `simulate`, in FMPy and by its plain C functions."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import subprocess
+import zipfile
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.loop.agreement import needs_compiler
+from tests.support.commands import MISUSE, YES, ask
+from zeno_orbits.simulation import Execution
+
+pytestmark = [needs_compiler, pytest.mark.usefixtures("here")]
+
+STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off")
+OK, ERROR = 0, 3
+
+Export = Callable[..., Path]
+"""From a problem and options to the file of its unit."""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work in a folder of the test's own."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def export(tmp_path_factory: pytest.TempPathFactory) -> Export:
+    """Return the file of a unit, exported once: a compiler takes seconds."""
+    made: dict[tuple[str, ...], Path] = {}
+
+    def exported(name: str, *options: str) -> Path:
+        if (name, *options) not in made:
+            folder = tmp_path_factory.mktemp("exported")
+            answer = ask("export", name, "--fmu", "-o", str(folder), *options)
+            assert answer.code == YES, answer.err
+            made[name, *options] = folder / f"{name}.fmu"
+        return made[name, *options]
+
+    return exported
+
+
+def _unpacked(file: Path) -> tuple[Path, ElementTree.Element]:
+    """Return the library of a unit, and its description."""
+    folder = file.with_suffix("")
+    if not folder.exists():
+        with zipfile.ZipFile(file) as whole:
+            whole.extractall(folder)
+    library = next((folder / "binaries").glob("*/*"))
+    return library, ElementTree.parse(folder / "modelDescription.xml").getroot()
+
+
+_LOG = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
+
+
+class Unit:
+    """An instance of a unit, by the functions of the standard."""
+
+    def __init__(self, file: Path, token: str | None = None, library: Path | None = None) -> None:
+        own, description = _unpacked(file)
+        self._library = ctypes.CDLL(str((library or own).absolute()))
+        variables = description.find("ModelVariables")
+        assert variables is not None
+        self._places = {one.attrib["name"]: int(one.attrib["valueReference"]) for one in variables}
+        self._kinds = {one.attrib["name"]: one.tag for one in variables}
+        self.messages: list[str] = []
+        self._log = _LOG(lambda _e, _s, _c, text: self.messages.append(text.decode()))
+        create = self._library.fmi3InstantiateCoSimulation
+        create.restype = ctypes.c_void_p
+        flag = ctypes.c_bool(False)
+        chosen = description.attrib["instantiationToken"] if token is None else token
+        self.instance = ctypes.c_void_p(
+            create(
+                *(b"unit", chosen.encode(), b"", flag, flag, flag, flag, None, ctypes.c_size_t(0)),
+                *(None, self._log, None),
+            )
+        )
+
+    def call(self, name: str, *arguments: Any) -> int:
+        """Return the status of a function."""
+        return int(getattr(self._library, f"fmi3{name}")(self.instance, *arguments))
+
+    def set(self, name: str, value: float) -> int:
+        """Set a variable and return the status."""
+        place, values = ctypes.c_uint32(self._places[name]), ctypes.c_double(value)
+        one = ctypes.c_size_t(1)
+        return self.call("SetFloat64", ctypes.byref(place), one, ctypes.byref(values), one)
+
+    def get(self, name: str) -> float:
+        """Return a variable."""
+        place, one = ctypes.c_uint32(self._places[name]), ctypes.c_size_t(1)
+        is_whole = self._kinds[name] == "Int32"
+        value = ctypes.c_int32(0) if is_whole else ctypes.c_double(0.0)
+        kind = "Int32" if is_whole else "Float64"
+        status = self.call(f"Get{kind}", ctypes.byref(place), one, ctypes.byref(value), one)
+        assert status == OK, self.messages
+        return float(value.value)
+
+    def initialize(self, stop: float) -> int:
+        """Go through the initialization and return its status."""
+        no, yes, number = ctypes.c_bool(False), ctypes.c_bool(True), ctypes.c_double
+        begun = self.call("EnterInitializationMode", no, number(0), number(0), yes, number(stop))
+        return begun or self.call("ExitInitializationMode")
+
+    def step(self, start: float, size: float) -> int:
+        """Take a step between communication points and return the status."""
+        flags = [ctypes.c_bool(False) for _ in range(3)]
+        reached, number = ctypes.c_double(0.0), ctypes.c_double
+        return self.call(
+            *("DoStep", number(start), number(size), ctypes.c_bool(True)),
+            *map(ctypes.byref, (*flags, reached)),
+        )
+
+    def states(self, names: Sequence[str]) -> list[float]:
+        """Return several variables."""
+        return [self.get(name) for name in names]
+
+
+def _followed(unit: Unit, times: Sequence[float], names: Sequence[str]) -> list[list[float]]:
+    rows = [unit.states(names)]
+    for start, end in pairwise(times):
+        assert unit.step(start, end - start) == OK, unit.messages
+        rows.append(unit.states(names))
+    return rows
+
+
+def _execution(name: str, until: float, **parameters: float) -> Execution:
+    return zo.simulate(name, until=until, parameters=parameters)
+
+
+def test_fmpy_validates_a_unit_and_runs_it_through_eleven_zeno_points(export: Export) -> None:
+    fmpy = pytest.importorskip("fmpy")
+    validation = pytest.importorskip("fmpy.validation")
+    file = str(export("motor_pendulum", "--t-end", "20"))
+    assert validation.validate_fmu(file) == []
+    rows = fmpy.simulate_fmu(file, stop_time=20.0, output_interval=0.01)
+    run = zo.simulate("motor_pendulum", until=20.0)
+    assert len(rows) == 2001
+    assert len(run.zeno_points) == 11
+    for row in rows:
+        time = min(float(row["time"]), 20.0)
+        states = [float(row[name]) for name in run.state_names]
+        assert np.max(np.abs(np.array(states) - run.state_at(time))) <= 1e-11
+        assert row["impacts"] == sum(event.time <= time for event in run.impacts)
+        passed = [event.time for event in run.zeno_points if event.time <= time]
+        assert row["zeno_points"] == len(passed)
+        assert row["zeno_time"] == passed[-1] if passed else math.isnan(row["zeno_time"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", zo.bundled_problems())
+def test_units_of_every_bundled_problem_are_valid_and_give_the_states_of_simulate(
+    export: Export, name: str
+) -> None:
+    validation = pytest.importorskip("fmpy.validation")
+    file = export(name, "--t-end", "4")
+    assert validation.validate_fmu(str(file)) == []
+    run = _execution(name, 4.0)
+    unit = Unit(file)
+    assert unit.initialize(4.0) == OK
+    times = np.linspace(0.0, 4.0, 301).tolist()
+    found = _followed(unit, times, run.state_names)
+    expected = np.array([run.state_at(time) for time in times])
+    assert np.max(np.abs(np.array(found) - expected) / (1.0 + np.abs(expected))) <= 1e-11
+    assert unit.get("impacts") == len(run.impacts)
+    assert unit.get("zeno_points") == len(run.zeno_points)
+
+
+@pytest.mark.slow
+def test_states_do_not_depend_on_the_communication_points(export: Export) -> None:
+    file = export("bouncing_ball")
+    rows: list[list[float]] = []
+    for n in (4, 64, 1024):
+        unit = Unit(file)
+        assert unit.initialize(6.0) == OK
+        found = _followed(unit, np.linspace(0.0, 6.0, n + 1).tolist(), ("height", "speed"))
+        rows.append([number for row in found[:: n // 4] for number in row])
+    assert rows[0] == rows[1] == rows[2]
+
+
+def test_parameters_that_are_set_before_the_start_are_obeyed(export: Export) -> None:
+    unit = Unit(export("bouncing_ball"))
+    fall = math.sqrt(2 * 2.0 / 1.62)
+    for name, value in (("restitution", 0.7), ("g", 1.62), ("height", 2.0)):
+        assert unit.set(name, value) == OK
+    assert unit.initialize(30.0) == OK
+    _followed(unit, np.linspace(0.0, 30.0, 61).tolist(), ("height",))
+    assert unit.get("zeno_time") == pytest.approx(fall * 1.7 / 0.3, rel=1e-11)
+    assert unit.get("mode") == 1
+
+
+def test_hundreds_of_impacts_before_a_zeno_point_are_counted(export: Export) -> None:
+    unit = Unit(export("bouncing_ball"))
+    assert unit.set("restitution", 0.99) == OK
+    assert unit.initialize(95.0) == OK
+    _followed(unit, np.linspace(0.0, 95.0, 20).tolist(), ("height",))
+    assert unit.get("impacts") > 600
+    fall = math.sqrt(2 / 9.81)
+    assert unit.get("zeno_time") == pytest.approx(fall * 1.99 / 0.01, rel=1e-10)
+
+
+@pytest.mark.slow
+def test_an_input_acts_from_the_communication_point_on(export: Export) -> None:
+    unit = Unit(export("bouncing_ball", "--input", "g"))
+    assert unit.initialize(1.0) == OK
+    assert unit.step(0.0, 0.2) == OK
+    assert unit.set("g", 2.0) == OK
+    assert unit.step(0.2, 0.3) == OK
+    height = 1.0 - 9.81 * 0.2**2 / 2 - 9.81 * 0.2 * 0.3 - 2.0 * 0.3**2 / 2
+    assert unit.get("height") == pytest.approx(height, abs=1e-13)
+    assert unit.get("speed") == pytest.approx(-9.81 * 0.2 - 2.0 * 0.3, abs=1e-13)
+
+
+def test_a_gain_can_be_tuned_between_steps(export: Export) -> None:
+    # On the stop and in a flight: the run starts anew there with the other gain.
+    problem = zo.load_problem("motor_pendulum")
+    unit = Unit(export("motor_pendulum", "--t-end", "20"))
+    assert unit.initialize(6.0) == OK
+    names = problem.state_names
+    for start, gain in ((2.0, -0.9), (4.0, -1.1)):
+        assert unit.step(start - 2.0, 2.0) == OK
+        reached = dict(zip(names, unit.states(names), strict=True))
+        assert unit.set("Kd", gain) == OK
+    assert unit.step(4.0, 2.0) == OK
+    expected = zo.simulate(problem, until=2.0, gains={"Kd": -1.1}, start=reached)
+    # Sizes that tolerances are measured in are those of the exported gains.
+    assert unit.states(names) == pytest.approx(expected.end_state.tolist(), abs=1e-9)
+
+
+def test_a_kept_state_is_taken_again(export: Export) -> None:
+    unit = Unit(export("bouncing_ball"))
+    assert unit.initialize(6.0) == OK
+    assert unit.step(0.0, 3.0) == OK
+    kept = ctypes.c_void_p(None)
+    assert unit.call("GetFMUState", ctypes.byref(kept)) == OK
+    rows = [_followed(unit, [3.0, 4.5, 6.0], ("height", "speed", "impacts", "mode"))]
+    assert unit.call("SetFMUState", kept) == OK
+    rows.append(_followed(unit, [3.0, 4.5, 6.0], ("height", "speed", "impacts", "mode")))
+    assert rows[0] == rows[1]
+    assert unit.call("FreeFMUState", ctypes.byref(kept)) == OK
+    assert kept.value is None
+    assert unit.call("Reset") == OK
+    assert unit.initialize(6.0) == OK
+    assert unit.states(("height", "speed", "impacts")) == [1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("g", 2.0, "cannot be set after initialization"),
+        ("height", 2.0, "cannot be set after initialization"),
+        ("mode", 1.0, "The variable cannot be set"),
+        ("time", 1.0, "The variable cannot be set"),
+        ("restitution", math.nan, "A value must be finite"),
+    ],
+)
+def test_what_may_not_be_set_is_refused(
+    export: Export, name: str, value: float, message: str
+) -> None:
+    unit = Unit(export("bouncing_ball"))
+    assert unit.initialize(2.0) == OK
+    assert unit.set(name, value) == ERROR
+    assert message in unit.messages[-1]
+
+
+def test_misuse_and_failures_end_in_a_status_with_a_message(export: Export) -> None:
+    file = export("bouncing_ball")
+    assert Unit(file, token="another").instance.value is None
+    unit = Unit(file)
+    assert unit.step(0.0, 0.1) == ERROR
+    assert unit.set("height", -1.0) == OK
+    assert unit.initialize(2.0) == ERROR
+    assert unit.messages[-1] == "The state is inside of the stop at 0 s"
+    assert unit.call("Reset") == OK
+    assert unit.initialize(2.0) == OK
+    assert unit.step(0.5, 0.1) == ERROR
+    assert unit.messages[-1] == "A step must start where the last one ended"
+    assert unit.step(0.0, 2.5) == ERROR
+    assert unit.messages[-1] == "The step ends after the stop time"
+    assert unit.call("EnterEventMode") == ERROR
+    assert unit.messages[-1] == "The unit does not offer fmi3EnterEventMode"
+
+
+def test_inputs_are_checked_before_anything_is_written() -> None:
+    answer = ask("export", "bouncing_ball", "--fmu", "--input", "mass", "-o", "exported")
+    assert answer.code == MISUSE
+    assert "must be one of m, g, restitution, but it is `mass`" in answer.err
+    answer = ask("export", "bouncing_ball", "--input", "g", "-o", "exported")
+    assert answer.code == MISUSE
+    assert "belongs to `--fmu`" in answer.err
+    assert not Path("exported").exists()
+
+
+def test_the_sources_alone_give_the_same_unit(export: Export) -> None:
+    # Strict C99 of another level, without Python: the digits are those of the library in the file.
+    file = export("bouncing_ball")
+    own, _ = _unpacked(file)
+    sources = own.parents[2] / "sources"
+    words = ["cc", *STRICT, "-O1", "-fPIC", "-shared", str(sources / "fmi3.c"), "-o", "unit.so"]
+    done = subprocess.run([*words, "-lm"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = Unit(file, library=Path("unit.so"))
+    expected = Unit(file)
+    assert found.initialize(6.0) == expected.initialize(6.0) == OK
+    times = np.linspace(0.0, 6.0, 61).tolist()
+    names = ("height", "speed", "mode", "impacts", "zeno_points")
+    assert _followed(found, times, names) == _followed(expected, times, names)
+
+
+@pytest.mark.slow
+def test_the_same_problem_gives_the_same_bytes(export: Export) -> None:
+    answer = ask("export", "bouncing_ball", "--fmu", "-o", "again")
+    assert answer.code == YES
+    assert Path("again/bouncing_ball.fmu").read_bytes() == export("bouncing_ball").read_bytes()

@@ -1,0 +1,151 @@
+"""The types of `loop.h`, and its functions with their arguments."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+MOST, LANES, STAGES = 32, 8, 7
+FREE, LOCKED, FLIGHT = range(3)
+RATE, GUARD, JACOBIAN, WATCHED = 0, 3, 6, 9
+GAP, LIFT, PULL, INERTIA, REBOUND, RESTING, LANDING, TAPES = range(12, 20)
+SLOPES = 7
+EXTRAPOLATION, PASSAGE, TRUNCATION, FIXED_IMPACTS, PLASTIC_AFTER = range(5)
+STEP_WIDTH, ARC_WIDTH, EVENT_WIDTH, ESTIMATE_WIDTH = 2, 12, 5, 4
+IMPACT, ZENO, RELEASE, HORIZON = range(4)
+
+DONE, FULL, ESTIMATES, CURVE, TOO_STIFF, SINGULAR, NOT_FINITE, LEFT = range(8)
+MANY_STEPS, MANY_IMPACTS, BEYOND, GROWS, NOT_CLOSING, INTO_STOP, TOO_LARGE = range(8, 15)
+
+_number, _count, _address = ctypes.c_double, ctypes.c_longlong, ctypes.c_void_p
+
+
+class TapeType(ctypes.Structure):
+    """A formula: ``zl_tape``."""
+
+    _fields_ = [
+        *((name, _count) for name in ("n_varying", "n_parameters", "n_constants", "n_registers")),
+        *((name, _count) for name in ("n_once", "n_first", "n_instructions", "n_outputs")),
+        *((name, _address) for name in ("code", "constants", "outputs")),
+    ]
+
+
+class SchemeType(ctypes.Structure):
+    """The implicit scheme: ``zl_scheme``."""
+
+    _fields_ = [
+        ("nodes", _number * STAGES),
+        ("inverse", _number * (STAGES * STAGES)),
+        ("monomials", _number * (STAGES * STAGES)),
+        ("gamma", _number),
+        ("embedded", _number * STAGES),
+        ("values", _number * 8),
+        ("columns", _number * (8 * STAGES)),
+        ("rows", _number * (8 * STAGES)),
+    ]
+
+
+class ProblemType(ctypes.Structure):
+    """The formulas of a problem: ``zl_problem``."""
+
+    _fields_ = [
+        *((name, _count) for name in ("n_x", "n_q", "n_p")),
+        ("carried", _count * 3),
+        ("tapes", TapeType * TAPES),
+        ("scheme", SchemeType),
+    ]
+
+
+_SETTINGS = (
+    *("until", "relative", "absolute", "contact", "restitution", "time", "gap", "gap_rate"),
+    *("gap_acceleration", "multiplier", "largest_explicit", "largest_implicit", "limit_tolerance"),
+    *("resolved", "delta", "n_fixed", "most_releases", "most_landings"),
+)
+
+
+class SettingsType(ctypes.Structure):
+    """Accuracy and limits of a run: ``zl_settings``."""
+
+    _fields_ = [
+        *((name, _number) for name in _SETTINGS),
+        *((name, _number * MOST) for name in ("sizes", "weights", "flight_weights", "reach")),
+        *((name, _count) for name in ("begins_explicit", "goes_implicit", "completion")),
+        *((name, _count) for name in ("most_steps", "most_impacts", "records")),
+    ]
+
+
+class RecordsType(ctypes.Structure):
+    """Memory for records: ``zl_records``."""
+
+    _fields_ = [
+        *((name, _address) for name in ("steps", "polynomials", "arcs", "events")),
+        *((name, _count) for name in ("most_steps", "most_polynomials", "most_arcs")),
+        *((name, _count) for name in ("most_events", "n_steps", "n_polynomials", "n_arcs")),
+        ("n_events", _count),
+        ("estimates", _address),
+        ("most_estimates", _count),
+    ]
+
+
+class TangentType(ctypes.Structure):
+    """Derivatives of the formulas of a problem: ``zl_tangent``."""
+
+    _fields_ = [
+        ("n_chosen", _count),
+        ("tapes", TapeType * SLOPES),
+        *((name, _address * 3) for name in ("rows", "columns", "states", "ends")),
+        ("n_blocks", _count * 3),
+        ("matrix", _number * (STAGES * STAGES)),
+    ]
+
+
+class TrackType(ctypes.Structure):
+    """Settings of the propagation of derivatives: ``zl_track``."""
+
+    _fields_ = [
+        *((name, _address) for name in ("steps", "polynomials", "arcs", "events")),
+        *((name, _count) for name in ("n_arcs", "n_events")),
+        ("trusted", _number),
+        *((name, _address) for name in ("restitution", "estimates", "work")),
+    ]
+
+
+class DetailType(ctypes.Structure):
+    """Details of a status: ``zl_detail``."""
+
+    _fields_ = [
+        ("time", _number),
+        ("state", _number * MOST),
+        *((name, _number) for name in ("number", "steps")),
+        *((name, _count) for name in ("n_state", "index")),
+    ]
+
+
+def declared(library: Any) -> Any:
+    """Return the library with the types of its functions declared."""
+    pointer, whole = ctypes.c_void_p, ctypes.c_int
+    functions: dict[str, tuple[Any, list[Any]]] = {
+        "zl_size": (_count, [pointer]),
+        "zl_begin": (whole, [pointer] * 5),
+        "zl_resume": (whole, [pointer] * 3),
+        "zl_answer": (None, [pointer, whole, _number, _number, pointer]),
+        "zl_tell": (None, [pointer] * 2),
+        "zl_now": (_number, [pointer] * 4),
+        "zl_state_at": (None, [pointer, pointer, whole, _number, pointer, _number, pointer]),
+        "zl_flight": (
+            whole,
+            [pointer, pointer, pointer, _number, _number, _number, pointer],
+        ),
+        "zl_evaluate": (None, [pointer, pointer, whole, pointer, pointer]),
+        "zl_copy": (None, [pointer] * 3),
+        "zl_tangent_work": (_count, [pointer] * 2),
+        "zl_follow": (_count, [*[pointer] * 4, _count, pointer]),
+        "zl_course": (None, [*[pointer] * 4, _count, whole, *[pointer] * 4]),
+        "zl_fault": (whole, [pointer]),
+        "zl_begin_leg": (whole, [*[pointer] * 5, whole, _number]),
+        "zl_resume_leg": (whole, [pointer] * 3),
+    }
+    for name, (result, arguments) in functions.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library

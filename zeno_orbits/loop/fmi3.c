@@ -1,0 +1,268 @@
+/* A problem as a co-simulation unit of FMI 3.0: it integrates, and passes impacts, Zeno points and
+   releases by itself.
+
+       cc -std=c99 -O2 -ffp-contract=off -fPIC -shared fmi3.c -lm -o PROBLEM.so
+
+   These are the functions that its description offers; `fmi3_refused.c` has all others. */
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "PROBLEM.c"
+#include "fmi3_unit.c"
+
+#ifdef _WIN32
+#define API __declspec(dllexport)
+#elif defined(__GNUC__)
+#define API __attribute__((visibility("default")))
+#else
+#define API
+#endif
+
+API const char *fmi3GetVersion(void);
+API void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources,
+                                      bool visible, bool logging, bool events, bool early,
+                                      const uint32_t intermediate[], size_t n, void *environment,
+                                      Log log, void (*update)(void));
+API void fmi3FreeInstance(void *instance);
+API int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance,
+                                    double start, bool has_stop, double stop);
+API int fmi3ExitInitializationMode(void *instance);
+API int fmi3EnterStepMode(void *instance);
+API int fmi3Terminate(void *instance);
+API int fmi3Reset(void *instance);
+API int fmi3SetDebugLogging(void *instance, bool on, size_t n, const char *const categories[]);
+API int fmi3DoStep(void *instance, double time, double size, bool no_return, bool *event,
+                   bool *ends, bool *early, double *reached);
+API int fmi3GetFloat64(void *instance, const uint32_t refs[], size_t n, double values[], size_t m);
+API int fmi3SetFloat64(void *instance, const uint32_t refs[], size_t n, const double values[],
+                       size_t m);
+API int fmi3GetInt32(void *instance, const uint32_t refs[], size_t n, int32_t values[], size_t m);
+API int fmi3GetFMUState(void *instance, void **kept);
+API int fmi3SetFMUState(void *instance, void *kept);
+API int fmi3FreeFMUState(void *instance, void **kept);
+
+const char *fmi3GetVersion(void) { return "3.0"; }
+
+/* Everything as it is after instantiation. */
+static void set_up(Unit *unit) {
+    Reached *reached = &unit->reached;
+    memset(reached, 0, sizeof *reached);
+    memcpy(unit->p, PROBLEM_parameters, (size_t)problem->n_p * sizeof(double));
+    memcpy(reached->state, PROBLEM_start, (size_t)problem->n_x * sizeof(double));
+    reached->relative = PROBLEM_settings.relative;
+    reached->zeno_time = NAN;
+    reached->stop = 1e300;
+}
+
+static Unit *new_unit(void) {
+    Unit *unit = calloc(1, sizeof *unit);
+    zl_records *records;
+    if (!unit) return 0;
+    records = &unit->records;
+    records->most_steps = records->most_polynomials = records->most_arcs = ROOM;
+    records->most_events = ROOM;
+    records->most_estimates = ESTIMATES;
+    records->steps = malloc(ROOM * (ZL_STEP_WIDTH + ZL_MOST) * sizeof(double));
+    records->polynomials = malloc(ROOM * ZL_STAGES * ZL_MOST * sizeof(double));
+    records->arcs = malloc(ROOM * (ZL_ARC_WIDTH + 2 * ZL_MOST) * sizeof(double));
+    records->events = malloc(ROOM * (ZL_EVENT_WIDTH + 2 * ZL_MOST) * sizeof(double));
+    records->estimates = malloc(estimates_size(ESTIMATES));
+    unit->run = calloc(1, run_size());
+    unit->p = calloc(1, p_size());
+    if (records->steps && records->polynomials && records->arcs && records->events &&
+        records->estimates && unit->run && unit->p)
+        return unit;
+    fmi3FreeInstance(unit);
+    return 0;
+}
+
+void fmi3FreeInstance(void *instance) {
+    Unit *unit = instance;
+    if (!unit) return;
+    free(unit->records.steps);
+    free(unit->records.polynomials);
+    free(unit->records.arcs);
+    free(unit->records.events);
+    free(unit->records.estimates);
+    free(unit->run);
+    free(unit->p);
+    free(unit);
+}
+
+void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources,
+                                  bool visible, bool logging, bool events, bool early,
+                                  const uint32_t intermediate[], size_t n, void *environment,
+                                  Log log, void (*update)(void)) {
+    Unit *unit;
+    (void)name, (void)resources, (void)visible, (void)logging, (void)early;
+    (void)intermediate, (void)update;
+    if (!token || strcmp(token, INSTANTIATION_TOKEN) != 0 || events || n > 0) {
+        if (log) log(environment, ERROR, "logStatusError", "The unit does not fit its description");
+        return 0;
+    }
+    unit = new_unit();
+    if (!unit) return 0;
+    unit->log = log;
+    unit->environment = environment;
+    set_up(unit);
+    return unit;
+}
+
+int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance, double start,
+                                bool has_stop, double stop) {
+    Unit *unit = instance;
+    Reached *reached = &unit->reached;
+    if (reached->stage != INSTANTIATED) return fail(unit, "The unit is initialized already");
+    if (has_tolerance && tolerance > 0.0) reached->relative = tolerance;
+    if (has_stop && !(stop > start)) return fail(unit, "The stop time must be after the start");
+    reached->time = start;
+    if (has_stop) reached->stop = stop;
+    reached->stage = INITIALIZATION;
+    return OK;
+}
+
+/* The first states are those after whatever happens at the start: an impact, say. */
+int fmi3ExitInitializationMode(void *instance) {
+    Unit *unit = instance;
+    if (unit->reached.stage != INITIALIZATION) return fail(unit, "The unit is not initialized");
+    unit->reached.stage = STEPS;
+    return go_to(unit, unit->reached.time);
+}
+
+int fmi3EnterStepMode(void *instance) {
+    Unit *unit = instance;
+    return unit->reached.stage == STEPS ? OK : fail(unit, "The unit takes no steps yet");
+}
+
+int fmi3Terminate(void *instance) {
+    Unit *unit = instance;
+    unit->reached.stage = TERMINATED;
+    return OK;
+}
+
+int fmi3Reset(void *instance) {
+    set_up(instance);
+    return OK;
+}
+
+int fmi3SetDebugLogging(void *instance, bool on, size_t n, const char *const categories[]) {
+    (void)instance, (void)on, (void)n, (void)categories;
+    return OK;
+}
+
+int fmi3DoStep(void *instance, double time, double size, bool no_return, bool *event, bool *ends,
+               bool *early, double *reached) {
+    Unit *unit = instance;
+    const double end = time + size;
+    int status;
+    (void)no_return;
+    *event = *ends = *early = false;
+    *reached = unit->reached.time;
+    if (unit->reached.stage != STEPS) return fail(unit, "The unit takes no steps now");
+    if (!(size >= 0.0) || !(fabs(time - unit->reached.time) <= 1e-9 * (1.0 + fabs(time))))
+        return fail(unit, "A step must start where the last one ended");
+    /* Sums of step sizes pass the stop time by rounding. */
+    if (end > unit->reached.stop + 1e-9 * (1.0 + fabs(end)))
+        return fail(unit, "The step ends after the stop time");
+    status = go_to(unit, end);
+    *reached = unit->reached.time;
+    return status;
+}
+
+int fmi3GetFloat64(void *instance, const uint32_t refs[], size_t n, double values[], size_t m) {
+    const Unit *unit = instance;
+    const Reached *reached = &unit->reached;
+    const uint32_t n_x = (uint32_t)problem->n_x, n_p = (uint32_t)problem->n_p;
+    size_t k;
+    if (n != m) return fail(unit, "Every variable has one value");
+    for (k = 0; k < n; k++) {
+        const uint32_t ref = refs[k];
+        if (ref == 0)
+            values[k] = reached->time;
+        else if (ref <= n_x)
+            values[k] = reached->state[ref - 1];
+        else if (ref <= n_x + n_p)
+            values[k] = unit->p[ref - 1 - n_x];
+        else if (ref == n_x + n_p + 1 + ZENO_TIME)
+            values[k] = reached->zeno_time;
+        else
+            return fail(unit, "There is no such variable of type Float64");
+    }
+    return OK;
+}
+
+int fmi3SetFloat64(void *instance, const uint32_t refs[], size_t n, const double values[],
+                   size_t m) {
+    Unit *unit = instance;
+    Reached *reached = &unit->reached;
+    const uint32_t n_x = (uint32_t)problem->n_x, n_p = (uint32_t)problem->n_p;
+    size_t k;
+    if (n != m) return fail(unit, "Every variable has one value");
+    for (k = 0; k < n; k++) {
+        const uint32_t ref = refs[k];
+        const int is_parameter = ref > n_x && ref <= n_x + n_p;
+        if (!(ref >= 1 && ref <= n_x) && !is_parameter)
+            return fail(unit, "The variable cannot be set");
+        if (!isfinite(values[k])) return fail(unit, "A value must be finite");
+        if (reached->stage > INITIALIZATION && !(is_parameter && MAY_CHANGE[ref - 1 - n_x]))
+            return fail(unit, "The variable cannot be set after initialization");
+        if (!is_parameter)
+            reached->state[ref - 1] = values[k];
+        else if (unit->p[ref - 1 - n_x] != values[k]) {
+            unit->p[ref - 1 - n_x] = values[k];
+            reached->changed = 1;
+        }
+    }
+    return OK;
+}
+
+int fmi3GetInt32(void *instance, const uint32_t refs[], size_t n, int32_t values[], size_t m) {
+    const Unit *unit = instance;
+    const Reached *reached = &unit->reached;
+    const uint32_t first = (uint32_t)(1 + problem->n_x + problem->n_p);
+    size_t k;
+    if (n != m) return fail(unit, "Every variable has one value");
+    for (k = 0; k < n; k++) {
+        if (refs[k] == first + MODE)
+            values[k] = reached->mode;
+        else if (refs[k] == first + IMPACTS)
+            values[k] = (int32_t)reached->impacts;
+        else if (refs[k] == first + ZENO_POINTS)
+            values[k] = (int32_t)reached->zeno_points;
+        else
+            return fail(unit, "There is no such variable of type Int32");
+    }
+    return OK;
+}
+
+/* Write all that a unit has reached into another. */
+static int copied(const Unit *from, Unit *to) {
+    while (to->records.most_estimates < from->records.most_estimates)
+        if (!more_estimates(to)) return ERROR;
+    memcpy(to->records.estimates, from->records.estimates,
+           estimates_size(from->records.most_estimates));
+    to->reached = from->reached;
+    memcpy(to->run, from->run, run_size());
+    memcpy(to->p, from->p, p_size());
+    return OK;
+}
+
+int fmi3GetFMUState(void *instance, void **kept) {
+    const Unit *unit = instance;
+    if (!*kept) *kept = new_unit();
+    return *kept ? copied(unit, *kept) : fail(unit, "There is no memory");
+}
+
+int fmi3SetFMUState(void *instance, void *kept) { return copied(kept, instance); }
+
+int fmi3FreeFMUState(void *instance, void **kept) {
+    (void)instance;
+    fmi3FreeInstance(*kept);
+    *kept = 0;
+    return OK;
+}
+
+#include "fmi3_refused.c"

@@ -1,0 +1,261 @@
+/* A unit: a run and what it has reached. The run is always a step ahead of the communication point,
+   and states are dense output inside that step. So they do not depend on the communication points,
+   unless a parameter or an input changes: then the run starts anew from the state reached. */
+
+enum { OK, WARNING, DISCARD, ERROR, FATAL };
+enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };
+enum { PENDING = 8, ROOM = 8, ESTIMATES = 64 };
+
+/* Value references: time, states, parameters, then these. */
+enum { MODE, IMPACTS, ZENO_POINTS, ZENO_TIME, OTHERS };
+
+typedef void (*Log)(void *environment, int status, const char *category, const char *message);
+
+/* Where the run is inside of its last step, or on the way to a Zeno point. */
+typedef struct {
+    double start, end, unit, leg_start, offset, size;
+    int mode, way;
+    double before[ZL_MOST], after[ZL_MOST], coefficients[ZL_STAGES * ZL_MOST];
+} Piece;
+
+enum { NOWHERE, EXPLICIT, IMPLICIT, STRAIGHT };
+
+typedef struct {
+    double time;
+    int kind;
+} Happening;
+
+/* What stays in one piece of memory without pointers, to be kept and taken again. */
+typedef struct {
+    int stage, begun, over, changed, n_pending, mode;
+    double origin, time, stop, relative, state[ZL_MOST], zeno_time;
+    long long impacts, zeno_points;
+    Happening pending[PENDING];
+    Piece piece;
+} Reached;
+
+typedef struct {
+    Reached reached;
+    zl_records records;
+    zl_run *run;
+    double *p;
+    Log log;
+    void *environment;
+} Unit;
+
+static const zl_problem *const problem = &PROBLEM_problem;
+
+static size_t run_size(void) { return (size_t)zl_size(problem); }
+static size_t p_size(void) { return (size_t)(problem->n_p + 1) * sizeof(double); }
+static size_t estimates_size(long long n) {
+    return (size_t)n * (size_t)(ZL_ESTIMATE_WIDTH + 2 * problem->n_x) * sizeof(double);
+}
+
+static int fail(const Unit *unit, const char *text) {
+    if (unit->log) unit->log(unit->environment, ERROR, "logStatusError", text);
+    return ERROR;
+}
+
+static int fail_at(const Unit *unit, const char *text, double time) {
+    char line[160];
+    sprintf(line, "%.100s at %.17g s", text, time);
+    return fail(unit, line);
+}
+
+static int interrupted(const Unit *unit, int status) {
+    static const char *const texts[] = {
+        "The step size fell to rounding level",
+        "The size of an implicit step fell to rounding level",
+        "The flow is not finite",
+        "The state leaves the admissible set",
+        "The run took too many steps",
+        "Impacts do not accumulate",
+        "A coordinate is beyond its bound",
+        "A velocity grows without end",
+        "An impact does not close the gap",
+        "The reset sends the state into the stop",
+    };
+    zl_detail detail;
+    const char *text = "The run ended";
+    if (status >= ZL_TOO_STIFF && status <= ZL_INTO_STOP) text = texts[status - ZL_TOO_STIFF];
+    zl_tell(unit->run, &detail);
+    return fail_at(unit, text, unit->reached.origin + detail.time);
+}
+
+/* Restitution of the slowest impacts, as the law of impact has it. */
+static double slow_restitution(const Unit *unit) {
+    double approach = -PROBLEM_settings.contact * PROBLEM_settings.gap_rate, speed;
+    zl_evaluate(problem, unit->run, ZL_REBOUND, &approach, &speed);
+    return speed / -approach;
+}
+
+/* Start the run from the state reached, with the parameters as they are. */
+static int begin(Unit *unit) {
+    Reached *reached = &unit->reached;
+    double gap[2];
+    zl_settings settings = PROBLEM_settings;
+    settings.records = 1;
+    settings.until = reached->stop - reached->time;
+    settings.absolute *= reached->relative / settings.relative;
+    settings.relative = reached->relative;
+    zl_begin(problem, unit->run, &settings, unit->p, reached->state);
+    if (memcmp(unit->p, PROBLEM_parameters, (size_t)problem->n_p * sizeof(double)) != 0)
+        unit->run->settings.restitution = slow_restitution(unit);
+    reached->origin = reached->time;
+    reached->piece.way = NOWHERE;
+    reached->piece.end = 0.0;
+    reached->n_pending = reached->over = reached->changed = 0;
+    reached->begun = 1;
+    zl_evaluate(problem, unit->run, ZL_GAP, reached->state, gap);
+    if (gap[0] >= -PROBLEM_settings.contact * PROBLEM_settings.gap) return OK;
+    return fail_at(unit, "The state is inside of the stop", reached->time);
+}
+
+/* Give the estimates of a sequence of impacts more memory. */
+static int more_estimates(Unit *unit) {
+    zl_records *records = &unit->records;
+    const long long n = 4 * records->most_estimates;
+    double *more = realloc(records->estimates, estimates_size(n));
+    if (!more) return 0;
+    records->estimates = more;
+    records->most_estimates = n;
+    return 1;
+}
+
+/* Keep the events that have just been recorded until the communication point reaches them. */
+static void keep_events(Unit *unit) {
+    Reached *reached = &unit->reached;
+    const long long width = ZL_EVENT_WIDTH + 2 * problem->n_x;
+    long long k;
+    for (k = 0; k < unit->records.n_events && reached->n_pending < PENDING; k++) {
+        const double *row = unit->records.events + k * width;
+        reached->pending[reached->n_pending].kind = (int)row[0];
+        reached->pending[reached->n_pending].time = row[1];
+        reached->n_pending++;
+    }
+}
+
+/* Take the step that has just been recorded, from the leg that it was taken in. */
+static void keep_step(Unit *unit, const Leg *leg, int ended) {
+    const zl_records *records = &unit->records;
+    const double *arc = records->arcs, *row = records->steps;
+    Piece *piece = &unit->reached.piece;
+    const size_t n_x = (size_t)problem->n_x;
+    const int goes_on = unit->run->stage == IN_LEG && unit->run->leg.n_steps == leg->n_steps + 1;
+    piece->way = NOWHERE;
+    piece->start = piece->end = leg->start_time + leg->unit * leg->time;
+    if (!ended && !goes_on) return; /* the leg was refused, and starts again in another mode */
+    piece->way = records->n_polynomials ? IMPLICIT : EXPLICIT;
+    piece->mode = (int)leg->mode;
+    piece->unit = leg->unit;
+    piece->leg_start = leg->start_time;
+    piece->offset = leg->time;
+    piece->size = row[1];
+    piece->end = ended ? arc[2] : leg->start_time + leg->unit * (leg->time + row[1]);
+    memcpy(piece->before, leg->y, sizeof piece->before);
+    memcpy(piece->after, ended ? arc + ZL_ARC_WIDTH + n_x : row + ZL_STEP_WIDTH,
+           n_x * sizeof(double));
+    if (records->n_polynomials)
+        memcpy(piece->coefficients, records->polynomials,
+               (size_t)(ZL_STAGES * leg->n_y) * sizeof(double));
+}
+
+/* Take the way to a Zeno point, which is an arc without steps. */
+static void keep_tail(Unit *unit) {
+    const double *arc = unit->records.arcs;
+    Piece *piece = &unit->reached.piece;
+    const size_t n_x = (size_t)problem->n_x;
+    piece->way = STRAIGHT;
+    piece->mode = ZL_FREE;
+    piece->start = arc[1];
+    piece->end = arc[2];
+    memcpy(piece->before, arc + ZL_ARC_WIDTH, n_x * sizeof(double));
+    memcpy(piece->after, arc + ZL_ARC_WIDTH + n_x, n_x * sizeof(double));
+}
+
+/* Let the run do its next thing. */
+static int move_on(Unit *unit) {
+    zl_records *records = &unit->records;
+    Machine m = machine_of(problem, unit->run, records);
+    const Leg leg = unit->run->leg;
+    const long long n_arcs = unit->run->n_arcs;
+    int status;
+    records->n_steps = records->n_polynomials = records->n_arcs = records->n_events = 0;
+    status = advance(&m);
+    if (status == ZL_ESTIMATES) return more_estimates(unit) ? OK : fail(unit, "There is no memory");
+    if (status == ZL_CURVE) {
+        /* Impacts are followed one by one. */
+        zl_answer(unit->run, 0, 0.0, 0.0, PROBLEM_settings.sizes);
+        return OK;
+    }
+    if (status != GO_ON) return interrupted(unit, status);
+    keep_events(unit);
+    if (records->n_steps)
+        keep_step(unit, &leg, unit->run->n_arcs > n_arcs);
+    else if (records->n_arcs)
+        keep_tail(unit);
+    unit->reached.over = unit->run->stage == OVER;
+    return OK;
+}
+
+/* The state at a time of the run inside the last piece. */
+static void state_inside_piece(Unit *unit, double time, double *state) {
+    const Piece *piece = &unit->reached.piece;
+    const int n = (int)problem->n_x, n_y = n + (piece->mode == ZL_FLIGHT ? 2 : 0);
+    const double offset = (time - piece->leg_start) / piece->unit - piece->offset;
+    double y[ZL_MOST];
+    int i;
+    if (time >= piece->end) {
+        memcpy(state, piece->after, (size_t)n * sizeof(double));
+        return;
+    }
+    if (piece->way == STRAIGHT) {
+        const double part = (time - piece->start) / (piece->end - piece->start);
+        for (i = 0; i < n; i++)
+            state[i] = piece->before[i] + part * (piece->after[i] - piece->before[i]);
+        return;
+    }
+    if (piece->way == IMPLICIT) {
+        polynomial_at(piece->coefficients, n_y, offset / piece->size, y);
+        for (i = 0; i < n; i++) state[i] = piece->before[i] + y[i];
+        return;
+    }
+    zl_state_at(problem, unit->run, piece->mode, piece->unit, piece->before, offset, y);
+    memcpy(state, y, (size_t)n * sizeof(double));
+}
+
+/* Count the events up to a time of the run. */
+static void pass_events(Reached *reached, double time) {
+    int k, left = 0;
+    for (k = 0; k < reached->n_pending; k++) {
+        const Happening one = reached->pending[k];
+        if (one.time > time) {
+            reached->pending[left++] = one;
+            continue;
+        }
+        reached->impacts += one.kind == ZL_IMPACT;
+        reached->zeno_points += one.kind == ZL_ZENO;
+        if (one.kind == ZL_ZENO) reached->zeno_time = reached->origin + one.time;
+    }
+    reached->n_pending = left;
+}
+
+/* Bring the state to a time. */
+static int go_to(Unit *unit, double target) {
+    Reached *reached = &unit->reached;
+    Piece *piece = &reached->piece;
+    double time;
+    if ((reached->changed || !reached->begun) && begin(unit) != OK) return ERROR;
+    time = target - reached->origin;
+    while (!reached->over && (piece->way == NOWHERE || piece->end <= time)) {
+        int status = move_on(unit);
+        if (status != OK) return status;
+        /* Events of what has passed make place for others. */
+        if (piece->way != NOWHERE && piece->end <= time) pass_events(reached, piece->end);
+    }
+    pass_events(reached, time);
+    state_inside_piece(unit, time, reached->state);
+    reached->mode = piece->mode == ZL_LOCKED;
+    reached->time = target;
+    return OK;
+}

@@ -1,0 +1,146 @@
+/* The completed execution of a problem with a stop: types and functions of the library.
+
+   A problem is a set of tapes, instructions on registers, one tape a formula. A run is one block of
+   memory without pointers: it can be copied, kept and resumed. The functions have no state of their
+   own, so runs can go on in several threads at once. */
+
+#ifndef ZENO_LOOP_H
+#define ZENO_LOOP_H
+
+enum { ZL_MOST = 32, ZL_LANES = 8, ZL_STAGES = 7, ZL_LOOKS = 4 };
+/* Most entries of a state, those of a rescaled flight included; tapes carried out in step; stages
+   of an implicit step, and looks at the pace of a run that are kept. */
+
+typedef struct {
+    int op, to, a, b, c;
+} zl_instruction;
+
+/* A formula. Its registers are: what varies, parameters, constants, results. */
+typedef struct {
+    long long n_varying, n_parameters, n_constants, n_registers;
+    long long n_once;  /* instructions that depend on parameters alone; they come first */
+    long long n_first; /* those that the first output needs besides; they come next */
+    long long n_instructions, n_outputs;
+    const zl_instruction *code;
+    const double *constants;
+    const int *outputs;
+} zl_tape;
+
+/* Modes: off the stop, on it, and a flight in rescaled time. The flight is the free mode between
+   two impacts. */
+enum { ZL_FREE, ZL_LOCKED, ZL_FLIGHT, ZL_MODES };
+
+enum {
+    ZL_RATE = 0,     /* of a mode: dy/dt */
+    ZL_GUARD = 3,    /* of a mode: the guard and its rate */
+    ZL_JACOBIAN = 6, /* of a mode: d(dy/dt)/dy by columns */
+    ZL_WATCHED = 9,  /* of a mode: guard, its rate and second derivative, of which bounds over a box
+                        of states are taken; without outputs if samples are enough */
+    ZL_GAP = 12,     /* gap, gap rate */
+    ZL_LIFT,         /* gap acceleration */
+    ZL_PULL,         /* rate of the multiplier */
+    ZL_INERTIA,      /* 1 / (J W J') */
+    ZL_REBOUND,      /* gap rate after an impact, of the one before it */
+    ZL_RESTING,      /* state on the stop, its gap acceleration, its locked flow */
+    ZL_LANDING,      /* state after an impact, its gap rate, then as ZL_RESTING of it */
+    ZL_TAPES
+};
+
+/* Radau IIA: nodes and matrices by rows, then eigenvalues, columns and rows of the eigenvectors of
+   the inverse, real and imaginary parts, one real eigenvalue and one of each pair. */
+typedef struct {
+    double nodes[ZL_STAGES], inverse[ZL_STAGES * ZL_STAGES], monomials[ZL_STAGES * ZL_STAGES];
+    double gamma, embedded[ZL_STAGES];
+    double values[2 * 4], columns[2 * 4 * ZL_STAGES], rows[2 * 4 * ZL_STAGES];
+} zl_scheme;
+
+typedef struct {
+    long long n_x, n_q, n_p;
+    long long carried[ZL_MODES]; /* the guard of a mode is a state, beside its formula */
+    zl_tape tapes[ZL_TAPES];
+    zl_scheme scheme;
+} zl_problem;
+
+/* How a sequence of impacts is completed. */
+enum { ZL_EXTRAPOLATION, ZL_PASSAGE, ZL_TRUNCATION, ZL_FIXED_IMPACTS, ZL_PLASTIC_AFTER };
+
+typedef struct {
+    double until, relative, absolute, contact, restitution;
+    double time, gap, gap_rate, gap_acceleration, multiplier; /* sizes of the problem's numbers */
+    double largest_explicit, largest_implicit;
+    double limit_tolerance, resolved, delta, n_fixed;
+    double most_releases, most_landings;
+    double sizes[ZL_MOST], weights[ZL_MOST], flight_weights[ZL_MOST], reach[ZL_MOST];
+    long long begins_explicit, goes_implicit, completion, most_steps, most_impacts, records;
+} zl_settings;
+
+/* Records that a call writes: the caller's memory, and how much of it was used. */
+typedef struct {
+    double *steps, *polynomials, *arcs, *events;
+    long long most_steps, most_polynomials, most_arcs, most_events;
+    long long n_steps, n_polynomials, n_arcs, n_events;
+    double *estimates; /* of the impacts of one sequence; kept from call to call */
+    long long most_estimates;
+} zl_records;
+
+enum { ZL_STEP_WIDTH = 2, ZL_ARC_WIDTH = 12, ZL_EVENT_WIDTH = 5, ZL_ESTIMATE_WIDTH = 4 };
+/* Entries of a record before its states: after a step; at start and end of an arc; before and after
+   an event; on the stop and at the limit of an estimate. */
+
+enum { ZL_IMPACT, ZL_ZENO, ZL_RELEASE, ZL_HORIZON };
+/* Kinds of events, and ends of arcs. */
+
+enum {
+    ZL_DONE,          /* the execution has ended */
+    ZL_FULL,          /* a record is full */
+    ZL_ESTIMATES,     /* the estimates need more memory */
+    ZL_CURVE,         /* the curve of the impacts is worth a try: answer with zl_answer */
+    ZL_TOO_STIFF,     /* the step size fell to rounding level */
+    ZL_SINGULAR,      /* the same of implicit steps */
+    ZL_NOT_FINITE,    /* a flow is not finite at its start */
+    ZL_LEFT,          /* the state leaves the admissible set */
+    ZL_MANY_STEPS,    /* a limit of the settings */
+    ZL_MANY_IMPACTS,  /* the same */
+    ZL_BEYOND,        /* a coordinate is beyond its bound */
+    ZL_GROWS,         /* a velocity grows without end */
+    ZL_NOT_CLOSING,   /* an impact does not close the gap */
+    ZL_INTO_STOP,     /* the reset sends the state into the stop */
+    ZL_TOO_LARGE      /* more states than ZL_MOST */
+};
+
+/* What a status is about. */
+typedef struct {
+    double time, state[ZL_MOST], number, steps;
+    long long n_state, index;
+} zl_detail;
+
+typedef struct zl_run zl_run;
+
+#if defined(_WIN32)
+#define ZL_EXPORT __declspec(dllexport)
+#elif defined(__GNUC__)
+#define ZL_EXPORT __attribute__((visibility("default")))
+#else
+#define ZL_EXPORT
+#endif
+
+ZL_EXPORT long long zl_size(const zl_problem *problem);
+ZL_EXPORT int zl_begin(const zl_problem *problem, zl_run *run, const zl_settings *settings,
+                       const double *p, const double *x);
+ZL_EXPORT int zl_resume(const zl_problem *problem, zl_run *run, zl_records *records);
+ZL_EXPORT void zl_answer(zl_run *run, int found, double time, double error, const double *state);
+ZL_EXPORT void zl_tell(const zl_run *run, zl_detail *detail);
+ZL_EXPORT double zl_now(const zl_problem *problem, const zl_run *run, int *mode, double *state);
+ZL_EXPORT void zl_state_at(const zl_problem *problem, zl_run *run, int mode, double speed,
+                           const double *before, double offset, double *state);
+ZL_EXPORT int zl_flight(const zl_problem *problem, zl_run *run, const double *state, double speed,
+                        double relative, double absolute, double *landing);
+ZL_EXPORT void zl_evaluate(const zl_problem *problem, zl_run *run, int tape, const double *varying,
+                           double *outputs);
+ZL_EXPORT int zl_begin_leg(const zl_problem *problem, zl_run *run, const zl_settings *settings,
+                           const double *p, const double *y, int on_guard, double rounding);
+ZL_EXPORT int zl_resume_leg(const zl_problem *problem, zl_run *run, zl_records *records);
+ZL_EXPORT int zl_fault(const double *v);
+ZL_EXPORT void zl_copy(const zl_problem *problem, const zl_run *from, zl_run *to);
+
+#endif

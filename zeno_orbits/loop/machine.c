@@ -1,0 +1,421 @@
+/* The event machine: what each event leads to, as `simulator` in Python has it. */
+
+enum { GO_ON = 200 };
+
+static void start_without_speed(zl_run *run, long long mode, double time) {
+    run->start.mode = mode;
+    run->start.time = time;
+    run->start.has_speed = run->start.has_impact = 0;
+    run->start.speed = NAN;
+    run->stage = AT_START;
+}
+
+static void write_event(const Machine *m, int kind, double time, const double *numbers,
+                        const double *before, const double *after) {
+    const size_t n_x = (size_t)m->problem->n_x;
+    zl_records *records = m->records;
+    double *row = records->events + records->n_events * (ZL_EVENT_WIDTH + 2 * m->problem->n_x);
+    row[0] = kind;
+    row[1] = time;
+    memcpy(row + 2, numbers, 3 * sizeof(double));
+    memcpy(row + ZL_EVENT_WIDTH, before, n_x * sizeof(double));
+    memcpy(row + ZL_EVENT_WIDTH + n_x, after, n_x * sizeof(double));
+    records->n_events++;
+}
+
+static void write_arc(const Machine *m, const double *numbers, const double *start,
+                      const double *end, long long n_y) {
+    const size_t n_x = (size_t)m->problem->n_x;
+    zl_records *records = m->records;
+    double *row;
+    m->run->n_arcs++;
+    if (!m->run->settings.records) return;
+    row = records->arcs + records->n_arcs * (ZL_ARC_WIDTH + 2 * m->problem->n_x + 2);
+    memcpy(row, numbers, ZL_ARC_WIDTH * sizeof(double));
+    memcpy(row + ZL_ARC_WIDTH, start, n_x * sizeof(double));
+    memcpy(row + ZL_ARC_WIDTH + n_x, end, (size_t)n_y * sizeof(double));
+    records->n_arcs++;
+}
+
+/* Record the leg that has just ended as an arc. */
+static void write_leg(const Machine *m, int ending, double end_time) {
+    const zl_run *run = m->run;
+    const Leg *leg = &run->leg;
+    const double numbers[ZL_ARC_WIDTH] = {(double)leg->mode,
+                                          leg->start_time,
+                                          end_time,
+                                          leg->unit,
+                                          leg->duration,
+                                          (double)ending,
+                                          (double)run->n_impacts,
+                                          (double)leg->first_step,
+                                          (double)leg->n_steps,
+                                          (double)leg->first_polynomial,
+                                          (double)leg->n_polynomials,
+                                          leg->launch};
+    write_arc(m, numbers, run->start.state, leg->end, leg->n_y);
+}
+
+/* Whether the gap opens by less than its rounding before it closes again: that is no flight. */
+static int closes_at_once(const Machine *m, const double *x, double lift) {
+    double fall = number_at(m, ZL_PULL, x) / number_at(m, ZL_INERTIA, x), largest = 0.0;
+    long long i;
+    for (i = 0; i < m->problem->n_q; i++) {
+        largest = greater(largest, fabs(x[i]));
+        if (isnan(x[i])) return 0;
+    }
+    return lift > 0.0 && fall > 0.0 &&
+           2.0 * pow(lift, 3) <= 3.0 * (ROUNDING * largest) * pow(fall, 2);
+}
+
+/* Whether the stop neither holds nor repels a state on it, to rounding. */
+static int is_slack(const Machine *m, const double *x, double lift) {
+    const zl_settings *settings = &m->run->settings;
+    if (fabs(lift) <= settings->contact * settings->gap_acceleration) return 1;
+    if (!(lift > 0.0)) return 0;
+    return closes_at_once(m, x, lift);
+}
+
+/* The mode that holds on the stop at zero gap rate. */
+static int mode_on_stop(const Machine *m, const double *x) {
+    double lift = number_at(m, ZL_LIFT, x);
+    int holds = is_slack(m, x, lift) ? number_at(m, ZL_PULL, x) > 0.0 : lift < 0.0;
+    return holds ? ZL_LOCKED : ZL_FREE;
+}
+
+/* Record a Zeno point and the tail that leads to it, an arc without steps. */
+static void reach(const Machine *m, const Limit *limit, double last_time, double last_speed) {
+    zl_run *run = m->run;
+    const double tail = limit->time - last_time;
+    const double told[3] = {limit->error, tail, last_speed};
+    double state[ZL_MOST];
+    write_event(m, ZL_ZENO, limit->time, told, limit->state, limit->state);
+    if (limit->time > last_time) {
+        const double numbers[ZL_ARC_WIDTH] = {ZL_FREE,
+                                              last_time,
+                                              limit->time,
+                                              1.0,
+                                              tail,
+                                              ZL_ZENO,
+                                              (double)run->n_impacts,
+                                              (double)run->n_rows,
+                                              0.0,
+                                              (double)run->n_polynomials,
+                                              0.0,
+                                              0.0};
+        to_stop(m, run->start.plus, state);
+        write_arc(m, numbers, state, limit->state, m->problem->n_x);
+    }
+}
+
+/* Apply the reset map and see what follows it. */
+static int impact(const Machine *m, double time, const double *before, double approach) {
+    zl_run *run = m->run;
+    Start *start = &run->start;
+    const zl_settings *settings = &run->settings;
+    const size_t n_x = (size_t)m->problem->n_x, bytes = n_x * sizeof(double);
+    const double told[3] = {approach, 0.0, 0.0};
+    double given[ZL_MOST + 1], landed[3 * ZL_MOST + 2], speed;
+    run->detail.time = time;
+    run->detail.number = approach;
+    run->detail.n_state = (long long)n_x;
+    memcpy(run->detail.state, before, bytes);
+    if (!(approach < 0.0)) return ZL_NOT_CLOSING;
+    memcpy(given, before, bytes);
+    given[n_x] = approach;
+    evaluate_at(m, ZL_LANDING, given, landed);
+    evaluate_at(m, ZL_REBOUND, &approach, &speed);
+    if (landed[n_x] < -INSIDE * (settings->gap_rate - approach)) return ZL_INTO_STOP;
+    write_event(m, ZL_IMPACT, time, told, before, landed);
+    run->n_impacts++;
+    if (run->n_arcs > 0) {
+        run->n_landings++;
+        if ((double)run->n_landings >= settings->most_landings) {
+            run->stage = OVER;
+            return GO_ON;
+        }
+    }
+    memcpy(start->plus, landed, bytes);
+    memcpy(start->resting, landed + n_x + 1, bytes);
+    start->lift = landed[2 * n_x + 1];
+    memcpy(start->rate, landed + 2 * n_x + 2, bytes);
+    if (speed <= run->small_rate) {
+        int mode = mode_on_stop(m, start->resting);
+        if (mode == ZL_FREE || speed == 0.0) {
+            if (mode == ZL_LOCKED) {
+                Limit limit;
+                limit.time = time;
+                limit.error = 0.0;
+                memcpy(limit.state, start->resting, bytes);
+                reach(m, &limit, time, 0.0);
+            }
+            start_without_speed(run, mode, time);
+            memcpy(start->state, start->resting, bytes);
+            return GO_ON;
+        }
+    }
+    run->stage = AT_START;
+    start->mode = ZL_FREE;
+    start->time = time;
+    start->speed = speed;
+    start->has_speed = start->has_impact = 1;
+    memcpy(start->state, start->plus, bytes);
+    return GO_ON;
+}
+
+/* Apply the impact at the end of a flight, or fly on from a graze. */
+static int landing(const Machine *m, double time, const double *state, double rate) {
+    Start *start = &m->run->start;
+    if (!(rate > 0.0)) return impact(m, time, state, rate);
+    m->run->stage = AT_START;
+    start->mode = ZL_FREE;
+    start->time = time;
+    start->speed = rate;
+    start->has_speed = 1;
+    start->has_impact = 0;
+    memcpy(start->state, state, (size_t)m->problem->n_x * sizeof(double));
+    return GO_ON;
+}
+
+static void start_on_stop(const Machine *m, double time, const double *x) {
+    double state[ZL_MOST];
+    to_stop(m, x, state);
+    start_without_speed(m->run, mode_on_stop(m, state), time);
+    memcpy(m->run->start.state, state, (size_t)m->problem->n_x * sizeof(double));
+}
+
+/* Start a leg of a mode from where the next arc starts. A flight is launched at a scaled gap rate of
+   1, or of 0 where its unit of time is no speed. */
+static int start_leg_at(const Machine *m, int mode, double unit, double launch, double rounding,
+                        double absolute, int on_guard) {
+    zl_run *run = m->run;
+    const Start *start = &run->start;
+    const zl_settings *settings = &run->settings;
+    double y[ZL_MOST];
+    memcpy(y, start->state, (size_t)m->problem->n_x * sizeof(double));
+    if (mode == ZL_FLIGHT) {
+        y[m->problem->n_x] = 0.0;
+        y[m->problem->n_x + 1] = launch;
+    }
+    run->leg.launch = launch;
+    run->leg.start_time = start->time;
+    run->leg.on_guard = on_guard;
+    run->leg.rounding = rounding;
+    if (!begin_leg(m, mode, unit, y, (settings->until - start->time) / unit, settings->relative,
+                   absolute)) {
+        run->leg.time = 0.0;
+        return step_failed(run, ZL_NOT_FINITE);
+    }
+    run->stage = IN_LEG;
+    return GO_ON;
+}
+
+static int start_leg(const Machine *m, int mode, double size, int on_guard) {
+    const zl_settings *settings = &m->run->settings;
+    m->run->in_hop = 0;
+    return start_leg_at(m, mode, mode == ZL_FLIGHT ? m->run->start.speed : 1.0, 1.0,
+                        settings->contact * size, settings->absolute, on_guard);
+}
+
+/* Start on the stop in the other mode: the flow itself decides which one holds. With gap, rate and
+   multiplier zero, and its rate, one of the two is left at once. */
+static int start_other_mode(const Machine *m, int mode) {
+    zl_run *run = m->run;
+    const double *x = run->start.state;
+    const double rate = fabs(number_at(m, ZL_PULL, x));
+    run->detail = run->first_detail;
+    if (run->refused == run->start.time ||
+        !(rate <= STEADY * run->settings.multiplier / run->settings.time) ||
+        !is_slack(m, x, number_at(m, ZL_LIFT, x)))
+        return ZL_LEFT;
+    run->refused = run->start.time;
+    start_without_speed(run, mode, run->start.time);
+    return GO_ON;
+}
+
+/* About how long a flight takes that is lower than the rounding of the gap, because the multiplier
+   turns round; 0 if it does not. */
+static double hop_duration(const Machine *m) {
+    const zl_settings *settings = &m->run->settings;
+    const double *x = m->run->start.state;
+    double rate[ZL_MOST], ahead[ZL_MOST], behind[ZL_MOST], fall, turn;
+    long long i;
+    fall = -number_at(m, ZL_PULL, x);
+    evaluate_at(m, ZL_RATE + ZL_LOCKED, x, rate);
+    for (i = 0; i < m->problem->n_x; i++) {
+        double shift = HOP_PART * settings->time * rate[i];
+        ahead[i] = x[i] + shift;
+        behind[i] = x[i] - shift;
+    }
+    turn = (number_at(m, ZL_PULL, ahead) - number_at(m, ZL_PULL, behind)) /
+           (2 * HOP_PART * settings->time);
+    return fall > 0.0 && turn > 0.0 ? 4.0 * fall / turn : 0.0;
+}
+
+/* Go on from the start of a leg that left the admissible set. */
+static int leave_leg(const Machine *m) {
+    zl_run *run = m->run;
+    double duration;
+    if (run->leg.mode == ZL_FLIGHT) return run->in_hop ? start_other_mode(m, ZL_LOCKED) : ZL_LEFT;
+    run->first_detail = run->detail;
+    if (run->leg.mode == ZL_LOCKED) return start_other_mode(m, ZL_FREE);
+    duration = is_slack(m, run->start.state, number_at(m, ZL_LIFT, run->start.state))
+                   ? hop_duration(m)
+                   : 0.0;
+    if (duration == 0.0) return start_other_mode(m, ZL_LOCKED);
+    run->in_hop = 1;
+    return start_leg_at(m, ZL_FLIGHT, duration, 0.0, 0.0, HOP * run->settings.absolute, 1);
+}
+
+/* See what the end of a leg leads to. */
+static int end_leg(const Machine *m, int outcome) {
+    zl_run *run = m->run;
+    const Leg *leg = &run->leg;
+    const double none[3] = {0.0, 0.0, 0.0};
+    double end[ZL_MOST], gap[2], time = leg->start_time + leg->unit * leg->duration;
+    if (outcome == LEG_AT_HORIZON) {
+        write_leg(m, ZL_HORIZON, run->settings.until);
+        run->stage = OVER;
+        return GO_ON;
+    }
+    memcpy(end, leg->end, sizeof end);
+    if (leg->mode == ZL_FLIGHT && !run->in_hop &&
+        end[m->problem->n_x] > ABOVE * fabs(end[m->problem->n_x + 1]) * leg->duration) {
+        /* The way meets the stop where the scaled gap is unaware of it: it is flown again. */
+        evaluate_at(m, ZL_GAP, run->start.state, gap);
+        return start_leg(m, ZL_FREE, run->settings.gap, gap[0] <= run->small_gap);
+    }
+    write_leg(m, leg->mode == ZL_LOCKED ? ZL_RELEASE : ZL_IMPACT, time);
+    if (leg->mode == ZL_LOCKED) {
+        double state[ZL_MOST];
+        to_stop(m, end, state);
+        write_event(m, ZL_RELEASE, time, none, state, state);
+        run->n_releases++;
+        start_without_speed(run, ZL_FREE, time);
+        memcpy(run->start.state, state, (size_t)m->problem->n_x * sizeof(double));
+        if ((double)run->n_releases >= run->settings.most_releases) run->stage = OVER;
+        return GO_ON;
+    }
+    if (leg->mode == ZL_FLIGHT)
+        return landing(m, time, end, leg->unit * end[m->problem->n_x + 1]);
+    evaluate_at(m, ZL_GAP, end, gap);
+    if (!(fabs(gap[1]) <= run->small_rate)) return landing(m, time, end, gap[1]);
+    /* The gap closes no faster than rounding: the stop is touched, not struck. */
+    start_on_stop(m, time, end);
+    return GO_ON;
+}
+
+/* Go over to the locked arc after a Zeno point, if there is one before the end of the time. */
+static int accepted(const Machine *m, const Limit *limit) {
+    zl_run *run = m->run;
+    if (limit->time >= run->settings.until || mode_on_stop(m, limit->state) == ZL_FREE) return 0;
+    reach(m, limit, run->start.time, run->start.speed);
+    start_without_speed(run, ZL_LOCKED, limit->time);
+    memcpy(run->start.state, limit->state, (size_t)m->problem->n_x * sizeof(double));
+    return 1;
+}
+
+/* Start the flight after an impact, unless the impacts so far tell their Zeno point. */
+static int start_flight(const Machine *m) {
+    zl_run *run = m->run;
+    const Start *start = &run->start;
+    Limit limit;
+    int found = NO_LIMIT;
+    if (!run->in_sequence) {
+        run->in_sequence = 1;
+        run->first_impact = run->n_impacts;
+        run->n_estimates = 0;
+    }
+    if (run->stage == AT_CURVE) {
+        if (run->answered) {
+            limit.time = run->answer_time;
+            limit.error = run->answer_error;
+            memcpy(limit.state, run->answer, sizeof limit.state);
+            found = LIMIT;
+        }
+    } else if (start->has_impact) {
+        if (run->n_estimates == m->records->most_estimates) return ZL_ESTIMATES;
+        if (run->n_estimates && start->speed >= speed_of(m, run->n_estimates - 1))
+            run->n_estimates = 0;
+        if (add_estimate(m))
+            found = limit_by_rule(m, &limit);
+        else
+            run->n_estimates = 0;
+    }
+    if (found == CURVE) {
+        run->stage = AT_CURVE;
+        run->answered = 0;
+        return ZL_CURVE;
+    }
+    if (found == LIMIT && accepted(m, &limit)) return GO_ON;
+    if (run->n_impacts - run->first_impact > run->settings.most_impacts) {
+        run->detail.time = start->time;
+        run->detail.n_state = m->problem->n_x;
+        memcpy(run->detail.state, start->state, sizeof start->state);
+        return ZL_MANY_IMPACTS;
+    }
+    return start_leg(m, ZL_FLIGHT, 1 / run->settings.gap_acceleration, 1);
+}
+
+/* Start what comes next: a locked arc, a flight, or the next flight of a sequence. */
+static int start_phase(const Machine *m) {
+    zl_run *run = m->run;
+    const double *x = run->start.state;
+    double gap[2];
+    if (run->start.has_speed) return start_flight(m);
+    run->in_sequence = 0;
+    if (run->start.mode == ZL_LOCKED)
+        return start_leg(m, ZL_LOCKED, run->settings.multiplier,
+                         is_slack(m, x, number_at(m, ZL_LIFT, x)));
+    evaluate_at(m, ZL_GAP, x, gap);
+    return start_leg(m, ZL_FREE, run->settings.gap, gap[0] <= run->small_gap);
+}
+
+/* The first start, from an admissible state. An impact at once is the next thing to happen. */
+static int admit(const Machine *m) {
+    zl_run *run = m->run;
+    Start *start = &run->start;
+    double x[ZL_MOST], gap[2];
+    memcpy(x, start->state, sizeof x);
+    evaluate_at(m, ZL_GAP, x, gap);
+    start_without_speed(run, ZL_FREE, 0.0);
+    if (gap[0] > run->small_gap) return GO_ON;
+    if (gap[1] < -run->small_rate) return impact(m, 0.0, x, gap[1]);
+    if (gap[1] > run->small_rate) {
+        start->speed = gap[1];
+        start->has_speed = 1;
+        return GO_ON;
+    }
+    start_on_stop(m, 0.0, x);
+    return GO_ON;
+}
+
+static int has_room(const Machine *m) {
+    const zl_records *records = m->records;
+    const int records_all = (int)m->run->settings.records;
+    return records->n_events + 2 < records->most_events &&
+           (!records_all || (records->n_arcs + 2 < records->most_arcs &&
+                             records->n_steps < records->most_steps &&
+                             records->n_polynomials < records->most_polynomials));
+}
+
+/* Do the next thing: a step, an event, the start of an arc. */
+static int advance(const Machine *m) {
+    zl_run *run = m->run;
+    int outcome;
+    switch (run->stage) {
+    case BEFORE:
+        return admit(m);
+    case AT_START:
+    case AT_CURVE:
+        return start_phase(m);
+    case IN_LEG:
+        outcome = step_leg(m);
+        if (outcome == LEG_GOES_ON) return GO_ON;
+        if (outcome == ZL_LEFT) return leave_leg(m);
+        if (outcome == LEG_FELL || outcome == LEG_AT_HORIZON) return end_leg(m, outcome);
+        return outcome;
+    default:
+        return ZL_DONE;
+    }
+}

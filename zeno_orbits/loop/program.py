@@ -1,0 +1,260 @@
+"""A problem in the library's format: its formulas as tapes, made once for all parameter values."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import KernelError
+from zeno_orbits.integrators import radau_scheme
+from zeno_orbits.loop import binding as c
+from zeno_orbits.loop.formulas import formulas_digest, problem_source
+from zeno_orbits.loop.library import (
+    VARIABLE,
+    compile_library,
+    compiled_library,
+    loop_library,
+)
+from zeno_orbits.loop.tape import Tape, UnknownOperationError, tape_of
+from zeno_orbits.model import (
+    GAP,
+    GAP_ACCELERATION,
+    GAP_RATE,
+    MULTIPLIER_RATE,
+    CompiledSystem,
+    ModeFunctions,
+)
+
+
+class TapedProblem:
+    """Formulas as tapes, and memory for those who carry them out."""
+
+    def __init__(
+        self, library: Any, tapes: Sequence[Tape], carried: Sequence[bool], *sizes: int
+    ) -> None:
+        """Write the tapes to memory.
+
+        Args:
+            library: The library.
+            tapes: The formulas in the order of `loop.h`. The last formulas may be missing.
+            carried: For each mode, whether the guard is a state in addition to its formula.
+            sizes: Numbers of states, coordinates and parameters.
+        """
+        self._tapes_library = library
+        self.n_x, self.n_q, self.n_p = sizes
+        self.tapes = tuple(tapes)
+        self.problem = c.ProblemType(n_x=self.n_x, n_q=self.n_q, n_p=self.n_p)
+        self.problem.carried[: len(carried)] = list(map(int, carried))
+        for k, tape in enumerate(self.tapes):
+            fill_tape(self.problem.tapes[k], tape)
+        _fill_scheme(self.problem.scheme)
+        self.address = ctypes.addressof(self.problem)
+        self._size: int = library.zl_size(self.address)
+        self._spare: list[Any] = []
+        self._rooms: list[_StepRoom] = []
+
+    @property
+    def library(self) -> Any:
+        """The library that carries out the formulas."""
+        return self._tapes_library
+
+    def borrowed(self) -> Any:
+        """Return memory for a run."""
+        try:
+            return self._spare.pop()
+        except IndexError:
+            return ctypes.create_string_buffer(self._size)
+
+    def give_back(self, memory: Any) -> None:
+        """Take back memory that a run no longer needs."""
+        self._spare.append(memory)
+
+    def state_after(
+        self, p: Vector, mode: int, speed: float, before: Vector, size: float
+    ) -> Vector:
+        """Return the state after an explicit step, ``(n_y,)``.
+
+        Args:
+            p: Parameters, ``(n_p,)``.
+            mode: Of the flow.
+            speed: Unit of time of a rescaled flight.
+            before: State before the step, ``(n_y,)``.
+            size: Of the step, in the flow's own time.
+        """
+        try:
+            room = self._rooms.pop()
+        except IndexError:
+            room = _StepRoom(self)
+        library = self.library
+        if room.numbers is not p:
+            room.p[:], room.numbers = p, p
+            library.zl_begin(self.address, room.run, room.settings, room.p_place, room.y_place)
+        n_y = before.size
+        room.y[:n_y] = before
+        library.zl_state_at(
+            *(self.address, room.run, mode, speed, room.y_place, size, room.after_place)
+        )
+        state = room.after[:n_y].copy()
+        self._rooms.append(room)
+        return state
+
+
+class _StepRoom:
+    """Memory for single steps, shared by flows. `numbers` are the parameters stored in it."""
+
+    def __init__(self, program: TapedProblem) -> None:
+        self._memory, self._settings = program.borrowed(), c.SettingsType()
+        self.run, self.settings = ctypes.addressof(self._memory), ctypes.addressof(self._settings)
+        self.numbers: Vector | None = None
+        self.p, self.y, self.after = np.zeros(program.n_p), np.zeros(c.MOST), np.zeros(c.MOST)
+        self.p_place, self.y_place = self.p.ctypes.data, self.y.ctypes.data
+        self.after_place = self.after.ctypes.data
+
+
+class Program(TapedProblem):
+    """The formulas of a problem, and memory for its runs."""
+
+    def __init__(self, library: Any, system: CompiledSystem) -> None:
+        """Make the tapes.
+
+        Args:
+            library: The library.
+            system: The formulas.
+
+        Raises:
+            UnknownOperationError: If one of them holds an operation that tapes do not have.
+        """
+        carried = [mode.is_carried for mode in (system.free, system.locked, system.flight)]
+        sizes = (system.n_x, system.n_q, system.free.n_p)
+        super().__init__(library, tuple(_tapes(system)), carried, *sizes)
+        self._compiled: Any = compiled_library(self._digest)
+
+    @property
+    def library(self) -> Any:
+        """The library that carries out the formulas: compiled for them, or any."""
+        return self._compiled or self._tapes_library
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if the formulas are compiled. The digits are equal either way."""
+        return self._compiled is not None
+
+    def compile(self) -> None:
+        """Compile the formulas now and use them from the next run.
+
+        Raises:
+            KernelError: If the compilation fails. The message contains the reason.
+        """
+        compile_library(self._digest, lambda: problem_source(self.n_x, self.tapes))
+        self._compiled = compiled_library(self._digest)
+
+    @cached_property
+    def _digest(self) -> str:
+        return formulas_digest(self.n_x, self.tapes)
+
+
+_programs: WeakKeyDictionary[ModeFunctions, Program | str] = WeakKeyDictionary()
+
+
+def program_of(system: CompiledSystem) -> Program | None:
+    """Return the program of a problem, or ``None`` if the library cannot carry it out."""
+    found = program_or_reason(system)
+    return None if isinstance(found, str) else found
+
+
+def program_or_reason(system: CompiledSystem) -> Program | str:
+    """Return the program of a problem, or the reason why it does not exist, as a clause."""
+    library = loop_library()
+    if library is None:
+        return "the library is missing"
+    if system.free.interpreted:
+        return "its formulas are to be interpreted"
+    found = _programs.get(system.free)
+    if found is None:
+        found = _made(library, system)
+        _programs[system.free] = found
+    return found
+
+
+def compile_formulas(system: CompiledSystem) -> str:
+    """Compile the formulas of a problem, and return the reason of a failure as a clause."""
+    program = program_or_reason(system)
+    if isinstance(program, str):
+        return program
+    try:
+        program.compile()
+    except KernelError as error:
+        return str(error)
+    return "" if program.is_compiled else f"{VARIABLE} excludes them"
+
+
+def refusals() -> list[str]:
+    """Return why the library does not carry out formulas of this process, one clause each."""
+    found = [reason for reason in _programs.values() if isinstance(reason, str)]
+    return [f"some executions run in Python: {reason}" for reason in dict.fromkeys(found)]
+
+
+def _made(library: Any, system: CompiledSystem) -> Program | str:
+    if system.n_x + 2 > c.MOST:
+        return f"a problem has {system.n_x} states, and the loop takes {c.MOST - 2}"
+    try:
+        return Program(library, system)
+    except UnknownOperationError as error:
+        return f"a formula holds the operation `{error}`"
+
+
+def _tapes(system: CompiledSystem) -> Iterator[Tape]:
+    """Yield the tapes of a problem in the order of `loop.h`."""
+    modes = (system.free, system.locked, system.flight)
+    for mode in modes:
+        yield tape_of(mode.rate)
+    for mode in modes:
+        yield tape_of(mode.guard)
+    for mode in modes:
+        yield tape_of(mode.jacobian)
+    for mode in modes:
+        yield Tape.empty() if mode.bounded is None else tape_of(mode.bounded)
+    yield tape_of(system.contact, wanted=[(0, GAP), (0, GAP_RATE)])
+    yield tape_of(system.contact, wanted=[(0, GAP_ACCELERATION)])
+    yield tape_of(system.contact, wanted=[(0, MULTIPLIER_RATE)])
+    yield tape_of(system.impulse, wanted=[(1, 0)])
+    yield tape_of(system.rebound, parameters=0)
+    yield tape_of(system.resting)
+    yield tape_of(system.landing)
+
+
+def fill_tape(place: Any, tape: Tape) -> None:
+    """Write a tape to memory. The tape must outlive the memory."""
+    place.n_varying, place.n_parameters = tape.n_varying, tape.n_parameters
+    place.n_constants, place.n_registers = tape.constants.size, tape.n_registers
+    place.n_once, place.n_first = tape.n_once, tape.n_first
+    place.n_instructions, place.n_outputs = len(tape.code), tape.outputs.size
+    place.code, place.constants = tape.code.ctypes.data, tape.constants.ctypes.data
+    place.outputs = tape.outputs.ctypes.data
+
+
+def _fill_scheme(place: Any) -> None:
+    """Write the implicit scheme to memory."""
+    scheme = radau_scheme(c.STAGES)
+    gamma, embedded = scheme.embedded
+    place.gamma = gamma
+    values = [[mu.real, mu.imag] for mu in scheme.spectrum.values]
+    columns = [[column.real, column.imag] for column in scheme.spectrum.columns]
+    rows = [[row.real, row.imag] for row in scheme.spectrum.rows]
+    for name, numbers in (
+        ("nodes", scheme.nodes),
+        ("inverse", scheme.inverse),
+        ("monomials", scheme.monomials),
+        ("embedded", embedded),
+        ("values", values),
+        ("columns", columns),
+        ("rows", rows),
+    ):
+        field: Vector = np.frombuffer(getattr(place, name), dtype=np.float64)
+        field[:] = np.ravel(np.array(numbers, dtype=np.float64))

@@ -1,0 +1,351 @@
+"""A run of the loop, which can be started, resumed and queried, and its record."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.loop import binding as c
+from zeno_orbits.loop.program import Program
+
+_STEPS, _POLYNOMIALS, _ARCS, _EVENTS = 1024, 256, 128, 128
+"""Rows of the records that one call writes."""
+_ESTIMATES = 64
+"""Impacts of a sequence for which there is memory at first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSettings:
+    """Accuracy and limits of a run.
+
+    Attributes:
+        until: End time [s].
+        relative: Local error of a step, as a part of an entry.
+        absolute: The same in the weights of the entries.
+        contact: Relative threshold, in the problem's scales, below which a guard counts as zero.
+        restitution: Restitution of the slowest impacts.
+        time: Scale of times. The next four entries are also scales.
+        gap: Scale of the gap.
+        gap_rate: Scale of its rate.
+        gap_acceleration: Scale of its second derivative.
+        multiplier: Scale of the multiplier.
+        sizes: Size of each state, ``(n_x,)``.
+        weights: Size of each state in which a local error is absolute, ``(n_x,)``.
+        flight_weights: The same of a rescaled flight, ``(n_x + 2,)``.
+        reach: Bound of each coordinate, ``(n_q,)``, by default infinite.
+        begins_explicit: Whether the first steps of a leg are explicit.
+        goes_implicit: Whether implicit steps are used when they pay.
+        largest_explicit: Largest explicit step, in the time of the flow.
+        largest_implicit: Largest implicit step.
+        completion: How a sequence of impacts ends: a constant of `binding`.
+        limit_tolerance: Largest estimated error of a Zeno point.
+        resolved: Part of the first speed down to which impacts are resolved.
+        delta: Speed at which a sequence is cut, for that rule.
+        n_fixed: Impacts of a sequence, for that rule.
+        most_releases: Number of releases after which the run ends.
+        most_landings: Number of impacts that end a flight, after which the run ends.
+        most_steps: Largest number of steps of a run.
+        most_impacts: Largest number of impacts of a sequence.
+        records: Whether steps and arcs are recorded.
+    """
+
+    until: float
+    relative: float
+    absolute: float
+    contact: float
+    restitution: float
+    time: float
+    gap: float
+    gap_rate: float
+    gap_acceleration: float
+    multiplier: float
+    sizes: Sequence[float]
+    weights: Sequence[float]
+    flight_weights: Sequence[float]
+    reach: Sequence[float]
+    begins_explicit: bool
+    goes_implicit: bool
+    largest_explicit: float
+    largest_implicit: float
+    completion: int
+    limit_tolerance: float
+    resolved: float
+    delta: float
+    n_fixed: float
+    most_releases: float
+    most_landings: float
+    most_steps: int
+    most_impacts: int
+    records: bool = True
+
+    def filled(self) -> c.SettingsType:
+        """Return the same as the library has it."""
+        place = c.SettingsType()
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if name in ("sizes", "weights", "flight_weights", "reach"):
+                getattr(place, name)[: len(value)] = value
+            else:
+                setattr(place, name, value)
+        return place
+
+
+@dataclass(slots=True, kw_only=True)
+class Record:
+    """Record of a run, with the columns defined in `loop.h`.
+
+    Attributes:
+        steps: One row per step: start, size, state after, ``(n, 2 + n_x + 2)``.
+        polynomials: Polynomials of implicit steps, ``(n, n_stages * (n_x + 2))``.
+        arcs: One row per arc.
+        events: One row per event.
+    """
+
+    steps: Vector
+    polynomials: Vector
+    arcs: Vector
+    events: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detail:
+    """Details of a status.
+
+    Attributes:
+        time: Time of the event, or the flow's time of a failed step.
+        state: State at that time.
+        number: A value for the message.
+        steps: A number of steps for the message.
+        index: Index of a state.
+    """
+
+    time: float
+    state: Vector
+    number: float
+    steps: float
+    index: int
+
+
+def detail_of(library: Any, place: int) -> Detail:
+    """Return the details of the last status of a run.
+
+    Args:
+        library: The library.
+        place: Address of the run.
+    """
+    told = c.DetailType()
+    library.zl_tell(place, ctypes.addressof(told))
+    return Detail(
+        time=told.time,
+        state=np.array(told.state[: told.n_state]),
+        number=told.number,
+        steps=told.steps,
+        index=told.index,
+    )
+
+
+@dataclass(slots=True)
+class _Parts:
+    """Records as they come, one array a call."""
+
+    steps: list[Vector] = field(default_factory=list[Vector])
+    polynomials: list[Vector] = field(default_factory=list[Vector])
+    arcs: list[Vector] = field(default_factory=list[Vector])
+    events: list[Vector] = field(default_factory=list[Vector])
+
+
+_KINDS = ("steps", "polynomials", "arcs", "events")
+
+
+class LoopRun:
+    """One execution in the library. It can be resumed after every status but an error."""
+
+    def __init__(self, program: Program, settings: RunSettings, p: Vector, x: Vector) -> None:
+        """Begin a run.
+
+        Args:
+            program: The problem.
+            settings: Accuracy and limits.
+            p: Gains and parameters, ``(n_p,)``.
+            x: Admissible state, ``(n_x,)``.
+        """
+        n = program.n_x
+        self._program = program
+        self._memory = program.borrowed()
+        self._place = ctypes.addressof(self._memory)
+        self._widths = (
+            c.STEP_WIDTH + n + 2,
+            c.STAGES * (n + 2),
+            c.ARC_WIDTH + 2 * n + 2,
+            c.EVENT_WIDTH + 2 * n,
+        )
+        self._estimates = np.empty((_ESTIMATES, c.ESTIMATE_WIDTH + 2 * n))
+        self._parts = _Parts()
+        filled = settings.filled()
+        values, state = (np.ascontiguousarray(one, dtype=np.float64) for one in (p, x))
+        self._library.zl_begin(
+            program.address,
+            self._place,
+            ctypes.addressof(filled),
+            values.ctypes.data,
+            state.ctypes.data,
+        )
+
+    @property
+    def _library(self) -> Any:
+        # Formulas that are compiled in the middle of a run carry it on: digits are the same.
+        return self._program.library
+
+    def close(self) -> None:
+        """Free the memory. Afterwards the run cannot be resumed."""
+        if self._memory is not None:
+            self._program.give_back(self._memory)
+            self._memory = None
+
+    def resume(
+        self,
+        *,
+        steps: int = _STEPS,
+        polynomials: int = _POLYNOMIALS,
+        arcs: int = _ARCS,
+        events: int = _EVENTS,
+    ) -> int:
+        """Continue until the run ends, a record is full or the caller has to act.
+
+        Args:
+            steps: Rows of the record of steps.
+            polynomials: Rows of the record of polynomials.
+            arcs: Rows of the record of arcs, at least 3.
+            events: Rows of the record of events, at least 3.
+
+        Returns:
+            A status of `loop.h`. A request of memory for estimates is already handled.
+        """
+        most = (steps, polynomials, arcs, events)
+        arrays = [np.empty(shape) for shape in zip(most, self._widths, strict=True)]
+        places = c.RecordsType()
+        for name, rows, array in zip(_KINDS, most, arrays, strict=True):
+            setattr(places, name, array.ctypes.data)
+            setattr(places, f"most_{name}", rows)
+        status = c.ESTIMATES
+        while status == c.ESTIMATES:
+            places.estimates = self._estimates.ctypes.data
+            places.most_estimates = len(self._estimates)
+            status = self._library.zl_resume(
+                self._program.address, self._place, ctypes.addressof(places)
+            )
+            for name, array in zip(_KINDS, arrays, strict=True):
+                n = getattr(places, f"n_{name}")
+                if n:
+                    getattr(self._parts, name).append(array[:n].copy())
+            if status == c.ESTIMATES:
+                more = np.empty((4 * len(self._estimates), self._estimates.shape[1]))
+                more[: len(self._estimates)] = self._estimates
+                self._estimates = more
+        return int(status)
+
+    def answer(self, found: tuple[float, float, Vector] | None) -> None:
+        """Answer the status ``CURVE``.
+
+        Args:
+            found: Time, error and state of the Zeno point, if the curve was followed to it.
+        """
+        time, error, state = found if found is not None else (0.0, 0.0, np.zeros(0))
+        padded = np.zeros(c.MOST)
+        padded[: state.size] = state
+        self._library.zl_answer(
+            self._place, int(found is not None), time, error, padded.ctypes.data
+        )
+
+    def detail(self) -> Detail:
+        """Return the details of the last status."""
+        return detail_of(self._library, self._place)
+
+    def now(self) -> tuple[float, int, Vector]:
+        """Return time, mode and state that the run has reached."""
+        mode, state = ctypes.c_int(0), np.empty(self._program.n_x)
+        time = self._library.zl_now(
+            self._program.address, self._place, ctypes.addressof(mode), state.ctypes.data
+        )
+        return time, mode.value, state
+
+    def state_at(self, mode: int, speed: float, before: Vector, offset: float) -> Vector:
+        """Return the state after an explicit step from a state, ``(n_y,)``.
+
+        Args:
+            mode: Of the flow.
+            speed: Unit of time of a rescaled flight.
+            before: The state, ``(n_y,)``.
+            offset: Size of the step, in the flow's own time.
+        """
+        given, state = np.ascontiguousarray(before, dtype=np.float64), np.empty(before.size)
+        self._library.zl_state_at(
+            *(self._program.address, self._place, mode, speed, given.ctypes.data, offset),
+            state.ctypes.data,
+        )
+        return state
+
+    def flight(
+        self, state_plus: Vector, speed: float, relative: float, absolute: float
+    ) -> tuple[float, Vector, float] | None:
+        """Return one rescaled flight: its duration, the state and the gap rate at its end.
+
+        Args:
+            state_plus: State after an impact, ``(n_x,)``.
+            speed: Gap rate there.
+            relative: Local error of a step.
+            absolute: The same in the weights of the states.
+        """
+        given = np.ascontiguousarray(state_plus, dtype=np.float64)
+        landing = np.empty(2 + given.size)
+        found = self._library.zl_flight(
+            *(self._program.address, self._place, given.ctypes.data, speed, relative, absolute),
+            landing.ctypes.data,
+        )
+        return (float(landing[0]), landing[2:], float(landing[1])) if found else None
+
+    def evaluate(self, tape: int, varying: Vector, n_outputs: int) -> Vector:
+        """Return a formula of the problem, ``(n_outputs,)``.
+
+        Args:
+            tape: Index of the formula in `loop.h`.
+            varying: Varying inputs of the formula, the state first.
+            n_outputs: Entries of the result.
+        """
+        given, outputs = np.ascontiguousarray(varying, dtype=np.float64), np.empty(n_outputs)
+        self._library.zl_evaluate(
+            *(self._program.address, self._place, tape, given.ctypes.data, outputs.ctypes.data)
+        )
+        return outputs
+
+    def copy(self) -> LoopRun:
+        """Return an independent copy of the run in its present state."""
+        other: LoopRun = object.__new__(LoopRun)
+        other._program = self._program
+        other._memory = self._program.borrowed()
+        other._place = ctypes.addressof(other._memory)
+        other._widths = self._widths
+        other._estimates = self._estimates.copy()
+        other._parts = _Parts(*(list(getattr(self._parts, name)) for name in _KINDS))
+        self._library.zl_copy(self._program.address, self._place, other._place)
+        return other
+
+    def taken(self) -> Record:
+        """Return the record since the last call, and clear it."""
+        record, self._parts = self.record(), _Parts()
+        return record
+
+    def record(self) -> Record:
+        """Return everything that was recorded so far and not taken."""
+        joined: dict[str, Any] = {}
+        for name, width in zip(_KINDS, self._widths, strict=True):
+            parts: list[Vector] = getattr(self._parts, name)
+            joined[name] = (
+                parts[0] if len(parts) == 1 else np.concatenate([np.empty((0, width)), *parts])
+            )
+        return Record(**joined)

@@ -1,0 +1,257 @@
+"""A problem as a co-simulation unit of FMI 3.0: a zip with description, C code and library.
+
+The unit integrates, and passes impacts, Zeno points and releases by itself. Source: the standard
+"Functional Mock-up Interface 3.0", https://fmi-standard.org/docs/3.0/.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import platform
+import sys
+import tempfile
+import zipfile
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+from zeno_orbits.errors import InputError, KernelError
+from zeno_orbits.loop.compiler import find_compiler
+from zeno_orbits.loop.export import ExportedRun, exported_files, stem_of
+from zeno_orbits.loop.program import Program
+from zeno_orbits.loop.source import FLAGS, LIBRARIES, whole_source
+
+_OWN = ("mode", "impacts", "zeno_points", "zeno_time")
+"""Further outputs, in the order of `fmi3_unit.c`."""
+
+_MEANINGS = {
+    "mode": "1 on the stop, 0 off it",
+    "impacts": "number of impacts so far",
+    "zeno_points": "number of Zeno points so far",
+    "zeno_time": "time of the last Zeno point, NaN before the first",
+}
+_DATE = (1980, 1, 1, 0, 0, 0)
+"""Of the files in the zip: the same problem gives the same bytes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportedUnit:
+    """Contents of a co-simulation unit in addition to the code.
+
+    Attributes:
+        run: Names, values, start and settings.
+        units: Unit of every state, gain and parameter, by name.
+        meanings: One-line description of a gain or parameter, by name.
+        tunable: Names that may change between steps.
+        inputs: Names of gains or parameters that are inputs.
+        generator: Program and version that created the unit.
+    """
+
+    run: ExportedRun
+    units: Mapping[str, str]
+    meanings: Mapping[str, str]
+    tunable: Collection[str]
+    inputs: Collection[str]
+    generator: str
+
+    def require_inputs(self) -> None:
+        """Reject an input that is not a gain or a parameter.
+
+        Raises:
+            InputError: If an input is unknown. The message lists the known names.
+        """
+        known = self.run.parameter_names
+        for name in self.inputs:
+            if name not in known:
+                message = f"must be one of {', '.join(known)}, but it is `{name}`"
+                raise InputError(f"Argument `input` {message}.")
+
+
+def exported_unit(program: Program, unit: ExportedUnit) -> tuple[bytes, str]:
+    """Return the unit as the bytes of a file `.fmu`, and the reason if it lacks a library.
+
+    Args:
+        program: The formulas.
+        unit: Names, values and kinds of the variables.
+
+    Raises:
+        InputError: If an input is not a gain or a parameter.
+    """
+    unit.require_inputs()
+    stem = stem_of(unit.run.name)
+    files = exported_files(program, unit.run)
+    del files["main.c"]
+    files["fmi3.c"] = _interface(unit)
+    token = _token(files)
+    files["fmi3.c"] = files["fmi3.c"].replace("{token}", token)
+    library, reason = _library(files)
+    content = {
+        "modelDescription.xml": _description(unit, token).encode(),
+        "sources/buildDescription.xml": _BUILD.format(stem=stem).encode(),
+        **{f"sources/{name}": text.encode() for name, text in files.items()},
+    }
+    if library:
+        content[f"binaries/{_platform()}/{stem}{_SUFFIXES.get(sys.platform, '.so')}"] = library
+    return _zipped(content), reason
+
+
+def _interface(unit: ExportedUnit) -> str:
+    """Return the C code of the standard's functions. The token is inserted later."""
+    stem = stem_of(unit.run.name)
+    code = whole_source("fmi3.c", {"PROBLEM.c": f'#include "{stem}.c"\n'}).replace("PROBLEM", stem)
+    changes = {*unit.tunable, *unit.inputs}
+    kinds = ", ".join(str(int(name in changes)) for name in unit.run.parameter_names) or "0"
+    own = (
+        f'#define INSTANTIATION_TOKEN "{{token}}"\n'
+        f"/* Parameters that may change between steps. */\n"
+        f"static const int MAY_CHANGE[] = {{{kinds}}};\n"
+    )
+    return code.replace("#include <stdbool.h>\n", f"{own}\n#include <stdbool.h>\n", 1)
+
+
+def _token(files: Mapping[str, str]) -> str:
+    digest = hashlib.sha256("\n".join(files.values()).encode()).hexdigest()
+    return "-".join((digest[:8], digest[8:12], digest[12:16], digest[16:20], digest[20:32]))
+
+
+def _library(files: Mapping[str, str]) -> tuple[bytes, str]:
+    """Return the library of the unit for this machine, or the reason why it is missing."""
+    try:
+        compiler = find_compiler()
+    except KernelError as error:
+        return b"", str(error)
+    if compiler is None:
+        return b"", "a C compiler is missing"
+    with tempfile.TemporaryDirectory(prefix="zeno_orbits_unit_") as name:
+        for file, text in files.items():
+            (Path(name) / file).write_text(text, encoding="utf-8")
+        target = Path(name) / "unit.so"
+        try:
+            compiler.compile(Path(name) / "fmi3.c", target, flags=FLAGS, libraries=LIBRARIES)
+        except KernelError as error:
+            return b"", str(error)
+        return target.read_bytes(), ""
+
+
+_SUFFIXES = {"win32": ".dll", "darwin": ".dylib"}
+
+
+def _platform() -> str:
+    """Return the folder of this machine's library, as the standard names it."""
+    machine = platform.machine().lower()
+    known = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
+    system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
+    return f"{known.get(machine, machine)}-{system}"
+
+
+def _zipped(files: Mapping[str, bytes]) -> bytes:
+    place = io.BytesIO()
+    with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as whole:
+        for name, content in files.items():
+            entry = zipfile.ZipInfo(name, _DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            whole.writestr(entry, content)
+    return place.getvalue()
+
+
+_BUILD = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiBuildDescription fmiVersion="3.0">
+  <BuildConfiguration modelIdentifier="{stem}">
+    <SourceFileSet language="C99" compilerOptions="-ffp-contract=off">
+      <SourceFile name="fmi3.c"/>
+    </SourceFileSet>
+    <Library name="m"/>
+  </BuildConfiguration>
+</fmiBuildDescription>
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Variable:
+    """A variable of the description: its type, and its attributes in order."""
+
+    kind: str
+    attributes: dict[str, str]
+
+    def text(self) -> str:
+        words = " ".join(f"{name}={quoteattr(value)}" for name, value in self.attributes.items())
+        return f"    <{self.kind} {words}/>\n"
+
+
+def _description(unit: ExportedUnit, token: str) -> str:
+    """Return `modelDescription.xml`."""
+    run = unit.run
+    variables = list(_variables(unit))
+    outputs = [one for one in variables if one.attributes["causality"] == "output"]
+    known = [one for one in outputs if one.attributes.get("initial") == "calculated"]
+    stop, relative = run.settings.until, run.settings.relative
+    units = sorted({one.attributes["unit"] for one in variables if "unit" in one.attributes})
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription fmiVersion="3.0" ',
+        f"modelName={quoteattr(run.name)} instantiationToken={quoteattr(token)} ",
+        f"generationTool={quoteattr(unit.generator)} variableNamingConvention=",
+        f'"flat">\n  <CoSimulation modelIdentifier={quoteattr(stem_of(run.name))} ',
+        'canHandleVariableCommunicationStepSize="true" canGetAndSetFMUState="true"/>\n',
+        "  <UnitDefinitions>\n",
+        *(f"    <Unit name={quoteattr(name)}/>\n" for name in units),
+        "  </UnitDefinitions>\n",
+        '  <LogCategories>\n    <Category name="logStatusError"/>\n  </LogCategories>\n',
+        f'  <DefaultExperiment startTime="0" stopTime="{stop!r}" tolerance="{relative!r}" ',
+        f'stepSize="{stop / 1000!r}"/>\n  <ModelVariables>\n',
+        *(one.text() for one in variables),
+        "  </ModelVariables>\n  <ModelStructure>\n",
+        *(f"    <Output valueReference={_reference(one)}/>\n" for one in outputs),
+        *(f"    <InitialUnknown valueReference={_reference(one)}/>\n" for one in known),
+        "  </ModelStructure>\n</fmiModelDescription>\n",
+    ]
+    return "".join(lines)
+
+
+def _reference(variable: _Variable) -> str:
+    return quoteattr(variable.attributes["valueReference"])
+
+
+def _variables(unit: ExportedUnit) -> Iterator[_Variable]:
+    """Yield the variables in the order of their references."""
+    run, taken = unit.run, {"time", *unit.run.state_names, *unit.run.parameter_names}
+    independent = {"causality": "independent", "variability": "continuous"}
+    yield _Variable("Float64", {"name": "time", "valueReference": "0", **independent})
+    counter = iter(range(1, len(taken) + len(_OWN)))
+    for name, value in zip(run.state_names, run.state.tolist(), strict=True):
+        kind = {"causality": "output", "variability": "continuous", "initial": "exact"}
+        yield _Variable("Float64", _attributes(unit, name, next(counter), value, kind))
+    for name, value in zip(run.parameter_names, run.values.tolist(), strict=True):
+        kind = {"causality": "parameter", "variability": "fixed", "initial": "exact"}
+        if name in unit.inputs:
+            kind = {"causality": "input", "variability": "discrete"}
+        elif name in unit.tunable:
+            kind["variability"] = "tunable"
+        yield _Variable("Float64", _attributes(unit, name, next(counter), value, kind))
+    discrete = {"causality": "output", "variability": "discrete", "initial": "calculated"}
+    for own in _OWN:
+        words = {"name": _free_name(own, taken), "valueReference": str(next(counter))}
+        kind = "Float64" if own == "zeno_time" else "Int32"
+        yield _Variable(kind, {**words, "description": _MEANINGS[own], **discrete})
+
+
+def _attributes(
+    unit: ExportedUnit, name: str, reference: int, value: float, kind: Mapping[str, str]
+) -> dict[str, str]:
+    found = {"name": name, "valueReference": str(reference)}
+    if unit.meanings.get(name):
+        found["description"] = unit.meanings[name]
+    found.update(kind)
+    measured = unit.units.get(name, "1")
+    if measured != "1":
+        found["unit"] = measured
+    return {**found, "start": repr(value)}
+
+
+def _free_name(name: str, taken: Collection[str]) -> str:
+    """Return a name that no state and no parameter has."""
+    while name in taken:
+        name += "_"
+    return name
