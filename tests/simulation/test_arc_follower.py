@@ -138,8 +138,9 @@ def looked_at(speeds: list[float], times: list[float], most_steps: int) -> ArcFo
     for k, (speed, time) in enumerate(zip(speeds, times, strict=True)):
         wanted = 25_000 * 2**k
         y = np.array([1e6, 1e6, 0.5, -speed, 1e6])
-        # One step before there is no look.
-        one._watch(wanted - 1 - steps, time, 9 * y)
+        # The largest speed since the look before counts, and not that of the last step.
+        one._watch(wanted - 1 - steps, time, y)
+        y = np.array([1e6, 1e6, 0.5, -1.0, 1e6])
         one._watch(1, time, y)
         steps = wanted
     return one
@@ -155,7 +156,7 @@ def test_a_motion_that_speeds_up_is_given_up_when_its_steps_will_not_last() -> N
     with pytest.raises(RunawayError, match=r"db grows.* 100000 .* 3e") as caught:
         looked_at(rising, TIMES, 3_399_999)
     assert caught.value.time == 2.0
-    assert caught.value.state == (1e6, 1e6, 0.5, -3.375, 1e6)
+    assert caught.value.state == (1e6, 1e6, 0.5, -1.0, 1e6)
     # If no time has passed at all the steps never last.
     with pytest.raises(RunawayError, match="inf"):
         looked_at(rising, [1.0, 1.5, 2.0, 2.0], 10**15)

@@ -1,13 +1,13 @@
-"""Completed executions, one or many in step, through every impact and Zeno point; and attractors.
+"""Completed executions through impacts and Zeno points, single or in parallel, and attractors.
 
-`simulate` follows one motion with dense output, `batch` many at once without; `sensitivity` has
-exact derivatives of the former. `attractor` defines what a motion settles to.
+`simulate` computes a motion with dense output. `watched` follows a motion until it settles.
+`motion_of` computes exact derivatives. `attractor` defines the attractors of motions.
 
-Offers: `simulate` with `SimulationSettings`; an `Execution` of `Arc`s (of a `Mode`, with an
-`Ending`) and events `Impact`, `ZenoPoint`, `Release`; how a Zeno point is reached: `ZenoPassage`,
-`ZenoExtrapolation`, `Truncation`.
+Offers: `simulate` with `SimulationSettings`. An `Execution` consists of `Arc`s (with a `Mode` and
+an `Ending`) and events `Impact`, `ZenoPoint`, `Release`. Methods to reach a Zeno point:
+`ZenoPassage`, `ZenoExtrapolation`, `Truncation`.
 
-Imports: model, integrators, kernels, work, arrays, errors.
+Imports: loop, model, integrators, work, arrays, kinds, errors.
 """
 
 import lazy_loader as lazy

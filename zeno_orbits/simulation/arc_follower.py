@@ -9,15 +9,34 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError, counted
-from zeno_orbits.integrators import Engine, GuardedFlow, Leg, Outcome, Tolerance, light_value
+from zeno_orbits.integrators import (
+    Engine,
+    GuardedFlow,
+    Leg,
+    Outcome,
+    RungeKutta,
+    Tolerance,
+    light_value,
+)
 from zeno_orbits.model import HybridDynamics, Resting
 from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode
+from zeno_orbits.simulation.interruptions import (
+    grows_without_end,
+    leaves_set,
+    runs_away,
+    too_many_steps,
+)
 
 _FIRST_LOOK = 25_000
-"""Steps before the first look at the pace of an execution; good motions take some 150 a second."""
+"""Steps before the first check of the pace of an execution. Regular motions take about 150 steps
+per second."""
+_HOP = 1e-12
+"""Factor of the absolute local error in a flight that is lower than the rounding of the gap."""
+_HOPPING = RungeKutta()
+"""The integrator of such a flight: far shorter than anything that its rates change over."""
 _RISING, _RISE = 4, 1.5
-"""Looks in a row between which a speed grows by this factor or more: that is no oscillation."""
+"""Number of consecutive checks with a growth of speed by this factor. Such a growth excludes an
+oscillation."""
 
 
 @light_value
@@ -26,11 +45,13 @@ class ArcStart:
 
     Attributes:
         mode: Its mode.
-        time: When [s].
-        state: Where, ``(n_x,)``.
-        speed: Gap rate of a start from the stop, exactly; ``None`` for any other start.
-        impact: The impact that it comes from, if any.
-        resting: The state moved onto the stop, after an impact.
+        time: Start time [s].
+        state: Start state, ``(n_x,)``.
+        speed: Exact gap rate of a start from the stop, or ``None`` for any other start.
+        impact: The impact at the start, if there is one.
+        resting: The state projected onto the stop, after an impact.
+        at_rest: Whether the gap rate is zero. Then `speed` is only the unit of a flight that is
+            lower than the rounding of the gap.
     """
 
     mode: Mode
@@ -39,6 +60,7 @@ class ArcStart:
     speed: float | None = None
     impact: Impact | None = None
     resting: Resting | None = None
+    at_rest: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +70,7 @@ class _Look:
     Attributes:
         steps: Steps so far.
         time: When [s].
-        speed: Largest velocity.
+        speed: Largest velocity since the look before.
     """
 
     steps: int
@@ -83,6 +105,8 @@ class ArcFollower:
     _n_steps: int = 0
     _next_look: int = _FIRST_LOOK
     _looks: list[_Look] = field(default_factory=list[_Look])
+    _fastest: float = 0.0
+    _which: int = 0
     _reach: Vector | None = None
 
     def __post_init__(self) -> None:
@@ -100,14 +124,14 @@ class ArcFollower:
         impact_index: int,
         on_guard: bool,
     ) -> tuple[Arc, Vector]:
-        """Follow a flow until its guard falls through zero or the horizon comes.
+        """Follow a flow until its guard crosses zero downwards or the horizon is reached.
 
         Args:
-            start: Where it starts; its speed makes it a rescaled flight.
+            start: Start of the arc. With a speed the flight is rescaled.
             flow: The flow.
-            natural: What the guard means.
-            impact_index: Impacts before it.
-            on_guard: The start is a root of the guard that does not count.
+            natural: Ending that a zero crossing of the guard means.
+            impact_index: Number of previous impacts.
+            on_guard: Whether the start is a root of the guard that does not count.
 
         Returns:
             The arc, and the last state of the flow itself.
@@ -118,25 +142,23 @@ class ArcFollower:
         n_x, own = len(start.state), self.dynamics.own
         unit = 1.0 if start.speed is None else start.speed
         size = own.multiplier if start.mode is Mode.LOCKED else own.gap
+        if start.speed is not None:
+            size = 1 / own.gap_acceleration
         leg = Leg(
             flow=flow,
-            y=start.state if start.speed is None else _launched(start.state),
+            y=start.state if start.speed is None else _launched(start.state, not start.at_rest),
             horizon=(self.until - start.time) / unit,
-            tolerance=self.tolerance,
+            tolerance=self.tolerance.times(_HOP) if start.at_rest else self.tolerance,
             on_guard=on_guard,
-            rounding=self.contact * (size if start.speed is None else 1 / own.gap_acceleration),
+            rounding=0.0 if start.at_rest else self.contact * size,
             watch=self._watch,
             reach=self._reach,
         )
         self._start, self._unit = start.time, unit
-        passage = self.engine.follow(leg)
+        passage = (_HOPPING if start.at_rest else self.engine).follow(leg)
         time = start.time + unit * passage.duration
         if passage.outcome is Outcome.LEFT:
-            raise PenetrationError(
-                "The state leaves the admissible set from its boundary",
-                time=time,
-                state=tuple(passage.state[:n_x].tolist()),
-            )
+            raise leaves_set(time, passage.state[:n_x])
         over = passage.outcome is Outcome.HORIZON
         arc = Arc(
             mode=start.mode,
@@ -154,37 +176,32 @@ class ArcFollower:
     def _watch(self, steps: int, offset: float, y: Vector) -> None:
         """End a leg that takes too long or goes too far."""
         self._n_steps += steps
+        n_q = self.dynamics.n_q
+        rates = np.abs(y[n_q : 2 * n_q])
+        # A velocity that is no longer a number counts as largest.
+        if not rates.max() <= self._fastest:
+            self._fastest, self._which = float(rates.max()), int(np.argmax(rates))
         if self._n_steps >= self._next_look:
             self._look(self._start + self._unit * offset, y)
         if self._n_steps > self.most_steps:
-            raise SimulationError(
-                f"The execution needs more than {counted(self.most_steps, 'step')}: "
-                "raise `most_steps` (--most-steps), or simulate a shorter time",
-                time=self._start + self._unit * offset,
-                state=tuple(y.tolist()),
-            )
+            raise too_many_steps(self.most_steps, self._start + self._unit * offset, y)
         if self._reach is None:
             return
-        parts = np.abs(y[: self.dynamics.n_q]) / self._reach
+        parts = np.abs(y[:n_q]) / self._reach
         if float(parts.max()) > 1.0:
             name = self.dynamics.state_names[int(np.argmax(parts))]
-            raise RunawayError(
-                f"{name} runs away",
-                time=self._start + self._unit * offset,
-                state=tuple(y.tolist()),
-                coordinate=name,
-            )
+            raise runs_away(name, self._start + self._unit * offset, y)
 
     def _look(self, time: float, y: Vector) -> None:
-        """End a motion that speeds up so much that its steps will not last to the horizon.
+        """End a motion that accelerates so much that its steps will not last to the horizon.
 
-        A look comes at every doubling of the steps. Speeds that grow from look to look, and the
-        pace since the last one, tell in a tenth of the steps what all of them would.
+        A check occurs at every doubling of the steps. Growing speeds at successive checks, and the
+        pace since the last check, predict the result of all steps from a tenth of them. The speed
+        is the largest since the check before: of an oscillation, a single value shows its phase.
         """
-        n_q = self.dynamics.n_q
         self._next_look *= 2
-        rates = np.abs(y[n_q : 2 * n_q])
-        self._looks.append(_Look(steps=self._n_steps, time=time, speed=float(rates.max())))
+        self._looks.append(_Look(steps=self._n_steps, time=time, speed=self._fastest))
+        self._fastest = 0.0
         last = self._looks[-_RISING:]
         if len(last) < _RISING or any(b.speed < _RISE * a.speed for a, b in pairwise(last)):
             return
@@ -192,17 +209,12 @@ class ArcFollower:
         steps, passed = self._n_steps - before.steps, time - before.time
         needed = (self.until - time) * steps / passed if passed > 0.0 else math.inf
         if self._n_steps + needed > self.most_steps:
-            name = self.dynamics.state_names[n_q + int(np.argmax(rates))]
-            raise RunawayError(
-                f"{name} grows without end: at the pace of its last {steps} steps, "
-                f"{needed:.1g} more would be needed",
-                time=time,
-                state=tuple(y.tolist()),
-            )
+            name = self.dynamics.state_names[self.dynamics.n_q + self._which]
+            raise grows_without_end(name, steps, needed, time, y)
 
 
-def _launched(x: Vector) -> Vector:
-    """Return the state of a rescaled flight at its start, ``(x, 0, 1)``."""
+def _launched(x: Vector, rate: float) -> Vector:
+    """Return the state of a rescaled flight at its start, ``(x, 0, rate)``."""
     y = np.zeros(x.size + 2)
-    y[:-2], y[-1] = x, 1.0
+    y[:-2], y[-1] = x, rate
     return y

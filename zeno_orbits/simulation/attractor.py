@@ -1,17 +1,20 @@
 r"""The attractor of a motion: one definition for searches, maps, families and rigs (theory (29)).
 
-A motion is known by its *returns*: the states in which it meets a section, mostly its releases,
-and impacts where no release comes. `outcome_of` goes from them and what happened in between to one
-answer. Nothing is simulated here, and no number has a unit: states are measured against their own
-size, times against the clock or the returns.
+A motion is described by its *returns*: the states in which it meets a section. They are usually its
+releases, or its impacts if it is never released. `outcome_of` classifies the motion from its
+returns and the events between them. This module does not simulate, and all its quantities are
+relative: states are relative to their own size, times are relative to the clock or the returns.
 
-* ``GONE``: a coordinate is beyond its bound (`bounds_of`), or has left for good (`has_left`).
-* ``RESTS``: nothing but the clock moves, and the stop does not let go in any phase of the clock
-  (`is_still`, `keeps_holding`).
-* ``REPEATS``: the last returns are those of a period before (`repetitions`).
-* ``DIES_OUT``, ``GROWS``: its amplitude falls to zero, or grows by every return (`growth_of`).
-* ``HELD``: it moves on its stop and has not left it for long.
-* ``UNDECIDED``: none of these, so far.
+* ``GONE``: a coordinate is beyond its bound (`bounds_of`), or has diverged (`has_left`).
+* ``RESTS``: all states except the clock are constant, and contact persists in every phase of the
+  clock (`is_still`, `keeps_holding`).
+* ``REPEATS``: the last returns, or the impacts, equal the returns or impacts of a period before
+  (`repetitions`).
+* ``QUASI_PERIODIC``, ``CHAOTIC``: the largest Lyapunov exponent is zero, or positive, and the
+  motion does not repeat (`settling`).
+* ``DIES_OUT``, ``GROWS``: the amplitude decays to zero, or grows at every return (`growth_of`).
+* ``HELD``: the motion continues in contact and has not left the stop for long.
+* ``UNDECIDED``: none of these so far.
 """
 
 from __future__ import annotations
@@ -33,35 +36,38 @@ PERIODS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16)
 """Numbers of returns after which a motion may repeat."""
 
 TEN_TURNS = 20 * math.pi
-"""An angle beyond this [rad] is gone, where the problem says nothing of it."""
+"""An angle beyond this value [rad] counts as diverged, if the problem does not declare a bound."""
 
 WAITING = 300
-"""Periods of the clock in which a motion has to settle, where nobody says how long to wait."""
+"""Default settling time of a motion, in periods of the clock."""
 
 OSCILLATIONS = 115
 """The same without a clock: oscillations, the slowest of the problem."""
 
 STEADY = 1e-3
-"""A motion that changes less than this part of itself a return neither grows nor dies."""
+"""Relative change per return below which a motion neither grows nor decays."""
 
 _NEAR_ZERO = 1e-3
 """A state smaller than this part of the largest of its unit is measured against that part."""
 _ROUNDING = 1e-9
 """A state smaller than this part of all others is zero but for rounding."""
 _STILL = 1e-6
-"""Rates that have fallen to this part of the largest ones are those of a motion at rest."""
+"""Rates below this part of the largest rates belong to a motion at rest."""
 _LEFT = 1e3
 """A coordinate that is this many times as far as it ever was before does not come back."""
 LOOK_BACK = 8
-"""Returns that tell the size of each state."""
+"""Number of returns that determine the size of each state."""
 _FADED = 1e-3
-"""A motion that has fallen to this part of its largest amplitude dies out."""
+"""A motion with less than this part of its largest amplitude decays to zero."""
 _WINDOW = 6
 """Growth factors that a law of growth is fitted to."""
 _FELL = 0.9
-"""The amplitude must have fallen by this factor over them, or their trend is not told."""
+"""Factor by which the amplitude must have decreased over them. Otherwise their trend is not
+determined."""
 _CLEARLY = 3e-3
 """A logarithm of a growth factor beyond this is decay, not error."""
+_FALL = 4.0
+"""Factor of the decay over which the law has to hold."""
 _SCATTER = 0.2
 """Largest misfit of the law, for a unit of the logarithm at rest."""
 
@@ -70,6 +76,8 @@ class AttractorKind(Enum):
     """Kinds of attractors. The value completes the sentence "The motion ..."."""
 
     REPEATS = "repeats"
+    QUASI_PERIODIC = "is quasi-periodic"
+    CHAOTIC = "is chaotic"
     RESTS = "comes to rest"
     HELD = "stays on its stop"
     DIES_OUT = "dies out"
@@ -83,10 +91,10 @@ class SectionReturn:
     """A state in which a motion meets its section.
 
     Attributes:
-        time: When [s].
-        state: Where, ``(n_x,)``.
-        size: Largest modulus of each state at the events since the return before, ``(n_x,)``; by
-            default that of `state`.
+        time: Time of the return [s].
+        state: State at the return, ``(n_x,)``.
+        size: Largest modulus of each state at the events since the previous return, ``(n_x,)``, by
+            default the modulus of `state`.
     """
 
     time: float
@@ -96,16 +104,16 @@ class SectionReturn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """A motion as far as it has been seen.
+    """A motion so far.
 
     Attributes:
-        units: Unit of each state, ``(n_x,)``: states of one unit are measured alike.
+        units: Unit of each state, ``(n_x,)``. States with the same unit share a scale.
         usual: Size that each state usually has in the problem, ``(n_x,)``.
-        returns: Its last returns, in order, on one section.
-        amplitudes: Size of each return so far as one number, of all of them.
-        gone: Name of the coordinate that is gone; empty if there is none.
-        still: Whether nothing but the clock moves, and the stop holds for ever.
-        held: Whether it has been on its stop for longer than any of its periods.
+        returns: The last returns, in order, on a single section.
+        amplitudes: Scalar size of every return so far.
+        gone: Name of the diverged coordinate, or an empty string.
+        still: Whether all states except the clock are constant, and contact persists forever.
+        held: Whether contact has lasted longer than any period of the motion.
     """
 
     units: Sequence[str]
@@ -119,13 +127,13 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settling:
-    """The answer.
+    """Result of the classification.
 
     Attributes:
-        outcome: Its kind.
-        repetitions: Numbers of returns after which it repeats, the shortest first.
-        trend: Factor by which the motion grows a return; NaN where nothing can be said.
-        escaped: Name of the coordinate that is gone.
+        outcome: Kind of the attractor.
+        repetitions: Numbers of returns after which the motion repeats, the shortest first.
+        trend: Growth factor of the motion per return, NaN if it cannot be determined.
+        escaped: Name of the diverged coordinate.
     """
 
     outcome: AttractorKind
@@ -135,10 +143,10 @@ class Settling:
 
 
 def outcome_of(motion: Motion, *, close: float, apart: float = 0.01) -> Settling:
-    """Return what a motion settles to, as far as can be told.
+    """Classify the attractor of a motion, as far as it is determined.
 
     Args:
-        motion: What has been seen of it.
+        motion: The motion so far.
         close: Change over a period that counts as repeating, relative to the size of the states.
         apart: As for `repetitions`.
     """
@@ -163,18 +171,19 @@ def outcome_of(motion: Motion, *, close: float, apart: float = 0.01) -> Settling
 
 
 def scale_of(states: Sequence[Vector], units: Sequence[str], usual: Vector | float = 1.0) -> Vector:
-    """Return the size of each state, nowhere near zero, ``(n_x,)``.
+    """Return the size of each state, bounded away from zero, ``(n_x,)``.
 
     Args:
         states: States of the motion, or their sizes, each ``(n_x,)``.
-        units: Unit of each; one that nearly vanishes is measured against the others of its unit.
-        usual: Size that each usually has in the problem, ``(n_x,)``: only so can states of
-            different units be compared.
+        units: Unit of each state. A state that nearly vanishes gets the scale of the other states
+            with its unit.
+        usual: Usual size of each state in the problem, ``(n_x,)``. It makes states of different
+            units comparable.
     """
     largest = np.max(np.abs(np.array(states)), axis=0) / usual
     for alike in _of_one_unit(tuple(units)):
         largest[alike] = np.maximum(largest[alike], _NEAR_ZERO * np.max(largest[alike]))
-    # A coordinate that the stop holds at zero is rounding, if it is the only one of its unit.
+    # A coordinate that contact keeps at zero is rounding, if no other state has its unit.
     overall = float(np.max(largest)) or 1.0
     return np.where(largest > _ROUNDING * overall, largest, overall) * usual
 
@@ -205,11 +214,13 @@ class Repetition:
 
 
 def changes(states: Sequence[Vector], scale: Vector) -> dict[int, float]:
-    """Return how far the last state is from that `n` returns before, by `n`, relative."""
-    last = states[-1]
-    return {
-        n: float(np.max(np.abs(last - states[-1 - n]) / scale)) for n in PERIODS if n < len(states)
-    }
+    """Return the relative distance of the last state from the state `n` returns before, by `n`."""
+    periods = [n for n in PERIODS if n < len(states)]
+    if not periods:
+        return {}
+    before = np.array([states[-1 - n] for n in periods])
+    away = np.max(np.abs(before - states[-1]) / scale, axis=1)
+    return dict(zip(periods, away.tolist(), strict=True))
 
 
 def repetitions(
@@ -220,14 +231,15 @@ def repetitions(
     apart: float,
     usual: Vector | float = 1.0,
 ) -> tuple[Repetition, ...]:
-    """Return the numbers of returns after which a motion repeats, the shortest first.
+    """Return the counts of returns after which a motion repeats, the shortest first.
 
     Args:
-        returns: Its last returns, in order.
+        returns: Last returns of the motion, in order.
         units: Unit of each state.
-        close: Change that counts as repeating, relative.
-        apart: It repeats after several returns only if these bring it nearer than any fewer do by
-            this factor: a motion that throws over as it settles repeats after one.
+        close: Relative change that counts as repeating.
+        apart: A repetition after several returns counts only if its change is smaller than after
+            fewer returns by this factor. A motion that alternates while it settles repeats after
+            one return.
         usual: As for `scale_of`.
     """
     if len(returns) < 2:
@@ -243,7 +255,7 @@ def repetitions(
     return tuple(found)
 
 
-# ------------------------------------------------------------------ it grows or dies out
+# ------------------------------------------------------------------ growth and decay
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,8 +263,8 @@ class Growth:
     """Change of the amplitude of a motion.
 
     Attributes:
-        factor: Growth over a return, fitted to the last few; NaN with too few.
-        dies_out: Whether the motion goes to rest.
+        factor: Growth per return, fitted to the last few returns, NaN with too few returns.
+        dies_out: Whether the motion decays to rest.
     """
 
     factor: float
@@ -260,11 +272,13 @@ class Growth:
 
 
 def growth_of(amplitudes: Sequence[float]) -> Growth:
-    r"""Return how amplitudes at successive returns grow, and whether they fall to zero.
+    r"""Return the growth of amplitudes at successive returns, and whether they decay to zero.
 
-    Near a rest at the stop a system is homogeneous of degree one but for terms of third order, so
-    :math:`\log(a_{k+1} / a_k) = c_0 + c_1 a_k^2` nearly. Where that law fits, decays here and
-    decays at :math:`a = 0`, it decays everywhere in between: the motion dies out.
+    Near a rest at the stop a system is homogeneous of degree one up to terms of third order, so
+    approximately :math:`\log(a_{k+1} / a_k) = c_0 + c_1 a_k^2`. If that law fits and decays at the
+    present amplitude and at :math:`a = 0`, it decays at all amplitudes between. Then the motion
+    decays to rest. The law is fitted to a decay by a factor of four, because the beat of a
+    quasi-periodic motion follows it over less.
     """
     if amplitudes and amplitudes[-1] <= _FADED * max(amplitudes):
         return Growth(factor=_mean_factor(amplitudes), dies_out=True)
@@ -276,6 +290,14 @@ def growth_of(amplitudes: Sequence[float]) -> Growth:
     factor = math.exp(float(np.mean(rates)))
     if not (np.all(rates < -_CLEARLY) and recent[-1] < _FELL * recent[0]):
         return Growth(factor=factor, dies_out=False)
+    begun = max((k for k, a in enumerate(amplitudes) if a >= _FALL * recent[-1]), default=-1)
+    if begun < 0:
+        return Growth(factor=factor, dies_out=False)
+    if begun < len(amplitudes) - len(recent):
+        recent = np.array(amplitudes[begun:])
+        rates, squares = np.log(recent[1:] / recent[:-1]), recent[:-1] ** 2
+        if not np.all(rates < -_CLEARLY):
+            return Growth(factor=factor, dies_out=False)
     slope, at_rest = np.polyfit(squares, rates, 1)
     misfit = float(np.max(np.abs(rates - at_rest - slope * squares)))
     dies_out = at_rest < -_CLEARLY and misfit < _SCATTER * -at_rest
@@ -293,28 +315,28 @@ def _mean_factor(amplitudes: Sequence[float]) -> float:
 
 
 def is_still(rates: Vector, largest: Vector, rounding: Vector | float = 0.0) -> Flags:
-    """Return which motions have stopped, ``(n,)``, as flags.
+    """Return the mask of motions that have stopped, ``(n,)``.
 
     Args:
-        rates: Rates of all states but the clock, now and in the other phases of the clock,
-            ``(n, n_phases, m)``: on its stop a link stands still while a current grows.
-        largest: The largest that each motion has had, ``(n, m)``.
-        rounding: Rates below this are zero, ``(m,)``.
+        rates: Rates of all states except the clock, in the present and the other phases of the
+            clock, ``(n, n_phases, m)``. A link at rest on its stop may have a growing current.
+        largest: Largest rates of each motion so far, ``(n, m)``.
+        rounding: Rates below this value count as zero, ``(m,)``.
     """
     limit = np.maximum(_STILL * largest, rounding)
     return np.asarray(np.all(np.abs(rates) <= limit[:, None, :], axis=(1, 2)))
 
 
 def keeps_holding(multiplier: Vector, rate: Vector, step: float | Vector) -> Flags:
-    """Return which stops never let go, ``(n,)``, as flags.
+    """Return the mask of motions whose contact force never vanishes, ``(n,)``.
 
     The cubic through values and rates at neighbouring phases lies in the hull of its Bernstein
-    coefficients; where all of these are positive the multiplier is.
+    coefficients. If all of these are positive, the contact force is positive.
 
     Args:
-        multiplier: Of the stop at equal steps over a turn of the clock, both ends included,
-            ``(n, n_phases)``; a single one where there is no clock.
-        rate: Its time derivative there, ``(n, n_phases)``.
+        multiplier: Contact force at equal steps over a period of the clock, both ends included,
+            ``(n, n_phases)``. It is a single value without a clock.
+        rate: Time derivative of the contact force, ``(n, n_phases)``.
         step: Time between two phases [s].
     """
     if multiplier.shape[1] == 1:
@@ -332,16 +354,17 @@ def keeps_holding(multiplier: Vector, rate: Vector, step: float | Vector) -> Fla
 def bounds_of(
     names: Sequence[str], units: Sequence[str], n_q: int, declared: Mapping[str, float]
 ) -> Vector:
-    """Return the largest modulus of each state of a motion that is not gone, ``(n_x,)``.
+    """Return the bounds of the moduli of the states, ``(n_x,)``. Beyond them a motion has diverged.
 
     Args:
         names: Name of each state.
-        units: Unit of each.
-        n_q: Number of coordinates; only these, and what is declared, have bounds.
-        declared: Bounds by name: what the problem's `escapes` say.
+        units: Unit of each state.
+        n_q: Number of coordinates. Only coordinates and states with a declared bound have bounds.
+        declared: Bounds by name, from the problem's `escapes`.
 
     Returns:
-        What is declared; ten turns for other angles; infinity for the rest, which `has_left` tells.
+        The declared bound, ten turns for other angles, and infinity for the rest, which `has_left`
+        tests.
     """
     turns = [TEN_TURNS if unit == "rad" else math.inf for unit in units[:n_q]]
     usual = np.array([*turns, *([math.inf] * (len(names) - n_q))])
@@ -349,10 +372,10 @@ def bounds_of(
 
 
 def has_left(position: Vector, before: Vector) -> Flags:
-    """Return which coordinates have left for good since the last return, as flags.
+    """Return the mask of coordinates that have diverged since the last return.
 
     Args:
-        position: Where the motion is at the end of the time given, ``(n_q,)``.
+        position: Position of the motion at the end of the given time, ``(n_q,)``.
         before: Largest modulus of each coordinate in the first half of that time, ``(n_q,)``.
     """
     return (before > 0.0) & (np.abs(position) > _LEFT * before)

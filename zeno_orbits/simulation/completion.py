@@ -10,7 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from zeno_orbits.errors import positive_number
 from zeno_orbits.integrators import RungeKutta, Stepper, Tolerance
+from zeno_orbits.kinds import Checked, require_kinds
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.event_rules import is_geometric
 from zeno_orbits.simulation.rescaled_flight import rescaled_flights
@@ -18,24 +20,26 @@ from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, combine, 
 from zeno_orbits.simulation.zeno_passage import is_settled, pass_through
 
 _FIRST_TRY = 6
-"""Impacts that tell whether a sequence has settled on its curve.
+"""Number of impacts that determine whether a sequence has settled on its curve.
 
-The curve is tried for when it has, and again whenever their number has grown fourfold.
+The curve is tried after this number of impacts, and again whenever the number of impacts has grown
+fourfold.
 """
 _TRIES = frozenset(_FIRST_TRY * 4**k for k in range(16))
 
 _WORTHWHILE = 100
-"""Flights that the curve costs at least when all else is counted; fewer are made one by one."""
+"""Equivalent cost of the curve, in flights. Fewer flights are simulated one by one."""
 
 _STILL_HOLDS = 0.2
-"""The curve is tried for if, to first order, the stop holds with this part at the Zeno point."""
+"""Ratio of the gap acceleration at the estimated Zeno point to its value at the last impact, above
+which the curve is tried: contact is then expected to persist."""
 
-_FINEST = Tolerance(relative=1e-14, absolute=1e-15)
+FINEST = Tolerance(relative=1e-14, absolute=1e-15)
 """Local error of flights whose error is magnified by `1 / (1 - e)`."""
 
 
 class Completion(Protocol):
-    """A rule that says when, and where, a sequence of impacts ends."""
+    """A rule that determines when and at which point a sequence of impacts ends."""
 
     def limit(
         self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
@@ -50,13 +54,13 @@ class Completion(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ZenoExtrapolation:
+class ZenoExtrapolation(Checked):
     """Complete at the extrapolated Zeno limit (theory (15)).
 
     Attributes:
         tolerance: Largest estimated error of the limit, relative to ``1 + |x|``.
-        resolved: Impacts are resolved one by one at least until their speed has fallen to this
-            part of the first one's.
+        resolved: Impacts are resolved one by one at least until their speed has fallen to this part
+            of the first impact's speed.
     """
 
     tolerance: float = 1e-12
@@ -65,7 +69,7 @@ class ZenoExtrapolation:
     def limit(
         self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
     ) -> ZenoLimit | None:
-        """Return the Zeno point if the impacts so far tell it well enough."""
+        """Return the Zeno point if the impacts so far determine it accurately enough."""
         last = estimates[-1]
         if last.speed > self.resolved * estimates[0].speed:
             return None
@@ -78,19 +82,20 @@ class ZenoExtrapolation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ZenoPassage:
-    """Complete at the Zeno limit, and do not visit the impacts on the way if they are many.
+class ZenoPassage(Checked):
+    """Complete at the Zeno limit, and omit the intermediate impacts if they are many.
 
-    Where more than a hundred flights are left to make, the curve of the impacts is followed to its
-    end by itself (theory (22)); the number of flights then does not grow as ``e`` nears 1. Where
-    fewer are left, or the curve cannot be followed, this is ``ZenoExtrapolation``. The tail of such
-    a Zeno point begins at the impact from which the curve was followed: ``tail`` and ``last_speed``
-    belong to that one, and need not be small.
+    If more than a hundred flights remain, the curve of the impacts is followed directly to its end
+    (theory (22)). Then the number of flights does not grow as ``e`` approaches 1. If fewer flights
+    remain, or the curve cannot be followed, the method is ``ZenoExtrapolation``. The tail of such a
+    Zeno point begins at the impact from which the curve was followed. ``tail`` and ``last_speed``
+    belong to that impact and need not be small.
 
     Attributes:
-        tolerance: Largest estimated error of the limit, relative to ``1 + |x|``; along a curve, of
-            each piece of it, and ``1e-14 / (1 - e)`` if that is larger, which rounding leaves.
-        resolved: Part of the first speed at which an impact by impact sequence would end.
+        tolerance: Largest estimated error of the limit, relative to ``1 + |x|``. Along a curve it
+            applies to each piece, and the bound is ``1e-14 / (1 - e)`` if that is larger, due to
+            rounding.
+        resolved: Part of the first speed at which a resolved impact sequence would end.
         engine: The integrator of flights that are not recorded.
     """
 
@@ -100,13 +105,13 @@ class ZenoPassage:
 
     @property
     def one_by_one(self) -> ZenoExtrapolation:
-        """The same limit with every impact on the way, for those who have to count them."""
+        """The same limit with all intermediate impacts, for callers that count them."""
         return ZenoExtrapolation(tolerance=self.tolerance, resolved=self.resolved)
 
     def limit(
         self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
     ) -> ZenoLimit | None:
-        """Return the Zeno point if it is told by the impacts so far, or found by their curve."""
+        """Return the Zeno point if the impacts so far determine it, or if their curve is found."""
         limit = self.one_by_one.limit(dynamics, estimates)
         if limit is not None:
             return limit
@@ -116,7 +121,7 @@ class ZenoPassage:
         last = estimates[-1]
         return pass_through(
             dynamics,
-            rescaled_flights(dynamics, self.engine, _FINEST.times(dynamics.own.least)),
+            rescaled_flights(dynamics, self.engine, FINEST.times(dynamics.own.least)),
             last.impact_time,
             last.resting,
             last.speed,
@@ -125,7 +130,7 @@ class ZenoPassage:
         )
 
     def _flights_left(self, restitution: float, estimates: Sequence[TailEstimate]) -> int:
-        """Return how many flights an impact by impact sequence still needs, about."""
+        """Return the approximate number of flights that a resolved impact sequence still needs."""
         if restitution == 0.0 or estimates[-1].speed == 0.0:
             return 0
         ratio = self.resolved * estimates[0].speed / estimates[-1].speed
@@ -154,6 +159,11 @@ class Truncation:
 
     delta: float
 
+    def __post_init__(self) -> None:
+        """Refuse a speed that is not positive."""
+        require_kinds(self)
+        positive_number("delta", self.delta)
+
     def limit(
         self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
     ) -> ZenoLimit | None:
@@ -166,8 +176,8 @@ class Truncation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FixedImpacts:
-    """Complete after a number of impacts, at the limit that they tell, whatever its error.
+class FixedImpacts(Checked):
+    """Complete after a fixed number of impacts, at their extrapolated limit with any error.
 
     Attributes:
         n_impacts: Impacts resolved in a sequence.
@@ -182,3 +192,24 @@ class FixedImpacts:
         if len(estimates) < self.n_impacts:
             return None
         return extrapolate(dynamics, estimates)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlasticAfter(Checked):
+    """Complete at an impact of a sequence, as if it were plastic: smooth in every parameter.
+
+    Attributes:
+        n_impacts: Which impact, counted from 1.
+    """
+
+    n_impacts: int
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        """Return the impact, or ``None`` before it."""
+        del dynamics
+        last = estimates[-1]
+        if len(estimates) < self.n_impacts:
+            return None
+        return ZenoLimit(time=last.impact_time, state=last.resting, error=0.0)

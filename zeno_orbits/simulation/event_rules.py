@@ -1,4 +1,4 @@
-"""The rules by which an event decides what follows, on numbers or on rows of many motions alike."""
+"""Rules for the mode after an event, for single values or for rows of many motions."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.simulation.attractor import Flags
 
 _INSIDE = 1e-9
-"""Gap rate after an impact below minus this part of the one before: the state enters the stop."""
+"""Negative gap rate after an impact relative to the rate before it, beyond which the state enters
+the stop."""
 _MAY_BEND = 0.1
-"""Largest relative change of d2h/dt2 over a Zeno tail; beyond it the tail is not geometric yet."""
+"""Largest relative change of d2h/dt2 over a Zeno tail. Beyond it the tail is not yet geometric."""
 _ROUNDING = 4 * 2.0**-52
-"""Of the largest coordinate: what the gap may be off by."""
+"""Rounding error of the gap relative to the largest coordinate."""
 
 
 def stop_holds(
     gap_acceleration: Vector | float, multiplier_rate: Vector | float, slack: Flags | bool
 ) -> Any:
-    """Return where the stop holds a state at zero gap rate: locked if so, else released at once.
+    """Test whether contact persists at zero gap rate: locked if True, else released at once.
 
     Args:
-        gap_acceleration: d2h/dt2 of the free flow; the stop holds where it is negative.
-        multiplier_rate: Rate of the multiplier along the locked flow, which decides where `slack`.
-        slack: Where the stop neither holds nor repels, to rounding.
+        gap_acceleration: d2h/dt2 of the free flow. Contact persists if it is negative.
+        multiplier_rate: Rate of the contact force along the locked flow. It decides if `slack`.
+        slack: Whether the contact force is zero up to rounding.
     """
     return (slack & (multiplier_rate > 0.0)) | ((slack ^ True) & (gap_acceleration < 0.0))
 
@@ -49,21 +50,21 @@ def closes_at_once(
 
 
 def enters_stop(rate_after: Any, approach_rate: Any, size: float) -> Any:
-    """Return where a reset map sends a state into the stop.
+    """Return the mask of states that a reset map sends into the stop.
 
     Args:
         rate_after: Gap rate of the state after the impact.
-        approach_rate: The one before it, negative.
-        size: Of the problem's gap rates.
+        approach_rate: Gap rate before the impact, negative.
+        size: Scale of the problem's gap rates.
     """
     return rate_after < -_INSIDE * (size - approach_rate)
 
 
 def is_geometric(at_limit: Any, at_impact: Any) -> Any:
-    """Return where d2h/dt2 hardly changes over a Zeno tail, so that its impacts are geometric.
+    """Test whether d2h/dt2 is nearly constant over a Zeno tail, so that it is geometric.
 
     Args:
         at_limit: d2h/dt2 at the Zeno point.
-        at_impact: d2h/dt2 at the impact that the tail begins with.
+        at_impact: d2h/dt2 at the first impact of the tail.
     """
     return abs(at_limit - at_impact) <= _MAY_BEND * abs(at_impact)

@@ -9,9 +9,10 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import any_number
 from zeno_orbits.integrators import Trajectory, light_value
 from zeno_orbits.model import USUAL, OwnScale
-from zeno_orbits.work import Columns, Displayed
+from zeno_orbits.work import ByValue, Columns, Displayed
 
 
 class Mode(Enum):
@@ -31,14 +32,15 @@ class Ending(Enum):
 
 
 @light_value
-class Impact:
-    """One impact that was resolved.
+class Impact(ByValue):
+    """A resolved impact.
 
     Attributes:
-        time: When [s].
+        time: Time of the impact [s].
         state_minus: State before it, ``(n_x,)``.
         state_plus: State after it, ``(n_x,)``.
-        approach_rate: Gap rate before it, negative; exact where the state has only rounding.
+        approach_rate: Gap rate before the impact, negative. It is exact even if the state
+            determines it only to rounding.
     """
 
     time: float
@@ -48,15 +50,16 @@ class Impact:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ZenoPoint:
+class ZenoPoint(ByValue):
     """The limit of an impact sequence.
 
     Attributes:
         time: Zeno time [s].
         state: Zeno state, ``(n_x,)``.
-        limit_error: Estimated error of both by the limit alone, relative to ``1 + |t|`` and
-            ``1 + |x|``: as if the impacts were exact that tell it. The error of the flights before
-            comes on top, and may be far more; ``accuracy.simulate_with_error`` estimates both.
+        limit_error: Estimated extrapolation error of time and state, relative to ``1 + |t|`` and
+            ``1 + |x|``, as if the resolved impacts were exact. The integration error of the
+            previous flights is additional and may be far larger. ``accuracy.simulate_with_error``
+            estimates both errors.
         tail: Time between the last resolved impact and the limit [s].
         last_speed: Gap rate after the last resolved impact.
     """
@@ -69,12 +72,12 @@ class ZenoPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Release:
-    """The multiplier reached zero and the stop let go.
+class Release(ByValue):
+    """The end of contact, at which the contact force reaches zero.
 
     Attributes:
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the release [s].
+        state: State at the release, ``(n_x,)``.
     """
 
     time: float
@@ -88,7 +91,7 @@ _AT_ONCE = 1e-6
 
 
 @light_value
-class Arc:
+class Arc(ByValue):
     """A stretch in one mode.
 
     Attributes:
@@ -97,12 +100,12 @@ class Arc:
         end_time: When it ends [s].
         start_state: State at its start, ``(n_x,)``.
         end_state: State at its end, before any reset.
-        ending: What ended it.
-        impact_index: Number of impacts resolved before it, the `j` of hybrid time ``(t, j)``.
-        time_unit: Length of one unit of the flow's own time [s]; the impact speed in a rescaled
+        ending: Event that ended the arc.
+        impact_index: Number of previous resolved impacts, the `j` of hybrid time ``(t, j)``.
+        time_unit: Length of one unit of the flow's own time [s]: the impact speed in a rescaled
             flight (theory (14)), else 1.
-        trajectory: The flow along it. The tail of an impact sequence has the curve of its impacts
-            if that was followed, else none: then its state is interpolated.
+        trajectory: The flow along the arc. For the tail of an impact sequence it is the curve of
+            the impacts if that curve was followed, else ``None``. Then the state is interpolated.
     """
 
     mode: Mode
@@ -113,10 +116,15 @@ class Arc:
     ending: Ending
     impact_index: int
     time_unit: float
-    trajectory: Trajectory | None = field(repr=False)
+    trajectory: Trajectory | None = field(repr=False, compare=False)
 
     def state_at(self, time: float) -> Vector:
-        """Return the state at a time inside the arc, to the accuracy of the integration."""
+        """Return the state at a time inside the arc, to the accuracy of the integration.
+
+        Raises:
+            InputError: If the time is not a number.
+        """
+        time = any_number("time", time)
         if time <= self.start_time:
             return self.start_state
         if time >= self.end_time:
@@ -146,9 +154,9 @@ class Arc:
 
     @property
     def duration(self) -> float:
-        """Length in the flow's own time; in a rescaled flight, time over impact speed."""
+        """Length in the flow's own time, which in a rescaled flight is time over impact speed."""
         if self.trajectory is not None:
-            # Late and short as a flight may be, its own time is not rounded.
+            # The flow's own time is not rounded, even in a late and short flight.
             return self.trajectory.duration
         return (self.end_time - self.start_time) / self.time_unit
 
@@ -253,15 +261,16 @@ class Execution(Displayed):
     def returns(self, period: float) -> tuple[Release, ...]:
         """Return the releases of an execution that itself starts at one.
 
-        A start that is locked by a rounding error is released at once; that is no return.
+        An immediate release does not count as a return if the initial state is locked only by a
+        rounding error.
 
         Args:
-            period: Time of a return, roughly [s].
+            period: Approximate time of a return [s].
         """
         return tuple(release for release in self.releases if release.time > _AT_ONCE * period)
 
     def state_at(self, time: float) -> Vector:
-        """Return the state at a time, the later one where an impact gives two.
+        """Return the state at a time, which at an impact is the state after it.
 
         Raises:
             ValueError: If the time is outside the execution.

@@ -8,10 +8,10 @@ their Zeno point, and
 .. math:: \frac{z(w') - z(w)}{w - w'} = g(z(w), w), \qquad g(z, w) = \frac{z' - z}{w - w'},
     \qquad g(z, 0) = \frac{2}{|\ddot h|\,(1 - e)} \binom{f_\mathrm{locked}}{1}
 
-On a piece :math:`[w_0 - \Delta, w_0]` the curve is a polynomial, held by the values of its slope
-:math:`q = -dz/dw` at Radau nodes. The law is asked for at the nodes; its left side is the mean of
-:math:`q` between the two speeds, which does not cancel however near they are. For
-:math:`e \to 1` it is the value of :math:`q`, and the scheme Radau IIA.
+On a piece :math:`[w_0 - \Delta, w_0]` the curve is a polynomial, represented by the values of its
+slope :math:`q = -dz/dw` at Radau nodes. The law is required at the nodes. Its left side is the mean
+of :math:`q` between the two speeds, which is free of cancellation for any distance of the speeds.
+For :math:`e \to 1` it is the value of :math:`q`, and the scheme is Radau IIA.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from zeno_orbits.simulation.rescaled_flight import Flight
 from zeno_orbits.simulation.zeno_limit import tail_time
 
 _NUDGE = 1e-5
-"""Relative step of the differences; far above the rounding of a slope, which `1 - e` magnifies."""
+"""Relative step of the differences. It is far above the rounding of a slope, which `1 - e`
+magnifies."""
 
 _PROJECTED_OUT = 1e-3
 """A singular value of the projection onto the stop below this belongs to a direction it removes."""
@@ -47,13 +48,13 @@ class CurveLostError(Exception):
 
 @dataclass(slots=True)
 class ImpactCurve:
-    """The curve, known by its flights alone; it counts them.
+    """The curve of the impacts, defined by its flights. The flights are counted.
 
     Attributes:
         dynamics: The system.
         flight: One rescaled flight.
-        most_flights: Flights before it gives up.
-        n_flights: Flights so far.
+        most_flights: Largest number of flights.
+        n_flights: Number of flights so far.
     """
 
     dynamics: HybridDynamics
@@ -76,9 +77,9 @@ class ImpactCurve:
         return z * self._unit
 
     def on_stop(self, x: Vector) -> Vector:
-        """Return a state moved onto the stop to rounding: the slope divides what is left by a fall.
+        """Return a state projected onto the stop to rounding, as the slope magnifies a gap.
 
-        One move leaves the square of the gap where the stop is curved.
+        A single projection leaves an error of the square of the gap if the stop is curved.
         """
         for _ in range(_MOST_MOVES):
             x = self.dynamics.on_stop(x)
@@ -172,12 +173,12 @@ class CurveEnd:
 
 
 def start_at(curve: ImpactCurve, z: Vector, w: float) -> CurveEnd:
-    """Return the start of a piece; it costs a flight, and one for every direction on the stop.
+    """Return the start of a piece, at the cost of a flight plus one per direction on the stop.
 
     Args:
         curve: The curve.
         z: The point, ``(n_x + 1,)``.
-        w: Its speed.
+        w: Speed at the point.
 
     Raises:
         CurveLostError: If the curve cannot be followed from there.
@@ -193,13 +194,13 @@ class Piece:
     """A polynomial piece of the curve, more or less converged.
 
     Attributes:
-        start: Where it starts.
-        length: How far the speed falls along it.
-        nodes: Its nodes, 0 at the start and 1 at the end of it.
+        start: Start of the piece.
+        length: Decrease of the speed along the piece.
+        nodes: Nodes of the piece, 0 at the start and 1 at its end.
         slopes: :math:`q` at the nodes, ``(s, n_x + 1)``.
-        derivatives: Of :math:`g` at the nodes along the basis, ``(s, n_x + 1, m)``.
-        falls: Of the speed, in one flight from every node, ``(s,)``.
-        changes: What every iteration changed, relative to ``1 + |z|``.
+        derivatives: Derivatives of :math:`g` at the nodes along the basis, ``(s, n_x + 1, m)``.
+        falls: Decrease of the speed in one flight from every node, ``(s,)``.
+        changes: Change in every iteration, relative to ``1 + |z|``.
     """
 
     start: CurveEnd
@@ -223,7 +224,7 @@ class Piece:
         return self.start.z + self.length * self.nodes.whole @ self.slopes
 
     def speeds(self, places: Vector) -> Vector:
-        """Return the speeds at places in ``[0, 1]``; the last one is exact where it is zero."""
+        """Return the speeds at points in ``[0, 1]``. The last speed is exact if it is zero."""
         return np.maximum(self.start.w - self.length * places, 0.0)
 
 
@@ -231,10 +232,10 @@ def straight_piece(start: CurveEnd, length: float, n: int, slope: Vector) -> Pie
     """Return a first guess of a piece, a straight line.
 
     Args:
-        start: Where it starts.
-        length: How far the speed falls along it.
+        start: Start of the piece.
+        length: Decrease of the speed along the piece.
         n: Number of nodes.
-        slope: Of the line.
+        slope: Slope of the line.
     """
     return Piece(
         start=start,
@@ -247,7 +248,7 @@ def straight_piece(start: CurveEnd, length: float, n: int, slope: Vector) -> Pie
 
 
 def refined(piece: Piece, n: int) -> Piece:
-    """Return the same polynomial at more nodes, not iterated yet."""
+    """Return the same polynomial at more nodes, before the next iteration."""
     nodes = radau_nodes(n)
     values = piece.nodes.values(nodes.places)
     return replace(
@@ -266,7 +267,7 @@ def differentiated(curve: ImpactCurve, piece: Piece) -> Piece:
 
 
 def iterated(curve: ImpactCurve, piece: Piece) -> Piece:
-    r"""Return the piece after one iteration of Newton's method, a flight a node.
+    r"""Return the piece after one Newton iteration, at the cost of a flight per node.
 
     .. math:: (A - \Delta\,g_z\,B)\,\delta q = g - A q
 
@@ -282,11 +283,11 @@ def converged(curve: ImpactCurve, piece: Piece, tolerance: float, *, most: int =
     Args:
         curve: The curve.
         piece: The piece.
-        tolerance: Largest relative change that may be left.
-        most: Iterations before it is given up.
+        tolerance: Largest remaining relative change.
+        most: Largest number of iterations.
 
     Raises:
-        CurveLostError: If it does not converge.
+        CurveLostError: If the iteration does not converge.
     """
     for _ in range(most):
         piece = iterated(curve, piece)
@@ -294,7 +295,7 @@ def converged(curve: ImpactCurve, piece: Piece, tolerance: float, *, most: int =
             return piece
         changes = piece.changes
         if len(changes) > 1 and changes[-1] > _SLOW * changes[-2]:
-            # Rounding has stopped it, or the derivatives are no good.
+            # The iteration stopped at rounding level, or the derivatives are inaccurate.
             if changes[-1] <= tolerance:
                 return piece
             if len(changes) > 2:
@@ -303,10 +304,11 @@ def converged(curve: ImpactCurve, piece: Piece, tolerance: float, *, most: int =
 
 
 def correction(curve: ImpactCurve, piece: Piece) -> Vector:
-    """Return what the end changes if the law is asked for at twice as many places, ``(n_x + 1,)``.
+    """Return the change of the end if the law holds at twice as many points, ``(n_x + 1,)``.
 
-    One step of Newton's method from the piece, at whose own nodes nothing is left to correct: the
-    defect between the nodes, carried to the end. It is the error of the piece to first order.
+    This is one Newton step from the piece, which is already converged at its own nodes. The step
+    propagates the defect between the nodes to the end. The result is the error of the piece to
+    first order.
     """
     s = len(piece.slopes)
     nodes = doubled_nodes(s)

@@ -12,9 +12,10 @@ from zeno_orbits.integrators import Step, Stepper, Tolerance
 from zeno_orbits.model import HybridDynamics
 
 Flight = Callable[[Vector, float], tuple[float, Vector, float] | None]
-"""From the state after an impact and its gap rate to duration, state and gap rate at the next.
+"""Function from the state and gap rate after an impact to duration, state and gap rate at the next
+impact.
 
-``None`` means that this is no flight of a sequence that accumulates.
+``None`` means that the flight does not belong to a sequence that accumulates.
 """
 
 _MOST_STEPS = 1000

@@ -1,12 +1,13 @@
-r"""Derivatives of the events of an execution by its start and its parameters, one after the other.
+r"""Derivatives of an execution's events with respect to its start and parameters, in Python.
 
-An event is where a guard :math:`g` vanishes along a flow :math:`f`. With the perturbation `V` at
-an equal time it moves by
+An event is a point at which a guard :math:`g` vanishes along the flow :math:`f`. With the
+perturbation `V` at an equal time it moves by
 
 .. math:: \delta t = -\frac{\nabla g\,V + g_p Q}{\dot g}, \qquad \delta x = V + f\,\delta t
 
-(theory (25)). The Zeno point moves as the formula of its extrapolation says (theory (26)).
-Everything has one column for every state of the start and every chosen parameter.
+(theory (25)). The Zeno point moves according to the formula of its extrapolation (theory (26)).
+Every derivative has one column per state of the start and per chosen parameter. The compiled loop
+has the same formulas, and this module is their reference.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from zeno_orbits.model import (
     Differentials,
     HybridDynamics,
 )
-from zeno_orbits.simulation.execution import Arc, Impact
+from zeno_orbits.simulation.execution import Arc, Ending, Execution, Impact, Mode, ZenoPoint
 from zeno_orbits.simulation.state_transition import carried
 from zeno_orbits.simulation.zeno_limit import (
     TailEstimate,
@@ -69,6 +70,21 @@ class Bounce:
     shift: EventShift
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArcShifts:
+    """Derivatives of the ends of an arc.
+
+    Attributes:
+        start: Derivatives of the start: after an impact, at a Zeno point or a release.
+        end: Derivatives of the end, before an impact.
+        after: Derivatives after the event at the end.
+    """
+
+    start: EventShift
+    end: EventShift
+    after: EventShift
+
+
 @dataclass(frozen=True, kw_only=True)
 class Perturbations:
     """Derivatives along an execution.
@@ -101,7 +117,7 @@ class Perturbations:
         return self.differentials.restitution @ self.parameters
 
     def at_start(self) -> EventShift:
-        """Return the start, which moves as it is told to."""
+        """Return the start with its prescribed derivatives."""
         state = np.eye(self.n_x, self.n_x + self.n_parameters)
         zero = np.zeros(state.shape[1])
         return EventShift(time=zero, state=state, rate=zero)
@@ -113,7 +129,7 @@ class Perturbations:
         return EventShift(time=start.time, state=start.state, rate=rate)
 
     def flown(self, arc: Arc, start: EventShift) -> EventShift:
-        """Return how the impact moves that ends a flight, before its reset."""
+        """Return the derivatives of the impact at the end of a flight, before its reset."""
         end = arc.flow_state_at(arc.duration)
         if end.size == self.n_x:
             return self._free(arc, start)
@@ -130,7 +146,7 @@ class Perturbations:
         )
 
     def _rescaled(self, arc: Arc, start: EventShift, end: Vector) -> EventShift:
-        """Follow a flight in its own variables: its speed is a parameter that moves, too."""
+        """Follow a flight in its own variables, in which its speed is also a parameter."""
         speed = arc.time_unit
         flow, differential = self.dynamics.flight(speed), self.differentials.flight(speed)
         launched = np.concatenate([start.state, np.zeros((2, start.time.size))])
@@ -145,7 +161,7 @@ class Perturbations:
         )
 
     def struck(self, impact: Impact, before: EventShift) -> EventShift:
-        """Return how the state and the gap rate after an impact move."""
+        """Return the derivatives of the state and the gap rate after an impact."""
         reset = self.differentials.reset(impact.state_minus, impact.approach_rate)
         inputs = np.concatenate([before.state, before.rate[None, :], self.parameters])
         by_rate, *by_parameters = self.differentials.speed_after(impact.approach_rate)
@@ -153,7 +169,7 @@ class Perturbations:
         return EventShift(time=before.time, state=reset @ inputs, rate=rate)
 
     def joined(self, bounces: Sequence[Bounce], impact: Impact, after: EventShift) -> list[Bounce]:
-        """Return a sequence with one more impact, or a new one where it does not go on.
+        """Return a sequence with one more impact, or a new sequence if it does not continue.
 
         Args:
             bounces: The sequence so far.
@@ -171,7 +187,7 @@ class Perturbations:
         ]
 
     def limit(self, bounces: Sequence[Bounce], state: Vector) -> EventShift:
-        r"""Return how the Zeno point of a sequence moves.
+        r"""Return the derivatives of the Zeno point of a sequence.
 
         .. math:: \delta x_\infty = \sum_k \alpha_k\,\delta x_k
             + \sum_{j,k} \frac{\partial \alpha_k}{\partial \ln w_j}\,\frac{\delta w_j}{w_j}\,x_k
@@ -201,7 +217,7 @@ class Perturbations:
         )
 
     def _tail(self, bounce: Bounce) -> Vector:
-        """Return how the first-order Zeno state and, below it, time of an impact move."""
+        """Return the derivatives of the first-order Zeno state of an impact, then of its time."""
         n_x, x, shift = self.n_x, bounce.impact.state_plus, bounce.shift
         resting, e = self.dynamics.resting(x), self.dynamics.restitution
         moved = self._total(self.differentials.resting(x), shift.state)
@@ -214,7 +230,7 @@ class Perturbations:
         return np.concatenate([state, [shift.time + longer]])
 
     def released(self, arc: Arc, zeno: EventShift) -> EventShift:
-        """Return how the release at the end of a locked arc moves."""
+        """Return the derivatives of the release at the end of a locked arc."""
         x, dynamics = arc.end_state, self.dynamics
         flow, differential = dynamics.locked, self.differentials.locked
         v = carried(flow, differential, arc, self.tolerance, zeno.state, self.parameters)
@@ -228,10 +244,80 @@ class Perturbations:
             rate=np.zeros(self.restitution.size),
         )
 
+    def stopped(self, arc: Arc, start: EventShift) -> EventShift:
+        """Return the derivatives of the end of an arc that ends at a given time."""
+        x, end = arc.end_state, arc.flow_state_at(arc.duration)
+        zero = np.zeros_like(start.time)
+        if arc.mode is Mode.LOCKED:
+            flow, differential = self.dynamics.locked, self.differentials.locked
+        else:
+            flow, differential = self.dynamics.free, self.differentials.free
+        v, q, later = start.state, self.parameters, start.time
+        if end.size > self.n_x:
+            speed = arc.time_unit
+            flow, differential = self.dynamics.flight(speed), self.differentials.flight(speed)
+            v = np.concatenate([v, np.zeros((2, zero.size))])
+            q = np.concatenate([q, start.rate[None, :]])
+            later = (start.time + arc.duration * start.rate) / speed
+        v = carried(flow, differential, arc, self.tolerance, v, q)
+        state = (v - flow.rate(end)[:, None] * later)[: self.n_x]
+        rate = zero
+        if arc.mode is Mode.FREE:
+            rate = self._total(self.differentials.contact(x)[GAP_RATE], state)
+        return EventShift(time=zero, state=state, rate=rate)
+
+    def rested(self, impact: Impact, after: EventShift) -> EventShift:
+        """Return the derivatives of a Zeno point that results from a plastic reset at an impact."""
+        on_stop = self.differentials.resting(impact.state_plus)[: self.n_x]
+        state = self._total(on_stop, after.state)
+        return EventShift(time=after.time, state=state, rate=np.zeros_like(after.rate))
+
+    def along(self, execution: Execution, start: EventShift, first: int) -> list[ArcShifts]:
+        """Return the derivatives of the ends of the arcs, up to the first end without a derivative.
+
+        At such an end the stop is touched without an impact.
+
+        Args:
+            execution: The execution.
+            start: Derivatives of the start of its first arc that counts.
+            first: Index of that arc.
+        """
+        impacts = {impact.time: impact for impact in execution.impacts}
+        zenos = {zeno.time: zeno for zeno in execution.zeno_points}
+        found, here, bounces = list[ArcShifts](), start, list[Bounce]()
+        for place, arc in enumerate(execution.arcs[first:]):
+            begin = end = here
+            zeno = zenos.get(arc.start_time) if arc.mode is Mode.LOCKED else None
+            if zeno is not None and bounces:
+                begin = end = self._limit_of(zeno, bounces)
+                bounces = []
+            elif arc.mode is Mode.LOCKED and (zeno is not None or place > 0):
+                break
+            impact = impacts.get(arc.end_time)
+            if arc.ending is Ending.HORIZON:
+                end = self.stopped(arc, begin)
+            elif arc.ending is Ending.RELEASE:
+                end = self.released(arc, begin)
+            elif arc.ending is Ending.IMPACT:
+                if impact is None:
+                    break
+                end = self.flown(arc, begin)
+            here = end
+            if arc.ending is Ending.IMPACT and impact is not None:
+                here = self.struck(impact, end)
+                bounces = self.joined(bounces, impact, here)
+            found.append(ArcShifts(start=begin, end=end, after=here))
+        return found
+
+    def _limit_of(self, zeno: ZenoPoint, bounces: Sequence[Bounce]) -> EventShift:
+        if zeno.tail == 0.0 < zeno.last_speed:
+            return self.rested(bounces[-1].impact, bounces[-1].shift)
+        return self.limit(bounces, zeno.state)
+
     def of_gap_acceleration(self, x: Vector, shift: EventShift) -> Vector:
-        """Return how the gap acceleration at an event moves, ``(m,)``."""
+        """Return the derivatives of the gap acceleration at an event, ``(m,)``."""
         return self._total(self.differentials.contact(x)[GAP_ACCELERATION], shift.state)
 
     def _total(self, gradient: Vector, state: Vector) -> Vector:
-        """Return the change of what has a gradient, by the state and by the parameters."""
+        """Return the change of a function with a given gradient, due to state and parameters."""
         return gradient[..., : self.n_x] @ state + gradient[..., self.n_x :] @ self.parameters

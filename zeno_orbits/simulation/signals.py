@@ -1,4 +1,4 @@
-"""Signals of an orbit, states and what the motors see, and their extremes along simulated arcs."""
+"""Signals of an orbit, states and motor quantities, and their extremes along simulated arcs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from zeno_orbits.model import CompiledSystem
 from zeno_orbits.simulation.execution import Arc
 
 _SAMPLES = 65
-"""Samples of an arc beside the steps of its engine."""
+"""Number of samples of an arc in addition to the steps of its engine."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,8 +22,8 @@ class Extent:
 
     Attributes:
         lowest: Smallest value.
-        highest: Largest value; the same for a number of the whole orbit.
-        error: Estimated error of both.
+        highest: Largest value. For a property of the whole orbit it equals the smallest value.
+        error: Estimated error of both values.
     """
 
     lowest: float
@@ -49,7 +49,7 @@ class Signal:
     function: ca.Function
 
     def at(self, values: Sequence[float]) -> Callable[[Vector], float]:
-        """Return the signal as a function of the state, at numbers for ``p``."""
+        """Return the signal as a function of the state, at given values of ``p``."""
         p = np.asarray(values, dtype=np.float64)
         return lambda x: float(self.function(x, p))
 
@@ -89,11 +89,11 @@ def signal(compiled: CompiledSystem, name: str) -> Signal:
 
 
 def extent_of(value: Callable[[Vector], float], arcs: Sequence[Arc]) -> Extent:
-    """Return the range of a signal over arcs, its peaks polished.
+    """Return the range of a signal over arcs, with refined peaks.
 
     Args:
-        value: The signal of the state.
-        arcs: The arcs; where one ends and the next begins an impact may lie.
+        value: The signal as a function of the state.
+        arcs: The arcs. An impact may lie between the end of an arc and the start of the next arc.
     """
     found = [peak.value for arc in arcs for sign in (1.0, -1.0) for peak in peaks(value, arc, sign)]
     return Extent(lowest=min(found), highest=max(found))
@@ -107,7 +107,7 @@ def peaks(value: Callable[[Vector], float], arc: Arc, sign: float) -> list[Peak]
         arc: The arc.
         sign: 1 for the largest values, -1 for the smallest.
     """
-    # SciPy's optimizers take longer to import than a peak to find, and few ask for one.
+    # SciPy's optimizers take longer to import than a peak to find, and few callers need a peak.
     from scipy.optimize import minimize_scalar
 
     length = arc.end_time - arc.start_time

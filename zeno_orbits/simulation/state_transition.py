@@ -1,12 +1,14 @@
-r"""Perturbations carried along an arc: the state transition of theory (24).
+r"""Propagation of perturbations along an arc, in plain Python: state transition of theory (24).
 
-They take the steps of the arc itself. A step of DOP853 of state and perturbation together is the
-derivative of the step; a step of Radau IIA is one linear system,
+The perturbations use the steps of the arc itself. A DOP853 step of state and perturbation together
+is the derivative of the step. A step of Radau IIA is one linear system,
 
 .. math:: Z = \Delta t\,(A \otimes I)\,\bigl(J_i\,(V + Z_i) + F_i\,Q\bigr)_i, \qquad V^+ = V + Z_s
 
-with the Jacobians at its stages. It serves as well where an explicit step is stable for the state
-alone. Where an engine has other steps the arc is stepped once more.
+with the Jacobians at its stages. This system also applies if an explicit step is stable for the
+state alone. An arc with steps of another kind is integrated again. Source:
+[HairerNorsettWanner1993]_, I.14. The compiled loop has the same formulas, and this module is their
+reference.
 """
 
 from __future__ import annotations
@@ -17,19 +19,21 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import (
+    N_STAGES,
     Automatic,
     Collocation,
     ExplicitStep,
     GuardedFlow,
     RadauStep,
-    RecordedTrajectory,
     Step,
     SteppedTrajectory,
     Tolerance,
+    explicit_attempt,
     radau_scheme,
 )
-from zeno_orbits.model import N_STAGES, FlowDifferential
+from zeno_orbits.model import FlowDifferential
 from zeno_orbits.simulation.execution import Arc
+from zeno_orbits.simulation.recorded import LoopTrajectory
 
 
 def carried(
@@ -68,39 +72,42 @@ def courses(
     """Yield the flow's own time and the perturbations after every step of an arc.
 
     Args:
-        flow: The flow that was followed.
+        flow: The flow of the arc.
         differential: Its variational equation.
         arc: The arc.
-        tolerance: Local error of steps that are taken anew.
-        v: Perturbations at its start, ``(n_y, m)``.
+        tolerance: Local error of repeated steps.
+        v: Perturbations at the start of the arc, ``(n_y, m)``.
         q: Perturbations of the flow's parameters, ``(n_q, m)``.
-        parts: How often in every step, evenly; each time from the beginning of the step.
+        parts: Number of evenly spaced outputs per step, each computed from the beginning of the
+            step.
     """
     for step in _steps(flow, arc, tolerance):
         whole = min(step.size, arc.duration - step.start)
         before = v
         for part in range(1, parts + 1):
             size = whole * part / parts
-            if isinstance(step, RadauStep):
-                v = _implicit(differential, step, radau_scheme(N_STAGES), size, before, q)
-            else:
-                v, error = differential.step(step.before, size, before, q)
-                if not error <= max(_GROWS, _SHARE * tolerance.relative):
-                    # The state, on its slow manifold, does not feel a fast perturbation grow.
-                    v = _implicit(differential, step, radau_scheme(N_STAGES), size, before, q)
+            v = _after(flow, differential, step, size, before, q, trusted(tolerance))
             yield step.start + size, v
 
 
 _GROWS = 1e-8
 _SHARE = 1e3
-"""Relative error of an explicit step above which it is no good for perturbations; in tolerances."""
+
+
+def trusted(tolerance: Tolerance) -> float:
+    """Return the relative error up to which an explicit step serves for perturbations.
+
+    Args:
+        tolerance: Local error of the steps of the state.
+    """
+    return max(_GROWS, _SHARE * tolerance.relative)
 
 
 def _steps(flow: GuardedFlow, arc: Arc, tolerance: Tolerance) -> Iterator[Step]:
     """Yield the steps of an arc, the last of which may reach beyond its end."""
     way = arc.trajectory
     kinds = (ExplicitStep, RadauStep)
-    known = isinstance(way, SteppedTrajectory | RecordedTrajectory)
+    known = isinstance(way, SteppedTrajectory | LoopTrajectory)
     if known and all(isinstance(step, kinds) for step in way.steps):
         yield from way.steps
         return
@@ -109,6 +116,46 @@ def _steps(flow: GuardedFlow, arc: Arc, tolerance: Tolerance) -> Iterator[Step]:
         yield step
         if step.start + step.size >= arc.duration:
             return
+
+
+def _after(
+    flow: GuardedFlow,
+    differential: FlowDifferential,
+    step: Step,
+    size: float,
+    v: Vector,
+    q: Vector,
+    most: float,
+) -> Vector:
+    """Return the perturbations after a part of a step."""
+    if not isinstance(step, RadauStep):
+        after, error = _explicit(flow, differential, step.before, size, v, q)
+        if error <= most:
+            return after
+        # The state, on its slow manifold, does not feel a fast perturbation grow.
+    return _implicit(differential, step, radau_scheme(N_STAGES), size, v, q)
+
+
+def _explicit(
+    flow: GuardedFlow,
+    differential: FlowDifferential,
+    y: Vector,
+    size: float,
+    v: Vector,
+    q: Vector,
+) -> tuple[Vector, float]:
+    """Return the perturbations after a step of DOP853, and their error, relative."""
+
+    def rate(both: Vector) -> Vector:
+        linear = differential.linear(both[None, :, 0])[0]
+        return np.column_stack([flow.rate(both[:, 0]), linear @ np.concatenate([both[:, 1:], q])])
+
+    after, fifth, _ = explicit_attempt(rate, np.column_stack([y, v]), size)
+    error = np.max(np.abs(size * fifth[:, 1:]), axis=0)
+    sizes = np.max(np.abs(after[:, 1:]), axis=0)
+    # The error of a zero column is zero.
+    relative = error / np.where(sizes == 0.0, 1.0, sizes)
+    return after[:, 1:], float(np.max(relative, initial=0.0))
 
 
 def _implicit(

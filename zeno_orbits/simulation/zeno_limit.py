@@ -1,12 +1,12 @@
-r"""The end of an impact sequence in closed form: tail, limit and its error. Pure numbers.
+r"""The end of an impact sequence in closed form: tail, limit and its error, without a model.
 
-Near a Zeno point the impact speeds fall by the factor :math:`e`, and the impact states lie on an
-analytic curve in the speed :math:`w` (theory (15)). Each is first carried to the end of its own
-tail by the locked flow, which is right to :math:`O(w^2)`; the limit is then the value at
-:math:`w = 0` of a polynomial without linear term through the last few of them.
+Near a Zeno point the impact speeds decrease by the factor :math:`e`, and the impact states lie on
+an analytic curve in the speed :math:`w` (theory (15)). The locked flow first propagates each impact
+state to the end of its own tail, with an error of :math:`O(w^2)`. The limit is then the value at
+:math:`w = 0` of a polynomial without linear term through the last few results.
 
-Everything here works on numbers and on CasADi symbols alike, so the transcription and the
-simulator close an orbit by the same formula. Source: [OrAmes2011]_ for the tail.
+Everything here applies to values and CasADi symbols alike, so the transcription and the simulator
+close an orbit by the same formula. Source: [OrAmes2011]_ for the tail.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ N_NODES = 5
 """Impacts that the extrapolation uses at most."""
 
 NODE_RATIO = 0.5
-"""Speeds of successive nodes differ at least by this factor; closer nodes amplify rounding."""
+"""Speeds of successive nodes differ at least by this factor, because closer nodes amplify
+rounding."""
 
 
 def tail_time(speed: Any, gap_acceleration: Any, restitution: Any) -> Any:
@@ -85,13 +86,14 @@ def limit_slopes(speeds: Sequence[float]) -> Vector:
 
 
 def spread_nodes(speeds: Sequence[float]) -> list[int]:
-    """Return which of the falling speeds to extrapolate from: the last, and faster ones before.
+    """Return the indices of the decreasing speeds that serve for the extrapolation.
 
     Args:
-        speeds: Impact speeds, falling, ``(n,)``.
+        speeds: Impact speeds, decreasing, ``(n,)``.
 
     Returns:
-        At most ``N_NODES`` indices, rising; speeds of neighbours differ by ``NODE_RATIO`` at least.
+        At most ``N_NODES`` increasing indices: the last speed and faster speeds before it, with
+        speeds of neighbours that differ at least by ``NODE_RATIO``.
     """
     nodes = [len(speeds) - 1]
     while len(nodes) < N_NODES:
@@ -110,15 +112,15 @@ def spread_nodes(speeds: Sequence[float]) -> list[int]:
 
 @light_value
 class TailEstimate:
-    """First-order guess of the Zeno point from one impact; no two are the same.
+    """First-order estimate of the Zeno point from an impact, compared by identity.
 
     Attributes:
-        impact_time: When the impact was [s].
-        resting: State just after it, had it been plastic, ``(n_x,)``.
-        speed: Gap rate just after it.
+        impact_time: Time of the impact [s].
+        resting: State just after a hypothetical plastic impact, ``(n_x,)``.
+        speed: Gap rate just after the impact.
         time: Zeno time, from the same origin [s].
         state: Zeno state, ``(n_x,)``.
-        gap_acceleration: At the impact.
+        gap_acceleration: Gap acceleration at the impact.
     """
 
     impact_time: float
@@ -136,12 +138,11 @@ class ZenoLimit:
     Attributes:
         time: Zeno time [s].
         state: Zeno state, ``(n_x,)``, on the stop.
-        error: Estimate of the error of time and state, relative to ``1 + |t|`` and ``1 + |x|``, the
-            1 in units of the problem's own sizes,
-            had the impacts been exact: the difference from the limit that the impacts a node
-            earlier gave.
-        path: The states on the stop on the way from the last impact, where they are known, with
-            times from that impact; the flights that are left out lie above them.
+        error: Estimated error of time and state for exact impacts, relative to ``1 + |t|`` and ``1
+            + |x|``, with the 1 in the problem's scales. It is the difference from the limit
+            computed from the impacts up to the previous node.
+        path: The states on the stop after the last impact, if they are known, with times since that
+            impact. The omitted flights lie above them.
     """
 
     time: float
@@ -153,13 +154,13 @@ class ZenoLimit:
 def estimate_tail(
     dynamics: HybridDynamics, time: float, state_plus: Vector, speed: float
 ) -> TailEstimate | None:
-    """Return the first-order Zeno point seen from an impact, or ``None`` if the stop repels there.
+    """Return the first-order Zeno point seen from an impact, or ``None`` if contact cannot persist.
 
     Args:
         dynamics: The system.
         time: Time of the impact [s].
         state_plus: State just after it.
-        speed: Gap rate just after it, exactly; the state holds it only to rounding.
+        speed: Exact gap rate just after the impact. The state determines it only to rounding.
     """
     return tail_from(dynamics.resting(state_plus), dynamics.restitution, time, speed)
 
@@ -202,15 +203,16 @@ def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> 
 
 
 def combine(estimates: Sequence[TailEstimate], own: OwnScale = USUAL) -> ZenoLimit:
-    """Return the extrapolated limit before it is moved onto the stop, which it misses by rounding.
+    """Return the extrapolated limit before its projection onto the stop.
 
-    The error estimate is the difference from what the impacts a node earlier gave: the error of
-    that, and so more than this one's. Leaving out the fastest node instead would not do: where the
-    current's layer is longer than the last flights it hardly has a weight.
+    The error estimate is the difference from the limit computed from the impacts up to the previous
+    node. It is the error of that limit, and so larger than the error of this limit. Omitting the
+    fastest node would not give an error estimate: if the boundary layer of the current is longer
+    than the last flights, that node has almost zero weight.
 
     Args:
         estimates: As for `extrapolate`.
-        own: Sizes of the problem's numbers.
+        own: Characteristic scales of the problem.
     """
     speeds = [estimate.speed for estimate in estimates]
     chosen = spread_nodes(speeds)
@@ -230,13 +232,15 @@ def combine(estimates: Sequence[TailEstimate], own: OwnScale = USUAL) -> ZenoLim
 
 @lru_cache(maxsize=8)
 def _limit(nodes: tuple[TailEstimate, ...]) -> tuple[float, Vector]:
-    """Return time and state of the limit that a polynomial through these nodes has.
+    """Return time and state of the limit of a polynomial through these nodes.
 
-    It is kept: what one impact gives is what the next one's limit is held against.
+    It is cached: the limit from an impact is compared with the limit from the next impact.
     """
     weights = limit_weights([node.speed for node in nodes])
     time = sum([weight * node.time for weight, node in zip(weights, nodes, strict=True)])
-    # The same sum as by `@`, which takes four times as long for so few numbers.
-    state = np.array(weights).dot(np.array([node.state for node in nodes]))
+    # In the order of the nodes: whoever sums in another order gets other last digits.
+    state = weights[0] * nodes[0].state
+    for weight, node in zip(weights[1:], nodes[1:], strict=True):
+        state = state + weight * node.state
     state.flags.writeable = False
     return time, state

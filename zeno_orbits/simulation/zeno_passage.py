@@ -1,17 +1,18 @@
 r"""A Zeno passage at a cost that does not grow as :math:`e \to 1` (theory (22)).
 
-Impact by impact, a sequence takes some :math:`\ln 1000 / (1 - e)` flights to lose three decades of
-speed. But its impacts lie on an analytic curve, and that curve is found without visiting them: as
-a polynomial in the speed that keeps the law of one flight at its nodes, down to :math:`w = 0`.
-Wherever along the curve the nodes lie, the curve has one end: the Zeno point.
+A resolved impact sequence needs about :math:`\ln 1000 / (1 - e)` flights to lose three decades of
+speed. But its impacts lie on an analytic curve, which is found without the impacts. The curve is a
+polynomial in the speed that satisfies the law of a flight at its nodes, down to :math:`w = 0`. For
+any nodes along the curve, the curve has a single end: the Zeno point.
 
-One polynomial with 4, then 8, then 16 nodes is tried for the whole curve. Where that is not enough
-the curve is passed piece by piece. That is so just after a sequence has begun on an arbitrary
-current, which relaxes to the curve's own within a few `L/R`: a layer at its start.
+A single polynomial with 4, then 8, then 16 nodes is tried for the whole curve. If that is not
+enough, the curve is computed piece by piece. Pieces are needed just after a sequence has begun with
+an arbitrary current, which relaxes to the current of the curve within a few `L/R`. This is a
+boundary layer at the start of the curve.
 
-The impacts that are passed over are never known one by one, nor do intermediate ends of pieces
-belong to the sequence. If the end is not reached, because the stop lets go before the speed has
-fallen to zero for instance, there is no result, and the sequence must be followed flight by flight.
+The skipped impacts are never computed one by one, and intermediate ends of pieces do not belong to
+the sequence. If the end is not reached, for instance because contact ends before the speed has
+decreased to zero, the result is ``None``. Then the sequence must be followed flight by flight.
 `is_settled` decides from the impacts so far whether their curve is worth a try.
 """
 
@@ -49,7 +50,8 @@ _FEWEST_IMPACTS = 16
 """A piece that passes fewer impacts costs more than they."""
 
 _MOST_PIECES = 8
-"""Pieces before a curve is given up; they become ever shorter where it ends in a release."""
+"""Largest number of pieces of a curve. Pieces become ever shorter if the curve ends in a
+release."""
 
 _SHAPE = 1e-3
 """Relative error of a piece with few nodes before more are tried."""
@@ -62,15 +64,15 @@ _CAUTION = 2.0
 _LAYER = 20.0
 """Decay along a piece, as a power of e, above which a layer at its start may be to blame."""
 _FIRST_DECAY, _NEXT_DECAY = 6.0, 5.4
-"""Decay along the first piece of a layer, and how much more of it for every decade behind."""
+"""Decay along the first piece of a layer, and additional decay per decade already passed."""
 _PASSED = 8.0
-"""Decades by which a layer must have decayed to be behind."""
+"""Number of decades after which a layer has decayed."""
 
 _ROUNDING = 16 * float(np.finfo(np.float64).eps)
-"""Rounding of the limit, for a unit of `1 / (1 - e)`; measured values stay four times below."""
+"""Rounding error of the limit, in units of `1 / (1 - e)`. Measured errors stay four times below."""
 
 _LOST = 0.25
-"""Part of a length that diverged from which to go on."""
+"""Factor of the length of a piece after a diverged iteration."""
 _ORDER = 6
 """Order at which errors are taken to fall with the length of a piece."""
 _MAY_BEND = 0.5
@@ -87,18 +89,19 @@ def pass_through(
     *,
     most_flights: int,
 ) -> ZenoLimit | None:
-    """Return the Zeno point that an impact leads to, or ``None`` if it could not be found.
+    """Return the Zeno point after an impact, or ``None`` if it could not be found.
 
     Args:
         dynamics: The system.
-        flight: One rescaled flight. Its errors are magnified by ``1 / (1 - e)``, so it should be as
-            accurate as rounding lets it be.
+        flight: One rescaled flight. Its errors are magnified by ``1 / (1 - e)``, so it should be
+            accurate to rounding.
         time: Time of the impact [s].
-        state: State just after it; its gap rate may be there or not.
-        speed: Gap rate just after it, exactly.
-        tolerance: Largest estimated error of a piece, relative to ``1 + |x|``; the limit claims
-            twice the sum over its few pieces. It is ``1e-14 / (1 - e)`` if rounding leaves that.
-        most_flights: Flights before it is given up.
+        state: State just after the impact, with or without its gap rate.
+        speed: Exact gap rate just after the impact.
+        tolerance: Largest estimated error of a piece, relative to ``1 + |x|``. The error of the
+            limit is twice the sum over its few pieces. It is at least ``1e-14 / (1 - e)``, due to
+            rounding.
+        most_flights: Largest number of flights.
     """
     curve = ImpactCurve(dynamics, flight, most_flights)
     rounding = _ROUNDING / (1 - dynamics.restitution)
@@ -129,19 +132,19 @@ class _Layer:
     """A layer at the start of the curve.
 
     Attributes:
-        decades: By how much it has decayed; infinite as long as none is suspected.
+        decades: Decay of the layer, infinite without evidence of a layer.
     """
 
     decades: float
 
     def length(self, start: CurveEnd) -> float:
-        """Return how long a piece it allows."""
+        """Return the largest length of a piece that the layer permits."""
         if self.decades > _PASSED or start.fastest == 0.0:
             return start.w
         return min(start.w, (_FIRST_DECAY + _NEXT_DECAY * self.decades) / start.fastest)
 
     def behind(self, start: CurveEnd, length: float) -> _Layer:
-        """Return what is left of it after a piece."""
+        """Return the layer after a piece."""
         return _Layer(decades=self.decades + start.fastest * length / math.log(10))
 
 
@@ -152,7 +155,7 @@ class CurveStep:
     Attributes:
         curve: The curve.
         piece: The polynomial.
-        missed: Correction of its end, ``(n_x + 1,)``; it grows evenly along the piece.
+        missed: Correction of the end, ``(n_x + 1,)``, applied linearly along the piece.
     """
 
     curve: ImpactCurve
@@ -305,12 +308,12 @@ def _passed(curve: ImpactCurve, piece: Piece, layer: _Layer) -> _Passed:
 
 
 def _shorter(wanted: float, error: float, *, rough: bool) -> _TooLong:
-    """Return how much shorter a piece must be; errors of layers fall no faster than this."""
+    """Return the factor for a shorter piece. Errors of layers decrease at least this fast."""
     return _TooLong(part=min(max((wanted / error) ** (1 / _ORDER), 0.1), 0.6), rough=rough)
 
 
 _DIFFERENCES = 4
-"""Differences of successive impacts that tell a transient from the curve."""
+"""Number of differences of successive impacts that separate a transient from the curve."""
 _SEEN = 3e-14
 """A relative difference below this is rounding."""
 _SMOOTH = 0.01
@@ -324,18 +327,18 @@ _WORTH_WAITING = 150
 def is_settled(
     estimates: Sequence[TailEstimate], restitution: float, own: OwnScale = USUAL
 ) -> bool:
-    r"""Return True if the curve of the impacts is worth a try, as far as the last six tell.
+    r"""Return True if the curve of the impacts is worth a try, judged by the last six impacts.
 
     Along the curve a state changes smoothly over :math:`1 / (1 - e)` impacts, and the fourth
-    difference of successive ones is of the order :math:`(1 - e)^4`. A transient
-    :math:`a \mu^k` adds :math:`a (1 - \mu)^4 \mu^k`, and two such differences tell `a` and
-    :math:`\mu`. If it decays in a few impacts, they are better made. One that takes many is a layer
-    of the curve.
+    difference of successive states is of the order :math:`(1 - e)^4`. A transient :math:`a \mu^k`
+    adds :math:`a (1 - \mu)^4 \mu^k`, and two such differences determine `a` and :math:`\mu`. If the
+    transient decays in a few impacts, these impacts are better simulated. A transient over many
+    impacts is a boundary layer of the curve.
 
     Args:
-        estimates: One an impact.
+        estimates: One estimate per impact.
         restitution: :math:`e`.
-        own: Sizes of the problem's numbers.
+        own: Characteristic scales of the problem.
     """
     if len(estimates) < _DIFFERENCES + 2:
         return False

@@ -1,0 +1,117 @@
+"""Errors that end an execution early, shared by the compiled loop and its reference."""
+
+from __future__ import annotations
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import (
+    ChatterError,
+    PenetrationError,
+    RunawayError,
+    SimulationError,
+    counted,
+)
+
+
+def too_many_steps(most: int, time: float, state: Vector) -> SimulationError:
+    """Return the error of an execution that needs too many steps.
+
+    Args:
+        most: Steps that it may take.
+        time: When [s].
+        state: State there.
+    """
+    return SimulationError(
+        f"The execution needs more than {counted(most, 'step')}: "
+        "raise `most_steps` (--max-steps), or simulate a shorter time",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def runs_away(name: str, time: float, state: Vector) -> RunawayError:
+    """Return the error of a coordinate that is beyond its bound.
+
+    Args:
+        name: The coordinate.
+        time: When [s].
+        state: State there.
+    """
+    return RunawayError(
+        f"{name} runs away", time=time, state=tuple(state.tolist()), coordinate=name
+    )
+
+
+def grows_without_end(
+    name: str, steps: int, needed: float, time: float, state: Vector
+) -> RunawayError:
+    """Return the error of a velocity that grows so fast that the steps will not last.
+
+    Args:
+        name: The velocity.
+        steps: Steps whose pace was taken.
+        needed: Steps that the rest of the time would take.
+        time: When [s].
+        state: State there.
+    """
+    return RunawayError(
+        f"{name} grows without end: at the pace of its last {steps} steps, "
+        f"{needed:.1g} more would be needed",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def leaves_set(time: float, state: Vector) -> PenetrationError:
+    """Return the error of a state that leaves the admissible set.
+
+    Args:
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return PenetrationError(
+        "The state leaves the admissible set from its boundary",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def does_not_close(approach_rate: float, time: float, state: Vector) -> SimulationError:
+    """Return the error of an impact that does not close the gap.
+
+    Args:
+        approach_rate: Gap rate before it.
+        time: When [s].
+        state: State before it, ``(n_x,)``.
+    """
+    return SimulationError(
+        f"An impact must close the gap, but the gap rate is {approach_rate:.3g}",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def enters_by_reset(time: float, state: Vector) -> PenetrationError:
+    """Return the error of a reset map that sends the state into the stop.
+
+    Args:
+        time: When [s].
+        state: State before the impact, ``(n_x,)``.
+    """
+    return PenetrationError(
+        "The reset map sends the state into the stop", time=time, state=tuple(state.tolist())
+    )
+
+
+def does_not_accumulate(most: int, time: float, state: Vector) -> ChatterError:
+    """Return the error of a sequence of impacts without a Zeno point.
+
+    Args:
+        most: Impacts that a sequence may have.
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return ChatterError(
+        f"More than {most} impacts came without a Zeno point",
+        time=time,
+        state=tuple(state.tolist()),
+    )

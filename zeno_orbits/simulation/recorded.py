@@ -1,0 +1,377 @@
+"""The record of a compiled run as arcs and events, which become values once somebody asks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators import (
+    ExplicitStep,
+    GuardedFlow,
+    RadauStep,
+    Step,
+    SteppedTrajectory,
+    Tolerance,
+    Trajectory,
+    radau_scheme,
+)
+from zeno_orbits.loop import Record, TapedProblem, binding, program_of
+from zeno_orbits.model import CompiledFlow, HybridDynamics
+from zeno_orbits.simulation.execution import (
+    Arc,
+    Ending,
+    Event,
+    Execution,
+    Impact,
+    Mode,
+    Release,
+    ZenoPoint,
+)
+
+_ENDINGS = {
+    binding.IMPACT: Ending.IMPACT,
+    binding.ZENO: Ending.ZENO,
+    binding.RELEASE: Ending.RELEASE,
+    binding.HORIZON: Ending.HORIZON,
+}
+
+
+def event_of(row: Vector, n_x: int) -> Event:
+    """Return the event of a row of the record.
+
+    Args:
+        row: Kind, time, three numbers, the state before and after.
+        n_x: Number of states.
+    """
+    kind, time, *numbers = row[: binding.EVENT_WIDTH].tolist()
+    before = row[binding.EVENT_WIDTH : binding.EVENT_WIDTH + n_x]
+    if kind == binding.IMPACT:
+        after = row[binding.EVENT_WIDTH + n_x :]
+        return Impact(time=time, state_minus=before, state_plus=after, approach_rate=numbers[0])
+    if kind == binding.RELEASE:
+        return Release(time=time, state=before)
+    error, tail, speed = numbers
+    return ZenoPoint(time=time, state=before, limit_error=error, tail=tail, last_speed=speed)
+
+
+@dataclass(kw_only=True, eq=False)
+class RecordedRun:
+    """A run with the context of its record.
+
+    Attributes:
+        dynamics: The system.
+        tolerance: Local error of the steps.
+        record: Record of the run.
+        paths: Curves of the impacts by the times of Zeno points that were found along them.
+    """
+
+    dynamics: HybridDynamics
+    tolerance: Tolerance
+    record: Record
+    paths: Mapping[float, tuple[Step, ...]]
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """The events in order of time."""
+        return tuple(map(self._event, self.record.events))
+
+    @cached_property
+    def arcs(self) -> tuple[Arc, ...]:
+        """The arcs in order of time."""
+        return tuple(map(self._arc, self.record.arcs))
+
+    @property
+    def _n_x(self) -> int:
+        return len(self.dynamics.state_names)
+
+    def _event(self, row: Vector) -> Event:
+        return event_of(row, self._n_x)
+
+    def _arc(self, row: Vector) -> Arc:
+        n_x = self._n_x
+        mode, start, end, unit, duration, ending, *counts = row[: binding.ARC_WIDTH].tolist()
+        n_y = n_x + 2 if mode == binding.FLIGHT else n_x
+        first = row[binding.ARC_WIDTH : binding.ARC_WIDTH + n_x]
+        last = row[binding.ARC_WIDTH + n_x : binding.ARC_WIDTH + n_x + n_y]
+        ended = _ENDINGS[int(ending)]
+        launch = counts.pop()
+        index, first_step, n_steps, first_polynomial, n_polynomials = map(int, counts)
+        way: Trajectory | None
+        if ended is Ending.ZENO:
+            path = self.paths.get(end, ())
+            way = SteppedTrajectory(steps=path, duration=duration, end=last) if path else None
+        else:
+            begin = np.concatenate([first, (0.0, launch)]) if mode == binding.FLIGHT else first
+            polynomials = self.record.polynomials[first_polynomial:][:n_polynomials]
+            way = LoopTrajectory(
+                flow=_Flow(self.dynamics, int(mode), unit),
+                tolerance=self.tolerance,
+                begin=begin,
+                rows=self.record.steps[first_step : first_step + n_steps, : 2 + n_y],
+                polynomials=polynomials[:, : binding.STAGES * n_y].reshape(
+                    n_polynomials, binding.STAGES, n_y
+                ),
+                duration=duration,
+                end=last,
+            )
+        return Arc(
+            mode=Mode.LOCKED if mode == binding.LOCKED else Mode.FREE,
+            start_time=start,
+            end_time=end,
+            start_state=first,
+            end_state=last[:n_x],
+            ending=ended,
+            impact_index=index,
+            time_unit=unit,
+            trajectory=way,
+        )
+
+
+_ARCS: Any = Execution.__dict__["arcs"]
+"""Descriptor of an execution's arcs."""
+
+
+class RecordedExecution(Execution):
+    """An execution whose arcs and events are made of a record at the first question."""
+
+    __slots__ = ("_run",)
+    _run: RecordedRun
+
+    @classmethod
+    def of(cls, run: RecordedRun) -> RecordedExecution:
+        """Return the execution of a run."""
+        made = object.__new__(cls)
+        for name, value in (
+            ("state_names", run.dynamics.state_names),
+            ("own", run.dynamics.own),
+            ("_run", run),
+        ):
+            object.__setattr__(made, name, value)
+        return made
+
+    @property
+    def end_time(self) -> float:
+        """Time of its end [s], without a look at any arc if none was made."""
+        return super().end_time if self._has_arcs else float(self._run.record.arcs[-1, 2])
+
+    @property
+    def end_state(self) -> Vector:
+        """State at its end, ``(n_x,)``, likewise."""
+        if self._has_arcs:
+            return super().end_state
+        first = binding.ARC_WIDTH + len(self.state_names)
+        return self._run.record.arcs[-1, first : first + len(self.state_names)]
+
+    @property
+    def _has_arcs(self) -> bool:
+        try:
+            _ARCS.__get__(self, type(self))
+        except AttributeError:
+            return False
+        return True
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return a recipe for pickle, with arcs and events as values."""
+        return _execution, tuple(getattr(self, one.name) for one in fields(Execution))
+
+    def __getattr__(self, name: str) -> object:
+        """Make arcs or events, which are then kept."""
+        if name not in ("arcs", "events"):
+            raise AttributeError(name)
+        made = getattr(self._run, name)
+        object.__setattr__(self, name, made)
+        return made
+
+
+def record_of(execution: Execution) -> Record | None:
+    """Return the record of an execution, if the loop made it in this process."""
+    run = getattr(execution, "_run", None)
+    return run.record if isinstance(run, RecordedRun) else None
+
+
+def _execution(*values: Any) -> RecordedExecution:
+    made = object.__new__(RecordedExecution)
+    for one, value in zip(fields(Execution), values, strict=True):
+        object.__setattr__(made, one.name, value)
+    return made
+
+
+class Carrier(NamedTuple):
+    """The flow of an arc as the library has it.
+
+    Attributes:
+        program: Its formulas.
+        p: Their parameters.
+        mode: Its mode.
+        speed: Unit of time of a rescaled flight.
+    """
+
+    program: TapedProblem
+    p: Vector
+    mode: int
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """The flow of an arc that another process made."""
+
+    flow: GuardedFlow
+
+    def made(self) -> GuardedFlow:
+        """Return the flow."""
+        return self.flow
+
+    def carrier(self) -> Carrier | None:
+        """Return ``None``: the flow takes its steps by itself."""
+        return None
+
+
+class FlowOfLeg(NamedTuple):
+    """The flow of a leg by itself.
+
+    Attributes:
+        flow: The flow.
+        program: Its formulas as the library has them.
+    """
+
+    flow: CompiledFlow
+    program: TapedProblem
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return a recipe for pickle."""
+        return Made, (self.flow,)
+
+    def made(self) -> GuardedFlow:
+        """Return the flow."""
+        return self.flow
+
+    def carrier(self) -> Carrier | None:
+        """Return the compiled code of its steps."""
+        return Carrier(self.program, self.flow.p, binding.FREE, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Flow:
+    """The flow of an arc, made at the first question."""
+
+    dynamics: HybridDynamics
+    mode: int
+    speed: float
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return a recipe for pickle, without the system that the flow belongs to."""
+        return Made, (self.made(),)
+
+    def made(self) -> GuardedFlow:
+        """Return the flow."""
+        if self.mode == binding.FLIGHT:
+            return self.dynamics.flight(self.speed)
+        return self.dynamics.locked if self.mode == binding.LOCKED else self.dynamics.free
+
+    def carrier(self) -> Carrier | None:
+        """Return the compiled code of its steps, or ``None`` without compiled code."""
+        formulas = self.dynamics.formulas
+        program = None if formulas is None else program_of(formulas.system)
+        if formulas is None or program is None:
+            return None
+        return Carrier(program, formulas.values, self.mode, self.speed)
+
+
+class LoopTrajectory:
+    """The flow along an arc, whose steps are built from their record at the first access."""
+
+    __slots__ = (
+        "_begin",
+        "_flow",
+        "_polynomials",
+        "_rows",
+        "_steps",
+        "_tolerance",
+        "duration",
+        "end",
+    )
+
+    def __init__(
+        self,
+        *,
+        flow: _Flow | FlowOfLeg | Made,
+        tolerance: Tolerance,
+        begin: Vector,
+        rows: Vector,
+        polynomials: Vector,
+        duration: float,
+        end: Vector,
+    ) -> None:
+        """Keep the record.
+
+        Args:
+            flow: The flow.
+            tolerance: Local error of the steps.
+            begin: State at the start, ``(n_y,)``.
+            rows: Start, size and state after of every step, ``(n, 2 + n_y)``.
+            polynomials: Polynomials of the last steps, which are implicit, ``(m, n_stages, n_y)``.
+            duration: End of the arc, in the flow's own time.
+            end: State at the end, ``(n_y,)``.
+        """
+        self._flow, self._tolerance, self._begin = flow, tolerance, begin
+        self._rows, self._polynomials = rows, polynomials
+        self.duration, self.end = duration, end
+        self._steps: tuple[Step, ...] | None = None
+
+    @property
+    def steps(self) -> Sequence[Step]:
+        """The steps, at least one."""
+        if self._steps is None:
+            self._steps = tuple(self._step(k) for k in range(len(self._rows)))
+        return self._steps
+
+    @property
+    def times(self) -> Vector:
+        """Starts of the steps, and the end, ``(m,)``."""
+        return np.append(self._rows[:, 0], self.duration)
+
+    @property
+    def states(self) -> Vector:
+        """State at each of these times, ``(m, n_y)``."""
+        return np.concatenate([[self._begin], self._rows[:-1, 2:], [self.end]])
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state at a time from the start."""
+        if offset >= self.duration:
+            return self.end
+        at = max(int(np.searchsorted(self._rows[:, 0], offset, side="right")) - 1, 0)
+        start, size = self._rows[at, :2].tolist()
+        inside = min(max(offset - start, 0.0), size)
+        if inside < size and at < len(self._rows) - len(self._polynomials):
+            carrier = self._flow.carrier()
+            if carrier is not None:
+                program, p, mode, speed = carrier
+                return program.state_after(p, mode, speed, self._before(at), inside)
+        return self._step(at).state_at(inside)
+
+    def _before(self, k: int) -> Vector:
+        return self._rows[k - 1, 2:] if k else self._begin
+
+    def _step(self, k: int) -> Step:
+        start, size = self._rows[k, :2].tolist()
+        before, after = self._before(k), self._rows[k, 2:]
+        first = len(self._rows) - len(self._polynomials)
+        flow = self._flow.made()
+        if k < first:
+            return ExplicitStep(flow, self._tolerance, start, size, before, after)
+        return RadauStep(
+            flow=flow,
+            scheme=radau_scheme(binding.STAGES),
+            tolerance=self._tolerance,
+            start=start,
+            size=size,
+            before=before,
+            after=after,
+            coefficients=self._polynomials[k - first],
+        )

@@ -1,0 +1,65 @@
+"""Accuracy and limits of a simulation, and the task of one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators import Automatic, Engine, Tolerance
+from zeno_orbits.kinds import Checked
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.simulation.completion import Completion, ZenoPassage
+from zeno_orbits.work import Progress, silent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulationSettings(Checked):
+    """Accuracy and limits of a simulation.
+
+    Attributes:
+        engine: The integrator.
+        tolerance: Local error of the integrator.
+        completion: Method by which a Zeno point is reached.
+        contact: Relative threshold, in the problem's scales, below which a gap, gap rate or gap
+            acceleration counts as zero.
+        far: Bound of the coordinates, beyond which the execution ends with an error. It is a single
+            bound for all coordinates, or one bound per coordinate.
+        most_impacts: Largest number of impacts in a sequence before the execution is aborted.
+        most_steps: Largest number of steps of all arcs before the execution is aborted. Each step
+            is stored for dense output, at about 400 bytes.
+    """
+
+    engine: Engine = field(default_factory=Automatic)
+    tolerance: Tolerance = field(default_factory=Tolerance)
+    completion: Completion = field(default_factory=ZenoPassage)
+    contact: float = 1e-12
+    far: float | tuple[float, ...] = math.inf
+    most_impacts: int = 100_000
+    most_steps: int = 2_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimulationTask:
+    """A simulation task.
+
+    Attributes:
+        dynamics: The system at fixed parameter values.
+        state: Initial state, ``(n_x,)``, at time 0.
+        until: End time [s].
+        most_releases: Number of releases after which the execution ends.
+        most_impacts: Number of impacts that end a flight, after which the execution ends.
+        settings: Accuracy and limits.
+        on_progress: Called with the simulated part of the time.
+        goes_on: Whether the state continues an earlier execution, or is near a state of it. Then it
+            may violate its constraints by the errors of that execution.
+    """
+
+    dynamics: HybridDynamics
+    state: Vector
+    until: float
+    most_releases: float = math.inf
+    most_impacts: float = math.inf
+    settings: SimulationSettings = field(default_factory=SimulationSettings)
+    on_progress: Progress = silent
+    goes_on: bool = False

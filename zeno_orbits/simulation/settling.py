@@ -1,0 +1,283 @@
+"""Attractor of a motion after a long simulation: periods, growth, chaos."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.model import HybridDynamics, own_time
+from zeno_orbits.simulation.attractor import AttractorKind, scale_of
+from zeno_orbits.simulation.execution import Event, Impact, Release
+from zeno_orbits.simulation.lyapunov import Exponent, largest_exponent, states_at_turns
+from zeno_orbits.simulation.watch import MotionEnd, clock_turn, transient_settings, watched
+
+_KEPT = 512
+"""Number of stored impacts. A period of up to half of them is found."""
+_FEW = 24
+"""Impacts below which nothing is concluded from them."""
+_QUARTERS, _GROWS = 4, 1.02
+"""Parts of the time, and the factor by which a growing motion is faster in each."""
+_TURNS = 32
+"""Longest period of a motion without impacts that is looked for, in turns of the clock."""
+_REGULAR = 1e-3
+"""Exponent over a turn below which a motion that does not repeat is regular."""
+_NONE = 1e-6
+"""Exponent over a turn that differs from zero by rounding."""
+_BOUNDED = 0.05
+"""Largest error of that, over a turn: distances of regular motions go up and down by turns."""
+_ERROR = 1e-10
+"""Local error of the runs that an exponent is taken from."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RepeatedCycle:
+    """A period of a motion whose impacts repeat.
+
+    Attributes:
+        period: [s].
+        impacts: Impacts in it.
+        zeno_points: Zeno points in it.
+        releases: Releases in it.
+        state: State after its last impact, ``(n_x,)``.
+        slowest: Smallest speed of an impact in it.
+    """
+
+    period: float
+    impacts: int
+    zeno_points: int
+    releases: int
+    state: Vector
+    slowest: float
+
+
+@dataclass(slots=True, kw_only=True)
+class MotionLog:
+    """The events of a motion so far that determine its attractor.
+
+    Attributes:
+        units: Unit of each state.
+        usual: Size that each state usually has, ``(n_x,)``.
+        impacts: The last impacts and their times.
+        others: Times of the last Zeno points and releases, with True for a release.
+        speeds: Speed of every impact.
+        times: Times of all impacts [s].
+    """
+
+    units: Sequence[str]
+    usual: Vector | float = 1.0
+    impacts: deque[tuple[float, Impact]] = field(
+        default_factory=lambda: deque[tuple[float, Impact]](maxlen=_KEPT)
+    )
+    others: deque[tuple[float, bool]] = field(
+        default_factory=lambda: deque[tuple[float, bool]](maxlen=2 * _KEPT)
+    )
+    speeds: list[float] = field(default_factory=list[float])
+    times: list[float] = field(default_factory=list[float])
+
+    def add(self, event: Event, since: float = 0.0) -> None:
+        """Note an event.
+
+        Args:
+            event: The event.
+            since: When its execution started [s].
+        """
+        time = since + event.time
+        if isinstance(event, Impact):
+            self.impacts.append((time, event))
+            self.speeds.append(-event.approach_rate)
+            self.times.append(time)
+        else:
+            self.others.append((time, isinstance(event, Release)))
+
+    def scale(self) -> Vector:
+        """Return the size of each state at the last impacts, ``(n_x,)``."""
+        states = [impact.state_plus for _, impact in list(self.impacts)[-_FEW:]]
+        return scale_of(states, self.units, self.usual)
+
+    def cycle(self, close: float) -> RepeatedCycle | None:
+        """Return the shortest period after which the impacts repeat, if they have twice.
+
+        Args:
+            close: Change of a state that counts as none, relative.
+        """
+        n_seen = len(self.impacts)
+        if n_seen < 3:
+            return None
+        scale = self.scale()
+        rows = np.array([impact.state_plus for _, impact in self.impacts]) / scale
+        away = np.max(np.abs(rows[-1] - rows[:-1]), axis=1)[::-1]
+        for place in np.flatnonzero(away[: (n_seen - 1) // 2] < close).tolist():
+            n = place + 1
+            if np.max(np.abs(rows[-n:] - rows[-2 * n : -n])) < close:
+                return self._cycle_of(n)
+        return None
+
+    def _cycle_of(self, n: int) -> RepeatedCycle:
+        end, last = self.impacts[-1]
+        start = self.impacts[-1 - n][0]
+        within = [released for time, released in self.others if start < time <= end]
+        return RepeatedCycle(
+            period=end - start,
+            impacts=n,
+            zeno_points=len(within) - sum(within),
+            releases=sum(within),
+            state=last.state_plus,
+            slowest=min(self.speeds[-n:]),
+        )
+
+    def grows(self, time: float) -> bool:
+        """Return True if the impacts become faster from each quarter of the time to the next."""
+        if len(self.speeds) < _FEW:
+            return False
+        part = np.minimum(np.array(self.times) * (_QUARTERS / time), _QUARTERS - 1).astype(int)
+        speeds = np.array(self.speeds)
+        largest = [np.max(speeds[part == k], initial=0.0) for k in range(_QUARTERS)]
+        middle = [float(np.median(speeds[part == k])) for k in range(_QUARTERS) if k in part]
+        if len(middle) < _QUARTERS:
+            return False
+        pairs = [*pairwise(largest), *pairwise(middle)]
+        return all(later > _GROWS * before for before, later in pairs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """Classification of a motion at the end of its time limit.
+
+    Attributes:
+        kind: Kind of the attractor.
+        cycle: Period of its impacts, if they repeat.
+        turns: Number of clock periods in a period, or 0 without a period.
+        exponent: Largest Lyapunov exponent, if it was computed.
+        reason: Reason why the result is undecided, as a clause.
+    """
+
+    kind: AttractorKind
+    cycle: RepeatedCycle | None = None
+    turns: int = 0
+    exponent: Exponent | None = None
+    reason: str = ""
+
+
+def verdict(
+    dynamics: HybridDynamics, log: MotionLog, state: Vector, time: float, *, close: float
+) -> Verdict:
+    """Classify a motion that neither rests nor diverges.
+
+    Args:
+        dynamics: The system.
+        log: Events of the motion.
+        state: Final state, ``(n_x,)``.
+        time: Duration of the simulation [s].
+        close: Relative change over a period that counts as zero.
+    """
+    cycle = log.cycle(close)
+    if cycle is not None:
+        turns = turns_in(dynamics, state, cycle.period)
+        return Verdict(kind=AttractorKind.REPEATS, cycle=cycle, turns=turns)
+    if log.grows(time):
+        return Verdict(kind=AttractorKind.GROWS)
+    struck = bool(log.times) and log.times[-1] > time / 2
+    settings = transient_settings(_ERROR)
+    try:
+        if not struck:
+            return _without_impacts(dynamics, log, state, close)
+        turn = clock_turn(dynamics, state) or own_time(dynamics, state)
+        found = largest_exponent(dynamics, state, turn=turn, scale=log.scale(), settings=settings)
+        later = _later(dynamics, log, state, found, time, close)
+        if later is not None:
+            return later
+    except SimulationError as error:
+        clause = error.reason[0].lower() + error.reason[1:]
+        return Verdict(kind=AttractorKind.UNDECIDED, reason=f"it cannot be continued: {clause}")
+    return _by_exponent(found, turn)
+
+
+def _later(
+    dynamics: HybridDynamics,
+    log: MotionLog,
+    state: Vector,
+    exponent: Exponent,
+    time: float,
+    close: float,
+) -> Verdict | None:
+    """Classify a motion that comes nearer to an orbit after the time that its exponent asks for.
+
+    The time is at most as long again as the simulation. ``None`` if that is not enough.
+    """
+    if exponent.value + exponent.error >= 0.0:
+        return None
+    needed = math.log(close) / exponent.value
+    if needed > time:
+        return None
+    after = MotionLog(units=log.units, usual=log.usual)
+    for event in watched(dynamics, state, until=needed, error=_ERROR, goes_on=True):
+        if isinstance(event, MotionEnd):
+            state = event.state
+        else:
+            after.add(event)
+    cycle = after.cycle(close)
+    if cycle is not None:
+        turns = turns_in(dynamics, state, cycle.period)
+        return Verdict(kind=AttractorKind.REPEATS, cycle=cycle, turns=turns)
+    if after.times and after.times[-1] > needed / 2:
+        return None
+    found = _without_impacts(dynamics, log, state, close)
+    return found if found.kind is AttractorKind.REPEATS else None
+
+
+def _without_impacts(
+    dynamics: HybridDynamics, log: MotionLog, state: Vector, close: float
+) -> Verdict:
+    """Classify a motion without impacts, from its states at periods of the clock."""
+    turn = clock_turn(dynamics, state)
+    if turn is None:
+        return Verdict(kind=AttractorKind.UNDECIDED, reason="it strikes the stop no more")
+    settings = transient_settings(_ERROR)
+    states = states_at_turns(dynamics, state, turn, 2 * _TURNS, settings)
+    scale = scale_of(states, log.units, log.usual)
+    rows = np.array(states) / scale
+    for n in range(1, _TURNS + 1):
+        if np.max(np.abs(rows[n:] - rows[:-n])) < close:
+            return Verdict(kind=AttractorKind.REPEATS, turns=n)
+    return Verdict(kind=AttractorKind.UNDECIDED, reason="it strikes the stop no more")
+
+
+def _by_exponent(found: Exponent, turn: float) -> Verdict:
+    """Classify a motion that does not repeat by its Lyapunov exponent."""
+    low, high = found.value - found.error, found.value + found.error
+    shown = f"{found.value:.2g} +- {found.error:.1g} 1/s"
+    if low * turn > _REGULAR:
+        return Verdict(kind=AttractorKind.CHAOTIC, exponent=found)
+    decays = high * turn < -_NONE
+    if abs(found.value) * turn < _REGULAR and found.error * turn < _BOUNDED and not decays:
+        return Verdict(kind=AttractorKind.QUASI_PERIODIC, exponent=found)
+    reason = f"its largest Lyapunov exponent is too uncertain for a sign: {shown}"
+    if high < 0.0:
+        reason = f"it still comes nearer to an orbit: its largest Lyapunov exponent is {shown}"
+    return Verdict(kind=AttractorKind.UNDECIDED, exponent=found, reason=reason)
+
+
+_WHOLE = 1e-3
+"""Part of a turn by which a period may miss whole turns."""
+
+
+def turns_in(dynamics: HybridDynamics, state: Vector, period: float) -> int:
+    """Return the number of clock periods in a period, or 0 without a clock or a whole number.
+
+    Args:
+        dynamics: The system.
+        state: A state of the motion, ``(n_x,)``.
+        period: Period [s].
+    """
+    turn = clock_turn(dynamics, state)
+    if turn is None or not math.isfinite(period):
+        return 0
+    turns = round(period / turn)
+    return turns if abs(period / turn - turns) < _WHOLE else 0

@@ -1,0 +1,134 @@
+"""Derivatives of the events of an execution with respect to its start and its parameters.
+
+The compiled loop propagates derivatives along its recorded arcs. Other arcs, and arcs that the loop
+cannot differentiate, use the formulas of `sensitivity` in Python.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.loop import TangentProgram, Track, program_of, tangent_of
+from zeno_orbits.simulation.execution import Arc, Execution, Mode
+from zeno_orbits.simulation.recorded import record_of
+from zeno_orbits.simulation.sensitivity import ArcShifts, EventShift, Perturbations
+from zeno_orbits.simulation.state_transition import courses, trusted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EventMotions:
+    """Derivatives of an execution.
+
+    Attributes:
+        shifts: Derivatives of the arcs. Arcs without derivatives are missing.
+    """
+
+    shifts: dict[int, ArcShifts]
+
+    def of(self, arc: Arc) -> ArcShifts:
+        """Return the derivatives of the ends of an arc.
+
+        Raises:
+            SimulationError: If the arc cannot be differentiated because the stop was touched
+                without an impact.
+        """
+        try:
+            return self.shifts[id(arc)]
+        except KeyError:
+            raise SimulationError(
+                "The derivative of the motion is undefined: the stop is touched without an impact",
+                time=arc.end_time,
+                state=tuple(arc.end_state.tolist()),
+            ) from None
+
+
+def motion_of(
+    perturbations: Perturbations, execution: Execution, start: EventShift, *, first: int = 0
+) -> EventMotions:
+    """Return the derivatives of the ends of the arcs of an execution.
+
+    Args:
+        perturbations: The equations of perturbations.
+        execution: The execution.
+        start: Derivatives of the start of its first arc that counts.
+        first: Index of that arc.
+    """
+    compiled = _compiled(perturbations, execution)
+    if compiled is None:
+        shifts = perturbations.along(execution, start, first)
+    else:
+        program, track = compiled
+        rows = np.concatenate([[start.time, start.rate], start.state])
+        shifts = [
+            ArcShifts(start=_shift(one[0]), end=_shift(one[1]), after=_shift(one[2]))
+            for one in program.follow(track, first, rows)[first:]
+        ]
+    return EventMotions(shifts=dict(zip(map(id, execution.arcs[first:]), shifts, strict=False)))
+
+
+def _shift(rows: Vector) -> EventShift:
+    return EventShift(time=rows[0], rate=rows[1], state=rows[2:])
+
+
+def course_of(
+    perturbations: Perturbations, execution: Execution, place: int, start: EventShift, *, parts: int
+) -> tuple[Vector, Vector]:
+    """Return the derivatives of the state along an arc, at equal times of the flow.
+
+    Args:
+        perturbations: The equations of perturbations.
+        execution: The execution.
+        place: Index of the arc.
+        start: Derivatives of the start of the arc.
+        parts: Number of evenly spaced outputs per step.
+
+    Returns:
+        Times since the start of the arc in the flow's own time, ``(n,)``, and the derivatives of
+        the flow's state there, ``(n, n_y, m)``.
+    """
+    arc, dynamics = execution.arcs[place], perturbations.dynamics
+    v, q = start.state, perturbations.parameters
+    is_flight = arc.flow_state_at(arc.duration).size > perturbations.n_x
+    if is_flight:
+        # The unit of time of the flight is also a parameter that moves.
+        v = np.concatenate([v, np.zeros((2, start.time.size))])
+        q = np.concatenate([q, start.rate[None, :]])
+    compiled = _compiled(perturbations, execution)
+    if compiled is not None:
+        program, track = compiled
+        times, rows = program.course(track, place, v, q, parts)
+    else:
+        by = perturbations.differentials
+        flow, differential = dynamics.free, by.free
+        if is_flight:
+            flow, differential = dynamics.flight(arc.time_unit), by.flight(arc.time_unit)
+        elif arc.mode is Mode.LOCKED:
+            flow, differential = dynamics.locked, by.locked
+        steps = list(courses(flow, differential, arc, perturbations.tolerance, v, q, parts=parts))
+        times, rows = np.array([time for time, _ in steps]), np.array([row for _, row in steps])
+    return np.append(0.0, times), np.concatenate([v[None], rows])
+
+
+def _compiled(
+    perturbations: Perturbations, execution: Execution
+) -> tuple[TangentProgram, Track] | None:
+    """Return the derivatives of an execution that the loop recorded, if it has them."""
+    record, formulas = record_of(execution), perturbations.dynamics.formulas
+    program = None if record is None or formulas is None else program_of(formulas.system)
+    if record is None or formulas is None or program is None:
+        return None
+    found = tangent_of(program, perturbations.differentials.formulas)
+    if found is None:
+        return None
+    track = Track(
+        record=record,
+        p=formulas.values,
+        restitution=perturbations.dynamics.restitution,
+        by_parameters=perturbations.differentials.restitution,
+        trusted=trusted(perturbations.tolerance),
+    )
+    return found, track

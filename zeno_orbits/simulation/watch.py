@@ -1,0 +1,281 @@
+"""Simulation of a motion until it settles: its events, and the attractor at the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, RunawayError, SimulationError
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.simulation.attractor import has_left, is_still, keeps_holding
+from zeno_orbits.simulation.completion import ZenoPassage
+from zeno_orbits.simulation.execution import Event, Impact
+from zeno_orbits.simulation.pieces import Piece
+from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
+from zeno_orbits.simulation.simulator import pieces
+
+_PHASES = 64
+"""Phases of the clock in which a motion at rest is looked at."""
+_LIMIT = 1e-3
+"""Largest estimated error of a Zeno point, for a unit of the local error."""
+_ABSOLUTE = 0.1
+"""Absolute over relative local error."""
+_MOST_IMPACTS, _MOST_STEPS = 20_000, 200_000
+_RATED = 32
+"""Number of events between two evaluations of the rates."""
+
+
+class Reason(Enum):
+    """Why the observation of a motion ended."""
+
+    HORIZON = "the end of the time was reached"
+    ESCAPE = "a coordinate left its bounds"
+    REST = "it came to rest"
+    HELD = "it stays on its stop"
+    FAILURE = "it cannot be continued"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionEnd:
+    """The end of the observation of a motion.
+
+    Attributes:
+        time: When [s].
+        state: Where, ``(n_x,)``.
+        reason: Why.
+        detail: Name of the coordinate that escaped, or a sentence on the failure.
+    """
+
+    time: float
+    state: Vector
+    reason: Reason
+    detail: str = ""
+
+
+def transient_settings(error: float, far: Sequence[float] = ()) -> SimulationSettings:
+    """Return the settings of a motion that is followed for a long time.
+
+    Args:
+        error: Local error of a step, relative.
+        far: Largest modulus of each coordinate, if there is one.
+    """
+    return SimulationSettings(
+        tolerance=Tolerance(relative=error, absolute=_ABSOLUTE * error),
+        completion=ZenoPassage(tolerance=_LIMIT * error),
+        far=tuple(far) if len(far) else math.inf,
+        most_impacts=_MOST_IMPACTS,
+        most_steps=_MOST_STEPS,
+    )
+
+
+def watched(
+    dynamics: HybridDynamics,
+    state: Vector,
+    *,
+    until: float,
+    error: float,
+    bounds: Vector | None = None,
+    releases: float = math.inf,
+    goes_on: bool = False,
+) -> Iterator[Event | MotionEnd]:
+    """Yield the events of a motion, and finally its attractor.
+
+    Args:
+        dynamics: The system.
+        state: Initial state, ``(n_x,)``.
+        until: Longest simulated time [s].
+        error: Relative local error of a step.
+        bounds: Largest modulus of each state of a motion that has not escaped, ``(n_x,)``.
+        releases: The motion is followed up to this many releases.
+        goes_on: Whether the state continues an earlier motion, or is near a state of it.
+    """
+    far = np.full(len(state), np.inf) if bounds is None else bounds
+    settings = transient_settings(error, far[: dynamics.n_q].tolist())
+    task = SimulationTask(
+        dynamics=dynamics,
+        state=state,
+        until=until,
+        most_releases=releases,
+        settings=settings,
+        goes_on=goes_on,
+    )
+    watch = _Watch(dynamics, state, until, far, settings.contact)
+    last = state
+    try:
+        for piece in pieces(task):
+            yield from piece.events
+            # The step beyond a bound is also recorded.
+            within = np.all(np.abs(piece.states) <= far, axis=1)
+            last = piece.states[within][-1] if within.any() else last
+            end = watch.end_after(piece)
+            if end is not None:
+                yield end
+                return
+    except RunawayError as caught:
+        name = caught.coordinate or caught.reason.split()[0]
+        if caught.coordinate:
+            name = _first_beyond(dynamics, last, np.array(caught.state), far) or name
+        yield _end(caught, Reason.ESCAPE, name)
+    except SimulationError as caught:
+        yield _end(caught, Reason.FAILURE, caught.reason)
+    except InputError as caught:
+        detail = f"The start is not admissible: {str(caught).partition('must ')[2]}"
+        if dynamics.gap(state) < 0.0:
+            detail = "The start is not admissible: the gap is negative"
+        yield MotionEnd(time=0.0, state=state, reason=Reason.FAILURE, detail=detail)
+
+
+def _first_beyond(dynamics: HybridDynamics, before: Vector, after: Vector, far: Vector) -> str:
+    """Return the coordinate that passes its bound first in a step, if it is known.
+
+    In between a coordinate is about linear in time: a step may lead beyond several bounds.
+
+    Args:
+        dynamics: The system.
+        before: State at the start of the step, ``(n_x,)``.
+        after: State at its end, ``(n_x,)``.
+        far: Bounds, ``(n_x,)``.
+    """
+    q, to, bounds = (row[: dynamics.n_q] for row in (before, after, far))
+    beyond = np.flatnonzero((np.abs(to) > bounds) & (np.abs(q) <= bounds))
+    if not len(beyond):
+        return ""
+    parts = (np.sign(to) * bounds - q)[beyond] / (to - q)[beyond]
+    return dynamics.state_names[int(beyond[np.argmin(parts)])]
+
+
+def _end(error: SimulationError, reason: Reason, detail: str) -> MotionEnd:
+    return MotionEnd(time=error.time, state=np.array(error.state), reason=reason, detail=detail)
+
+
+class _Watch:
+    """Memory of a motion for the detection of its end."""
+
+    def __init__(
+        self,
+        dynamics: HybridDynamics,
+        state: Vector,
+        until: float,
+        bounds: Vector,
+        contact: float,
+    ) -> None:
+        self._dynamics, self._until = dynamics, until
+        n_q = dynamics.n_q
+        self._bounds = np.where(np.arange(len(bounds)) < n_q, np.inf, bounds)
+        self._is_bounded = bool(np.any(np.isfinite(self._bounds)))
+        self._moving = [k for k in range(len(state)) if k not in dynamics.clock]
+        self._zero = contact * dynamics.own.rates(n_q, len(state))[self._moving]
+        self._largest = np.zeros(len(self._moving))
+        self._unrated: list[tuple[Vector, bool]] = [(state, False)]
+        self._reach = np.abs(state[:n_q])
+        self._changed = 0.0
+
+    def end_after(self, piece: Piece) -> MotionEnd | None:
+        """Return the end of the motion if it shows after a piece."""
+        n_q, names = self._dynamics.n_q, self._dynamics.state_names
+        for event in piece.events:
+            self._changed = event.time
+            if isinstance(event, Impact) and len(self._unrated) < _RATED:
+                self._unrated.append((event.state_minus, False))
+        if self._is_bounded and len(piece.states):
+            beyond = np.max(np.abs(piece.states), axis=0) > self._bounds
+            if beyond.any():
+                return self._ended(piece, Reason.ESCAPE, names[int(np.argmax(beyond))])
+        if 2 * piece.time <= self._until and len(piece.states):
+            passed = np.max(np.abs(piece.states[:, :n_q]), axis=0)
+            self._reach = np.maximum(self._reach, passed)
+        over = piece.time >= self._until
+        if not over and piece.events:
+            return None
+        if self._rests(piece):
+            return self._ended(piece, Reason.REST, "")
+        if not over:
+            return None
+        left = has_left(piece.state[:n_q], self._reach)
+        if left.any():
+            return self._ended(piece, Reason.ESCAPE, names[int(np.argmax(left))])
+        held = piece.locked and self._changed < self._until / 2
+        return self._ended(piece, Reason.HELD if held else Reason.HORIZON, "")
+
+    def _ended(self, piece: Piece, reason: Reason, detail: str) -> MotionEnd:
+        return MotionEnd(time=piece.time, state=piece.state, reason=reason, detail=detail)
+
+    def _rates(self, x: Vector, *, locked: bool) -> Vector:
+        mode = self._dynamics.locked if locked else self._dynamics.free
+        return np.abs(mode.rate(x)[self._moving])
+
+    def _rests(self, piece: Piece) -> bool:
+        """Return True if all states except the clock are constant, for every phase of the clock."""
+        dynamics, x, locked = self._dynamics, piece.state, piece.locked
+        rates = [self._rates(state, locked=mode) for state, mode in self._unrated]
+        self._unrated.clear()
+        now = self._rates(x, locked=locked)
+        self._largest = np.max([self._largest, now, *rates], axis=0)
+        if not is_still(now[None, None], self._largest[None], self._zero)[0]:
+            return False
+        if not dynamics.clock:
+            return True
+        turn = np.linspace(0.0, 2 * np.pi, _PHASES + 1)
+        states = np.repeat(x[None], len(turn), axis=0)
+        states[:, dynamics.clock] = _turned(x[list(dynamics.clock)], turn)
+        phases = np.array([self._rates(state, locked=locked) for state in states])
+        if not is_still(phases[None], self._largest[None], self._zero)[0]:
+            return False
+        if not locked:
+            return True
+        guards = np.array([dynamics.locked.guard(state) for state in states])
+        whole = clock_turn(dynamics, x, locked=locked)
+        step = math.nan if whole is None else whole / _PHASES
+        return bool(keeps_holding(guards[None, :, 0], guards[None, :, 1], step)[0])
+
+
+def clock_turn(dynamics: HybridDynamics, state: Vector, *, locked: bool = False) -> float | None:
+    """Return the time of a turn of the clock [s], ``None`` without a clock.
+
+    Args:
+        dynamics: The system.
+        state: Any state, ``(n_x,)``.
+        locked: The flow on the stop is asked.
+    """
+    if not dynamics.clock:
+        return None
+    mode = dynamics.locked if locked else dynamics.free
+    places = list(dynamics.clock)
+    (c, s), (c_rate, s_rate) = state[places], mode.rate(state)[places]
+    rate = float((c * s_rate - s * c_rate) / (c**2 + s**2))
+    return 2 * math.pi / abs(rate) if rate != 0.0 else None
+
+
+def steady_turn(dynamics: HybridDynamics, state: Vector) -> float | None:
+    """Return the time of a turn of the clock [s], ``None`` if its rate changes along a turn.
+
+    Args:
+        dynamics: The system.
+        state: Any state, ``(n_x,)``.
+    """
+    turns = list[float]()
+    for angle in _ANGLES if dynamics.clock else ():
+        at = np.array(state)
+        at[list(dynamics.clock)] = math.cos(angle), math.sin(angle)
+        turns.append(clock_turn(dynamics, at) or math.inf)
+    longest = max(turns, default=math.inf)
+    return longest if longest < math.inf and longest <= (1 + _STEADY) * min(turns) else None
+
+
+_ANGLES = (0.1, 1.3, 2.9, 4.4)
+"""Angles of a clock at which its rate is compared [rad]."""
+_STEADY = 1e-9
+"""Part by which the rate of a clock may change along a turn."""
+
+
+def _turned(clock: Vector, angle: Vector) -> Vector:
+    """Return the states of a clock turned by angles, ``(n_angles, 2)``."""
+    c, s = clock
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([c * cosine - s * sine, s * cosine + c * sine], axis=1)
