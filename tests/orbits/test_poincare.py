@@ -91,7 +91,7 @@ def test_the_orbit_is_a_fixed_point_of_the_return_map(machine: HybridDynamics) -
 
 
 def test_a_horizon_before_the_next_release_is_told(machine: HybridDynamics) -> None:
-    with pytest.raises(SimulationError, match="There is no next release") as caught:
+    with pytest.raises(SimulationError, match="No release follows") as caught:
         poincare_map(machine, CENTRE, horizon=0.9 * PERIOD, settings=SETTINGS)
     assert caught.value.time == 0.9 * PERIOD
     assert caught.value.state == tuple(RELEASE)
@@ -234,7 +234,7 @@ def test_a_state_without_a_section_near_it_is_told(
     for off, found in ((0.1, True), (10.0, False)):
         stuck = np.full(3, off * 1e-9 / size)
         monkeypatch.setattr(sections, "conditions", lambda *_, stuck=stuck: stuck)
-        with nullcontext() if found else pytest.raises(SimulationError, match="no section here"):
+        with nullcontext() if found else pytest.raises(SimulationError, match="cannot be placed"):
             projected(machine, RELEASE_ROWS, CENTRE, SCALE)
 
 

@@ -231,7 +231,7 @@ def test_a_projection_ends_at_rounding_or_after_twenty_corrections() -> None:
         found = projected(system, IMPACT_ROWS, np.zeros(2), np.ones(2))
         assert system.calls == calls
         assert found == pytest.approx([-calls * value, 0.0], rel=1e-12, abs=0.0)
-    with pytest.raises(SimulationError, match="no section here") as caught:
+    with pytest.raises(SimulationError, match="cannot be placed") as caught:
         projected(stuck(-1.2e-9), IMPACT_ROWS, np.array([0.0, 2.0]), np.ones(2))
     assert caught.value.time == 0.0
     assert caught.value.state == pytest.approx((20 * 1.2e-9, 2.0))

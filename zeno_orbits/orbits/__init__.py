@@ -1,15 +1,15 @@
-"""Periodic orbits: their shape, section, return map, numbers and files.
+"""Periodic orbits: their shape, section, return map, data and files.
 
-A period is cut out of an execution where its section is passed: a `Cycle`, whoever needs it. The
-section has one chart, `Section`; the return map has exact derivatives, through every impact and the
-Zeno point.
+A period is the part of an execution between two crossings of the section. Every user of a period
+gets it as a `Cycle`. The section has one chart, `Section`. The derivatives of the return map are
+exact, through every impact and the Zeno point.
 
 Offers: `OrbitShape` and its phases; `Cycle`, `cycle_of` (simulate one period), `cycles` (all that
 an execution has); `Section`, `section_around`; `poincare_map`, `return_derivative`,
 `floquet_multipliers`; `ZenoOrbit`, `new_orbit`, `read_orbit`, `write_orbit`; `Bound`; `follow_path`
 (predictor-corrector steps); `at_looser_tolerance` (error estimates by a second run).
 
-Imports: simulation, model, integrators, work, arrays, errors.
+Imports: simulation, model, integrators, work, arrays, kinds, errors.
 """
 
 import lazy_loader as lazy

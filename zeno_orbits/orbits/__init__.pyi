@@ -15,6 +15,7 @@ from .looser_run import LOOSER as LOOSER
 from .looser_run import at_looser_tolerance as at_looser_tolerance
 from .looser_run import loosened as loosened
 from .monodromy import differentials_of as differentials_of
+from .monodromy import ReturnDerivative as ReturnDerivative
 from .monodromy import return_derivative as return_derivative
 from .orbit import OrbitImpact as OrbitImpact
 from .orbit import OrbitPhase as OrbitPhase

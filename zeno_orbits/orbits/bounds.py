@@ -1,4 +1,4 @@
-"""Bounds on quantities of an orbit, and how far these stay inside."""
+"""Bounds on quantities of an orbit, and distances of the quantities from their bounds."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, any_number
 from zeno_orbits.simulation import Extent
 
 _KEPT = 1e-9
-"""Part of its size by which a quantity may pass its bound: the accuracy of a simulation."""
+"""Largest violation of a bound, relative to the quantity's size: the accuracy of a simulation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bound:
-    """The range that a quantity must keep to.
+    """The allowed range of a quantity.
 
     Attributes:
-        name: The quantity: a signal, bounded at all times, or a number of the whole orbit.
+        name: The quantity: a signal, bounded at all times, or a scalar of the whole orbit.
         lower: Smallest allowed value.
         upper: Largest allowed value.
     """
@@ -29,7 +29,9 @@ class Bound:
     upper: float = math.inf
 
     def __post_init__(self) -> None:
-        """Refuse bounds that exclude nothing, or everything."""
+        """Reject bounds that allow every value, or none."""
+        for end in (self.lower, self.upper):
+            any_number(self.name, end)
         if not self.lower <= self.upper:
             wanted = "must have bounds LOWER <= UPPER"
             raise InputError(f"Argument `{self.name}` {wanted}, but they are {self.text}.")
@@ -39,29 +41,29 @@ class Bound:
 
     @property
     def text(self) -> str:
-        """The bounds as they are typed, a colon between them, an open end empty."""
+        """The bounds in the format of the input: with a colon between, and an open end empty."""
         ends = ("" if math.isinf(end) else f"{end:g}" for end in (self.lower, self.upper))
         return ":".join(ends)
 
 
 def excess(bound: Bound, extent: Extent) -> float:
-    """Return by how much a quantity passes its bounds; negative inside them."""
+    """Return the violation of the bounds by a quantity, negative inside the bounds."""
     return max(bound.lower - extent.lowest, extent.highest - bound.upper)
 
 
 def allowance(bound: Bound, extent: Extent) -> float:
-    """Return by how much a quantity may pass its bounds: the accuracy of a simulation."""
+    """Return the largest accepted violation of the bounds: the accuracy of a simulation."""
     ends = (abs(end) for end in (bound.lower, bound.upper) if math.isfinite(end))
     return _KEPT * max(extent.largest, *ends)
 
 
 def is_kept(bound: Bound, extent: Extent) -> bool:
-    """Return True if a quantity stays within its bounds, to the accuracy of its measurement."""
+    """Return True if a quantity is within its bounds, to the accuracy of its computation."""
     return excess(bound, extent) <= max(allowance(bound, extent), extent.error)
 
 
 def objection_to(bounds: Sequence[Bound], extents: Mapping[str, Extent]) -> str:
-    """Return a clause on the bounds that are not kept and by how much; empty if all are."""
+    """Return a clause with the violated bounds and the violations. It is empty without any."""
     broken = [
         f"`{bound.name}` leaves its bounds {bound.text} by {excess(bound, extents[bound.name]):.3g}"
         for bound in bounds
@@ -73,7 +75,7 @@ def objection_to(bounds: Sequence[Bound], extents: Mapping[str, Extent]) -> str:
 def asked_and_reached(
     bounds: Sequence[Bound], extents: Mapping[str, Extent]
 ) -> list[dict[str, Any]]:
-    """Return the bounds asked of an orbit with the range that it reaches, as plain data."""
+    """Return the requested bounds of an orbit and the ranges that it reaches, as plain data."""
     return [
         {
             "quantity": bound.name,

@@ -1,4 +1,4 @@
-"""One period of a motion, cut out of an execution at its section."""
+"""One period of a motion: the part of an execution between two crossings of its section."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.simulation import Arc, Execution, Impact, Mode, ZenoPoint
 
 _VANISHING = 1e-9
-"""Part of the largest state, in the problem's own sizes, below which one is rounding."""
+"""Size of a state relative to the largest, in characteristic scales, below which it is rounding."""
 
 _SAME = 1e-6
-"""Starts of phases nearer than this, relative, are the same: it is how certain an orbit is."""
+"""Relative distance below which two starts of phases are equal: the accuracy of an orbit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cycle:
-    """One period of a motion: mostly release, flight, impacts, Zeno point, locked arc, release.
+    """One period of a motion: usually release, flight, impacts, Zeno point, contact, release.
 
-    Every period is one of these, measured from its own section; a period that many simulations make
-    at once (`maps`) is an array of numbers instead.
+    All periods have this type, measured from their own section. The only exception is `maps`, where
+    the periods of many simultaneous simulations are arrays.
 
     Attributes:
-        execution: From its start to its end, tails of accumulations included.
-        phases: Its phases, one after the other, at least one.
+        execution: Execution from start to end of the period, with the tails of accumulations.
+        phases: Its phases in order, at least one.
     """
 
     execution: Execution
@@ -53,7 +53,7 @@ class Cycle:
 
     @property
     def end(self) -> Moment:
-        """End, likewise."""
+        """End: a release, or the state just after an impact."""
         return self.phases[-1].end
 
     @property
@@ -63,7 +63,7 @@ class Cycle:
 
     @property
     def arcs(self) -> tuple[Arc, ...]:
-        """All arcs of the phases: those that have a flow, so without tails."""
+        """All arcs of the phases that have a flow. The tails of accumulations are not included."""
         return tuple(arc for phase in self.phases for arc in phase.arcs)
 
     @property
@@ -88,19 +88,19 @@ class Cycle:
 
     @property
     def zeno(self) -> ZenoPoint:
-        """The Zeno point of a period that has one.
+        """The Zeno point of a period with one Zeno point.
 
         Raises:
-            InputError: If it has another number of them.
+            InputError: If the number of Zeno points differs from one.
         """
         return self._held()[0]
 
     @property
     def locked(self) -> Arc:
-        """The locked arc of a period that has one.
+        """The contact phase of a period with one contact phase.
 
         Raises:
-            InputError: If it has another number of them.
+            InputError: If the number of contact phases differs from one.
         """
         return self._held()[1]
 
@@ -116,26 +116,26 @@ class Cycle:
         return float(np.max(np.abs(self.end.state - self.start.state) / scale))
 
     def scale(self) -> Vector:
-        """Return the size of each state over the cycle, ``(n_x,)``, nowhere zero."""
+        """Return the size of each state over the cycle, ``(n_x,)``. Every entry is nonzero."""
         return self._sizes.copy()
 
     def scale_at_events(self) -> Vector:
-        """Return the size of each state at the events of the cycle, ``(n_x,)``, nowhere near zero.
+        """Return the size of each state at the events of the cycle, ``(n_x,)``, away from zero.
 
-        Sizes in between cost an integration with some engines. A state that vanishes at every
-        event, as the gap does, does not drift there; it is given the largest size.
+        With some integrators, sizes between events require an integration. A state that vanishes at
+        every event, such as the gap, does not drift at events. It gets the largest size.
         """
         return self._sizes_at_events.copy()
 
     def shorter_periods(self, scale: Vector) -> dict[OrbitShape, float]:
-        """Return how far the cycle is from being several periods of each shorter shape.
+        """Return the distance of the cycle from several periods of each shorter shape.
 
         Args:
             scale: Size of each state, ``(n_x,)``.
 
         Returns:
-            Shape to the distance from the start to where its second period would start, in units
-            of ``scale``; 0 where they are the same to the accuracy of an orbit.
+            For each shape, the distance between the start and the start of its second period, in
+            units of ``scale``. The distance is 0 if both are equal to the accuracy of an orbit.
         """
         found: dict[OrbitShape, float] = {}
         for shape in self.shape.shorter:
@@ -156,7 +156,7 @@ class Cycle:
 
     @cached_property
     def _sizes(self) -> Vector:
-        # Between impacts that accumulate only the gap has its largest value inside, and a tiny one.
+        # Between accumulating impacts only the gap has its largest value inside, and it is tiny.
         n_x = len(self.state_names)
         inside = [
             arc.flow_states[:, :n_x]
@@ -170,12 +170,12 @@ class Cycle:
 def cycle_between(
     execution: Execution, phases: Sequence[Phase], *, since: float | None = None
 ) -> Cycle:
-    """Return the cycle of some phases of an execution, cut out of it.
+    """Return the cycle that consists of some phases of an execution.
 
     Args:
         execution: The execution.
-        phases: Phases of it that follow each other.
-        since: Where to cut before them [s]; by default where the first one starts.
+        phases: Consecutive phases of the execution.
+        since: Start of the cycle's execution [s]. By default it is the start of the first phase.
     """
     start = phases[0].start.time if since is None else since
     end = phases[-1].end.time
@@ -210,14 +210,15 @@ def cycles(execution: Execution, *, start: Vector | None = None) -> list[Cycle]:
 
 
 def first_cycles(execution: Execution, start: Vector, shape: OrbitShape) -> tuple[Cycle, ...]:
-    """Return the periods of a shape that an execution begins with, one after the other.
+    """Return the consecutive periods of a shape at the beginning of an execution.
 
-    A start that is locked is released first; that locked arc is cut out with the first period.
+    If the motion starts in contact, it is first released. The first period includes that contact
+    phase.
 
     Args:
         execution: The execution.
-        start: Its initial state, where a period of the shape starts, ``(n_x,)``.
-        shape: The shape, at the restitution of the system.
+        start: Its initial state, at the start of a period of the shape, ``(n_x,)``.
+        shape: The shape, at the coefficient of restitution of the system.
     """
     phases = phases_of(execution, start, held=shape.starts_at_release)
     n, found = shape.n_phases, list[Cycle]()
@@ -233,18 +234,18 @@ def first_cycles(execution: Execution, start: Vector, shape: OrbitShape) -> tupl
 
 
 def gone_round_twice(cycle: Cycle) -> OrbitShape | None:
-    """Return the shape of which a cycle that repeats is several periods, if it is."""
+    """Return the shorter shape if a cycle consists of several of its periods, else ``None``."""
     if not cycle.shape.shorter:
-        # The scale costs an integration with some engines.
+        # With some integrators the scale requires an integration.
         return None
     shorter = cycle.shorter_periods(cycle.scale()).items()
     return next((shape for shape, apart in shorter if apart == 0.0), None)
 
 
 def round_again(cycle: Cycle) -> str:
-    """Return a sentence that names the shorter shape of which a cycle is several periods.
+    """Return a sentence with the shorter shape of which a cycle contains several periods.
 
-    It is empty if the cycle is one period.
+    It is empty if the cycle is a single period.
     """
     shorter = gone_round_twice(cycle)
     if shorter is None:

@@ -1,8 +1,8 @@
-"""A digest of a problem's equations, by which an orbit recognizes its problem.
+"""A digest of a problem's equations, which identifies the problem of an orbit.
 
-The compiled functions are evaluated at one fixed state and parameter vector of order 1, and the
-entries of each are summed with fixed weights. Equations that are written in another way give the
-same numbers, on any machine and with any version of CasADi; others do not.
+The compiled functions are evaluated at one fixed state and parameter vector of order 1. The entries
+of each result are summed with fixed weights. Equivalent equations in another form have the same
+digest, on any machine and with any version of CasADi. Other equations have another digest.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SPREAD = (math.sqrt(5) - 1) / 2
 
 @lru_cache(maxsize=64)
 def digest_of(problem: Problem) -> tuple[float, ...]:
-    """Return one number for each function of a problem: flows, contact, impulse, energy, motors."""
+    """Return one value per function of a problem: flows, contact, impulse, energy, motors."""
     compiled = problem.compiled()
     x, p = _spread(compiled.n_x, 0.2), _spread(len(problem.symbols()), 0.5)
     functions = (
@@ -40,14 +40,14 @@ def digest_of(problem: Problem) -> tuple[float, ...]:
 
 
 def same_equations(digest: Sequence[float], other: Sequence[float]) -> bool:
-    """Return True if two digests are of the same equations."""
+    """Return True if two digests belong to the same equations."""
     return len(digest) == len(other) and all(
         math.isclose(a, b, rel_tol=_SAME, abs_tol=_SAME) for a, b in zip(digest, other, strict=True)
     )
 
 
 def _spread(n: int, least: float) -> Vector:
-    """Return numbers between ``least`` and ``1 + least``, no two alike, ``(n,)``."""
+    """Return distinct numbers between ``least`` and ``1 + least``, ``(n,)``."""
     return least + np.mod(_SPREAD * np.arange(1, n + 1), 1.0)
 
 
@@ -55,5 +55,5 @@ def _number(outputs: Any) -> float:
     entries: Sequence[Any] = cast("Any", outputs) if isinstance(outputs, tuple) else (outputs,)
     values = np.concatenate([np.asarray(entry, dtype=np.float64).ravel() for entry in entries])
     total = float(values @ _spread(values.size, 0.2))
-    # Where a formula is not defined at this state, it tells nothing.
+    # A formula that is undefined at this state does not contribute.
     return total if math.isfinite(total) else 0.0

@@ -1,4 +1,4 @@
-"""Error estimates by repetition: a run is repeated at looser tolerances, the difference bounds."""
+"""Error estimates by repetition: the difference of a second run at looser tolerances."""
 
 from __future__ import annotations
 
@@ -8,21 +8,27 @@ from zeno_orbits.integrators import Tolerance
 from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation, ZenoPassage
 
 LOOSER = 100.0
-"""Factor of the tolerances of the second run. With a tenth of it an error was seen three times the
-difference; with this, never above 0.6 of it."""
+"""Factor on the tolerances of the second run.
+
+With this factor the observed errors were never above 0.6 of the difference. With a tenth of it, an
+error of three times the difference was observed.
+"""
 
 _MOST_RESOLVED = 0.5
-"""Beyond this an impact sequence is hardly resolved at all."""
+"""Largest ratio between the speeds of the last and the first resolved impact.
+
+Beyond it an impact sequence is hardly resolved.
+"""
 
 
 def at_looser_tolerance(
     settings: SimulationSettings, *, factor: float = LOOSER
 ) -> SimulationSettings:
-    """Return settings whose integration errors are larger by far; the completion stays.
+    """Return settings with much larger integration errors and the same Zeno completion.
 
     Args:
         settings: The settings.
-        factor: Factor of the tolerances.
+        factor: Factor on the tolerances.
     """
     tolerance = settings.tolerance
     return replace(
@@ -36,12 +42,12 @@ def at_looser_tolerance(
 def loosened(
     settings: SimulationSettings, *, factor: float = LOOSER, resolved: float = 1.0
 ) -> SimulationSettings:
-    """Return settings whose errors are larger by far: of the steps, and of the Zeno limit.
+    """Return settings with much larger errors of the steps and of the Zeno limit.
 
     Args:
         settings: The settings.
-        factor: Factor of the tolerances.
-        resolved: Factor of the speed from which on impacts may be left out.
+        factor: Factor on the tolerances.
+        resolved: Factor on the speed below which impacts may be omitted, relative to the first.
     """
     completion = extrapolated(settings)
     return replace(
@@ -54,7 +60,7 @@ def loosened(
 
 
 def extrapolated(settings: SimulationSettings) -> ZenoExtrapolation:
-    """Return the completion that visits the impacts, as accurate as the settings ask for."""
+    """Return the completion that computes the impacts, at the accuracy of the settings."""
     completion = settings.completion
     if isinstance(completion, ZenoPassage):
         return completion.one_by_one

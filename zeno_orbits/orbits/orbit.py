@@ -1,4 +1,4 @@
-"""A periodic orbit as numbers, and its JSON file."""
+"""The data of a periodic orbit, and its JSON file."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
 from zeno_orbits.work import Columns, Displayed, by_name, versions
 
 FORMAT = 2
-"""Version of the file format, the newest that this code reads."""
+"""Version of the file format. It is the newest version that this code can read."""
 ONE_RELEASE = 1
-"""Version that holds orbits with one Zeno point and one release, and no others."""
+"""Version of the format for orbits with exactly one Zeno point and one release."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,8 +23,8 @@ class OrbitImpact:
     """One resolved impact of an orbit.
 
     Attributes:
-        time: Since the start of the period [s].
-        state_minus: State name to value just before it.
+        time: Time since the start of the period [s].
+        state_minus: State name to value just before the impact.
     """
 
     time: float
@@ -36,12 +36,12 @@ class OrbitPhase:
     """A flight of an orbit and the events that end it.
 
     Attributes:
-        kind: How it ends.
-        start_time: Since the start of the period [s].
-        start_state: State name to value at the release, or just after the impact, before it.
+        kind: Kind of its end.
+        start_time: Time of its start since the start of the period [s].
+        start_state: State name to value at its start: at a release, or just after an impact.
         impacts: The impacts that were resolved one by one.
-        zeno_time: Where they accumulate, if the stop holds, since the start of the period [s].
-        zeno_state: State name to value there.
+        zeno_time: If contact follows, the accumulation time since the start of the period [s].
+        zeno_state: If contact follows, state name to value at the accumulation.
     """
 
     kind: PhaseKind
@@ -54,19 +54,20 @@ class OrbitPhase:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ZenoOrbit(Displayed):
-    """Enough numbers to rebuild and recheck a periodic orbit; times count from its start.
+    """The data with which a periodic orbit can be rebuilt and verified. Times count from its start.
 
     Attributes:
         problem: Name of the problem.
-        parameters: Name to value, all of the problem's.
-        gains: Name to value, all of the problem's.
-        period: [s].
-        phases: Phases of a period; the first starts at time 0.
-        floquet_multipliers: Of the return map where the period starts; empty while unknown.
-        certificate: Result of a verification, as plain data; empty while unverified.
+        parameters: Name to value, for all parameters of the problem.
+        gains: Name to value, for all gains of the problem.
+        period: Period [s].
+        phases: Phases of a period. The first starts at time 0.
+        floquet_multipliers: Multipliers of the return map at the start of the period. Empty while
+            unknown.
+        certificate: Result of a verification, as plain data. Empty while unverified.
         versions: Name to version of the packages that computed it.
-        problem_digest: Numbers that tell the equations of its problem from others
-            (`digest.digest_of`); empty in files of older versions.
+        problem_digest: Digest of the equations of its problem (`digest.digest_of`). Empty in files
+            of older versions.
     """
 
     problem: str
@@ -80,7 +81,7 @@ class ZenoOrbit(Displayed):
     problem_digest: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
-        """Return one line: the gains, the period, the phases and whether it is verified."""
+        """Return one line with the gains, the period, the phases and the verification status."""
         gains = "".join(f"{name}={value:.7g}, " for name, value in self.gains.items())
         known = ", ".join(f"{abs(value):.3g}" for value in self.floquet_multipliers)
         moduli = f"multipliers of modulus {known}, " if known else ""
@@ -104,7 +105,7 @@ class ZenoOrbit(Displayed):
 
     @property
     def start_state(self) -> Mapping[str, float]:
-        """State name to value where the period starts: at a release, or just after an impact."""
+        """State name to value at the start of the period: a release, or just after an impact."""
         return self.phases[0].start_state
 
     @property
@@ -121,29 +122,29 @@ class ZenoOrbit(Displayed):
 
     @property
     def release_state(self) -> Mapping[str, float]:
-        """State name to value at the release of an orbit that has one a period.
+        """State name to value at the release of an orbit with one release per period.
 
         Raises:
-            InputError: If it has another shape.
+            InputError: If the orbit has another shape.
         """
         self.shape.require_one_release()
         return self.start_state
 
     @property
     def zeno_time(self) -> float:
-        """Zeno time of an orbit that has one Zeno point a period [s].
+        """Zeno time of an orbit with one Zeno point per period [s].
 
         Raises:
-            InputError: If it has another shape.
+            InputError: If the orbit has another shape.
         """
         return self._held()[0]
 
     @property
     def zeno_state(self) -> Mapping[str, float]:
-        """State name to value at the Zeno point of an orbit that has one a period.
+        """State name to value at the Zeno point of an orbit with one Zeno point per period.
 
         Raises:
-            InputError: If it has another shape.
+            InputError: If the orbit has another shape.
         """
         return self._held()[1]
 
@@ -151,14 +152,15 @@ class ZenoOrbit(Displayed):
         self.shape.require_one_release()
         phase = self.phases[0]
         if phase.zeno_time is None or phase.zeno_state is None:
-            raise InputError("Argument `orbit` must have a Zeno point, but it has none.")
+            raise InputError("Argument `orbit` must have a Zeno point, but it lacks one.")
         return phase.zeno_time, phase.zeno_state
 
     def as_json(self) -> dict[str, Any]:
         """Return the orbit as the plain data of its file.
 
-        With one Zeno point and one release it is of format 1, which older readers know. Of another
-        shape it is of format 2, which they refuse, and has none of the entries that they read.
+        An orbit with one Zeno point and one release has format 1, which older versions can read. An
+        orbit of another shape has format 2, which older versions reject. The entries of format 1
+        are then absent.
         """
         one = self.shape.has_one_release
         digest = {"problem_digest": list(self.problem_digest)} if self.problem_digest else {}
@@ -185,7 +187,7 @@ class ZenoOrbit(Displayed):
         }
 
     def values(self, problem: Problem) -> ParameterValues:
-        """Return the orbit's numbers for its problem.
+        """Return the orbit's parameter values for its problem.
 
         Raises:
             InputError: If the names or values do not fit the problem.
@@ -200,9 +202,9 @@ def new_orbit(
 
     Args:
         problem: Its problem.
-        values: The problem's numbers.
-        period: [s].
-        phases: What happens in a period.
+        values: The problem's parameter values.
+        period: Period [s].
+        phases: Phases of a period.
     """
     return ZenoOrbit(
         problem=problem.name,
@@ -223,14 +225,14 @@ def one_release_phase(
     zeno_time: float,
     zeno_state: Mapping[str, float],
 ) -> OrbitPhase:
-    """Return the one phase of an orbit from release to release, of the kind that its impacts show.
+    """Return the only phase of an orbit from release to release, with its kind from the impacts.
 
-    A single impact at the Zeno time itself is a plastic one.
+    If there is a single impact at the Zeno time itself, the phase is plastic.
 
     Args:
         release_state: State name to value at the release.
         impacts: The resolved impacts.
-        zeno_time: Since the release [s].
+        zeno_time: Zeno time since the release [s].
         zeno_state: State name to value at the Zeno point.
     """
     at_once = len(impacts) == 1 and impacts[0].time == zeno_time

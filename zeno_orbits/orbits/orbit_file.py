@@ -1,4 +1,4 @@
-"""Orbit files: JSON that holds every number of an orbit to the last bit."""
+"""Orbit files: JSON that stores every number of an orbit to the last bit."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import InputError, OrbitFileError
+from zeno_orbits.kinds import checked
 from zeno_orbits.orbits.orbit import (
     FORMAT,
     ONE_RELEASE,
@@ -21,12 +22,13 @@ from zeno_orbits.orbits.shape import PhaseKind
 from zeno_orbits.work import EntryError, restored, write_whole
 
 
+@checked
 def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:
-    """Write an orbit file, whole or not at all.
+    """Write an orbit file completely or not at all.
 
     Args:
         orbit: The orbit.
-        path: Where; a file that is there is replaced.
+        path: The file. An existing file is replaced.
 
     Raises:
         InputError: If the folder cannot be written.
@@ -34,6 +36,7 @@ def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:
     write_whole(Path(path), json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n")
 
 
+@checked
 def read_orbit(path: Path | str) -> ZenoOrbit:
     """Read an orbit file, every number to the last bit.
 
@@ -41,8 +44,8 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
         path: The file.
 
     Raises:
-        OrbitFileError: If it is missing, cut short, of a wrong type or of a newer format, if a name
-            occurs twice in it, or if its parts contradict each other.
+        OrbitFileError: If the file is missing, truncated, of a wrong type or of a newer format, if
+            a name occurs twice in it, or if its entries contradict each other.
     """
     path = Path(path)
     try:
@@ -60,15 +63,16 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
     return orbit_from_json(data, path)
 
 
+@checked
 def orbit_from_json(data: object, path: Path) -> ZenoOrbit:
-    """Return the orbit of what `ZenoOrbit.as_json` gave.
+    """Return the orbit of the plain data from `ZenoOrbit.as_json`.
 
     Args:
         data: Plain data.
-        path: Where it comes from, for messages.
+        path: File of the data, for messages.
 
     Raises:
-        OrbitFileError: If it is of a wrong type or of a newer format.
+        OrbitFileError: If the data have a wrong type or a newer format.
     """
     try:
         return _orbit(data)
@@ -83,7 +87,7 @@ class _ContradictionError(ValueError):
 
 
 def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the entries of an object of JSON; none may be there twice."""
+    """Return the entries of a JSON object and reject duplicate names."""
     found: dict[str, Any] = {}
     for name, value in pairs:
         if name in found:
@@ -129,7 +133,7 @@ class _Phase:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _HeldPhase(_Phase):
-    """A phase in format 2 after whose impacts the stop holds."""
+    """A phase in format 2 whose impacts end in contact."""
 
     zeno_time: float
     zeno_state: Mapping[str, float]
@@ -223,7 +227,7 @@ def _require_positive(name: str, value: float) -> None:
 
 
 def _require_shape(entries: Mapping[str, Any], orbit: ZenoOrbit, number: int) -> None:
-    """Refuse phases that are no shape, another than the file says, or of the other format."""
+    """Reject phases of an invalid shape, of a shape unlike the file's, or of the other format."""
     try:
         shape = orbit.shape
     except InputError as error:

@@ -1,15 +1,15 @@
 r"""Predictor-corrector path following: the loop that controls the length of a step.
 
-From the last points of a path the next is predicted a step :math:`h` ahead and corrected to a point
-of the path. A step that fails, or leads to a point that is refused, is repeated with :math:`q h`,
-:math:`0 < q < 1`. After an easy step the next one is :math:`\min(g h, h_\mathrm{max})`,
-:math:`g > 1`. The path ends where a step says so, where :math:`h < h_\mathrm{min}`, or after a
+From the last points of a path, the next point is predicted a step :math:`h` ahead and corrected to
+a point of the path. A step that fails, or leads to a rejected point, is repeated with :math:`q h`,
+:math:`0 < q < 1`. After an easy step the next step is :math:`\min(g h, h_\mathrm{max})`,
+:math:`g > 1`. The path ends if a step returns an end, if :math:`h < h_\mathrm{min}`, or after a
 number of points. [Keller1977]_
 
-The loop knows no equations: `follow_path` is given functions, and the unit of a step is theirs. A
-motion that cannot be simulated, or a point that is refused, refuses the step; the last reason is
-told to whoever names the end. Every other error is one of the question or of the program, which no
-shorter step mends, and is passed on.
+The loop does not depend on the equations. `follow_path` gets functions, which define the unit of a
+step. A step is rejected if its motion cannot be simulated or its point is rejected. The last reason
+is passed to the function that returns the end. Every other error is due to the input or the
+program. A shorter step cannot avoid it, so it is raised.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ E = TypeVar("E")
 
 
 class StepError(ZenoOrbitsError):
-    """A step is refused: its point is no neighbour of the last one. The text says why."""
+    """A step is rejected, because its point is not a neighbour of the last point.
+
+    The text is the reason.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,9 +43,9 @@ class StepControl:
         first: First step.
         longest: Longest step.
         shortest: A path that needs a shorter step ends.
-        most: Points after the first one at most.
-        growth: Factor of the step after an easy one.
-        shrinkage: Factor of the step after a refused one.
+        most: Largest number of points after the first.
+        growth: Factor on the step after an easy step.
+        shrinkage: Factor on the step after a rejected step.
     """
 
     first: float
@@ -55,12 +58,12 @@ class StepControl:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathStep(Generic[P, E]):
-    """Outcome of a step that is not refused.
+    """Outcome of an accepted step.
 
     Attributes:
         points: New points, in order along the path.
         easy: True if the next step may be longer.
-        end: Why the path ends after these points, or ``None`` if it goes on.
+        end: Reason why the path ends after these points, or ``None`` if it continues.
     """
 
     points: tuple[P, ...] = ()
@@ -73,8 +76,8 @@ class Path(Generic[P, E]):
     """A path in one direction.
 
     Attributes:
-        points: In order, the first one given.
-        end: Why it ends; ``None`` if the number of points was reached.
+        points: Points in order. The first is the given start.
+        end: Reason of the end. ``None`` if the number of points was reached.
     """
 
     points: tuple[P, ...]
@@ -89,17 +92,18 @@ def follow_path(
     give_up: Callable[[Sequence[P], str], PathStep[P, E]],
     shortened: Callable[[Sequence[P], float], PathStep[P, E]] | None = None,
 ) -> Path[P, E]:
-    """Return the path from a point, with steps as long as it allows.
+    """Return the path from a point, with steps as long as the path allows.
 
     Args:
         start: The first point.
         control: Lengths of steps.
-        advance: Predict, correct and judge the next point, given all points so far and the length
-            of the step. Raises `StepError` or `SimulationError` to refuse the step.
-        give_up: Return the end of a path whose steps became too short, given all points and the
-            last reason for which a step was refused.
-        shortened: Look for an end ahead, given all points and the new length, each time a step was
-            refused. By default the step is only repeated.
+        advance: Function that predicts, corrects and checks the next point. Its arguments are all
+            points so far and the length of the step. It raises `StepError` or `SimulationError` to
+            reject the step.
+        give_up: Function that returns the end of a path whose steps became too short. Its arguments
+            are all points and the last reason for rejecting a step.
+        shortened: Function that searches for an end ahead, called after each rejected step. Its
+            arguments are all points and the new length. By default the step is only repeated.
     """
     points, step = [start], control.first
     while len(points) <= control.most:
@@ -127,17 +131,17 @@ class CurvePoint(Protocol):
 
     @property
     def z(self) -> Vector:
-        """Place in scaled terms, ``(n,)``."""
+        """The point in scaled coordinates, ``(n,)``."""
         ...
 
     @property
     def tangent(self) -> Vector:
-        """Unit tangent of the curve there, ``(n,)``."""
+        """Unit tangent of the curve at the point, ``(n,)``."""
         ...
 
 
 _LEAST_LOOP = 4
-"""Points of a curve that may have come back to its start."""
+"""Least number of points of a curve that may have returned to its start."""
 
 
 def returns_to_start(points: Sequence[CurvePoint], stray: float, turn: float) -> bool:
@@ -145,8 +149,8 @@ def returns_to_start(points: Sequence[CurvePoint], stray: float, turn: float) ->
 
     Args:
         points: Points of the curve, in order.
-        stray: Largest distance of the start from their chord, as part of its length.
-        turn: Largest angle between neighbouring tangents [rad]; the start may have twice that.
+        stray: Largest distance of the start from their chord, relative to its length.
+        turn: Largest angle between neighbouring tangents [rad]. For the start it is doubled.
     """
     if len(points) < _LEAST_LOOP:
         return False

@@ -14,10 +14,10 @@ from zeno_orbits.simulation import Execution, Mode, Release, SimulationSettings,
 def to_next_release(
     dynamics: HybridDynamics, x: Vector, *, horizon: float, settings: SimulationSettings
 ) -> Execution:
-    """Return the execution from a release until the next one, or to the horizon without any.
+    """Return the execution from a release to the next release, or to the horizon.
 
-    A start that is locked a little, by rounding or as it belongs to other parameters, is released
-    first and flies then: that release is not the next one.
+    A start may be in contact for a short time, by rounding or because it belongs to other
+    parameters. It is then released first. That release does not count as the next release.
 
     Args:
         dynamics: The system.
@@ -39,12 +39,12 @@ def to_release(
     horizon: float,
     settings: SimulationSettings,
 ) -> Execution:
-    """Return the execution from a release until some releases later, as `to_next_release` does.
+    """Return the execution from a release to a later release, as in `to_next_release`.
 
     Args:
         dynamics: The system.
         x: A release state, on the stop, ``(n_x,)``.
-        count: How many releases later.
+        count: Number of releases after the start.
         horizon: Longest time to wait [s].
         settings: Accuracy.
 
@@ -58,7 +58,7 @@ def to_release(
 
 
 def later_releases(execution: Execution) -> tuple[Release, ...]:
-    """Return the releases that come after a flight."""
+    """Return the releases that follow a flight."""
     flight = next((arc for arc in execution.arcs if arc.mode is Mode.FREE), None)
     if flight is None:
         return ()
@@ -66,15 +66,15 @@ def later_releases(execution: Execution) -> tuple[Release, ...]:
 
 
 def first_return(execution: Execution) -> Release | None:
-    """Return the first release that comes after a flight, if there is one."""
+    """Return the first release that follows a flight, or ``None``."""
     return next(iter(later_releases(execution)), None)
 
 
 def placed(dynamics: HybridDynamics, shape: OrbitShape, x: Vector) -> Vector:
-    """Return the state moved onto the section that a shape starts on, to rounding, ``(n_x,)``.
+    """Return the state moved onto the section at the start of a shape, to rounding, ``(n_x,)``.
 
-    At a release, and just after a plastic impact, gap and gap rate become zero; after another
-    impact the gap alone does.
+    At a release, and just after a plastic impact, the gap and the gap rate are set to zero. After
+    another impact only the gap is set to zero.
 
     Args:
         dynamics: The system.
@@ -100,15 +100,15 @@ def followed(
     settings: SimulationSettings,
     n_periods: int = 1,
 ) -> Execution:
-    """Return the execution from a start until the phases of some periods should have passed.
+    """Return the execution from a start, over the expected phases of a number of periods.
 
     Args:
         dynamics: The system.
-        x: Where a period starts, on its section, ``(n_x,)``.
-        shape: What to wait for, at the restitution of the system.
+        x: State at the start of a period, on its section, ``(n_x,)``.
+        shape: Expected shape of a period, at the coefficient of restitution of the system.
         horizon: Longest time to wait [s].
         settings: Accuracy.
-        n_periods: Periods to wait for.
+        n_periods: Number of periods.
 
     Raises:
         SimulationError: If the execution cannot be continued so far.
@@ -133,19 +133,42 @@ def cycle_of(
     Args:
         dynamics: The system.
         x: The state, ``(n_x,)``.
-        shape: The shape; with another restitution, plastic impacts and accumulations are the same.
+        shape: The shape. Plastic impacts and accumulations are exchanged if the coefficient of
+            restitution requires it.
         horizon: Longest time to wait for its end [s].
         settings: Accuracy.
 
     Raises:
-        SimulationError: If the motion has another shape, or does not come to its end within the
-            horizon.
+        SimulationError: If the motion has another shape, or does not finish within the horizon.
+    """
+    return cycle_and_run(dynamics, x, shape, horizon=horizon, settings=settings)[0]
+
+
+def cycle_and_run(
+    dynamics: HybridDynamics,
+    x: Vector,
+    shape: OrbitShape,
+    *,
+    horizon: float,
+    settings: SimulationSettings,
+) -> tuple[Cycle, Execution]:
+    """Return the period as from `cycle_of`, and the execution that contains it.
+
+    Args:
+        dynamics: The system.
+        x: The state, ``(n_x,)``.
+        shape: The shape.
+        horizon: Longest time to wait for its end [s].
+        settings: Accuracy.
+
+    Raises:
+        SimulationError: If the motion has another shape, or does not finish within the horizon.
     """
     wanted = shape.at_restitution(dynamics.restitution)
     execution = followed(dynamics, x, wanted, horizon=horizon, settings=settings)
     found = first_cycles(execution, x, wanted)
     if found:
-        return found[0]
+        return found[0], execution
     phases = phases_of(execution, x, held=wanted.starts_at_release)[: wanted.n_phases]
     seen = ", ".join(kind.value for kind in kinds_of(phases)) or "no phase"
     raise SimulationError(

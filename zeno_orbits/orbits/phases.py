@@ -1,4 +1,4 @@
-"""The phases of an execution: flights and what ends them, one after the other (theory (44))."""
+"""The phases of an execution: consecutive flights with the events that end them (theory (44))."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from zeno_orbits.orbits.shape import PhaseKind
 from zeno_orbits.simulation import Arc, Ending, Execution, Impact, Mode, ZenoPoint
 
 _AT_ONCE = 1e-6
-"""A release earlier than this part of an execution belongs to its start."""
+"""Fraction of an execution. An earlier release belongs to its start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +19,7 @@ class Moment:
     """Start or end of a phase.
 
     Attributes:
-        time: When [s].
+        time: Time [s].
         state: A release state, or the state just after an impact, ``(n_x,)``.
     """
 
@@ -29,17 +29,17 @@ class Moment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Phase:
-    """A flight and what ends it.
+    """A flight and the events that end it.
 
     Attributes:
-        kind: What ends it.
-        start: Where it starts.
+        kind: Kind of its end.
+        start: Start of the phase.
         flight: The free arc to the first impact.
-        rescaled_flights: The flights from impact to impact; empty outside an accumulation.
+        rescaled_flights: The flights from impact to impact. Empty outside an accumulation.
         impacts: The resolved impacts, one more than rescaled flights.
-        zeno: The Zeno point, if the stop holds.
-        locked: The locked arc, likewise.
-        end: Where it ends.
+        zeno: The Zeno point, if contact follows.
+        locked: The contact phase, if contact follows.
+        end: End of the phase.
     """
 
     kind: PhaseKind
@@ -58,23 +58,23 @@ class Phase:
 
     @property
     def arcs(self) -> tuple[Arc, ...]:
-        """All arcs that have a flow: without the tail of an accumulation."""
+        """All arcs that have a flow. The tail of an accumulation is not included."""
         return self.flights if self.locked is None else (*self.flights, self.locked)
 
 
 def phases_of(
     execution: Execution, start: Vector | None = None, *, held: bool = True
 ) -> tuple[Phase, ...]:
-    """Return the phases of an execution, from the first whole one on.
+    """Return the phases of an execution, beginning with the first complete phase.
 
-    A phase in which the stop is touched without an impact is left out; then the next one does not
-    start where the last one ends.
+    A phase in which the stop is touched without an impact is omitted. The next phase then does not
+    start at the end of the previous phase.
 
     Args:
         execution: The execution.
-        start: Its initial state, if it starts where a phase does: at a release or after an impact.
-        held: True if phases end at releases, with all impacts that lead to one; else every impact
-            ends a phase, up to the first locked arc.
+        start: Its initial state, if a phase starts there: at a release or after an impact.
+        held: True if phases end at releases and include all impacts before the release. Otherwise
+            every impact ends a phase, up to the first contact phase.
     """
     begin = None if start is None else Moment(time=0.0, state=start)
     if held:
@@ -83,18 +83,18 @@ def phases_of(
 
 
 def follow_each_other(phases: Sequence[Phase]) -> bool:
-    """Return True if every phase starts where the one before it ends."""
+    """Return True if every phase starts at the end of the previous phase."""
     return all(one.end.time == two.start.time for one, two in pairwise(phases))
 
 
 def _struck(execution: Execution, begin: Moment | None) -> list[Phase]:
-    """Return one phase an impact, until the stop holds."""
+    """Return one phase per impact, up to the first contact phase."""
     impacts = {impact.time: impact for impact in execution.impacts}
     phases: list[Phase] = []
     here, flown = begin, False
     for arc in execution.arcs:
         if arc.mode is Mode.LOCKED and not flown:
-            # A start that is locked by a rounding error is released at once.
+            # A start in contact because of a rounding error is released at once.
             continue
         if arc.mode is Mode.LOCKED or arc.ending is not Ending.IMPACT:
             break
@@ -106,7 +106,7 @@ def _struck(execution: Execution, begin: Moment | None) -> list[Phase]:
 
 
 def _held(execution: Execution, begin: Moment | None) -> list[Phase]:
-    """Return the phases up to each release; with a plastic stop there may be several to one."""
+    """Return the phases up to each release. At a plastic stop a release may have several phases."""
     impacts = {impact.time: impact for impact in execution.impacts}
     releases = {release.time: release for release in execution.releases}
     phases: list[Phase] = []
@@ -121,7 +121,7 @@ def _held(execution: Execution, begin: Moment | None) -> list[Phase]:
             break
         release = releases[arc.end_time]
         if not flights and begin is here and release.time <= _AT_ONCE * execution.end_time:
-            # A start that is locked by a rounding error is released at once.
+            # A start in contact because of a rounding error is released at once.
             continue
         end = Moment(time=release.time, state=release.state)
         whole = [(flight, impact) for flight, impact in flights if impact is not None]
@@ -140,7 +140,7 @@ def _to_release(
     before: list[Phase] = []
     kind = PhaseKind.ZENO
     if zeno.tail == 0.0 and zeno.last_speed == 0.0:
-        # At a plastic stop a fall ends on the stop or is thrown off at once.
+        # At a plastic stop a flight ends in contact or with an immediate release.
         kind = PhaseKind.PLASTIC
         for arc, impact in flights[:-1]:
             before.append(_of_impact(here, arc, impact))
@@ -178,5 +178,5 @@ def _after(impact: Impact) -> Moment:
 
 
 def kinds_of(phases: Sequence[Phase]) -> tuple[PhaseKind, ...]:
-    """Return the kinds of phases, as a shape holds them."""
+    """Return the kinds of phases, in the format of a shape."""
     return tuple(phase.kind for phase in phases)

@@ -1,8 +1,8 @@
 r"""The return map of a completed system on a section, and its multipliers.
 
-The section is the set of release states, :math:`h = \dot h = \lambda = 0`, of dimension
-:math:`n_x - 3` without holonomic constraints, or of states just after an impact, where an orbit has
-no release. Source: [OrAmes2009]_, theory (18), (45).
+The section is the set of release states, :math:`h = \dot h = \lambda = 0`. Without holonomic
+constraints its dimension is :math:`n_x - 3`. For an orbit without a release, it is the set of
+states just after an impact. Source: [OrAmes2009]_, theory (18), (45).
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ from zeno_orbits.orbits.period import cycle_of, first_return, placed, to_next_re
 from zeno_orbits.orbits.section import RELEASE_ROWS, Section, rows_of, section_around
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
 from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.work import ByValue
 
 _DIFFERENCE = 2e-5
-"""Displacement in scaled section coordinates: its cube and the integration error balance."""
+"""Displacement in scaled section coordinates, at which its cube equals the integration error."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Multipliers:
+class Multipliers(ByValue):
     """Floquet multipliers of the return map.
 
     Attributes:
         values: The multipliers, the largest first.
-        error: Estimated error of the largest.
+        error: Estimated error of the largest multiplier.
         jacobian: Derivative of the return map in section coordinates.
     """
 
@@ -42,7 +43,7 @@ class Multipliers:
 
     @property
     def spectral_radius(self) -> float:
-        """Largest modulus; below one the orbit attracts."""
+        """Largest modulus. If it is below one, the orbit is stable."""
         return max((abs(value) for value in self.values), default=0.0)
 
 
@@ -50,13 +51,15 @@ class Multipliers:
 class SectionDerivative:
     r"""The derivative of the return map in section coordinates `y`.
 
-    The chart moves with the parameters, as the section does: a release state at fixed coordinates
-    stays a release state.
+    The chart moves with the section if the parameters change. So a release state at fixed
+    coordinates remains a release state.
 
     Attributes:
-        jacobian: By the coordinates, ``(d, d)``.
-        by_parameters: By the chosen parameters at fixed coordinates, ``(d, k)``.
-        lift: Derivative of the release state by coordinates, then parameters, ``(n_x, d + k)``.
+        jacobian: Derivative with respect to the coordinates, ``(d, d)``.
+        by_parameters: Derivative with respect to the chosen parameters at fixed coordinates,
+            ``(d, k)``.
+        lift: Derivative of the release state with respect to the coordinates, then the parameters,
+            ``(n_x, d + k)``.
     """
 
     jacobian: Vector
@@ -64,7 +67,7 @@ class SectionDerivative:
     lift: Vector
 
     def of(self, number: Sensitivity) -> Vector:
-        """Return the derivative of a number by coordinates, then parameters, ``(d + k,)``."""
+        """Return the gradient of a scalar in the coordinates, then the parameters, ``(d + k,)``."""
         gradient = number.by_state @ self.lift
         d = len(self.jacobian)
         return np.concatenate([gradient[:d], gradient[d:] + number.by_parameters])
@@ -82,7 +85,7 @@ def section_derivative(
 
     Args:
         dynamics: The system.
-        derivative: Of the return, by the state.
+        derivative: Derivative of the return with respect to the state.
         scale: Size of each state, ``(n_x,)``.
     """
     section = section_around(
@@ -109,12 +112,12 @@ def poincare_map(
         settings: Accuracy.
 
     Raises:
-        SimulationError: If there is no release within the horizon.
+        SimulationError: If a release does not occur within the horizon.
     """
     execution = to_next_release(dynamics, dynamics.on_stop(x), horizon=horizon, settings=settings)
     later = first_return(execution)
     if later is None:
-        raise SimulationError("There is no next release", time=horizon, state=tuple(x.tolist()))
+        raise SimulationError("No release follows", time=horizon, state=tuple(x.tolist()))
     return later.time, later.state
 
 
@@ -130,21 +133,21 @@ def floquet_multipliers(
 ) -> Multipliers:
     """Return the multipliers of an orbit.
 
-    A system with formulas is differentiated exactly, and once more at looser tolerances: what they
-    change is the error estimate. Of one without, differences of the return map are taken.
+    For a system with formulas, the derivatives are exact. The error estimate is their change at
+    looser tolerances. For a system without formulas, differences of the return map are used.
 
     Args:
         dynamics: The system.
-        x: Where the orbit's period starts, ``(n_x,)``.
+        x: State at the start of the orbit's period, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
         period: Period of the orbit [s].
         settings: Accuracy.
-        noise: Error of a returned state, relative to ``scale``, if it is known; it matters to
-            differences.
+        noise: Error of a returned state, relative to ``scale``, if it is known. It is only used
+            with differences.
         shape: The orbit's shape.
 
     Raises:
-        SimulationError: If the state, or one displaced by little, does not return.
+        SimulationError: If the state or a slightly displaced state does not return.
     """
     if dynamics.differentiation is None:
         near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
@@ -173,15 +176,15 @@ def return_slope(
     r"""Return the derivative of the return map in section coordinates around a state, ``(d, d)``.
 
     Args:
-        dynamics: The system; without formulas, differences are taken.
+        dynamics: The system. Without formulas, differences are used.
         x: A state of the section, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
-        period: Time of the return, roughly [s].
+        period: Approximate time of the return [s].
         settings: Accuracy.
-        shape: What a return consists of.
+        shape: Phases of a return.
 
     Raises:
-        SimulationError: If the state, or one displaced by little, does not return.
+        SimulationError: If the state or a slightly displaced state does not return.
     """
     if dynamics.differentiation is None:
         near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
@@ -192,7 +195,10 @@ def return_slope(
 
 
 def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
-    """Return the eigenvalues of a slope; how a rougher one differs, and noise, are the error."""
+    """Return the eigenvalues of a derivative.
+
+    Their error is the difference from the eigenvalues of a rougher derivative, plus the noise.
+    """
     values = eigenvalues(jacobian)
     others = np.array(eigenvalues(rough))
     change = max((float(np.min(np.abs(others - value))) for value in values), default=0.0)
@@ -200,14 +206,14 @@ def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
 
 
 _FEWER = 10.0
-"""Factor of the speed at which impacts may be left out when multipliers are taken again."""
+"""Factor on the speed below which impacts may be omitted, in the second computation."""
 
 _LEAST = 10.0
-"""Error that is claimed at least, in units of the tolerance: two runs may agree by chance."""
+"""Least error estimate in units of the tolerance, because two runs may agree by chance."""
 
 
 def _section(dynamics: HybridDynamics, shape: OrbitShape, x: Vector, scale: Vector) -> Section:
-    """Return the chart around a state where a period of a shape starts."""
+    """Return the chart around the state at the start of a period of a shape."""
     return section_around(dynamics, rows_of(shape, dynamics.restitution), x, scale)
 
 
@@ -220,9 +226,9 @@ def _differences(
     period: float,
     settings: SimulationSettings,
 ) -> tuple[Vector, Vector]:
-    """Return the slope of the return map by central differences, at one displacement and at two.
+    """Return the derivative of the return map by central differences, for two displacements.
 
-    Extrapolated, they are right to fourth order.
+    The second displacement is twice the first. Their extrapolation is accurate to fourth order.
     """
     section = _section(dynamics, shape, x, scale)
 

@@ -1,4 +1,4 @@
-r"""Sections that a return map lives on, charts of them, and how they move with a parameter.
+r"""Sections of a return map, their charts, and their motion with a parameter.
 
 A section is the set where some functions of the state vanish, :math:`G(x, p) = 0`: the release
 states, or the states just after an impact. Source: theory (12), (27), (44).
@@ -29,18 +29,21 @@ _MOST_CORRECTIONS = 20
 _EXACT = 4e-16
 _OFF = 1e-9
 _CHART_CORRECTIONS = 12
-"""Newton steps at most, with the gradient at the centre; each gains the displacement's size."""
+"""Largest number of Newton steps with the gradient at the centre.
+
+Each step reduces the error by a factor of the displacement's size.
+"""
 _LOST = 1e100
-"""Size of a condition beyond which no root is expected."""
+"""Size of a condition beyond which a root is not expected."""
 _CHART_EXACT = 1e-15
-"""Correction in scaled states after which the next one is rounding."""
+"""Correction in scaled states after which the next correction is rounding."""
 _DIFFERENCE = 1e-6
 """Displacement in scaled states for a system without formulas."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """A straight line in the space of a problem's numbers, ``p(s) = origin + s direction``.
+    """A straight line in the parameter space of a problem, ``p(s) = origin + s direction``.
 
     Attributes:
         origin: ``p`` at ``s = 0``, ``(n_p,)``.
@@ -52,12 +55,12 @@ class Line:
 
     @property
     def moving(self) -> tuple[int, ...]:
-        """Places in ``p`` of the numbers that change along it."""
+        """Indices in ``p`` of the parameters that change along the line."""
         return tuple(int(k) for k in np.flatnonzero(self.direction))
 
     @property
     def slopes(self) -> Vector:
-        """Derivatives of those numbers by ``s``."""
+        """Derivatives of the changing parameters with respect to ``s``."""
         return self.direction[list(self.moving)]
 
     def at(self, s: float) -> Vector:
@@ -77,8 +80,8 @@ class Section:
         scale: Size of each state, ``(n_x,)``.
         tangent: Orthonormal directions in the section, in scaled states, ``(n_x, d)``.
         normal: Pseudo-inverse of the scaled gradient of the conditions, ``(n_x, n_conditions)``.
-        drift: Derivative of the state at fixed coordinates by the parameters that the chart was
-            made for, ``(n_x, k)``.
+        drift: Derivative of the state at fixed coordinates with respect to the parameters of the
+            chart, ``(n_x, k)``.
     """
 
     rows: tuple[int, ...]
@@ -95,7 +98,7 @@ class Section:
 
     @property
     def lift(self) -> Vector:
-        """Derivative of the state by coordinates, then by parameters, ``(n_x, d + k)``."""
+        """Derivative of the state in the coordinates, then the parameters, ``(n_x, d + k)``."""
         return np.concatenate([self.scale[:, None] * self.tangent, self.drift], axis=1)
 
     def coordinates(self, x: Vector) -> Vector:
@@ -110,7 +113,7 @@ class Section:
         """Return the state at section coordinates, ``(n_x,)``.
 
         Raises:
-            SimulationError: If there is none: so far from the centre the conditions have no root.
+            SimulationError: If the conditions do not have a root this far from the centre.
         """
         x = self.centre + self.scale * (self.tangent @ coordinates)
         for _ in range(_CHART_CORRECTIONS):
@@ -126,7 +129,7 @@ class Section:
 
 
 def rows_of(shape: OrbitShape, restitution: float) -> tuple[int, ...]:
-    """Return the conditions of where a period of a shape starts (theory (44))."""
+    """Return the conditions at the start of a period of a shape (theory (44))."""
     if shape.starts_at_release:
         return RELEASE_ROWS
     return REST_ROWS if restitution == 0.0 else IMPACT_ROWS
@@ -154,11 +157,11 @@ def section_around(
     """Return a chart of a section around one of its states.
 
     Args:
-        dynamics: The system; with ``parameters`` it must have formulas.
+        dynamics: The system. With ``parameters`` it must have formulas.
         rows: Rows of the contact that vanish on the section.
         centre: The state, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
-        parameters: Places in ``p`` of the parameters that the section moves with, ``(k,)``.
+        parameters: Indices in ``p`` of the parameters with which the section moves, ``(k,)``.
     """
     gradient = _scaled_gradient(dynamics, rows, centre, scale)
     sizes = _row_sizes(gradient)
@@ -179,11 +182,11 @@ def section_around(
 def section_along(
     dynamics: HybridDynamics, line: Line, rows: tuple[int, ...], x: Vector, scale: Vector
 ) -> Section:
-    """Return a chart around a state that lies on a section, moving along a line of parameters.
+    """Return a chart around a state on a section that moves along a line of parameters.
 
     Args:
         dynamics: The system at ``p(s)``.
-        line: The line; the chart's one parameter is its ``s``.
+        line: The line. Its ``s`` is the only parameter of the chart.
         rows: Rows of the contact that vanish on the section.
         x: The state, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
@@ -193,7 +196,12 @@ def section_along(
 
 
 def _moving(section: Section, slopes: Vector) -> Section:
-    """Return a chart that keeps to its section, given the conditions' slopes by parameters."""
+    """Return a chart that moves with its section.
+
+    Args:
+        section: The chart at fixed parameters.
+        slopes: Derivatives of the conditions with respect to the parameters.
+    """
     return replace(section, drift=-section.scale[:, None] * (section.normal @ slopes))
 
 
@@ -219,28 +227,30 @@ def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
         if size <= _EXACT:
             return x
     if not size <= _OFF:
-        raise SimulationError("There is no section here", time=0.0, state=tuple(x.tolist()))
+        raise SimulationError("A section cannot be placed here", time=0.0, state=tuple(x.tolist()))
     return x
 
 
 def _row_sizes(gradient: Vector) -> Vector:
-    """Return the size of each row, ``(n, 1)``, as conditions have different units.
+    """Return the size of each row, ``(n, 1)``, because conditions have different units.
 
     Args:
-        gradient: Of the conditions by scaled states, ``(n, n_x)``.
+        gradient: Gradient of the conditions with respect to the scaled states, ``(n, n_x)``.
     """
     sizes = np.linalg.norm(gradient, axis=1, keepdims=True)
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
 def _pseudo_inverse(gradient: Vector, sizes: Vector) -> Vector:
-    """Return the pseudo-inverse of a gradient whose rows have sizes, ``(n_x, n)``."""
+    """Return the pseudo-inverse of a gradient with rows of given sizes, ``(n_x, n)``."""
     inverse = np.linalg.pinv(gradient / sizes, rcond=_RANK)
     return np.asarray(inverse / sizes[:, 0], dtype=np.float64)
 
 
 def conditions(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector) -> Vector:
-    """Return the values that vanish on a section: rows of the contact, holonomic constraints.
+    """Return the conditions of a section: rows of the contact, then holonomic constraints.
+
+    They vanish on the section.
 
     Args:
         dynamics: The system.
@@ -254,16 +264,16 @@ def conditions(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector) -> Ve
 def conditions_gradient(
     dynamics: HybridDynamics, chosen: tuple[int, ...], rows: tuple[int, ...], x: Vector
 ) -> Vector:
-    """Return the derivative of the conditions by states and parameters, ``(n, n_x + k)``.
+    """Return the gradient of the conditions in states and parameters, ``(n, n_x + k)``.
 
     Args:
         dynamics: The system.
-        chosen: Places in ``p`` of the parameters, ``(k,)``.
+        chosen: Indices in ``p`` of the parameters, ``(k,)``.
         rows: Rows of the contact that vanish on the section.
         x: A state, ``(n_x,)``.
 
     Raises:
-        InputError: If the system has no formulas.
+        InputError: If the system does not have formulas.
     """
     differentials = differentials_of(dynamics, chosen)
     return np.concatenate([differentials.contact(x)[list(rows)], differentials.holonomic(x)])
@@ -272,7 +282,7 @@ def conditions_gradient(
 def _scaled_gradient(
     dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector
 ) -> Vector:
-    """Return the derivative of the conditions by scaled states, ``(n, n_x)``."""
+    """Return the gradient of the conditions in the scaled states, ``(n, n_x)``."""
     if dynamics.differentiation is not None:
         return conditions_gradient(dynamics, (), rows, x) * scale
     columns: list[Vector] = []

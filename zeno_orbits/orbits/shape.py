@@ -1,9 +1,10 @@
-r"""The shape of a periodic orbit: which phases its period has, in which order (theory (44)).
+r"""The shape of a periodic orbit: the phases of its period in order (theory (44)).
 
-A phase is a flight and what ends it. With `e > 0` impacts either accumulate, and a locked arc and a
-release follow (``zeno``), or each sends the state off the stop again (``impact``) and the orbit
-never comes to rest there. A plastic stop, `e = 0`, may hold at once (``plastic``, the *simple*
-orbits of [OrAmes2009]_) or let go at once (``impact``), in any order.
+A phase is a flight with the events that end it. With `e > 0`, impacts may accumulate, followed by a
+contact phase and a release (``zeno``). Otherwise the state leaves the stop after each impact
+(``impact``), without a contact phase. At a plastic stop, `e = 0`, an impact is followed by contact
+(``plastic``, the *simple* orbits of [OrAmes2009]_) or by an immediate release (``impact``), in any
+order.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from enum import Enum
 from itertools import groupby
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.kinds import checked, require_kinds
 
 
 class PhaseKind(Enum):
-    """End of the flights of a phase. The value is the word of files and commands."""
+    """End of the flights of a phase. The value is the name in files and commands."""
 
     ZENO = "zeno"
     PLASTIC = "plastic"
@@ -24,30 +26,31 @@ class PhaseKind(Enum):
 
     @property
     def holds(self) -> bool:
-        """True if a locked arc and a release follow."""
+        """True if a contact phase and a release follow."""
         return self is not PhaseKind.IMPACT
 
 
 _MOST_PHASES = 1000
-"""Phases in a period beyond which a text is taken for a typing error."""
+"""Number of phases per period beyond which a text is treated as a typing error."""
 _WANTED = "must be zeno, plastic or impact, *N for N of them, joined by commas"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitShape:
-    """The phases of a period, in order; the period starts at a release if it has one.
+    """The phases of a period, in order. The period starts at a release if it contains a release.
 
     Attributes:
-        phases: Their kinds. After the last one the first follows again.
+        phases: Kinds of the phases. After the last phase the first follows again.
     """
 
     phases: tuple[PhaseKind, ...]
 
     def __post_init__(self) -> None:
-        """Refuse a shape that no orbit has."""
+        """Reject a shape that is impossible for an orbit."""
+        require_kinds(self)
         kinds = set(self.phases)
         if not kinds:
-            raise InputError("Argument `shape` must have a phase, but it has none.")
+            raise InputError("Argument `shape` must have a phase, but it is empty.")
         if PhaseKind.ZENO in kinds and len(kinds) > 1:
             wanted = "must not mix zeno, whose impacts all belong to it, with other phases"
             raise InputError(f"Argument `shape` {wanted}, but it is `{self.text}`.")
@@ -56,11 +59,12 @@ class OrbitShape:
             raise InputError(f"Argument `shape` {wanted}, but it is `{self.text}`.")
 
     @classmethod
+    @checked
     def parsed(cls, text: str) -> OrbitShape:
         """Return the shape of a text such as ``zeno``, ``zeno*2`` or ``impact*3,plastic``.
 
         Raises:
-            InputError: If the text is no shape.
+            InputError: If the text is not a shape.
         """
         phases: list[PhaseKind] = []
         for part in text.split(","):
@@ -75,7 +79,7 @@ class OrbitShape:
 
     @property
     def text(self) -> str:
-        """The shape in words, as `parsed` reads them."""
+        """The shape as text, in the format that `parsed` reads."""
         runs = [(kind, len(list(run))) for kind, run in groupby(self.phases)]
         return ",".join(kind.value if n == 1 else f"{kind.value}*{n}" for kind, n in runs)
 
@@ -96,12 +100,12 @@ class OrbitShape:
 
     @property
     def has_one_release(self) -> bool:
-        """True if one flight, its impacts and one locked arc are the whole period."""
+        """True if the period consists of one flight, its impacts and one contact phase."""
         return self.n_phases == 1 and self.starts_at_release
 
     @property
     def shorter(self) -> tuple[OrbitShape, ...]:
-        """The shapes that are this one if gone round several times."""
+        """The shapes of which several periods form this shape."""
         n = self.n_phases
         parts = [self.phases[:k] for k in range(1, n) if n % k == 0]
         return tuple(
@@ -109,15 +113,15 @@ class OrbitShape:
         )
 
     def at_restitution(self, restitution: float) -> OrbitShape:
-        """Return the shape with accumulations made plastic impacts, or these accumulations."""
+        """Return the shape with accumulations for a positive restitution, else plastic impacts."""
         held = PhaseKind.PLASTIC if restitution == 0.0 else PhaseKind.ZENO
         return OrbitShape(phases=tuple(held if kind.holds else kind for kind in self.phases))
 
     def agreed(self, wanted: OrbitShape | None) -> OrbitShape:
-        """Return the shape itself, if it is the one that is wanted.
+        """Return this shape if it agrees with the requested shape.
 
         Raises:
-            InputError: If they differ in more than whether the stop is plastic.
+            InputError: If the shapes differ, apart from accumulations and plastic impacts.
         """
         if wanted is None or [k.holds for k in wanted.phases] == [k.holds for k in self.phases]:
             return self
@@ -125,10 +129,10 @@ class OrbitShape:
         raise InputError(f"Argument `shape` {message}, but it is `{wanted.text}`.")
 
     def require_one_release(self) -> None:
-        """Refuse a shape with several phases, or without a release.
+        """Reject a shape with several phases, or without a release.
 
         Raises:
-            InputError: If it is one.
+            InputError: If the shape has several phases, or does not have a release.
         """
         if not self.has_one_release:
             wanted = "must have one Zeno point and one release a period"
@@ -136,4 +140,4 @@ class OrbitShape:
 
 
 ONE_ZENO = OrbitShape(phases=(PhaseKind.ZENO,))
-"""One flight, one accumulation of impacts, one locked arc."""
+"""One flight, one accumulation of impacts, one contact phase."""
