@@ -61,7 +61,8 @@ def _written(flight: bool = False) -> tuple[CollocatedArc, ArcWriter, Program]:
     writer = ArcWriter(program, compiled, MESH_NEEDS, ca.MX([K]), SCALE)
     at = _rescaled if flight else _flown
     length = 1.0 if flight else LENGTH
-    guess: Any = SimpleNamespace(duration=length, flow_state_at=at)
+    steps = np.array([0.0, length])
+    guess: Any = SimpleNamespace(duration=length, flow_state_at=at, flow_times=steps)
     mode = compiled.flight if flight else compiled.free
     p = ca.MX([K, SPEED]) if flight else writer.p
     arc = writer.collocate("arc", guess, mode, p, ca.MX(ca.DM(at(0.0))))
@@ -133,7 +134,9 @@ def test_intervals_follow_each_other_from_the_start_of_the_arc() -> None:
     fine = TranscriptionSettings(scheme=radau_scheme(1), mesh_tolerance=1e-2)
     writer = ArcWriter(program, compiled, fine, ca.MX([K]), np.array([1.0, 2.5]))
     start = program.variable("start", _flown(0.0))[:, 0]
-    guess: Any = SimpleNamespace(duration=1.0, flow_state_at=_flown)
+    guess: Any = SimpleNamespace(
+        duration=1.0, flow_state_at=_flown, flow_times=np.array([0.0, 1.0])
+    )
     arc = writer.collocate("arc", guess, compiled.free, writer.p, start)
     # A chord of k t^2 / 2 over h misses it by k h^2 / 8 half way.
     n = 4

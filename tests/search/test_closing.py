@@ -18,7 +18,7 @@ from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.integrators import Automatic, Engine, Taylor, Tolerance
+from zeno_orbits.integrators import Automatic, Engine, Radau, Tolerance
 from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
@@ -79,10 +79,8 @@ def repelling_clock(pull: float = PULL) -> Problem:
 # Orbits that are known.
 
 
-@pytest.mark.parametrize("engine", [Automatic(), Taylor()], ids=["Automatic", "Taylor"])
+@pytest.mark.parametrize("engine", [Automatic(), Radau()], ids=["Automatic", "Radau"])
 def test_the_orbit_is_the_reference_orbit(problem: Problem, engine: Engine) -> None:
-    if isinstance(engine, Taylor):
-        pytest.importorskip("heyoka")
     closed = close_orbit(problem, problem.values(), simulation=simulated_by(engine))
     orbit = closed.unwrap()
     # The reference has 13 digits; integration adds its tolerance, 1e-12.
@@ -96,7 +94,7 @@ def test_the_orbit_is_the_reference_orbit(problem: Problem, engine: Engine) -> N
 @pytest.mark.parametrize("restitution", PERIODS)
 def test_other_restitutions_have_their_known_periods(problem: Problem, restitution: float) -> None:
     values = problem.values(parameters={"restitution": restitution})
-    # Of eleven decimals the last is not sure: at 0.1 the 25 digits of benchmarks/reference_orbit.py
+    # Of eleven decimals the last is not sure: at 0.1 the 25 digits of tests/reference/many_digits
     # end in 2738 where these say 277; they confirm ours to 3e-14.
     assert close_orbit(problem, values).unwrap().period == pytest.approx(
         PERIODS[restitution], abs=5e-11
@@ -234,6 +232,7 @@ def test_beside_the_attracting_orbit_there_is_a_repelling_one(
     assert behind_the_fold.gains["Kd"] > FOLD
 
 
+@pytest.mark.slow
 def test_a_repelling_orbit_of_the_pendulum_is_verified_and_called_unstable(
     problem: Problem, behind_the_fold: ZenoOrbit
 ) -> None:
@@ -344,19 +343,6 @@ def test_an_orbit_of_another_problem_is_no_start(orbit: ZenoOrbit) -> None:
     ball = load_problem("bouncing_ball")
     with pytest.raises(InputError, match="must be of problem `bouncing_ball`"):
         close_orbit(ball, ball.values(), near=orbit)
-
-
-def test_without_heyoka_the_default_engine_closes(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Missing:
-        def follow(self, _leg: object) -> None:
-            raise InputError("Argument `engine` must be installed, but it is not.")
-
-    monkeypatch.setattr(closing, "Taylor", Missing)
-    assert close_orbit(problem, problem.values()).unwrap().period == pytest.approx(
-        PERIOD, rel=2e-12
-    )
 
 
 # What the quick ways share with the long ones.

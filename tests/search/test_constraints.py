@@ -233,7 +233,7 @@ def test_the_smallest_share_is_below_that_of_every_margin() -> None:
     built = made.program.build()
     place = built.names["smallest margin"][0]
     assert (built.lower[place], built.upper[place]) == (-1.0, 1.0)
-    unknowns = [name for name in built.names if name.startswith("largest value beside the phase")]
+    unknowns = [name for name in built.names if name.startswith("largest value near the phase")]
     assert len(unknowns) == 4
 
 

@@ -225,3 +225,22 @@ def test_a_jump_is_halved_fourteen_times_if_nothing_else_is_said() -> None:
         lambda t: np.array([float(t > 1 / 3)]), radau_scheme(1), scale=ONE, tolerance=1e-6
     )
     assert np.min(np.diff(mesh)) == 2.0**-14
+
+
+def test_a_trajectory_of_rounding_gets_no_more_intervals_than_it_may() -> None:
+    # Noise of 1e-6 cannot be followed to 1e-9: the tolerance is raised to that of the noise.
+    def noisy(at: float) -> Array:
+        return np.array([np.exp(at) + 1e-6 * np.sin(1e9 * at)])
+
+    scheme = radau_scheme(3)
+    mesh = graded_mesh(noisy, scheme, scale=ONE, tolerance=1e-9, most=20)
+    unlimited = graded_mesh(noisy, scheme, scale=ONE, tolerance=1e-9, deepest=8)
+    assert len(unlimited) == 2**8 + 1
+    assert 2 <= len(mesh) <= 21
+
+
+def test_a_trajectory_that_is_not_finite_gets_the_even_mesh() -> None:
+    mesh = graded_mesh(
+        lambda _: np.array([np.nan]), radau_scheme(3), scale=ONE, tolerance=1e-9, fewest=3, most=9
+    )
+    assert mesh.tolist() == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0])

@@ -45,9 +45,9 @@ YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 CORES = int(joblib.cpu_count())
 PROBLEM = "vibrating_table"
 FREE = {"restitution": (0.2, 0.5)}
-TABLE = ("search", PROBLEM, "--free", "restitution=0.2:0.5")
+TABLE = ("search", PROBLEM, "--vary", "restitution=0.2:0.5")
 """A search whose every start finds an orbit."""
-BALL = ("search", "bouncing_ball", "--free", "m=1:2", "--starts", "3")
+BALL = ("search", "bouncing_ball", "--vary", "m=1:2", "--n-starts", "3")
 """A search whose no start finds one."""
 
 needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
@@ -227,7 +227,7 @@ def test_an_optimum_is_the_same_whoever_looks_at_the_box() -> None:
 @needs_two
 def test_the_command_prints_the_same_bytes_for_one_worker_and_two() -> None:
     for words, code in ((TABLE, YES), (BALL, NO)):
-        more = (*words, "--candidates", "9", "--starts", "3", "--json")
+        more = (*words, "--candidates", "9", "--n-starts", "3", "--json")
         one, two = (ask(*more, "--workers", count) for count in ("1", "2"))
         assert one.code == two.code == code
         assert one.out == two.out != ""
@@ -324,12 +324,12 @@ def test_a_start_that_was_lost_is_tried_again_and_gives_the_same(
         ((*BALL, "--set", "restitution=0.4"), "`parameters.restitution` is"),
         ((*BALL, "--objective", "nearest:m=1.5"), "`parameters.m` is 1.0, not 1.5"),
         ((*BALL, "--objective", "period=2"), "`objective.kind` is"),
-        ((*BALL, "--keep", "period=:2"), "`bounds` is []"),
+        ((*BALL, "--bound", "period=:2"), "`bounds` is []"),
         ((*BALL, "--allow-unstable"), "`accept.allow_unstable` is false, not true"),
         ((*BALL, "--accuracy", "1e-5"), "`settings.transcription.mesh_tolerance` is"),
         ((*BALL, "--engine", "implicit"), "`accept.settings.simulation.engine.kind` is"),
-        (("search", "bouncing_ball", "--free", "m=1:3", "--starts", "3"), "`free.m` is"),
-        ((*TABLE, "--starts", "3"), '`problem` is "bouncing_ball"'),
+        (("search", "bouncing_ball", "--vary", "m=1:3", "--n-starts", "3"), "`free.m` is"),
+        ((*TABLE, "--n-starts", "3"), '`problem` is "bouncing_ball"'),
         (("map", "bouncing_ball", "--x", "m=1:2", "--y", "g=9:10"), '`work` is "search"'),
     ],
 )
@@ -353,6 +353,7 @@ def test_a_checkpoint_knows_all_that_the_outcome_of_a_start_depends_on() -> None
     assert {*known} == {
         *("work", "problem", "problem_digest", "gains", "parameters", "from", "accept"),
         *("free", "objective", "bounds", "shape", "initial_states", "sizes", "settings"),
+        "simulator",
         "versions",
     }
     assert (known["work"], known["problem"]) == ("search", PROBLEM)
@@ -373,6 +374,7 @@ def test_the_checkpoint_of_another_known_orbit_is_refused(
         search(Workers(count=1), folder=folder, near=other, settings=SearchSettings(n_starts=0))
 
 
+@pytest.mark.slow
 def test_the_checkpoint_beside_the_output_goes_when_there_is_an_answer(tmp_path: Path) -> None:
     assert ask(*TABLE, "-o", tmp_path / "orbit.json").code == YES
     assert [path.name for path in tmp_path.iterdir()] == ["orbit.json"]
@@ -417,15 +419,15 @@ def test_a_problem_that_workers_would_not_see_is_refused() -> None:
 def test_a_judge_that_has_no_name_cannot_be_told_from_another_by_a_checkpoint(
     tmp_path: Path,
 ) -> None:
-    with pytest.raises(InputError, match="`accept` must be made of"):
+    with pytest.raises(InputError, match="`accept` must consist of"):
         search(Workers(count=1), folder=tmp_path / "kept", accept=lambda _: Judgement())
 
 
 # ---------------------------------------------------------------------------- the pendulum
 
 LONG = (
-    *("search", "motor_pendulum", "--gain", "Kp=2:3", "--gain", "Kd=-1.2:-0.8"),
-    *("--objective", "period=1.8", "--candidates", "9", "--starts", "4", "--json"),
+    *("search", "motor_pendulum", "--vary", "Kp=2:3", "--vary", "Kd=-1.2:-0.8"),
+    *("--objective", "period=1.8", "--candidates", "9", "--n-starts", "4", "--json"),
 )
 
 

@@ -331,8 +331,8 @@ def test_phases_meet_along_the_section_only() -> None:
     tangent = writer.close([0.0, 0.0], start, end, (GAP_RATE,))
     assert np.abs(tangent) == pytest.approx(np.array([[1.0], [0.0]]))
     rows = rows_of(writer.program)
-    assert list(rows) == ["A it starts where the last one ends", "the orbit closes"]
-    assert np.abs(rows["A it starts where the last one ends"]) == pytest.approx([1.0])
+    assert list(rows) == ["A it starts at the end of the last phase", "the orbit closes"]
+    assert np.abs(rows["A it starts at the end of the last phase"]) == pytest.approx([1.0])
     assert rows["the orbit closes"] == pytest.approx([(1.0 - 5.0) / 4.0 * tangent[0, 0]])
 
 

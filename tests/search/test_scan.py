@@ -135,7 +135,7 @@ def test_without_an_orbit_anywhere_the_first_place_comes_twice(
     assert (first.easy, first.known_empty) == ((), False)
     assert again.easy
     assert again.known_empty
-    assert scan_summary(search).endswith("looked at by simulation: rest (25).")
+    assert scan_summary(search).endswith("were simulated: rest (25).")
 
 
 def test_the_places_of_a_scan_do_not_depend_on_how_many_starts_there_may_be(
@@ -333,7 +333,7 @@ def test_an_orbit_is_scored_by_what_a_map_tells_and_measured_for_the_rest(
         return {name: Extent(lowest=3.0, highest=4.0) for name in names}
 
     monkeypatch.setattr(scan, "measure", measure)
-    monkeypatch.setattr(scan, "_cycle", lambda *_: SimpleNamespace(period=2.5))
+    monkeypatch.setattr(scan, "cycle_at", lambda *_: SimpleNamespace(period=2.5))
     monkeypatch.setattr(scan, "orbit_of", lambda cycle, *_: cycle)
     values, seen = problem.values(), _orbit(0.25, period=2.0, margins={"margin": 0.5})
     fastest = _search(problem)
@@ -374,16 +374,16 @@ def test_a_period_of_an_attractor_has_its_returns_or_the_impacts_of_a_little_mor
     settings = SettlingSettings().simulation
     named = {"horizon": 4.0, "settings": settings}
     seen = _orbit(0.5, returns=2, state=state)
-    found: Any = scan._cycle(search, values, seen)
+    found: Any = scan.cycle_at(search, values, seen)
     assert found == (start, OrbitShape.parsed("zeno*2"), named)
     assert asked == []
     struck = _orbit(0.5, fate=Fate.NO_ZENO, returns=0, state=state)
-    found = scan._cycle(search, values, struck)
+    found = scan.cycle_at(search, values, struck)
     assert found == (start, OrbitShape.parsed("impact*3"), named)
     # The last impact is that at the end of the period, which rounding may put after it.
     assert asked == [(start, {"until": pytest.approx(2.002), "settings": settings})]
     simple = _orbit(0.5, fate=Fate.SIMPLE, state=state)
-    found = scan._cycle(search, values, simple)
+    found = scan.cycle_at(search, values, simple)
     assert found[1] == OrbitShape.parsed("plastic")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +29,6 @@ from zeno_orbits.search import (
     SearchStatus,
     find_orbit,
     search_gains,
-    strategy,
 )
 from zeno_orbits.search.guess import SettlingSettings
 from zeno_orbits.search.objectives import (
@@ -40,8 +38,7 @@ from zeno_orbits.search.objectives import (
     TargetAmplitude,
     TargetPeriod,
 )
-from zeno_orbits.search.outcome import StartOutcome
-from zeno_orbits.search.search_problem import SearchProblem
+from zeno_orbits.search.transcription.ipopt import IpoptSettings
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.certificate import OrbitCertificate
@@ -147,6 +144,7 @@ def test_a_wanted_period_is_reached(problem: Problem, period: float) -> None:
         assert lower <= orbit.gains[name] <= upper
 
 
+@pytest.mark.slow
 def test_one_free_gain_is_enough_for_a_period(problem: Problem) -> None:
     result = search_gains(
         problem,
@@ -178,6 +176,7 @@ def test_a_wanted_amplitude_is_reached(problem: Problem) -> None:
     assert (ends[0] - ends[1]) / 2 == pytest.approx(1.2, abs=ACCURACY)
 
 
+@pytest.mark.slow
 def test_less_energy_is_found_where_gains_may_give(
     problem: Problem, certificate: OrbitCertificate
 ) -> None:
@@ -221,7 +220,7 @@ def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(problem: Problem) 
     assert result.orbit is None
     # The family ends near 0.417.
     assert "Orbits could be followed to restitution = 0.416" in result.detail
-    assert "there the locked arc shrinks to nothing" in result.detail
+    assert "there the locked arc vanishes" in result.detail
 
 
 @pytest.mark.slow
@@ -253,6 +252,7 @@ def test_orbits_are_looked_for_from_the_given_states_alone(problem: Problem) -> 
         search_gains(problem, problem.values(), free={}, initial_states=[{"knee": 1.0}])
 
 
+@pytest.mark.slow
 def test_an_orbit_that_nobody_accepts_is_not_returned(problem: Problem) -> None:
     seen: list[ZenoOrbit] = []
 
@@ -331,21 +331,11 @@ def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
     assert "differ by" in result.detail
 
 
-@pytest.fixture
-def lost_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every program fail that moves gains all the way; steps towards it go on."""
-    refine = strategy.refine
-
-    def lose_the_way(search: SearchProblem, *arguments: Any) -> StartOutcome:
-        if search.free:
-            return StartOutcome(status=SearchStatus.NOT_SOLVED)
-        return refine(search, *arguments)
-
-    monkeypatch.setattr(strategy, "refine", lose_the_way)
+HASTY = IpoptSettings(most_iterations=3, most_seconds=1e9)
+"""Three iterations close an orbit at fixed numbers, and move numbers a little, not all the way."""
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("lost_way")
 def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost() -> None:
     pendulum = load_problem("motor_pendulum")
     # At Kd = 0.5 the motion dies out, so orbits are followed toward it, up to where they end.
@@ -353,23 +343,23 @@ def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost() -> None:
         pendulum,
         pendulum.values(gains={"Kd": 0.5}),
         free={"Kp": (2.0, 3.0), "Kd": (-1.2, 0.6)},
-        settings=SearchSettings(n_starts=4),
+        settings=SearchSettings(n_starts=4, ipopt=HASTY),
     )
     assert result.status is SearchStatus.FOUND
     assert "The way to gains near Kp = 2.5, Kd = 0.5 was lost" in result.detail
+    assert verify(result.unwrap(), pendulum).passed
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("lost_way")
 def test_the_last_orbit_on_the_way_to_an_optimum_is_kept_where_the_way_is_lost() -> None:
     pendulum = load_problem("motor_pendulum")
-    values = pendulum.values()
+    values = pendulum.values(gains={"Kd": -1.2})
     result = search_gains(
         pendulum,
         values,
-        free={"Kd": (-1.2, -0.9)},
+        free={"Kp": (2.2, 3.0), "Kd": (-1.2, -0.9)},
         objective=FastestContraction(),
-        settings=SearchSettings(n_starts=0),
+        settings=SearchSettings(n_starts=0, ipopt=HASTY),
     )
     assert "The way to the fastest contraction was lost" in result.detail
     found = result.unwrap()

@@ -168,9 +168,9 @@ def test_rows_of_multipliers_say_which_of_them_they_hold(size: int, n_complex: i
     keep_radius_below(program, matrix, 1.0)
     rows = rows_of(program)
     names = [
-        "multipliers: real ones not above the spectral radius",
-        "multipliers: real ones not below - the spectral radius",
-        "multipliers: complex ones not above the spectral radius",
+        "real multipliers not above the spectral radius",
+        "real multipliers not below - the spectral radius",
+        "multipliers: complex values not above the spectral radius",
     ]
     assert list(rows) == names[: 2 + (n_complex > 0)]
     # p(1) and (-1)^d p(-1) of (z - 1/2)^d.

@@ -121,7 +121,7 @@ def test_the_box_is_looked_at_when_a_start_needs_it_and_once(
     assert (looked, told) == ([], [])
     ordered = scanned(search, 1)
     assert ordered == replace(search, order=(2, 0, 1))
-    assert told == ["looking at places all over the box"]
+    assert told == ["simulating points of the whole box"]
     assert scanned(ordered, 2) is ordered
     optimum = _search(problem, objective=LeastEnergy())
     assert scanned(optimum, 0).order == (2, 0, 1)
@@ -318,8 +318,8 @@ def test_the_best_orbit_that_attracts_is_looked_for_beside_the_one_that_does_not
     outcome = try_start(search, 1, _stable_below(3.2, 0.5, -1.5))
     assert _place(outcome) == 3.0
     assert outcome.detail == (
-        "The best orbit, at Kp = 3.5, Kd = -1, does not attract; "
-        "this is the best one with a spectral radius up to 0.99."
+        "The best orbit, at Kp = 3.5, Kd = -1, does not attract. "
+        "This is the best one with a spectral radius up to 0.99."
     )
     kind, bounded, (start, solution) = asked[1]
     assert kind == "beside"
@@ -367,7 +367,7 @@ def test_where_orbits_cease_to_attract_is_told(
         lambda *_: _found(problem.values(gains={"Kp": 3.0})),
     )
     outcome = try_start(_search(problem), 0, _stable_below(3.2, 0.3, multiplier))
-    assert outcome.detail.startswith(f"The best orbit, at Kp = 3.5, Kd = -1, {words}; this is")
+    assert outcome.detail.startswith(f"The best orbit, at Kp = 3.5, Kd = -1, {words}. This is")
 
 
 def test_a_refusal_stands_where_nothing_attracts_or_stability_is_asked_for_already(
@@ -419,7 +419,7 @@ def test_nearest_numbers_that_attract_are_looked_for_on_the_way_back(
     outcome = try_start(search, 0, _stable_below(3.2))
     assert _place(outcome) == 3.0
     assert outcome.detail == (
-        "The best orbit, at Kp = 3.5, Kd = -1, does not attract; this one, on the way to it, does."
+        "The best orbit, at Kp = 3.5, Kd = -1, does not attract. This one, on the way to it, does."
     )
     held = [(bounded, start) for kind, bounded, start in asked if kind == "from"][2:]
     tried = [start.values.gains["Kp"] for _, start in held]

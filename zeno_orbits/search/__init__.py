@@ -1,14 +1,14 @@
 """Find orbits and gains: guess by simulation, transcribe, solve, confirm by simulation, rank.
 
-A program is solved from one start after another, and what it finds is simulated and handed to a
-check; `close_orbit` closes an orbit by simulation alone.
+A nonlinear program is solved from a sequence of starts. Each solution is simulated and passed to a
+check. `close_orbit` closes an orbit by simulation alone.
 
 Offers: `find_orbit` and `search_gains` (with `SearchSettings`, a `SearchResult` of `Candidate`
 orbits, `Judgement` for checks, `StartWorkers`), `close_orbit`, `close_cycle` and `close_near`, and
 the objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`, `LeastEnergy`, `LeastPeak`,
 `FastestContraction`, `WidestMargin`.
 
-Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, errors.
+Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, kinds, errors.
 """
 
 import lazy_loader as lazy

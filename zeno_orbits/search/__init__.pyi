@@ -12,6 +12,7 @@ from .multistart import StartWorkers as StartWorkers
 from .number_notes import at_ends as at_ends
 from .number_notes import free_gains as free_gains
 from .number_notes import far_from_own as far_from_own
+from .number_notes import is_driven as is_driven
 from .objectives import FastestContraction as FastestContraction
 from .objectives import LeastEnergy as LeastEnergy
 from .objectives import LeastPeak as LeastPeak

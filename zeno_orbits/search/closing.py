@@ -1,8 +1,9 @@
-"""Orbits closed by simulation: from what a motion settles to, at given gains, to an orbit.
+"""Orbits closed by simulation: from the attractor of a motion at given gains to an orbit.
 
-It is faster than the collocation program by far, and less can be said of it: the orbit comes from
-the simulator, which the checker uses, too. Certify it with another engine than it was
-closed with, or with the model written by hand, or take `find_orbit`, which shares the model alone.
+This method is much faster than the collocation program, but it proves less: the orbit comes from
+the simulator, which the checker also uses. Certify the orbit with another engine than the engine
+that closed it, or with the model written by hand, or use `find_orbit`, which shares only the model
+with the checker.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
-from zeno_orbits.integrators import Taylor, Tolerance
+from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import (
     Cycle,
@@ -34,9 +35,9 @@ from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation
 from zeno_orbits.work import Progress, silent
 
 _NEAR = (1e-2, 1e-4)
-"""Change over a period at which a motion is closed: early, and if that fails, late."""
+"""Change over a period at which the orbit is closed: first an early attempt, then a late one."""
 _ROUGH = 1e-6
-"""Accuracy of the motion on its way there."""
+"""Accuracy of the motion until then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,10 +45,10 @@ class Closing:
     """Outcome of closing an orbit by simulation, successful or not.
 
     Attributes:
-        orbit: The orbit, not verified, if there is one.
-        miss: Change of its release over a period, relative; infinite without an orbit.
-        returns: Returns that it took.
-        detail: The reason in words, if there is no orbit.
+        orbit: The orbit, not verified, or ``None`` after a failure.
+        miss: Relative change of the orbit's release over a period. Infinite without an orbit.
+        returns: Number of simulated returns.
+        detail: Reason of a failure, as a sentence. Empty after a success.
     """
 
     orbit: ZenoOrbit | None
@@ -59,7 +60,7 @@ class Closing:
         """Return the orbit.
 
         Raises:
-            OrbitNotClosedError: If there is none; the error carries this result.
+            OrbitNotClosedError: If no orbit was closed. The error contains this result.
         """
         if self.orbit is None:
             raise OrbitNotClosedError(self)
@@ -87,38 +88,31 @@ def close_orbit(
     on_progress: Progress = silent,
     shape: OrbitShape | None = None,
 ) -> Closing:
-    """Return the orbit at given gains to which a simulation settles, or one near another orbit.
+    """Return the orbit at given gains to which a simulation converges, or an orbit near `near`.
 
-    The simulator makes the orbit here and checks it in `verify`: an error of the simulator that is
-    the same in both is not seen. Verify with another engine, or `use_reference`, or both.
+    The simulator creates the orbit here and checks it in `verify`. An error of the simulator that
+    is the same in both is not detected. Verify with another engine, or `use_reference`, or both.
 
     Args:
         problem: The problem.
-        values: Its numbers.
-        near: An orbit of the problem to start from, at these numbers or near them; by default the
-            problem's starts are followed until the motion nearly repeats.
-        simulation: Engine and accuracy; by default Taylor's method at full accuracy where heyoka is
-            installed and the problem analytic, else the default engine.
-        on_progress: Called with the name of each stage as it begins.
-        shape: The orbit's shape; by default that of ``near``, or what the motion settles to.
+        values: Values of its gains and parameters.
+        near: An orbit of the problem to start from, at these values or near them. By default the
+            problem's initial states are simulated until the motion nearly repeats.
+        simulation: Engine and accuracy. The default is `SimulationSettings()`.
+        on_progress: Called with the name of each stage at its beginning.
+        shape: The orbit's shape. The default is the shape of ``near``, or of the attractor.
 
     Raises:
-        InputError: If ``near`` is of another problem or shape, or ``simulation`` asks for what is
-            missing.
+        InputError: If ``near`` belongs to another problem or has another shape, or if
+            ``simulation`` requires a missing component.
     """
     if near is not None and near.problem != problem.name:
         message = f"must be of problem `{problem.name}`, but it is of `{near.problem}`"
         raise InputError(f"Argument `near` {message}.")
     if near is not None:
         shape = near.shape.agreed(shape)
-    if simulation is not None:
-        return _closed(problem, values, near, shape, simulation, on_progress)
-    taylor = SimulationSettings(engine=Taylor())
-    try:
-        return _closed(problem, values, near, shape, taylor, on_progress)
-    except InputError:
-        # No heyoka or no formulas for it; what else is wrong is wrong for every engine.
-        return _closed(problem, values, near, shape, SimulationSettings(), on_progress)
+    simulation = simulation or SimulationSettings()
+    return _closed(problem, values, near, shape, simulation, on_progress)
 
 
 def _closed(
@@ -144,7 +138,7 @@ def _closed(
             on_progress("closing the orbit", None)
             closed = close_cycle(
                 dynamics,
-                # What repels leads away from what is near.
+                # Near an unstable orbit the end of the period is farther away than its start.
                 cycle.end.state if near is None else cycle.start.state,
                 scale=cycle.scale_at_events(),
                 period=cycle.period,
@@ -158,11 +152,11 @@ def _closed(
             continue
         shorter = gone_round_twice(closed.cycle)
         if shorter is not None and near is None and wanted is None:
-            # A motion that overshoots nearly repeats after two periods before it does after one.
+            # If a motion overshoots, it nearly repeats after two periods first, later after each.
             return _closed(problem, values, None, shorter, simulation, on_progress)
         detail = round_again(closed.cycle)
         if not detail and near is not None:
-            # A motion that settles was held within the escapes all the way.
+            # Without `near`, the simulation itself checked the divergence limits.
             detail = escape_of(problem, closed.cycle)
         if detail:
             continue
@@ -172,7 +166,7 @@ def _closed(
 
 
 class _NoGuessError(ZenoOrbitsError):
-    """No start settled."""
+    """No simulation from an initial state converged."""
 
 
 def _settled(
@@ -200,7 +194,7 @@ def _settled(
 
 
 def escape_of(problem: Problem, cycle: Cycle) -> str:
-    """Return the escape that a period goes beyond, as a sentence; empty if there is none."""
+    """Return a sentence on the divergence limit that a period exceeds, or an empty text."""
     for name, escape in problem.escapes.items():
         place = problem.state_names.index(name)
         size = max(float(np.max(np.abs(arc.flow_states[:, place]))) for arc in cycle.arcs)
@@ -211,17 +205,17 @@ def escape_of(problem: Problem, cycle: Cycle) -> str:
 
 
 def named(problem: Problem, state: Vector) -> dict[str, float]:
-    """Return state name to value."""
+    """Return a mapping of state name to value."""
     return dict(zip(problem.state_names, map(float, state), strict=True))
 
 
 def orbit_of(cycle: Cycle, problem: Problem, values: ParameterValues) -> ZenoOrbit:
-    """Return a period that repeats as an orbit without a certificate.
+    """Convert a period that repeats to an orbit without a certificate.
 
     Args:
         cycle: The period.
-        problem: Its problem.
-        values: The problem's numbers.
+        problem: Problem of the period.
+        values: Values of the problem's gains and parameters.
     """
     start = cycle.start.time
 

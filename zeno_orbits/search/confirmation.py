@@ -1,6 +1,6 @@
-"""A solution of a program held against a simulation of one period from its release.
+"""Compare a solution of a program with a simulation of one period from its release.
 
-Ipopt's word is not an orbit: only what a simulation follows is one.
+A solution of Ipopt counts as an orbit only if a simulation reproduces it.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def confirm(
         search: The search.
         outcome: Outcome of the program so far.
         unknowns: Name of each block of unknowns and each report to its values in the solution.
-        values: Numbers of the solution.
-        objective: The objective, if anything was free.
+        values: Gains and parameters of the solution.
+        objective: The objective, or ``None`` without free values.
         shape: The shape of the solution.
     """
     dynamics = search.dynamics(values)
@@ -98,7 +98,7 @@ def confirm(
 
 
 def _excesses(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> dict[str, float]:
-    """Return by how much a simulated period passes the bounds of signals that it passes."""
+    """Return the excess over each bound that a signal violates in a simulated period."""
     known = signal_names(search.compiled)
     found: dict[str, float] = {}
     for bound in search.bounds if search.free else ():
@@ -150,7 +150,7 @@ def _orbit(
 
 
 def tightened(bounds: Sequence[Bound], excesses: Mapping[str, float]) -> tuple[Bound, ...]:
-    """Return bounds drawn in by what a simulation passed them by."""
+    """Return bounds tightened by the excesses of a simulation."""
 
     def drawn_in(bound: Bound) -> Bound:
         by = excesses.get(bound.name, 0.0)
@@ -164,16 +164,16 @@ def tightened(bounds: Sequence[Bound], excesses: Mapping[str, float]) -> tuple[B
 def one_cycle(
     dynamics: HybridDynamics, start: Vector, horizon: float, shape: OrbitShape = ONE_ZENO
 ) -> Cycle | None:
-    """Return the period of a shape that starts at a state, at full accuracy.
+    """Simulate the period of a shape that starts at a state, at full accuracy.
 
     Args:
         dynamics: The system.
-        start: Where it starts, on its section, ``(n_x,)``.
-        horizon: Longest time to wait [s].
+        start: Initial state on the section of the shape, ``(n_x,)``.
+        horizon: Longest simulated time [s].
         shape: The shape of the orbit.
 
     Returns:
-        The period, or ``None`` if the motion does not come back in that shape.
+        The period, or ``None`` if the motion does not return with that shape.
     """
     settings = SimulationSettings()
     try:
@@ -183,12 +183,12 @@ def one_cycle(
 
 
 def _start_times(unknowns: Mapping[str, Array], shape: OrbitShape) -> list[float]:
-    """Return when the phases of a solution start [s]."""
+    """Return the start time of each phase of a solution [s]."""
     return [float(unknowns[f"{label}start time"][0, 0]) for label in labels_of(shape)]
 
 
 def _difference(cycle: Cycle, values: Mapping[str, Array]) -> float:
-    """Return the largest difference of a solution from a simulated cycle, relative."""
+    """Return the largest relative difference between a solution and a simulated cycle."""
     period, scale = cycle.period, cycle.scale()
 
     def apart(time: float, state: Vector, at: Moment | Impact | ZenoPoint) -> float:

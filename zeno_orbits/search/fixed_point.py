@@ -1,9 +1,9 @@
-r"""Periods that repeat: Newton's method on the return map, its slope told by the returns.
+r"""Periods that repeat: a quasi-Newton method on the return map.
 
-On its section the orbit is the root of :math:`P(y) - y` (theory (18), (45)). The slope of
-:math:`P` is taken from the returns themselves, a rank-one correction each [Broyden1965]_: a return
-costs a few times less than an exact slope. Where that does not converge, as on an orbit that
-repels, the exact slope is taken (theory (27)).
+On its section the orbit is the root of :math:`P(y) - y` (theory (18), (45)). The derivative of
+:math:`P` is estimated from the returns, by a rank-one update per return [Broyden1965]_: a return
+costs a few times less than an exact derivative. If this iteration does not converge, for example on
+an unstable orbit, the exact derivative is computed (theory (27)).
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from zeno_orbits.orbits import (
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 _REPEATS = 1e-12
-"""Change of the release over a period that counts as none, relative."""
+"""Relative change of the release over a period that counts as zero."""
 _STALLED = 1e-8
-"""Change that rounding may leave where the flow is stiff; more than this is no orbit."""
+"""Largest change that rounding may leave in a stiff flow. A larger change is not an orbit."""
 _OWN = 1e-6
-"""The same, relative to the size of the period itself: a motion that dies out repeats, too."""
+"""The same, relative to the size of the period itself, since a decayed motion also repeats."""
 _MOST_RETURNS = 16
 _SHORTER = 4.0
-"""Divisor of a step that did not help although its slope was exact."""
+"""Divisor of a step that did not reduce the residual although its derivative was exact."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,8 +49,8 @@ class ClosedCycle:
 
     Attributes:
         cycle: The period, simulated from its release.
-        miss: Change of the release over it, relative.
-        returns: Returns that it took, those for a slope not counted.
+        miss: Relative change of the release over the period.
+        returns: Number of simulated returns, without the returns for an exact derivative.
     """
 
     cycle: Cycle
@@ -68,24 +68,25 @@ def close_cycle(
     slope: Vector | None = None,
     shape: OrbitShape = ONE_ZENO,
 ) -> ClosedCycle:
-    r"""Return the period of a shape that repeats, near a state where one starts.
+    r"""Return the period of a shape that repeats, near a given initial state.
 
-    With :math:`r_k = P(y_k) - y_k`, steps :math:`(1 - J) s_k = r_k`, and after each
-    :math:`J \leftarrow J + (r_{k+1} - r_k - (J - 1) s_k) s_k^\top / s_k^\top s_k`. Where a step
-    does not halve the residual, the next one starts from the better point with the exact slope
-    there (theory (27)), and is shortened if that does not help.
+    With :math:`r_k = P(y_k) - y_k`, the steps solve :math:`(1 - J) s_k = r_k`. After each step,
+    :math:`J \leftarrow J + (r_{k+1} - r_k - (J - 1) s_k) s_k^\top / s_k^\top s_k`. If a step does
+    not halve the residual, the next step starts from the better point with the exact derivative
+    there (theory (27)). If that does not help either, the step is shortened.
 
     Args:
         dynamics: The system.
         release: A state near the orbit's start, mostly a release, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
-        period: Of the orbit, roughly [s].
+        period: Approximate period of the orbit [s].
         settings: Engine and accuracy.
-        slope: Derivative of the return map in the section around ``release``, if it is known.
+        slope: Derivative of the return map in the section around ``release``, if available.
         shape: The shape.
 
     Raises:
-        SimulationError: If a start does not return, no return repeats, or only rest does.
+        SimulationError: If a motion does not return, no return repeats, or only an equilibrium
+            repeats.
     """
     rows = rows_of(shape, dynamics.restitution)
     section = section_around(dynamics, rows, placed(dynamics, shape, release), scale)
@@ -102,10 +103,10 @@ def close_cycle(
                 return _sized(best, count)
             j = _broyden(j, best, trial)
         if trial is not None and (best is None or trial.change < best.change / 2):
-            # A slope that was known beforehand counts for the first point only.
+            # A given derivative is valid for the first point only.
             best, exact, share = trial, exact and best is None, 1.0
         elif best is not None:
-            # Returns alone do not close in: the orbit repels, or attracts hardly.
+            # Returns alone do not converge: the orbit is unstable or only weakly stable.
             if trial is not None and trial.change < best.change:
                 best, exact, share = trial, False, 1.0
             if exact:
@@ -117,17 +118,18 @@ def close_cycle(
                 )
                 exact = True
         if best is not None:
-            # Least squares: at a fold of a family the matrix is singular, and that is no crash.
+            # Least squares, since the matrix is singular at a fold of a family.
             at = best.at + share * np.linalg.lstsq(one - j, best.miss, rcond=None)[0]
     raise SimulationError(
-        f"No return repeats; the last one differs by {np.inf if best is None else best.change:.1e}",
+        "No return repeats. The last return differs by "
+        f"{np.inf if best is None else best.change:.1e}",
         time=period,
         state=tuple(release.tolist()),
     )
 
 
 def close_near(dynamics: HybridDynamics, cycle: Cycle, settings: SimulationSettings) -> ClosedCycle:
-    """Return the period of the same shape that repeats, near one that hardly does.
+    """Return the period of the same shape that repeats, near a period that repeats roughly.
 
     Args:
         dynamics: The system.
@@ -154,7 +156,7 @@ class _Trial:
     Attributes:
         at: Coordinates of the point.
         cycle: The return.
-        miss: Coordinates of its end minus those of the point.
+        miss: Coordinates of the return's end minus the coordinates of the point.
     """
 
     at: Vector
@@ -163,15 +165,15 @@ class _Trial:
 
     @property
     def change(self) -> float:
-        """Distance of the return from repeating."""
+        """Largest coordinate of the residual."""
         return float(np.max(np.abs(self.miss), initial=0.0))
 
 
 def _sized(trial: _Trial, count: int) -> ClosedCycle:
-    """Return a return that repeats, unless only its size has gone to zero.
+    """Return the closed cycle of a return that repeats, unless the return has shrunk to a point.
 
     Raises:
-        SimulationError: If it does not repeat in units of its own size.
+        SimulationError: If the return does not repeat in units of its own size.
     """
     cycle = trial.cycle
     if cycle.drift(cycle.scale_at_events()) > _OWN:
@@ -195,7 +197,7 @@ def _tried(
 ) -> _Trial | None:
     """Simulate one return from section coordinates.
 
-    Returns None if the motion does not come back; raises if `needed`.
+    If the motion does not return, the result is None, or with `needed` the error is raised.
     """
     start = placed(dynamics, shape, section.state(dynamics, at))
     try:
@@ -208,7 +210,7 @@ def _tried(
 
 
 def _broyden(j: Vector, before: _Trial, after: _Trial) -> Vector:
-    """Return the slope after a step that has told more of it."""
+    """Return the derivative after the rank-one update of a step."""
     step = after.at - before.at
     length = float(step @ step)
     if length == 0.0:
@@ -225,17 +227,17 @@ def cycle_near(
     settings: SimulationSettings,
     shape: OrbitShape = ONE_ZENO,
 ) -> Cycle:
-    """Return the first period of a shape of the motion from a state near the start of one.
+    """Return the first period of a shape in the motion from a state near the start of a period.
 
     Args:
         dynamics: The system.
-        x: A state on the stop, mostly near a release or at one, ``(n_x,)``.
-        period: Roughly [s].
+        x: A state on the stop, mostly at a release or near it, ``(n_x,)``.
+        period: Approximate period [s].
         settings: Engine and accuracy.
         shape: The shape.
 
     Raises:
-        SimulationError: If there is none within two periods.
+        SimulationError: If such a period does not begin within two periods.
     """
     wanted = shape.at_restitution(dynamics.restitution)
     run = simulate(dynamics, x, until=2 * period, settings=settings)

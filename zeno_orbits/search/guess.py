@@ -1,4 +1,4 @@
-"""First guesses by simulation: follow a motion until `attractor` says what it settles to."""
+"""First guesses by simulation: simulate a motion until its attractor is classified."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, RunawayError, SimulationError
+from zeno_orbits.errors import InputError, RunawayError, SimulationError, any_number
 from zeno_orbits.integrators import Tolerance
+from zeno_orbits.kinds import require_kinds
 from zeno_orbits.model import HybridDynamics, Problem, own_time
 from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed, to_next_release
 from zeno_orbits.search.recurrence import Recurrence, Recurring
@@ -29,30 +30,30 @@ from zeno_orbits.simulation import (
 )
 
 _DIFFERENCE = 1e-6
-"""Step of a derivative; its error is that part of a correction that is small itself."""
+"""Relative step of a difference quotient. Its error affects only a small correction."""
 _SMALL = 1e-3
-"""A state that is smaller than this part of the largest has no size of its own."""
+"""Smallest size of a state, in units of the largest state."""
 
 _SHARE = 1 / 3
-"""Part of the longest wait that a start has however long motions from others were followed."""
+"""Part of the time limit that every start has, however long earlier starts took."""
 
 _LOOK = 6
-"""Oscillations, or turns of the clock, between two looks at a motion without releases."""
+"""Oscillations, or turns of the clock, between two checks of a motion without releases."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SettlingSettings:
-    """Limits of the wait for a motion to repeat.
+    """Limits of the simulation of a motion until it repeats.
 
     Attributes:
-        horizon: Longest simulated time from one start [s]; by default some hundred turns of the
-            problem's clock, or of its slowest oscillation.
-        chunk: Longest simulated time between two looks [s]; there is one at every release, too.
-            A motion that does not come back to its release so soon is waited for twice as long.
-            By default a few turns or oscillations.
-        settled: Change of the release state over a period that counts as repeating, relative.
-        usable: Change up to which the last period still serves as a guess.
-        simulation: Accuracy; looser than a verification.
+        horizon: Longest simulated time from one start [s]. The default is about one hundred turns
+            of the problem's clock, or periods of its slowest oscillation.
+        chunk: Longest simulated time between two checks [s]. The motion is also checked at every
+            release. If it does not return to its release within this time, the time is doubled.
+            The default is a few turns or oscillations.
+        settled: Relative change of the release state over a period that counts as repeating.
+        usable: Largest relative change with which the last period still serves as a guess.
+        simulation: Accuracy, looser than for a verification.
     """
 
     horizon: float | None = None
@@ -67,22 +68,23 @@ class SettlingSettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse times to wait that are not positive."""
+        """Reject time limits that are not positive."""
+        require_kinds(self)
         for name, time in (("until", self.horizon), ("chunk", self.chunk)):
-            if time is not None and not 0.0 < time < math.inf:
+            if time is not None and not 0.0 < any_number(name, time) < math.inf:
                 wanted = "must be a positive number of seconds"
                 raise InputError(f"Argument `{name}` {wanted}, but it is {time:g}.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowedMotion:
-    """Outcome of following a motion.
+    """Result of the simulation of a motion until it repeats.
 
     Attributes:
-        cycle: Its last period, if it is fit for a guess.
-        reason: Reason why there is none, as a clause; empty if there is one.
-        waited: How long it was followed [s].
-        undecided: True if it had settled to nothing when its time was over.
+        cycle: Last period of the motion, if usable as a guess.
+        reason: Reason of a missing period, as a clause. Empty with a period.
+        waited: Simulated time [s].
+        undecided: True if the motion had not converged at the time limit.
     """
 
     cycle: Cycle | None
@@ -93,16 +95,16 @@ class FollowedMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Watch:
-    """Limits of the wait, as numbers.
+    """Limits of the simulation, as values.
 
     Attributes:
         settings: Accuracy of the simulation, with the bounds of the coordinates.
         settled: As in `SettlingSettings`.
         usable: As in `SettlingSettings`.
         horizon: Longest simulated time [s].
-        chunk: Longest simulated time between two looks [s].
-        turn: A turn of the clock or longer [s]: what is still for so long is so for ever.
-        phrases: Name of a coordinate to what its escape means.
+        chunk: Longest simulated time between two checks [s].
+        turn: A turn of the clock or longer [s]. A motion that is at rest for so long stays at rest.
+        phrases: Name of a coordinate to the description of its divergence.
     """
 
     settings: SimulationSettings
@@ -126,10 +128,11 @@ def settle(
     Args:
         dynamics: The system.
         starts: Initial states, tried in order.
-        settings: Limits of the wait.
-        shape: The shape of the period; by default whatever the motion settles to. If it settles to
-            another one, the period of this shape on the way that came nearest to repeating.
-        problem: The problem, for its escapes, units and clock.
+        settings: Limits of the simulation.
+        shape: The shape of the period. The default is the shape of the attractor. If the attractor
+            has another shape, the result is the earlier period of this shape that came nearest to
+            repeating.
+        problem: The problem, with its divergence limits, units and clock.
     """
     settings = settings or SettlingSettings()
     wanted = None if shape is None else shape.at_restitution(dynamics.restitution)
@@ -152,7 +155,7 @@ def settle(
 def _watch(
     dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, problem: Problem | None
 ) -> _Watch:
-    """Return what ends the wait for the motion from a state, in the problem's own scales."""
+    """Return the limits for the motion from a state, in the problem's characteristic scales."""
     own, turns, far, phrases = own_time(dynamics, state), OSCILLATIONS, math.inf, {}
     if problem is not None:
         declared = {name: escape.beyond for name, escape in problem.escapes.items()}
@@ -174,7 +177,7 @@ def _watch(
 def _settle_from(
     dynamics: HybridDynamics, state: Vector, watch: _Watch, wanted: OrbitShape | None
 ) -> FollowedMotion:
-    """Return the last period of the motion from a state, or why there is none."""
+    """Return the last period of the motion from a state, or the reason of a missing period."""
     n_q, names = dynamics.n_q, dynamics.state_names
     elapsed, at_release, patience, still, held = 0.0, False, watch.chunk, 0.0, 0.0
     recurrence = Recurrence(settled=watch.settled, wanted=wanted)
@@ -193,7 +196,7 @@ def _settle_from(
         recurrence = recurrence.after(run, found, since=elapsed)
         elapsed += run.end_time
         if at_release and not run.releases:
-            # The next wait is twice as long, for motions that return later than this.
+            # The next time limit is twice as long, for motions that return later.
             patience *= 2
         speeds += [-cycle.impacts[0].approach_rate for cycle in found]
         settled = recurrence.settled_to()
@@ -233,7 +236,7 @@ def _settle_from(
 def _period(
     dynamics: HybridDynamics, found: Recurring, settings: SimulationSettings
 ) -> FollowedMotion:
-    """Return the period itself: made anew, unless it was followed from its start to its end."""
+    """Return the period: simulated again, unless the motion contains it in one piece."""
     if found.cycle is not None:
         return FollowedMotion(cycle=found.cycle)
     start = back_on_constraints(dynamics, placed(dynamics, found.shape, found.start), locked=False)
@@ -247,22 +250,22 @@ def _period(
 def _to_next_look(
     dynamics: HybridDynamics, state: Vector, watch: _Watch, patience: float, *, at_release: bool
 ) -> Execution:
-    """Return the execution to the next release, or over a chunk without any."""
+    """Return the execution up to the next release, or over a chunk without a release."""
     if at_release:
         return to_next_release(dynamics, state, horizon=patience, settings=watch.settings)
     return simulate(dynamics, state, until=watch.chunk, releases=1, settings=watch.settings)
 
 
 def back_on_constraints(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:
-    """Return the nearest state on what a loose integration drifts off: stop and constraints.
+    """Project a state onto the stop and the constraints, from which a loose integration drifts.
 
-    On the constraints it is a Newton step of least length in units of the states' own sizes, its
-    derivatives by differences.
+    The projection onto the constraints is a Newton step of least length in units of the
+    characteristic sizes of the states. Its derivatives are difference quotients.
 
     Args:
         dynamics: The system.
         state: A state, ``(n_x,)``.
-        locked: It is on the stop.
+        locked: True if the state is on the stop.
     """
     state = dynamics.on_stop(state) if locked else state
     off = dynamics.holonomic(state)
@@ -275,7 +278,7 @@ def back_on_constraints(dynamics: HybridDynamics, state: Vector, *, locked: bool
 
 
 def _rates(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:
-    """Return the sizes of the rates of all states but the clock."""
+    """Return the absolute rates of all states except the clock."""
     mode = dynamics.locked if locked else dynamics.free
     return np.delete(np.abs(mode.rate(state)), dynamics.clock)
 

@@ -1,4 +1,4 @@
-"""The starts of a search one after another: in this process, or by many workers."""
+"""The starts of a search: one after another in this process, or in parallel by many workers."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from zeno_orbits.search.outcome import Accept, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.start import scanned, start_count, try_start
+from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import (
     LostPoint,
     Plan,
@@ -26,12 +27,14 @@ from zeno_orbits.work import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartWorkers:
-    """Workers that try the starts of a search.
+    """Workers that run the starts of a search.
 
     Attributes:
-        problem_file: File of the problem; the search is given ``problem_file.load()``.
-        plan: Place of the workers and of finished starts. Its identity is filled in.
-        tell: Told how many starts are done, and the part of what was left at the start.
+        problem_file: File of the problem. The search receives ``problem_file.load()``.
+        plan: Executor of the workers and checkpoint of finished starts. The search completes the
+            plan's identity.
+        tell: Called with the number of finished starts, and with the finished part of the starts
+            that remained at the beginning.
     """
 
     problem_file: ProblemFile
@@ -40,7 +43,7 @@ class StartWorkers:
 
 
 def outcomes_here(search: SearchProblem, accept: Accept | None) -> Generator[StartOutcome]:
-    """Yield the outcome of each start, tried in this process when it is asked for."""
+    """Yield the outcome of each start, computed on demand in this process."""
     for number in range(start_count(search)):
         search = scanned(search, number)
         yield try_start(search, number, accept)
@@ -49,18 +52,18 @@ def outcomes_here(search: SearchProblem, accept: Accept | None) -> Generator[Sta
 def outcomes_spread(
     search: SearchProblem, accept: Accept | None, spread: StartWorkers
 ) -> Generator[StartOutcome]:
-    """Yield the outcome of each start in order: the first from this process, others from workers.
+    """Yield the outcome of each start in order: first from this process, then from workers.
 
-    Most searches end at their first start, before workers could have begun.
+    Most searches end at their first start, before workers could begin.
 
     Args:
-        search: What is asked.
-        accept: Judges an orbit; any orbit is accepted by default.
-        spread: The workers, and where finished starts are kept.
+        search: The search.
+        accept: Check of an orbit. By default all orbits are accepted.
+        spread: The workers, and the checkpoint of finished starts.
 
     Raises:
-        InputError: If the problem is another one, the place cannot be had, or the checkpoint is
-            another's.
+        InputError: If the workers load another problem, the executor is not available, or the
+            checkpoint belongs to another search.
         WorkError: If the work cannot be finished.
     """
     if spread.problem_file.load() is not search.problem:
@@ -88,11 +91,11 @@ def outcomes_spread(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Task:
-    """Tries starts by their numbers; it holds all that a worker needs.
+    """A task that runs starts by their indices. It contains all data that a worker needs.
 
     Attributes:
         problem_file: File from which the worker loads the problem.
-        question: The search but for its problem.
+        question: The search without its problem.
         accept: The check of orbits.
     """
 
@@ -106,17 +109,17 @@ class _Task:
         return self.outcomes(search, numbers)
 
     def outcomes(self, search: SearchProblem, numbers: Sequence[int]) -> list[dict[str, Any]]:
-        """Return the outcomes of starts of a search that is at hand, as plain data."""
+        """Return the outcomes of starts of a given search, as plain data."""
         return [
             plain(try_start(scanned(search, number), number, self.accept)) for number in numbers
         ]
 
 
 def _identity(task: _Task) -> dict[str, Any]:
-    """Return everything that the outcome of a start depends on."""
+    """Return all inputs on which the outcome of a start depends."""
     question = dict(task.question)
     values = question.pop("values")
-    # The order follows from all the rest.
+    # The order follows from the other entries.
     del question["order"]
     return {
         "work": "search",
@@ -127,6 +130,7 @@ def _identity(task: _Task) -> dict[str, Any]:
         "from": plain(question.pop("near")),
         **{name: plain(value, name) for name, value in question.items()},
         "accept": plain(task.accept, "accept"),
+        "simulator": simulator_in_use(),
         "versions": versions(),
     }
 

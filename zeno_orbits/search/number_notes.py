@@ -1,4 +1,4 @@
-"""Notes on the numbers of a search: free ones, held ones, at an end of a range, in another unit."""
+"""Notes on the values of a search: default free gains, suspect units, values at a bound."""
 
 from __future__ import annotations
 
@@ -8,21 +8,32 @@ from zeno_orbits.model import ParameterValues, Problem
 
 
 def free_gains(problem: Problem, fixed: Collection[str] = ()) -> dict[str, tuple[float, float]]:
-    """Return what is free where nothing else is said: all gains but some, in their own ranges.
+    """Return the default free gains with their default ranges: all gains except the fixed gains.
 
     Args:
         problem: The problem.
-        fixed: Names of the gains that are held.
+        fixed: Names of the fixed gains.
     """
     return {g.name: (g.lower, g.upper) for g in problem.gains if g.name not in fixed}
 
 
+def is_driven(problem: Problem) -> bool:
+    """Return True if a drive or a clock can supply the energy that impacts dissipate.
+
+    Args:
+        problem: The problem.
+    """
+    compiled = problem.compiled()
+    has_currents = len(problem.state_names) > 2 * compiled.n_q
+    return bool(problem.gains) or has_currents
+
+
 _FAR = 100.0
-"""Factor by which a number differs from the problem's own when its unit may be mistaken."""
+"""Factor between a value and the problem's default from which the unit may be wrong."""
 
 
 def far_from_own(problem: Problem, values: ParameterValues) -> list[str]:
-    """Return a sentence for each number that is far from the problem's own: a mistaken unit?"""
+    """Return a warning for each value that is far from the problem's default: a wrong unit?"""
     found: list[str] = []
     for quantity in problem.quantities:
         own, given = quantity.default, values.number(quantity.name)
@@ -34,8 +45,8 @@ def far_from_own(problem: Problem, values: ParameterValues) -> list[str]:
     return found
 
 
-_AT_END = 1e-6
-"""Part of its range within which a number lies at an end of it."""
+_AT_END = 1e-5
+"""Part of its range within which a value lies at a bound, since solvers stop inside a range."""
 
 
 def at_ends(
@@ -44,13 +55,13 @@ def at_ends(
     free: Mapping[str, tuple[float, float]],
     wanted: Mapping[str, float],
 ) -> list[str]:
-    """Return a sentence for each free number at an end of its range: beyond it may be better.
+    """Return a note for each free value at a bound of its range. An optimum may be beyond it.
 
     Args:
         problem: The problem.
-        values: The numbers of the orbit.
-        free: Name to range of what was free.
-        wanted: Name to value of what was asked for, which is no compromise.
+        values: Values of the orbit.
+        free: Name to range of each free value.
+        wanted: Name to target value. A value equal to its target is not a compromise.
     """
     found: list[str] = []
     for name, (low, high) in free.items():

@@ -1,10 +1,10 @@
-"""Objectives of a search with free numbers: one class an objective.
+"""Objectives of a search with free values: one class per objective.
 
-Each adds its rows to a program and returns the cost to minimise. One that asks for a property keeps
-the free numbers near where they started, each in units of its own size, so that the answer is
-unique. What was reached is measured on a simulation.
+Each objective adds its rows to a program and returns the cost to minimise. An objective that
+prescribes a property keeps the free values near their start, each in units of its own size, so that
+the solution is unique. The result is measured on a simulation.
 
-Another objective is one class here and one row of `OBJECTIVES`, the words of the command line.
+To add an objective, add a class here and a row to `OBJECTIVES`, the words of the command line.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.kinds import Checked, require_kinds
 
 if TYPE_CHECKING:
-    # Help and misuse of the command line need the words, not CasADi.
+    # The help and the error messages of the command line need the words, not CasADi.
     import casadi as ca
 
     from zeno_orbits.model import Problem
@@ -29,7 +30,10 @@ if TYPE_CHECKING:
     from zeno_orbits.simulation import Extent
 
 LEAST_RADIUS = 1e-4
-"""A spectral radius below this is as good as zero: a perturbation is gone after one period."""
+"""A spectral radius below this value counts as zero: a perturbation vanishes after one period."""
+
+PERSISTENCE = "persistence"
+"""Name of the smallest distance in the free values to the loss of an orbit, in units of ranges."""
 
 
 class Objective(ABC):
@@ -44,12 +48,12 @@ class Objective(ABC):
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """Names of what has to be measured of an orbit to score it."""
+        """Names of the quantities that the score of an orbit needs."""
         return ()
 
     @property
     def least(self) -> float:
-        """The least score that there can be."""
+        """Lower bound of the score."""
         return -math.inf
 
     @abstractmethod
@@ -58,11 +62,11 @@ class Objective(ABC):
 
     @property
     def goal(self) -> Mapping[str, float]:
-        """The free numbers that are wanted; what is not named stays near where it started."""
+        """Target of free values by name. A free value without a target stays near its start."""
         return {}
 
     def rank(self, extent: Extent) -> float:
-        """Return the score of the first of `quantities`; less is better."""
+        """Return the score of the first of `quantities`. A lower score is better."""
         return extent.highest
 
     def score(
@@ -71,11 +75,11 @@ class Objective(ABC):
         nearness: Nearness,
         extents: Mapping[str, Extent],
     ) -> float:
-        """Return the score of an orbit; less is better.
+        """Return the score of an orbit. A lower score is better.
 
         Args:
-            numbers: Name to value of what is free, at the orbit.
-            nearness: How their distance from what is wanted is measured.
+            numbers: Name to free value at the orbit.
+            nearness: Measure of the distance between free values and their targets.
             extents: The measured quantities.
         """
         if self.quantities:
@@ -83,28 +87,28 @@ class Objective(ABC):
         return float(nearness.distance(numbers, self.goal))
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
-        """Raise `InputError` if the objective makes no sense for a problem."""
+        """Raise `InputError` if the objective is not valid for a problem."""
         del problem, free
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NearestGains(Objective):
-    """Gains as near as possible to given ones, each in units of its own size.
+class NearestGains(Objective, Checked):
+    """Gains as near as possible to given values, each in units of its own size.
 
     Attributes:
-        target: Name to value; a free gain without one stays near its start.
+        target: Name to target value. A free gain without a target stays near its start.
     """
 
     target: Mapping[str, float]
 
     @property
     def wish(self) -> str:
-        """The objective in words."""
+        """The objective as a clause."""
         wanted = ", ".join(f"{name} = {value:g}" for name, value in self.target.items())
         return f"gains near {wanted}" if wanted else "gains near the start"
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return half the squared distance of the free numbers from the target."""
+        """Return half the squared distance of the free values from the target."""
         return terms.nearness.distance(terms.free, self.goal)
 
     @property
@@ -113,7 +117,7 @@ class NearestGains(Objective):
         return self.target
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
-        """Refuse names that are neither gains nor free, and targets that are not finite."""
+        """Reject names that are neither gains nor free, and targets that are not finite."""
         known = dict.fromkeys([*(gain.name for gain in problem.gains), *free])
         for name, value in self.target.items():
             if name not in known:
@@ -135,6 +139,10 @@ class Target(Objective):
 
     target: float
 
+    def __post_init__(self) -> None:
+        """Refuse a target of a wrong kind. `check` refuses values without a meaning."""
+        require_kinds(self)
+
     @abstractmethod
     def value(self, terms: OrbitTerms) -> ca.MX:
         """Return the quantity in the unknowns of the program."""
@@ -144,16 +152,16 @@ class Target(Objective):
         """Return the quantity of a simulated cycle."""
 
     def miss(self, cycle: Cycle) -> float:
-        """Return the distance of a simulated cycle from the target, relative."""
+        """Return the relative distance of a simulated cycle from the target."""
         return abs(self.measured(cycle) - self.target) / self.target
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Require the value; return the squared distance of the free numbers from their start."""
+        """Require the value. Return the squared distance of the free values from their start."""
         terms.program.equal(self.wish, self.value(terms) - self.target)
         return terms.nearness.distance(terms.free, self.goal)
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
-        """Refuse a target that is not positive."""
+        """Reject a target that is not positive."""
         del problem, free
         if not 0.0 < self.target < math.inf:
             message = f"must have a positive target, but it is {self.target:g}"
@@ -166,7 +174,7 @@ class TargetPeriod(Target):
 
     @property
     def wish(self) -> str:
-        """The objective in words."""
+        """The objective as a clause."""
         return f"a period of {self.target:.10g} s"
 
     def value(self, terms: OrbitTerms) -> ca.MX:
@@ -190,7 +198,7 @@ class TargetAmplitude(Target):
 
     @property
     def wish(self) -> str:
-        """The objective in words."""
+        """The objective as a clause."""
         return f"an amplitude of {self.target:.10g} of {self.state}"
 
     def value(self, terms: OrbitTerms) -> ca.MX:
@@ -209,7 +217,7 @@ class TargetAmplitude(Target):
         return (extent.highest - extent.lowest) / 2
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
-        """Refuse an unknown state and a target that is not positive."""
+        """Reject an unknown state and a target that is not positive."""
         if self.state not in problem.state_names:
             wanted = f"must name a state ({', '.join(problem.state_names)})"
             raise InputError(f"Argument `objective` {wanted}, but it names `{self.state}`.")
@@ -218,7 +226,7 @@ class TargetAmplitude(Target):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TowardTarget(Objective):
-    """An orbit as near as possible to a target: the steps on the way to it.
+    """An orbit as near as possible to a target, for the steps toward the target.
 
     Attributes:
         target: The target.
@@ -228,7 +236,7 @@ class TowardTarget(Objective):
 
     @property
     def wish(self) -> str:
-        """The objective in words."""
+        """The objective as a clause."""
         return f"{self.target.wish}, or near it"
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
@@ -243,7 +251,7 @@ class LeastEnergy(Objective):
 
     @property
     def wish(self) -> str:
-        """The objective in words."""
+        """The objective as a clause."""
         return "the least electrical energy a period"
 
     @property
@@ -252,13 +260,13 @@ class LeastEnergy(Objective):
         return ("energy",)
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return the electrical work of one period, in units of the guess's."""
+        """Return the electrical work of one period, in units of the guess's work."""
         size = abs(float(terms.guessed(terms.electrical_work)[0, 0]))
         return terms.electrical_work / (size or 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LeastPeak(Objective):
+class LeastPeak(Objective, Checked):
     """The least peak of a signal: its largest absolute value in a period.
 
     Attributes:
@@ -269,7 +277,7 @@ class LeastPeak(Objective):
 
     @property
     def wish(self) -> str:
-        """The objective in words."""
+        """The objective as a clause."""
         return f"the least peak of {self.signal}"
 
     @property
@@ -278,7 +286,7 @@ class LeastPeak(Objective):
         return (self.signal,)
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return an unknown that the signal does not exceed anywhere, in units of its size."""
+        """Return an unknown that bounds the signal everywhere, in units of its size."""
         from zeno_orbits.search.transcription.constraints import largest
         from zeno_orbits.simulation import signal
 
@@ -291,7 +299,7 @@ class LeastPeak(Objective):
         return extent.largest
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
-        """Refuse an unknown signal."""
+        """Reject an unknown signal."""
         from zeno_orbits.verification import require_quantities
 
         del free
@@ -304,7 +312,7 @@ class FastestContraction(Objective):
 
     @property
     def wish(self) -> str:
-        """The objective in words."""
+        """The objective as a clause."""
         return "the fastest contraction"
 
     @property
@@ -314,15 +322,15 @@ class FastestContraction(Objective):
 
     @property
     def least(self) -> float:
-        """As good as zero."""
+        """A radius that counts as zero."""
         return LEAST_RADIUS
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return an unknown that no multiplier exceeds in size (theory (31))."""
+        """Return an unknown that bounds the modulus of all multipliers (theory (31))."""
         from zeno_orbits.search.transcription.spectral_radius import keep_radius_below, radius_of
 
         if terms.return_slope is None:
-            raise ValueError("Argument `terms` must carry the return map, but it has none.")
+            raise ValueError("Argument `terms` must carry the return map, but it is missing.")
         first = radius_of(terms.guessed(terms.return_slope))
         radius = terms.program.variable(
             "spectral radius", 1.01 * max(first, LEAST_RADIUS), lower=LEAST_RADIUS
@@ -337,26 +345,36 @@ class FastestContraction(Objective):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WidestMargin(Objective):
-    """The widest margin to losing the orbit: the largest smallest share (theory (32))."""
+    """The widest margin to a loss of the orbit: the largest smallest distance (theory (32)).
+
+    Each free value is changed alone, in both directions, until the orbit loses its shape or becomes
+    unstable. Distances are in units of the ranges, at most one, and are comparable between shapes.
+    """
 
     @property
     def wish(self) -> str:
-        """The objective in words."""
+        """The objective as a clause."""
         return "the widest margin to losing the orbit"
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """The margin."""
-        return ("margin",)
+        """The smallest distance."""
+        return (PERSISTENCE,)
+
+    @property
+    def least(self) -> float:
+        """Minus a whole range."""
+        return -1.0
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return minus the smallest share."""
-        from zeno_orbits.search.transcription.constraints import smallest_share
+        """Return the squared distance of the free values from their start.
 
-        return -smallest_share(terms)
+        The margin is not part of a program. It is measured along families of orbits.
+        """
+        return terms.nearness.distance(terms.free, self.goal)
 
     def rank(self, extent: Extent) -> float:
-        """Return minus the smallest share."""
+        """Return minus the smallest distance."""
         return -extent.lowest
 
 
@@ -377,7 +395,7 @@ class ObjectiveWord:
         usage: The words as typed.
         meaning: Explanation for the help, if the name is not enough.
         operand: Kind of the operand.
-        objective: From the problem and the operand to the objective.
+        objective: Function of the problem and the operand that returns the objective.
     """
 
     usage: str
@@ -419,7 +437,7 @@ OBJECTIVES: Mapping[str, ObjectiveWord] = {
     ),
     "margin": ObjectiveWord(
         usage="margin",
-        meaning=" (widest before the orbit is lost)",
+        meaning=" (widest range of the free values before the orbit is lost)",
         objective=lambda _, __: WidestMargin(),
     ),
 }

@@ -1,4 +1,4 @@
-"""Outcomes of a search: of each start, and of all of them."""
+"""Outcomes of a search, for each start and in total."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Judgement:
     """The verdict of a check on an orbit.
 
     Attributes:
-        objection: Reason of a refusal; empty if the orbit is accepted.
-        certificate: The certificate of the check, if it keeps one.
+        objection: Reason of a rejection. Empty for an accepted orbit.
+        certificate: The certificate of the check, if available.
     """
 
     objection: str = ""
@@ -31,7 +31,7 @@ class Judgement:
 
     @property
     def repels(self) -> bool:
-        """Return True if the orbit is refused although it is one: it does not attract."""
+        """Return True if the orbit is rejected only because it is unstable."""
         certificate = self.certificate
         return bool(
             self.objection and certificate and certificate.passed and not certificate.stable
@@ -39,7 +39,7 @@ class Judgement:
 
 
 Accept = Callable[[ZenoOrbit], Judgement]
-"""A check of the orbits that a search finds."""
+"""A check of the orbits of a search."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,10 +48,10 @@ class Candidate:
 
     Attributes:
         orbit: The orbit.
-        score: Its score; less is better.
-        extents: Measured quantities, those of the objective and the bounded ones, by name.
-        certificate: The certificate of the check, if it keeps one.
-        starts: Number of starts that led to it: an optimum that one start found may be local.
+        score: Score of the orbit. A lower score is better.
+        extents: Measured quantities of the objective and the bounds, by name.
+        certificate: The certificate of the check, if available.
+        starts: Number of starts that led to the orbit. An optimum from a single start may be local.
     """
 
     orbit: ZenoOrbit
@@ -63,14 +63,14 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedSolution:
-    """A solution of a program and the period that a simulation makes of it.
+    """A solution of a program and its simulated period.
 
     Attributes:
-        values: Numbers of the solution.
+        values: Gains and parameters of the solution.
         cycle: The period.
         unknowns: Name of each block of unknowns and each report to its values.
         orbit: The orbit, if program and simulation agree.
-        excesses: Name to the amount by which the period passes a bound.
+        excesses: Name to the excess of the period over a bound.
     """
 
     values: ParameterValues
@@ -85,22 +85,22 @@ class StartOutcome:
     """Outcome of one start, or of one of its programs.
 
     Attributes:
-        status: The end.
-        start: Name to value of what is free where it started.
-        detail: The reason in words, if nothing was accepted.
-        undecided: True if a motion had settled to nothing when its time was over.
-        repels: True if the orbit was refused because it does not attract.
-        residuals: Row name to scaled violation in its last program.
+        status: Status of the start.
+        start: Name to initial value of each free value.
+        detail: Reason of a failure, or a remark on the orbit, as a sentence.
+        undecided: True if a simulation had not converged at its time limit.
+        repels: True if the orbit was rejected because it is unstable.
+        residuals: Row name to scaled violation in the last program.
         agreement: Relative difference of program and simulation over one period.
-        closure_error: Estimated error of the Zeno closure, relative.
-        n_unknowns: Unknowns of the program.
-        iterations: Ipopt's iterations in it.
-        solve_time: Wall time in Ipopt in it [s].
-        shortfall: Distance from a target at which it ended, or by how much it passes its bounds, in
-            units of their sizes.
-        solution: The simulated solution of the program, if there is one; it does not leave the
+        closure_error: Estimated relative error of the Zeno closure.
+        n_unknowns: Number of unknowns of the program.
+        iterations: Number of Ipopt iterations for the program.
+        solve_time: Wall time in Ipopt for the program [s].
+        shortfall: Remaining distance from a target, or violation of the bounds in units of their
+            sizes.
+        solution: The simulated solution of the program, if available. It does not leave the
             process.
-        candidate: The orbit with what was measured of it, if it was accepted.
+        candidate: The orbit with its measured quantities, if it was accepted.
     """
 
     status: SearchStatus
@@ -124,10 +124,10 @@ class StartAttempt:
     """One start of a search, for the user.
 
     Attributes:
-        gains: Gains where it started.
-        parameters: Free parameters where it started.
-        status: The end.
-        detail: The reason in words, for a start that found nothing.
+        gains: Initial values of the gains.
+        parameters: Initial values of the free parameters.
+        status: Status of the start.
+        detail: Reason of a failure, as a sentence.
     """
 
     gains: Mapping[str, float]
@@ -141,22 +141,24 @@ class SearchResult(Displayed):
     """Outcome of a search, successful or not.
 
     Attributes:
-        status: The end.
-        orbit: The best orbit, if there is one.
-        residuals: Row name to scaled violation in the program of the best.
+        status: Status of the search.
+        orbit: The best orbit, or ``None`` after a failure.
+        residuals: Row name to scaled violation in the program of the best start.
         agreement: Relative difference of program and simulation over one period.
-        closure_error: Estimated error of the Zeno closure, relative.
-        n_unknowns: Unknowns of the program.
-        iterations: Ipopt's iterations in it.
-        solve_time: Wall time in Ipopt in it [s].
+        closure_error: Estimated relative error of the Zeno closure.
+        n_unknowns: Number of unknowns of the program.
+        iterations: Number of Ipopt iterations for the program.
+        solve_time: Wall time in Ipopt for the program [s].
         wall_time: Wall time of the search [s].
         attempts: Every start, in order.
         candidates: The accepted orbits, the best first.
-        detail: The reason in words, if there is no orbit.
-        undecided: True if a motion had settled to nothing when its time was over: a longer wait may
-            tell.
-        repels: True if an orbit was refused because it does not attract.
-        scan: What motions settle to all over the box, if there is no orbit and it was looked at.
+        detail: Reason of a failure, or a remark on the best orbit, as a sentence.
+        undecided: True if a simulation had not converged at its time limit. A larger limit may
+            help.
+        repels: True if an orbit was rejected because it is unstable.
+        scan: Attractors all over the box, as a sentence, if no orbit was found and the box was
+            scanned.
+        n_states: Number of initial states in the search for other attractors at the best values.
     """
 
     status: SearchStatus
@@ -174,6 +176,7 @@ class SearchResult(Displayed):
     undecided: bool = False
     repels: bool = False
     scan: str = ""
+    n_states: int = 0
 
     def __repr__(self) -> str:
         """Return a few lines: the status and the best orbit."""
@@ -198,7 +201,7 @@ class SearchResult(Displayed):
         """Return the best orbit.
 
         Raises:
-            OrbitNotFoundError: If there is none; the error carries this result.
+            OrbitNotFoundError: If no orbit was found. The error contains this result.
         """
         if self.orbit is None:
             raise OrbitNotFoundError(self)

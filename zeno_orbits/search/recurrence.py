@@ -1,4 +1,4 @@
-"""After how many returns or impacts a motion repeats, and so of which shape it is."""
+"""Number of returns or impacts after which a motion repeats, and the shape of this period."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind
 from zeno_orbits.simulation import PERIODS, Execution, Impact, SectionReturn, repetitions
 
 MOST_IMPACTS = 12
-"""Longest period of a motion without releases that is looked for, in impacts."""
+"""Longest period in the search for periods without releases, in impacts."""
 
 _APART = 0.01
-"""Several returns are one period if the motion comes nearer by this factor than after fewer."""
+"""Factor by which a longer period must reduce the change over a shorter period."""
 _ANY = 1.0
-"""Change of the start over a period up to which one of a shape that was asked for is a guess."""
+"""Largest change of the start over a period with which a period of a given shape is a guess."""
 _BETTER = 0.1
-"""Part of the change over a period that a longer one must have to be the better guess."""
+"""A longer period is the better guess if its change is below this part of the shorter's change."""
 _KEPT = 4 * MOST_IMPACTS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recurring:
-    """A period that repeats, or nearly.
+    """A period that repeats exactly or roughly.
 
     Attributes:
-        shape: Its shape.
+        shape: Shape of the period.
         start: Start of the next period, ``(n_x,)``.
-        period: [s].
-        change: Change of the start over it, relative.
-        cycle: The period itself, if it was followed in one piece.
+        period: Duration of the period [s].
+        change: Relative change of the start over the period.
+        cycle: The period itself, if it was simulated in one piece.
     """
 
     shape: OrbitShape
@@ -46,7 +46,7 @@ class Recurring:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimedImpact:
-    """An impact of a motion without releases, and when it was."""
+    """An impact of a motion without releases, with its time."""
 
     time: float
     impact: Impact
@@ -54,15 +54,15 @@ class TimedImpact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recurrence:
-    """Events of a motion so far, as far as repetition is concerned.
+    """Events of a motion so far, for the detection of a period.
 
     Attributes:
-        settled: Change that counts as none, relative.
-        wanted: The shape that is looked for; any by default.
-        returns: Its last returns, each from a release to the next, without a break.
-        struck: Its last impacts since the stop held.
-        best: The period of the wanted shape that came nearest to repeating.
-        own: Sizes of the problem's numbers.
+        settled: Relative change that counts as zero.
+        wanted: The target shape, or ``None`` for any shape.
+        returns: The last returns, each from a release to the next, without a break.
+        struck: The last impacts since the last contact.
+        best: The period of the target shape that came nearest to repeating.
+        own: Characteristic scales of the problem.
     """
 
     settled: float
@@ -77,8 +77,8 @@ class Recurrence:
 
         Args:
             run: The piece.
-            found: The returns in it.
-            since: When it starts [s].
+            found: The returns in this piece.
+            since: Start time of the piece [s].
         """
         struck = [*self.struck, *(TimedImpact(time=since + i.time, impact=i) for i in run.impacts)]
         if run.releases or run.zeno_points:
@@ -94,7 +94,7 @@ class Recurrence:
         return replace(seen, best=min(nearest, key=lambda one: one.change, default=None))
 
     def settled_to(self) -> Recurring | None:
-        """Return the shortest period that repeats, if one does."""
+        """Return the shortest period that repeats, or ``None``."""
         if self.returns:
             seen = _as_returns(self.returns)
             names = self.returns[0].state_names
@@ -113,10 +113,10 @@ class Recurrence:
         return None
 
     def nearest(self, usable: float) -> Recurring | None:
-        """Return the period that may do for a guess, if one does.
+        """Return the period that may serve as a guess, or ``None``.
 
         Args:
-            usable: Largest change of the start over it, if no shape is wanted.
+            usable: Largest change of the start over the period, if any shape is accepted.
         """
         if self.wanted is not None:
             best = self.best
@@ -127,11 +127,11 @@ class Recurrence:
         usual = [one for one in found if one is not None and one.change < usable]
         if not usual:
             return None
-        # One that throws over, settling slowly, is told apart once it is closed.
+        # A slow convergence with alternating sign is distinguished when the orbit is closed.
         return next((one for one in usual if one.change < _BETTER * usual[0].change), usual[0])
 
     def reason(self, horizon: float) -> str:
-        """Return the reason why there is no guess, as a clause."""
+        """Return the reason of a missing guess, as a clause."""
         settled = self.settled_to()
         if settled is not None:
             return f"the motion settles to an orbit of shape `{settled.shape.text}`"
@@ -145,7 +145,7 @@ class Recurrence:
         return f"{what} after {horizon:g} s"
 
     def of_wanted_shape(self) -> list[Recurring]:
-        """Return the periods of the wanted shape that the last event ends."""
+        """Return the periods of the target shape that end with the last event."""
         if self.wanted is None:
             return []
         if self.wanted.starts_at_release:
@@ -170,7 +170,7 @@ class Recurrence:
         )
 
     def _after_impacts(self, n: int) -> Recurring | None:
-        """Return the last impacts as one period; it has to have repeated as long once."""
+        """Return the last impacts as one period, if the motion contains twice as many impacts."""
         if len(self.struck) < 2 * n:
             return None
         last, before = self.struck[-n:], self.struck[-2 * n : -n]
@@ -190,7 +190,7 @@ class Recurrence:
 
 
 def _as_returns(laps: Sequence[Cycle]) -> list[SectionReturn]:
-    """Return the releases that laps without a break start and end at."""
+    """Return the releases at the start and at the end of consecutive laps."""
     first = SectionReturn(
         time=laps[0].start.time, state=laps[0].start.state, size=laps[0].scale_at_events()
     )

@@ -1,7 +1,7 @@
 """From a simulated period to an orbit: transcribe, solve, and simulate the solution.
 
-Every solution is simulated for one period and the mesh is drawn anew on that period, until
-program and simulation agree.
+Every solution is simulated for one period. The mesh is then refined on this period, until program
+and simulation agree.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from zeno_orbits.search.transcription.spectral_radius import section_map
 from zeno_orbits.search.transcription.transcribe import OrbitTerms, transcribe
 
 COARSE = 100.0
-"""First mesh of a search for gains, in units of the mesh tolerance; the gains still move."""
+"""First mesh of a search for gains, in units of the mesh tolerance, as the gains still change."""
 
 ON_THE_WAY = 1e-4
-"""Agreement of program and simulation that suffices for a step on the way to a target."""
+"""Agreement of program and simulation that is sufficient for a step toward a target."""
 
 _FEASIBLE = 1e-6
-"""Violation of rows with which an iterate may still be an orbit, though not the best one."""
+"""Largest violation of rows with which an iterate may be an orbit, though not the optimum."""
 
 _EXCHANGES = 2
-"""Rounds in which the places of a bound are drawn anew before the bound itself is tightened."""
+"""Rounds in which only the points of a bound are updated, before the bound itself is tightened."""
 
 _NEAR = 1e-3
-"""Weight of nearness while the violation of bounds is minimised."""
+"""Weight of the distance from the start while the violation of bounds is minimised."""
 
 
 def refine(
@@ -53,21 +53,21 @@ def refine(
     objective: Objective,
     origin: ParameterValues | None = None,
 ) -> StartOutcome:
-    """Solve on the mesh of a cycle, simulate the solution, and again on the mesh of that.
+    """Solve on the mesh of a cycle, simulate the solution, and repeat on the mesh of the solution.
 
     Args:
         search: The search.
-        values: Numbers of the cycle.
+        values: Gains and parameters of the cycle.
         cycle: One simulated period.
         objective: The objective.
-        origin: Numbers at the start of the search, by default these.
+        origin: Gains and parameters at the start of the search. The default is ``values``.
     """
     outcome = StartOutcome(status=SearchStatus.NOT_SOLVED)
     origin = origin or values
     coarse = COARSE if search.free else 1.0
     most = search.settings.rounds
     for refinement in range(most + (_EXCHANGES if search.bounds else 0)):
-        # A finer mesh than the settings' own is of no use to an exchange of places.
+        # An update of the points of a bound does not need a finer mesh than the settings' mesh.
         fineness = coarse * 0.1 ** min(refinement, most)
         outcome = solve_once(search, origin, values, cycle, objective, fineness)
         solution = outcome.solution
@@ -93,11 +93,11 @@ def solve_once(
 
     Args:
         search: The search.
-        origin: Numbers at its start.
-        values: Numbers of the cycle.
+        origin: Gains and parameters at the start of the search.
+        values: Gains and parameters of the cycle.
         cycle: One simulated period, the guess.
         objective: The objective.
-        coarseness: Mesh tolerance in units of that of the settings.
+        coarseness: Mesh tolerance in units of the settings' mesh tolerance.
     """
     terms, closure_error = _transcribed(search, origin, values, cycle, objective, coarseness)
     if not search.free:
@@ -110,12 +110,12 @@ def solve_once(
 def least_violation(
     search: SearchProblem, origin: ParameterValues, values: ParameterValues, cycle: Cycle
 ) -> StartOutcome:
-    """Solve for the least sum of what the bounds are violated by.
+    """Solve for the smallest total violation of the bounds.
 
     Args:
         search: The search.
-        origin: Numbers at its start.
-        values: Numbers of the cycle.
+        origin: Gains and parameters at the start of the search.
+        values: Gains and parameters of the cycle.
         cycle: One simulated period, the guess.
     """
     terms, closure_error = _transcribed(search, origin, values, cycle, None, COARSE)
@@ -139,7 +139,7 @@ def _transcribed(
     objective: Objective | None,
     coarseness: float,
 ) -> tuple[OrbitTerms, float]:
-    """Return the terms of a program around a cycle, and the error of its Zeno closure."""
+    """Return the terms of a program around a cycle, and the error of the Zeno closure."""
     settings = search.settings.transcription
     dynamics = search.dynamics(values)
     closures = closures_of(cycle, dynamics, settings.closure_tolerance)
@@ -193,12 +193,12 @@ def _solved(
     )
     if solved:
         return confirmed
-    # An orbit it may be, but not the best one: good for a step on the way.
+    # This may be an orbit, but not the optimum. It is usable as an intermediate step.
     return replace(confirmed, status=outcome.status, detail=outcome.detail)
 
 
 def _ipopt_settings(search: SearchProblem, terms: OrbitTerms) -> IpoptSettings:
-    """Return how to solve a program: second derivatives where they cost less than they save."""
+    """Return the solver settings of a program, with exact second derivatives if they save time."""
     settings = search.settings.ipopt
     if not search.free or terms.return_slope is not None:
         return replace(settings, hessian=Hessian.LIMITED_MEMORY)
@@ -206,7 +206,7 @@ def _ipopt_settings(search: SearchProblem, terms: OrbitTerms) -> IpoptSettings:
 
 
 def _complaint(solution: Solution, objective: Objective | None) -> str:
-    """Return what was asked, how the solver ended and which conditions it missed most."""
+    """Return the objective, the status of the solver and the largest violations, as a sentence."""
     asked = "At these gains" if objective is None else f"Asked for {objective.wish}"
     worst = [f"`{name}` by {size:.1e}" for name, size in solution.worst() if size > 1e-9]
     missed = f"; missed: {', '.join(worst)}" if worst else ""

@@ -1,8 +1,8 @@
-"""A scan of the box of what is free: short simulations tell where orbits are, and the best of them.
+"""A scan of the search box: short simulations locate orbits and rank them.
 
-A program finds the optimum near its start. The places of the scan are the starts of a search, in
-the order of what motions settle to there: for an optimum first the best place of each valley of the
-objective, then places far from these; the places without an orbit come last.
+A program finds the optimum near its start. The points of the scan are the starts of a search. Their
+order follows from the attractors there. For an optimum, the search starts at the best point of each
+valley of the objective, then at points far from these. Points without an orbit are last.
 """
 
 from __future__ import annotations
@@ -21,29 +21,31 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind, cycle_of, objection_to, placed
 from zeno_orbits.search.closing import orbit_of
 from zeno_orbits.search.guess import SettlingSettings
-from zeno_orbits.search.objectives import Target
+from zeno_orbits.search.objectives import Target, WidestMargin
 from zeno_orbits.search.search_problem import SearchProblem, clipped
 from zeno_orbits.simulation import Extent, simulate
 from zeno_orbits.verification import measure
 
 _PLACES = 24
-"""Places of a scan for each free number."""
+"""Points of a scan per free value."""
 _MOST_DIMENSIONS = 3
-_ACCURACY = Accuracy(motion=1e-4, orbit=1e-5, near=0.05, exact=1e-3, repeats=1e-4)
-"""To know where to start, three digits do."""
+ACCURACY = Accuracy(motion=1e-6, orbit=1e-8, near=0.05, exact=1e-3, repeats=1e-4)
+"""Three digits are sufficient for the choice of starts."""
 _ARRIVED = 1e-3
-"""Part of the period after its end within which the last impact of an orbit is found."""
+"""Part of the period after its end in which the last impact of an orbit may occur."""
 
-_PHASE = {Fate.ZENO: PhaseKind.ZENO, Fate.SIMPLE: PhaseKind.PLASTIC, Fate.NO_ZENO: PhaseKind.IMPACT}
-"""The orbits among the attractors of a map, and the phases that they consist of."""
+PHASE = {Fate.ZENO: PhaseKind.ZENO, Fate.SIMPLE: PhaseKind.PLASTIC, Fate.NO_ZENO: PhaseKind.IMPACT}
+"""The orbits among the attractors of a map, and the phases of these orbits."""
 
 
 def start_place(search: SearchProblem, number: int) -> ParameterValues:
-    """Return the numbers of a place: 0 is what is given, moved into the box, the others Halton's.
+    """Return the values at a point of the scan.
+
+    Point 0 has the given values, clipped to the box. The other points are a Halton sequence.
 
     Args:
         search: The search.
-        number: Which place it is.
+        number: Index of the point.
     """
     if number == 0:
         return clipped(search.values, search.free)
@@ -54,18 +56,20 @@ def start_place(search: SearchProblem, number: int) -> ParameterValues:
 
 
 def start_order(search: SearchProblem) -> tuple[int, ...]:
-    """Return the numbers of places in the order in which a search starts there, all of them.
+    """Return the indices of all points, in the order in which a search starts there.
 
-    If there is no orbit at any of them the first one comes twice.
+    If no point has an orbit, the first point occurs twice.
 
     Args:
-        search: The search; at least one number is free.
+        search: The search, with at least one free value.
     """
     places, attractors = _places(search), _attractors(search)
     ranks = [_rank(search, *pair) for pair in zip(places, attractors, strict=True)]
+    if isinstance(search.objective, WidestMargin):
+        ranks = _by_distance(search, places, attractors, ranks)
     by_rank = sorted(range(len(places)), key=lambda k: ranks[k])
     if not any(rank.group == 0 for rank in ranks):
-        # From the first place once more, by an easier way.
+        # A second start at the first point, by continuation from easier values.
         return (0, 0, *(k for k in by_rank if k != 0))
     if not search.seeks_optimum:
         return (0, *(k for k in by_rank if k != 0))
@@ -82,18 +86,18 @@ def start_order(search: SearchProblem) -> tuple[int, ...]:
 
 
 def scan_summary(search: SearchProblem) -> str:
-    """Return how many places of the box settle to what, as a sentence.
+    """Return the number of points of the box per attractor, as a sentence.
 
     Args:
-        search: The search; at least one number is free.
+        search: The search, with at least one free value.
     """
     counts = Counter(one.phrase for one in _attractors(search)).most_common()
     found = ", ".join(f"{phrase} ({count})" for phrase, count in counts)
-    return f"{len(_places(search))} places in the box were looked at by simulation: {found}."
+    return f"{len(_places(search))} points of the box were simulated: {found}."
 
 
 class _Rank(NamedTuple):
-    """Place of an attractor in the order of starts: orbits within the bounds, the best first."""
+    """Sort key of an attractor in the order of starts: orbits within the bounds, the best first."""
 
     group: int
     violates: bool = False
@@ -101,7 +105,7 @@ class _Rank(NamedTuple):
 
 
 def _n_places(search: SearchProblem) -> int:
-    """Return how many places there are besides the first, no fewer than starts."""
+    """Return the number of points after the first, at least the number of starts."""
     return max(search.settings.n_starts, _PLACES * min(len(search.free), _MOST_DIMENSIONS))
 
 
@@ -110,7 +114,7 @@ def _places(search: SearchProblem) -> list[ParameterValues]:
 
 
 def _attractors(search: SearchProblem) -> tuple[Attractor, ...]:
-    """Return what motions settle to at the places of a search."""
+    """Return the attractors at the points of a search."""
     return _settled(
         search.problem,
         tuple(place.vector for place in _places(search)),
@@ -126,7 +130,7 @@ def _settled(
     starts: tuple[tuple[float, ...], ...],
     until: float | None,
 ) -> tuple[Attractor, ...]:
-    """Return what motions settle to: from the first start that leads to an orbit, if one does."""
+    """Return the attractor at each point, from the first initial state that leads to an orbit."""
     n_gains = len(problem.gains)
     values = [
         ParameterValues(
@@ -137,24 +141,24 @@ def _settled(
     ]
     found: list[Attractor | None] = [None] * len(values)
     for start in starts:
-        left = [k for k, one in enumerate(found) if one is None or one.fate not in _PHASE]
+        left = [k for k, one in enumerate(found) if one is None or one.fate not in PHASE]
         named = dict(zip(problem.state_names, start, strict=True))
         some = [values[k] for k in left]
         try:
-            seen = attractors_at(problem, some, start=named, until=until, accuracy=_ACCURACY)
+            seen = attractors_at(problem, some, start=named, until=until, accuracy=ACCURACY)
         except ZenoOrbitsError as error:
             seen = tuple(Attractor(fate=Fate.FAILED, detail=str(error)) for _ in left)
         for k, one in zip(left, seen, strict=True):
-            if found[k] is None or one.fate in _PHASE:
+            if found[k] is None or one.fate in PHASE:
                 found[k] = one
     return tuple(one for one in found if one is not None)
 
 
 def _rank(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> _Rank:
-    if attractor.fate not in _PHASE:
+    if attractor.fate not in PHASE:
         decided = attractor.fate not in (Fate.UNSETTLED, Fate.FAILED)
         return _Rank(2 if decided else 1)
-    if search.shape is not None and not _is_of_shape(attractor, search.shape):
+    if search.shape is not None and not is_of_shape(attractor, search.shape):
         return _Rank(1)
     try:
         return _scored(search, values, attractor)
@@ -162,48 +166,79 @@ def _rank(search: SearchProblem, values: ParameterValues, attractor: Attractor) 
         return _Rank(1)
 
 
-def _is_of_shape(attractor: Attractor, shape: OrbitShape) -> bool:
-    """Return True if an orbit may be of a shape, as far as its number of releases tells."""
+def _by_distance(
+    search: SearchProblem,
+    places: Sequence[ParameterValues],
+    attractors: Sequence[Attractor],
+    ranks: Sequence[_Rank],
+) -> list[_Rank]:
+    """Return ranks of orbits by their distance from the points with another attractor."""
+    low, high = np.array(list(search.free.values())).T
+    unit = np.array([[one.number(name) for name in search.free] for one in places]) / (high - low)
+    found: list[_Rank] = []
+    for k, (rank, one) in enumerate(zip(ranks, attractors, strict=True)):
+        others = [
+            float(np.max(np.abs(unit[k] - unit[j])))
+            for j, other in enumerate(attractors)
+            if (other.fate, other.returns) != (one.fate, one.returns)
+        ]
+        found.append(rank if rank.group else rank._replace(score=-min(others, default=1.0)))
+    return found
+
+
+def is_of_shape(attractor: Attractor, shape: OrbitShape) -> bool:
+    """Return True if an orbit has the same number of releases as a shape."""
     return attractor.returns == shape.n_releases
 
 
 def _scored(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> _Rank:
-    """Return the rank of an orbit: what a map tells of it, and what a simulation of it does."""
+    """Return the rank of an orbit, from the quantities of its map point and from a simulation."""
     objective = search.objective
-    names = [*objective.quantities, *(bound.name for bound in search.bounds)]
+    asked = () if isinstance(objective, WidestMargin) else objective.quantities
+    names = [*asked, *(bound.name for bound in search.bounds)]
     told = {"period": attractor.period, **attractor.margins}
     if attractor.multipliers:
         told["spectral_radius"] = attractor.spectral_radius
     extents = {name: Extent(lowest=x, highest=x) for name, x in told.items()}
     missing = [name for name in names if name not in told]
     target = objective if isinstance(objective, Target) else None
-    cycle = _cycle(search, values, attractor) if missing or target is not None else None
+    cycle = cycle_at(search, values, attractor) if missing or target is not None else None
     if cycle is not None and missing:
         orbit = orbit_of(cycle, search.problem, values)
         simulation = SettlingSettings().simulation
         extents |= measure(orbit, search.problem, missing, simulation=simulation)
+    score = 0.0
     if target is not None and cycle is not None:
         score = target.miss(cycle)
-    else:
+    elif not isinstance(objective, WidestMargin):
         score = search.score(values, extents)
     return _Rank(0, bool(objection_to(search.bounds, extents)), score)
 
 
-def _cycle(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> Cycle:
-    """Return a period of an attractor that is an orbit."""
+def cycle_at(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> Cycle:
+    """Simulate a period of an attractor that is an orbit.
+
+    Args:
+        search: The search.
+        values: Values of the attractor.
+        attractor: The attractor.
+
+    Raises:
+        ZenoOrbitsError: If its motion cannot be simulated for a period.
+    """
     dynamics, settings = search.dynamics(values), SettlingSettings().simulation
     state = np.array(search.problem.state_vector(attractor.state))
     n = attractor.returns
     if n == 0:
         until = (1 + _ARRIVED) * attractor.period
         n = len(simulate(dynamics, state, until=until, settings=settings).impacts)
-    shape = OrbitShape(phases=n * (_PHASE[attractor.fate],))
+    shape = OrbitShape(phases=n * (PHASE[attractor.fate],))
     start = placed(dynamics, shape, state)
     return cycle_of(dynamics, start, shape, horizon=2 * attractor.period, settings=settings)
 
 
 def _is_valley(k: int, orbits: Sequence[int], unit: Vector, ranks: Sequence[_Rank]) -> bool:
-    """Return True if none of the nearest places, two for each free number, has a better orbit."""
+    """Return True if the nearest points, two per free value, do not have a better orbit."""
     away = {j: float(np.linalg.norm(unit[k] - unit[j])) for j in orbits if j != k}
     near = sorted(away, key=lambda j: away[j])[: 2 * unit.shape[1]]
     return all(ranks[k] <= ranks[j] for j in near)
@@ -211,7 +246,7 @@ def _is_valley(k: int, orbits: Sequence[int], unit: Vector, ranks: Sequence[_Ran
 
 @lru_cache(maxsize=1)
 def _halton(dimension: int, count: int, seed: int) -> Vector:
-    """Return quasi-random places in the unit box, ``(count, dimension)``."""
+    """Return quasi-random points in the unit box, ``(count, dimension)``."""
     # SciPy's statistics take half a second to import, and most searches end at their first start.
     from scipy.stats import qmc
 

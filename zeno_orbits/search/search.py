@@ -1,4 +1,4 @@
-"""Find orbits: one start after another, until enough are found and accepted, ranked."""
+"""Find orbits from a sequence of starts, until enough orbits are accepted, and rank them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 
+import numpy as np
+
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
+from zeno_orbits.orbits import Bound, Cycle, OrbitShape, ZenoOrbit
 from zeno_orbits.search.multistart import StartWorkers, outcomes_here, outcomes_spread
 from zeno_orbits.search.objectives import NearestGains, Objective, Target
 from zeno_orbits.search.outcome import (
@@ -25,8 +28,8 @@ from zeno_orbits.search.validation import check_search
 from zeno_orbits.work import Progress, silent
 
 _SAME = 1e-5
-"""Orbits whose free numbers and periods differ by less, relative, are the same candidate: a program
-ends a few 1e-6 off the nearest numbers, as their score is flat there."""
+"""Relative difference of free values and periods below which two orbits are the same candidate. The
+solution of a program is a few 1e-6 off the nearest values, as the score is flat there."""
 _SAME_OPTIMUM = 1e-3
 """The same for optima, and for their scores."""
 
@@ -38,13 +41,13 @@ def find_orbit(
     settings: SearchSettings | None = None,
     shape: OrbitShape | None = None,
 ) -> SearchResult:
-    """Find the orbit at given gains: as many conditions as unknowns.
+    """Find the orbit at given gains, by a program with as many conditions as unknowns.
 
     Args:
         problem: The problem.
-        values: Its numbers; there is one start.
+        values: Values of its gains and parameters, the only start.
         settings: Limits and tolerances.
-        shape: The shape of the orbit; by default whatever a simulation settles to.
+        shape: The shape of the orbit. The default is the shape of the simulated attractor.
     """
     settings = replace(settings or SearchSettings(), n_starts=0)
     return search_gains(problem, values, free={}, settings=settings, shape=shape)
@@ -65,35 +68,36 @@ def search_gains(
     shape: OrbitShape | None = None,
     initial_states: Sequence[Mapping[str, float]] = (),
 ) -> SearchResult:
-    """Find gains, parameters and initial states of an orbit, from one start after another.
+    """Find gains, parameters and initial states of an orbit, from a sequence of starts.
 
     Args:
         problem: The problem.
-        values: Its numbers; what is free starts here, then at places in its box, the most promising
-            first by a scan of short simulations. An optimum is sought from these at once.
-        free: Name to bounds of the gains and parameters to be found; none at fixed numbers. What
-            the problem derives from a free parameter keeps its number in ``values``.
-        objective: The objective; by default numbers near their start.
-        bounds: Bounds that the orbit must keep, whatever the objective.
-        near: A known orbit of the problem to start from, at these numbers or near them.
+        values: Values of its gains and parameters. The first start has these values. Later starts
+            are points of the box, ordered by a scan of short simulations, the most promising first.
+            A search for an optimum starts at the scanned points immediately.
+        free: Name to bounds of the gains and parameters to be found. Empty for fixed values. A
+            value that the problem derives from a free parameter keeps its value in ``values``.
+        objective: The objective. The default keeps free values near their start.
+        bounds: Bounds that the orbit must satisfy, for every objective.
+        near: A known orbit of the problem to start from, at these values or near them.
         settings: Limits, tolerances and the number of orbits to rank.
-        accept: Check of the orbits; by default all are accepted.
+        accept: Check of the orbits. By default all orbits are accepted.
         on_progress: Receives progress reports.
-        spread: Workers for the starts after the first; by default all are tried in this process.
-            The result is the same bit for bit for any number of workers, times apart: starts count
-            in their order. With a checkpoint, ``accept`` must be
-            a function of a module, or a frozen dataclass with ``__call__``.
-        shape: The shape of the orbits that are wanted; by default that of ``near``, or whatever a
-            simulation settles to.
-        initial_states: States from which simulations look for orbits, name to value; by default
-            those of the problem.
+        spread: Workers for the starts after the first. By default all starts run in this process.
+            The result is bitwise identical for any number of workers, except for times, since
+            starts count in their order. With a checkpoint, ``accept`` must be a function of a
+            module, or a frozen dataclass with ``__call__``.
+        shape: The shape of the orbits. The default is the shape of ``near``, or of the simulated
+            attractor.
+        initial_states: Initial states of the simulations that find orbits, name to value. The
+            default is the problem's initial states.
 
     Returns:
-        The accepted orbits, the best first, or why there is none.
+        The accepted orbits, the best first, or the reason of a failure.
 
     Raises:
-        InputError: If a name is unknown, bounds are the wrong way round, or the place or the
-            checkpoint of ``spread`` is not usable.
+        InputError: If a name is unknown, a lower bound exceeds its upper bound, or the executor or
+            the checkpoint of ``spread`` is not usable.
         WorkError: If the workers of ``spread`` cannot finish.
     """
     objective = objective or NearestGains(target={})
@@ -114,18 +118,20 @@ def search_gains(
         search = replace(search, shape=near.shape.agreed(shape))
     search = with_targets(search)
     if spread is None:
-        return _ranked(search, outcomes_here(search, accept))
-    return _ranked(search, outcomes_spread(search, accept, spread))
+        return _ranked(search, outcomes_here(search, accept), accept)
+    return _ranked(search, outcomes_spread(search, accept, spread), accept)
 
 
-def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchResult:
-    """Rank the outcomes of starts, in the order of the starts, until there are enough."""
+def _ranked(
+    search: SearchProblem, outcomes: Generator[StartOutcome], accept: Accept | None
+) -> SearchResult:
+    """Rank the outcomes of starts, in the order of the starts, until enough orbits are found."""
     started = time.perf_counter()
     attempts: list[StartAttempt] = []
     candidates: list[Candidate] = []
     best: StartOutcome | None = None
     failures = 0
-    # Workers on other starts are stopped when there are enough.
+    # Closing the generator stops the workers on other starts.
     with closing(outcomes):
         for outcome in outcomes:
             attempts.append(_attempt(search, outcome))
@@ -140,6 +146,9 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
                 break
             if not candidates and failures >= _enough_failures(search):
                 break
+    n_states = 0
+    if candidates and (search.settings.candidates > 1 or search.seeks_optimum):
+        candidates, n_states = _with_coexisting(search, candidates, accept)
     if best is None:
         raise InputError("Argument `settings` must allow a start, but it allows none.")
     ranked = tuple(sorted(candidates, key=lambda one: one.score))
@@ -155,6 +164,7 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
         wall_time=time.perf_counter() - started,
         attempts=tuple(attempts),
         candidates=ranked,
+        n_states=n_states,
         detail=best.detail,
         undecided=best.undecided,
         repels=best.repels,
@@ -162,21 +172,61 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
     )
 
 
+def _with_coexisting(
+    search: SearchProblem, candidates: list[Candidate], accept: Accept | None
+) -> tuple[list[Candidate], int]:
+    """Add candidates from other attractors. Also return the number of initial states.
+
+    The attractors are computed at the values of the best candidate.
+    """
+    from zeno_orbits.search.coexisting import N_STATES, coexisting_cycles
+    from zeno_orbits.search.start import try_cycle
+
+    best = min(candidates, key=lambda one: one.score).orbit
+    search.tell("looking for other attractors from other initial states")
+    for cycle in coexisting_cycles(search, best):
+        if any(_begins_alike(search, cycle, one.orbit) for one in candidates):
+            continue
+        outcome = try_cycle(search, best.values(search.problem), cycle, accept)
+        if outcome.candidate is not None:
+            candidates = _joined(search, candidates, outcome.candidate)
+    return candidates, N_STATES
+
+
+def _begins_alike(search: SearchProblem, cycle: Cycle, orbit: ZenoOrbit) -> bool:
+    """Return True if a period begins at one of the events of an orbit of the same shape."""
+    if cycle.shape != orbit.shape:
+        return False
+    return _has_event_at(search, orbit, cycle.start.state)
+
+
+_SAME_STATE = 1e-3
+"""Difference below which two states are the same, in units of their sizes on an orbit."""
+
+
+def _has_event_at(search: SearchProblem, orbit: ZenoOrbit, state: Vector) -> bool:
+    events = np.array([search.problem.state_vector(one) for one in orbit.states_at_events])
+    sizes = search.problem.dynamics(orbit.values(search.problem)).own.not_small(
+        np.max(np.abs(events), axis=0), _SAME_STATE
+    )
+    return bool(np.any(np.all(np.abs(events - state) <= _SAME_STATE * sizes, axis=1)))
+
+
 def _summary(search: SearchProblem) -> str:
-    """Return what motions settle to all over the box."""
+    """Return the attractors all over the box, as a sentence."""
     from zeno_orbits.search.scan import scan_summary
 
     return scan_summary(search)
 
 
 _AGREE = 2
-"""Starts that lead to the same optimum before it is believed."""
+"""Number of starts that must lead to the same optimum."""
 _MOST_TRIED = 4
-"""Starts that are compared if no two agree on the best optimum."""
+"""Largest number of starts if no two of them agree on the best optimum."""
 
 
 def _enough(search: SearchProblem, candidates: Sequence[Candidate], n_tried: int) -> bool:
-    """Return True if there are as many orbits as asked, and starts agree on the best optimum."""
+    """Return True if enough orbits are found, and starts agree on the best optimum."""
     if not candidates or len(candidates) < search.settings.candidates:
         return False
     best = min(candidates, key=lambda one: one.score)
@@ -196,7 +246,7 @@ def _attempt(search: SearchProblem, outcome: StartOutcome) -> StartAttempt:
 def _joined(
     search: SearchProblem, candidates: Sequence[Candidate], found: Candidate
 ) -> list[Candidate]:
-    """Return the candidates with another one, or with one more start that led to one of them."""
+    """Return the candidates with a new orbit, or count a further start for a known candidate."""
     for k, one in enumerate(candidates):
         if _same(search, found, one):
             better = min(one, found, key=lambda either: either.score)
@@ -206,12 +256,15 @@ def _joined(
 
 
 def _same(search: SearchProblem, one: Candidate, other: Candidate) -> bool:
-    """Return True if two candidates are the same orbit at the same numbers.
+    """Return True if two candidates are the same orbit at the same values.
 
-    The numbers of an optimum are told less exactly than its score: that is flat there.
+    The values of an optimum are less accurate than its score, as the score is flat there.
     """
     if one.orbit.shape != other.orbit.shape:
         return False
+    if not search.free:
+        state = np.array(search.problem.state_vector(one.orbit.start_state))
+        return _has_event_at(search, other.orbit, state)
     a, b = one.orbit.values(search.problem), other.orbit.values(search.problem)
     pairs = [(a.number(name), b.number(name)) for name in search.free]
     pairs.append((one.orbit.period, other.orbit.period))
@@ -223,10 +276,10 @@ def _same(search: SearchProblem, one: Candidate, other: Candidate) -> bool:
 
 
 def _enough_failures(search: SearchProblem) -> int:
-    """Return how many starts with a good guess may fail before a search gives up.
+    """Return the number of starts with a good guess that may fail before a search stops.
 
-    A target or a bound is approached in small steps from every start, which takes long and ends at
-    much the same place.
+    A target or a bound is approached in small steps from every start. This takes long, and most
+    starts end near the same point.
     """
     slow = isinstance(search.objective, Target) or search.bounds
     return 2 if slow else 5

@@ -1,4 +1,4 @@
-"""A search as a value: its problem, its question and its settings."""
+"""A search as a value: its problem, its objective with bounds, and its settings."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from zeno_orbits.work import Progress, silent
 _OF_THIS_PROCESS = ("problem", "on_progress")
 
 _SMALLEST_SIZE = 1e-3
-"""Part of its range that the size of a free number near zero is."""
+"""Smallest size of a free value, in units of its range."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchProblem:
-    """A search: its problem, its question and its settings.
+    """A search: its problem, its objective with bounds, and its settings.
 
     Attributes:
         problem: The problem.
-        values: Its numbers; what is free stays near them if nothing else is asked.
+        values: Values of its gains and parameters. By default free values stay near them.
         free: Name to bounds of the gains and parameters to be found.
         objective: The objective.
-        bounds: Bounds that the orbit must keep.
+        bounds: Bounds that the orbit must satisfy.
         near: A known orbit to start from.
-        shape: The shape of the orbit; any by default.
-        initial_states: States from which simulations look for orbits, name to value.
-        sizes: Name to size of what is free, in which its changes are measured.
-        order: Numbers of the places where it starts, in order; they are not known before a scan.
+        shape: The shape of the orbit. By default any shape is accepted.
+        initial_states: Initial states of the simulations that find orbits, name to value.
+        sizes: Name to size of a free value. Its changes are measured in units of this size.
+        order: Indices of the scan points at which it starts, in order. ``None`` before a scan.
         settings: Limits and tolerances of the search.
         on_progress: Receives progress reports.
     """
@@ -59,21 +59,21 @@ class SearchProblem:
 
     @property
     def seeks_optimum(self) -> bool:
-        """True if starts all over the box are compared, rather than the nearest orbit taken."""
+        """True if starts all over the box are compared, False for the nearest orbit."""
         several = self.free and self.settings.n_starts > 0 and self.near is None
         return bool(several and self.objective.quantities)
 
     def nearness(self, origin: ParameterValues) -> Nearness:
-        """Return the measure of how near what is free is to given numbers."""
+        """Return the measure of the distance between free values and given values."""
         first = {name: origin.number(name) for name in self.free}
         return Nearness(first=first, sizes=self.sizes)
 
     def score(self, values: ParameterValues, extents: Mapping[str, Extent]) -> float:
-        """Return the score of an orbit; less is better.
+        """Return the score of an orbit. A lower score is better.
 
         Args:
-            values: Its numbers.
-            extents: What was measured of it.
+            values: Values of the orbit.
+            extents: Measured quantities of the orbit.
         """
         if not self.free:
             return 0.0
@@ -81,27 +81,28 @@ class SearchProblem:
         return self.objective.score(numbers, self.nearness(self.values), extents)
 
     def dynamics(self, values: ParameterValues) -> HybridDynamics:
-        """Return the system at given numbers."""
+        """Return the system at given values."""
         return self.problem.dynamics(values)
 
     def numbers(self, values: ParameterValues) -> dict[str, float]:
-        """Return the numbers to name a start by: all gains, and the parameters that are free."""
+        """Return the values that describe a start: all gains, and the free parameters."""
         return {**values.gains, **{name: values.number(name) for name in self.free}}
 
     def tell(self, stage: str) -> None:
-        """Report the present stage of the search."""
+        """Report the current stage of the search."""
         self.on_progress(stage, None)
 
     def question(self) -> dict[str, Any]:
-        """Return the fields that mean the same in another process: all but the problem."""
+        """Return the fields that are valid in another process: all fields except the problem."""
         names = [field.name for field in fields(self) if field.name not in _OF_THIS_PROCESS]
         return {name: getattr(self, name) for name in names}
 
 
 def with_targets(search: SearchProblem) -> SearchProblem:
-    """Return the search with the size of each free number, and its nearest target if that is asked.
+    """Return the search with the size of each free value and with complete targets.
 
-    What has no target stays near its start, and the search starts where the targets can be met.
+    For `NearestGains`, values without a target stay near their start, and the search starts where
+    the targets can be reached.
     """
     if isinstance(search.objective, NearestGains):
         values = clipped(search.values.replaced(search.objective.target), search.free)
@@ -115,12 +116,12 @@ def with_targets(search: SearchProblem) -> SearchProblem:
 
 
 def clipped(values: ParameterValues, free: Mapping[str, tuple[float, float]]) -> ParameterValues:
-    """Return values moved into the box of what is free."""
+    """Return values clipped to the box of the free values."""
     return values.replaced(
         {name: min(max(values.number(name), low), high) for name, (low, high) in free.items()}
     )
 
 
 def listed(numbers: Mapping[str, float]) -> str:
-    """Return names and numbers in words."""
+    """Format names and values as text."""
     return ", ".join(f"{name} = {value:.6g}" for name, value in numbers.items()) or "the problem"

@@ -1,17 +1,18 @@
-"""Settings of a search, and the ways in which it may end."""
+"""Settings of a search, and its possible results."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
+from zeno_orbits.kinds import Checked
 from zeno_orbits.search.guess import SettlingSettings
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.ipopt import IpoptSettings
 
 
 class SearchStatus(Enum):
-    """End of a search. The value is the sentence shown to the user."""
+    """Result of a search. The value is the sentence shown to the user."""
 
     FOUND = "The search found an orbit."
     NO_GUESS = "No simulation settled to a periodic motion from which to search."
@@ -21,24 +22,25 @@ class SearchStatus(Enum):
 
 
 _BY_ITERATIONS = IpoptSettings(most_iterations=60, most_seconds=1e9)
-"""A limit of time would let the answer depend on what else the machine does."""
+"""Limit of iterations. A time limit would make the result depend on the load of the machine."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SearchSettings:
+class SearchSettings(Checked):
     """Limits and tolerances of a search.
 
     Attributes:
-        settling: Limits of the wait for a simulated motion to repeat.
+        settling: Limits of the simulation until a motion repeats.
         transcription: Scheme, mesh and closure.
-        ipopt: Solver settings; the square case approximates the Hessian whatever they say.
+        ipopt: Solver settings. The square case always approximates the Hessian.
         agreement: Largest relative difference of program and simulation over one period.
-        rounds: Times the mesh is drawn anew.
-        n_starts: Quasi-random starting numbers after the given ones.
-        candidates: Accepted orbits after which a search ends.
-        first_step: Change of a wanted value that is tried at once, in units of the value.
-        smallest_step: Smallest change before the search gives up, likewise.
-        seed: Of the quasi-random gains.
+        rounds: Number of mesh refinements.
+        n_starts: Number of quasi-random starts after the given values.
+        candidates: Number of accepted orbits after which a search ends.
+        first_step: Largest change to a target value in a single step, in units of the target.
+        smallest_step: Largest remaining distance from a target before the search fails, in units of
+            the target.
+        seed: Seed of the quasi-random starts.
     """
 
     settling: SettlingSettings = field(default_factory=SettlingSettings)
@@ -53,10 +55,10 @@ class SearchSettings:
     seed: int = 0
 
     def for_accuracy(self, accuracy: float) -> SearchSettings:
-        """Return the cheapest settings that reach a relative accuracy of the orbit.
+        """Return the fastest settings that reach a relative accuracy of the orbit.
 
-        A mesh is drawn anew, ten times finer, until program and simulation agree so far; the first
-        one is what `zeno-orbits trade` measured to be near.
+        The mesh is refined by a factor of ten until program and simulation agree to this accuracy.
+        The first mesh follows from measurements of `zeno-orbits trade`.
         """
         transcription = replace(
             self.transcription,
@@ -68,4 +70,5 @@ class SearchSettings:
 
 _COARSEST_MESH = 1e-2
 _MESH_FOR = 100.0
-"""Mesh tolerance in units of the accuracy: ends of intervals are that much better than insides."""
+"""Mesh tolerance in units of the accuracy: errors at mesh points are this much smaller than errors
+inside intervals."""

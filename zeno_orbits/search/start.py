@@ -1,4 +1,4 @@
-"""One start of a search from beginning to end: its numbers, its outcome, measured and judged."""
+"""One start of a search: its values, its outcome, measurement and acceptance."""
 
 from __future__ import annotations
 
@@ -7,44 +7,45 @@ from dataclasses import replace
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, ZenoOrbit, objection_to
+from zeno_orbits.orbits import Bound, Cycle, ZenoOrbit, objection_to
 from zeno_orbits.search.number_notes import far_from_own
-from zeno_orbits.search.objectives import NearestGains
+from zeno_orbits.search.objectives import PERSISTENCE, NearestGains
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
+from zeno_orbits.search.persistence import persistence
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.strategy import SearchStart, beside, from_start
+from zeno_orbits.search.strategy import SearchStart, beside, from_cycle, from_start
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import measure
 
 
 def start_count(search: SearchProblem) -> int:
-    """Return how many starts a search has."""
+    """Return the number of starts of a search."""
     return 1 + (search.settings.n_starts if search.free else 0)
 
 
 def scanned(search: SearchProblem, number: int) -> SearchProblem:
-    """Return the search with the order of its starts, if that is needed for one of them.
+    """Return the search with the order of its starts, if a start needs this order.
 
     Args:
         search: The search.
-        number: The start. The first one of a search for what is near is at the given numbers.
+        number: Index of the start. A search for the nearest orbit begins at the given values.
     """
     if search.order is not None or not (number > 0 or search.seeks_optimum):
         return search
-    # Most searches end at their first start, sooner than what follows many motions is imported.
+    # Most searches end at their first start, before the import of the scan would be finished.
     from zeno_orbits.search.scan import start_order
 
-    search.tell("looking at places all over the box")
+    search.tell("simulating points of the whole box")
     return replace(search, order=start_order(search))
 
 
 def numbered_start(search: SearchProblem, number: int) -> SearchStart:
-    """Return a start: a pure function of its arguments, whatever has been tried before.
+    """Return a start. The result depends on the arguments alone, not on earlier starts.
 
     Args:
-        search: The search; all but the first start of one for what is near need its order.
-        number: Which start it is, from 0.
+        search: The search. Its order is needed except for the first start near given values.
+        number: Index of the start, from 0.
     """
     place = number if search.order is None else search.order[number]
     if place > 0:
@@ -53,34 +54,55 @@ def numbered_start(search: SearchProblem, number: int) -> SearchStart:
         return SearchStart(values=start_place(search, place))
     values = clipped(search.values, search.free)
     again = search.order is not None and search.order.index(0) < number
-    # The long way, for where nothing else leads to an orbit.
+    # The slow continuation, if nothing else leads to an orbit.
     easy = _easy_values(search.problem, values) if again or start_count(search) == 1 else ()
     near = None if again else search.near
     return SearchStart(values=values, near=near, easy=easy, known_empty=again)
 
 
 def try_start(search: SearchProblem, number: int, accept: Accept | None) -> StartOutcome:
-    """Search from one start and judge the orbit that it finds.
+    """Search from one start and check the orbit.
 
     Args:
         search: The search.
-        number: Which start it is, as for `numbered_start`.
-        accept: The check of orbits; any orbit is accepted by default.
+        number: Index of the start, as for `numbered_start`.
+        accept: The check of orbits. By default all orbits are accepted.
     """
     start = numbered_start(search, number)
     name = f"start {number + 1}"
     search.tell(f"{name}: simulating {listed(search.numbers(start.values))}")
-    outcome, judgement = _judged(search, from_start(search, start), accept, name)
+    reached = from_start(search, start)
+    outcome, judgement = _judged(search, reached, accept, name)
     if judgement is not None and judgement.repels and search.free:
         outcome = _attracting(search, start, accept, name, outcome, judgement)
+    elif judgement is not None and judgement.objection and reached.detail and search.free:
+        outcome = _before(search, start, accept, name, outcome, reached)
     numbers = {name: start.values.number(name) for name in search.free}
+    return replace(outcome, solution=None, start=numbers)
+
+
+def try_cycle(
+    search: SearchProblem, values: ParameterValues, cycle: Cycle, accept: Accept | None
+) -> StartOutcome:
+    """Search from a simulated period and check the orbit.
+
+    Args:
+        search: The search.
+        values: Values of the period.
+        cycle: The period.
+        accept: The check of orbits. By default all orbits are accepted.
+    """
+    name = "another attractor"
+    wanted = search if search.seeks_optimum else replace(search, free={})
+    outcome, _ = _judged(search, from_cycle(wanted, values, cycle), accept, name)
+    numbers = {free: values.number(free) for free in search.free}
     return replace(outcome, solution=None, start=numbers)
 
 
 def _judged(
     search: SearchProblem, outcome: StartOutcome, accept: Accept | None, name: str
 ) -> tuple[StartOutcome, Judgement | None]:
-    """Measure the orbit of a start on a simulation, if there is one, and accept or refuse it."""
+    """Measure the orbit of a start on a simulation, if it exists, and accept or reject it."""
     orbit = None if outcome.solution is None else outcome.solution.orbit
     if outcome.status is not SearchStatus.FOUND or orbit is None:
         return outcome, None
@@ -107,7 +129,7 @@ def _judged(
 
 
 _ATTRACTS = 0.99
-"""Spectral radius that is asked for where the best orbit of all does not attract."""
+"""Bound of the spectral radius that replaces an unstable optimum by a stable orbit."""
 
 _AT_LIMIT = 0.01
 """Distance of a multiplier from 1 or -1 at which an orbit is on a fold or a period doubling."""
@@ -121,15 +143,15 @@ def _attracting(
     refused: StartOutcome,
     judgement: Judgement,
 ) -> StartOutcome:
-    """Search for the best orbit that attracts, where the best one of all does not.
+    """Search for the best stable orbit, if the optimum is not stable.
 
     Args:
         search: The search.
         start: The start.
         accept: The check of orbits.
-        name: The start in words.
+        name: Name of the start for progress reports.
         refused: Outcome of the search without regard to stability.
-        judgement: The refusal of its orbit.
+        judgement: The rejection of its orbit.
     """
     if refused.solution is None or any(one.name == "spectral_radius" for one in search.bounds):
         return refused
@@ -138,7 +160,7 @@ def _attracting(
     bound = Bound(name="spectral_radius", upper=_ATTRACTS)
     bounded = replace(search, bounds=(*search.bounds, bound))
     try:
-        # It is most often near.
+        # The best stable orbit is usually near.
         outcome, _ = _judged(bounded, beside(bounded, start, refused.solution), accept, name)
         if outcome.candidate is None:
             outcome, _ = _judged(bounded, from_start(bounded, start), accept, name)
@@ -152,17 +174,48 @@ def _attracting(
             limit = f"lies on {word}, where orbits cease to attract"
     the_best = f"The best orbit, at {where}, {limit}"
     if outcome.candidate is not None:
-        detail = f"{the_best}; this is the best one with a spectral radius up to {_ATTRACTS:g}."
+        detail = f"{the_best}. This is the best one with a spectral radius up to {_ATTRACTS:g}."
         return replace(outcome, detail=detail)
     if isinstance(search.objective, NearestGains):
         outcome = _on_the_way(search, start, accept, name, refused.solution.values)
     if outcome.candidate is None:
         return refused
-    return replace(outcome, detail=f"{the_best}; this one, on the way to it, does.")
+    return replace(outcome, detail=f"{the_best}. This one, on the way to it, does.")
+
+
+_BEFORE = (0.999, 0.99, 0.95, 0.8)
+"""Points of the line from the start to the end of a family. Orbits near the end are too small for a
+verification."""
+
+
+def _before(
+    search: SearchProblem,
+    start: SearchStart,
+    accept: Accept | None,
+    name: str,
+    refused: StartOutcome,
+    reached: StartOutcome,
+) -> StartOutcome:
+    """Search for the last accepted orbit before the end of a family.
+
+    Args:
+        search: The search.
+        start: The start.
+        accept: The check of orbits.
+        name: Name of the start for progress reports.
+        refused: The rejected outcome at the end.
+        reached: The same outcome before the check, with a description of the end.
+    """
+    if reached.solution is None:
+        return refused
+    outcome = _on_the_way(search, start, accept, name, reached.solution.values, _BEFORE)
+    if outcome.candidate is None:
+        return refused
+    return replace(outcome, detail=f"{reached.detail} Nearer to it: {refused.detail}")
 
 
 _PARTS = (0.95, 0.8, 0.5, 0.2, 0.0)
-"""Places on the way to an orbit that does not attract, from the start, at which others may."""
+"""Points of the line from the start to an unstable orbit, at which orbits may be stable."""
 
 
 def _on_the_way(
@@ -171,19 +224,23 @@ def _on_the_way(
     accept: Accept | None,
     name: str,
     place: ParameterValues,
+    parts: tuple[float, ...] = _PARTS,
 ) -> StartOutcome:
-    """Search at given numbers between a start and a place; nearness is a wish, an orbit the point.
+    """Search at fixed values on the line from a start to a point. An orbit takes priority.
+
+    The objective, nearness, is only approximated here: an orbit matters more than its optimum.
 
     Args:
         search: The search.
         start: The start.
         accept: The check of orbits.
-        name: The start in words.
-        place: Where the nearest orbit of all is.
+        name: Name of the start for progress reports.
+        place: Values of the nearest orbit.
+        parts: Points of the line, as parts of its length from the start, in the order of attempts.
     """
     held = replace(search, free={})
     outcome = StartOutcome(status=SearchStatus.NO_GUESS)
-    for part in _PARTS:
+    for part in parts:
         numbers = {
             free: (1.0 - part) * start.values.number(free) + part * place.number(free)
             for free in search.free
@@ -202,13 +259,17 @@ def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str
     if not names:
         return {}
     search.tell(f"{name}: measuring {', '.join(dict.fromkeys(names))}")
-    return measure(orbit, search.problem, names)
+    extents = measure(orbit, search.problem, [one for one in names if one != PERSISTENCE])
+    if PERSISTENCE in names:
+        extents[PERSISTENCE] = persistence(search, orbit.values(search.problem), orbit).extent
+    return extents
 
 
 def _easy_values(problem: Problem, values: ParameterValues) -> tuple[ParameterValues, ...]:
-    """Return easier numbers: the problem's own gains, half the restitution, or both.
+    """Return easier values: the problem's default gains, half the restitution, or both.
 
-    All of the problem's own numbers are another, unless one is so far off that no path leads there.
+    The problem's defaults are a further choice, unless a value is too far from its default for a
+    continuation.
     """
     gains = {gain.name: gain.default for gain in problem.gains if gain.default is not None}
     own = values.replaced(gains)

@@ -1,7 +1,7 @@
-"""The ways from a start to an orbit: a simulation, a known orbit, or a path from an easier place.
+"""From a start to an orbit: by simulation, from a known orbit, or by continuation.
 
-The objective is then reached directly, in small steps, or after the violation of the bounds has
-been minimised.
+The objective is then reached directly, in small steps, or after a minimisation of the violation of
+the bounds.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.fixed_point import close_near
 from zeno_orbits.search.guess import FollowedMotion, settle
 from zeno_orbits.search.homotopy import Followed, follow
-from zeno_orbits.search.objectives import NearestGains, Target, TowardTarget
+from zeno_orbits.search.objectives import NearestGains, Target, TowardTarget, WidestMargin
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
+from zeno_orbits.search.persistence import widest
 from zeno_orbits.search.refinement import (
     COARSE,
     ON_THE_WAY,
@@ -33,15 +34,16 @@ from zeno_orbits.search.refinement import (
 )
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.trust_region import trust_region_steps
+from zeno_orbits.search.trust_region import LastStep, trust_region_steps
+from zeno_orbits.search.way import all_kept, best_on_the_way, kept_and_exceeded
 from zeno_orbits.simulation import SimulationSettings
 
 _NOT_FOLLOWED = FollowedMotion(cycle=None, reason="no orbit is near")
 _AT_BOUND = 0.02
-"""A number this near its bound, in units of its range, is said to be at it."""
+"""Distance below which a value is at its bound, in units of its range."""
 
 _VIOLATED = 1e-5
-"""A bound that is passed by more than this part of its size cannot be kept."""
+"""Relative violation above which a bound cannot be satisfied."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,10 +51,10 @@ class SearchStart:
     """Start of a search.
 
     Attributes:
-        values: The numbers.
-        near: An orbit at these numbers or near them; by default the problem is simulated.
-        easy: Numbers from which to follow orbits to these where a simulation finds none.
-        known_empty: True if it is known that a simulation finds none.
+        values: Values of the gains and parameters.
+        near: An orbit at these values or near them. By default the problem is simulated.
+        easy: Values from which orbits are continued to ``values`` if a simulation finds no orbit.
+        known_empty: True if an earlier simulation found no orbit.
     """
 
     values: ParameterValues
@@ -62,7 +64,7 @@ class SearchStart:
 
 
 def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
-    """Search from one start: a pure function of its arguments, whatever has been tried before."""
+    """Search from one start. The result depends on the arguments alone, not on earlier starts."""
     values, near = start.values, start.near
     if near is not None:
         path = follow(search, near, near.values(search.problem), values)
@@ -90,15 +92,15 @@ def beside(search: SearchProblem, start: SearchStart, solution: SimulatedSolutio
     """Search from the solution of a search with fewer bounds.
 
     Args:
-        search: What is searched.
-        start: Where it started.
-        solution: What the easier search found.
+        search: The search.
+        start: The start.
+        solution: The solution of the search with fewer bounds.
     """
     return refine(search, solution.values, solution.cycle, search.objective, start.values)
 
 
 def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
-    """Return a period to which the problem settles, or why there is none."""
+    """Return a period to which the problem converges, or the reason of a failure."""
     dynamics = search.dynamics(values)
     starts = [search.problem.state_vector(start) for start in search.initial_states]
     settling = settle(dynamics, starts, search.settings.settling, search.shape, search.problem)
@@ -107,7 +109,7 @@ def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
         return settling
     if search.shape is not None or not cycle.shape.has_one_release:
         return _brought_nearer(search, dynamics, cycle)
-    # The noise of the loose settling would be meshed; one period costs little.
+    # The mesh would resolve the noise of the loose simulation, and one period is cheap.
     again = one_cycle(dynamics, cycle.start.state, 2 * cycle.period, cycle.shape)
     return FollowedMotion(cycle=again or cycle)
 
@@ -115,10 +117,9 @@ def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
 def _brought_nearer(
     search: SearchProblem, dynamics: HybridDynamics, cycle: Cycle
 ) -> FollowedMotion:
-    """Return the orbit near a period by simulation, if it closes: it may be a poor guess.
+    """Return the orbit near a period by simulation, if it closes. The period may be inaccurate.
 
-    A motion that settles slowly, throwing over from one period to the next, looks as if it repeated
-    after two.
+    A motion that converges slowly with alternating sign appears to repeat after two periods.
     """
     try:
         near = close_near(dynamics, cycle, SimulationSettings()).cycle
@@ -135,10 +136,10 @@ def _brought_nearer(
 
 
 def _closed(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome | None:
-    """Return the orbit that a motion settles to, closed by simulation at the finest accuracy.
+    """Return the orbit to which a motion converges, closed by simulation at the highest accuracy.
 
-    Over many impacts errors grow beyond what program and simulation may differ by, and a way round
-    would lead to an orbit beside the one that the motion settles to.
+    Over many impacts errors grow beyond the tolerance between program and simulation. A
+    continuation from easier values would lead to another orbit than the attractor of the motion.
     """
     if isinstance(search.objective, Target):
         return None
@@ -167,7 +168,7 @@ _BY_ITSELF = "Errors grow too much on it for the program: simulation alone close
 def _by_an_easier_way(
     search: SearchProblem, start: SearchStart, outcome: StartOutcome
 ) -> StartOutcome:
-    """Follow orbits from an easier setting to the start's, where the direct way failed."""
+    """Continue orbits from easier values to the start's values, after a failed direct search."""
     for easy in start.easy:
         if easy == start.values:
             continue
@@ -187,7 +188,7 @@ def _by_an_easier_way(
 
 
 def _along(search: SearchProblem, start: SearchStart, path: Followed, origin: str) -> StartOutcome:
-    """Search from the end of a path, which may be short of the start's own numbers."""
+    """Search from the end of a path, which may end before the values of the start."""
     if path.cycle is None:
         detail = f"From {origin} no orbit could be followed."
         return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)
@@ -215,17 +216,19 @@ def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> 
     """Search from one simulated period.
 
     Args:
-        search: What is asked.
-        values: Numbers at which the period was simulated.
+        search: The search.
+        values: Values at which the period was simulated.
         cycle: The period.
     """
     objective = search.objective
     if isinstance(objective, Target):
         return _to_target(search, values, cycle, objective)
+    if isinstance(objective, WidestMargin) and search.free:
+        return _to_widest(search, values, cycle)
     held = replace(search, free={})
     nearest = isinstance(objective, NearestGains)
     if nearest and all(values.number(n) == v for n, v in objective.target.items()):
-        # Nothing is nearer than the target itself: its gains need no freedom.
+        # An orbit at the target itself is optimal, so the gains are fixed.
         here = refine(held, values, cycle, objective)
         if not search.bounds or not search.free:
             return here
@@ -250,22 +253,34 @@ def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> 
     stepped = refine(search, last.values, last.cycle, objective, values)
     if stepped.status is SearchStatus.FOUND:
         return stepped
-    if not search.bounds:
-        # The objective is a wish, the orbit the point: keep the one that the steps came to.
-        here = refine(held, last.values, last.cycle, objective)
-        if here.status is SearchStatus.FOUND:
-            lost = f"The way to {objective.wish} was lost: this is the last orbit on it."
-            return replace(here, detail=lost)
-    return outcome
+    # An orbit matters more than its optimum: return the best orbit of the steps.
+    return best_on_the_way(search, values, last) or outcome
+
+
+def _to_widest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome:
+    """Return the orbit that persists over the largest range of the free values."""
+    if search.bounds:
+        values, cycle, lacking = _where_bounds_are_kept(search, values, cycle)
+        if lacking is not None:
+            return lacking
+    best = widest(search, values, cycle)
+    around = best.cycle if isinstance(best.cycle, Cycle) else cycle
+    outcome = refine(replace(search, free={}), best.values, around, search.objective)
+    if outcome.status is not SearchStatus.FOUND:
+        return outcome
+    return replace(outcome, detail=best.text)
 
 
 def _where_bounds_are_kept(
     search: SearchProblem, values: ParameterValues, cycle: Cycle
 ) -> tuple[ParameterValues, Cycle, StartOutcome | None]:
-    """Return where the bounds are violated least, and by how much if any is violated there.
+    """Minimise the violation of the bounds, and describe the remaining violation.
 
-    It is a local minimum near the start: another start may violate them less.
+    The result is a local minimum near the start. Another start may have a smaller violation. An
+    orbit that satisfies all bounds is returned unchanged.
     """
+    if all_kept(search, values, cycle):
+        return values, cycle, None
     search.tell("looking for where the bounds are kept")
     origin = values
 
@@ -286,7 +301,7 @@ def _where_bounds_are_kept(
     if not broken or not last.converged:
         return last.values, last.cycle, None
     where = listed({name: last.values.number(name) for name in search.free})
-    detail = f"No orbit was found that keeps all bounds; the nearest one, at {where}"
+    detail = f"No orbit was found that keeps all bounds. The nearest one, at {where}"
     lacking = StartOutcome(
         status=SearchStatus.NOT_SOLVED,
         detail=f"{detail}{_held(search, last.values)}, {', '.join(broken)}.",
@@ -298,7 +313,17 @@ def _where_bounds_are_kept(
 def _to_target(
     search: SearchProblem, values: ParameterValues, cycle: Cycle, target: Target
 ) -> StartOutcome:
-    """Reach a target: directly if it is near, else by steps that reduce the squared distance."""
+    """Reach a target: directly if it is near, else by steps that reduce the squared distance.
+
+    If the bounds cannot be satisfied even without the target, the message names the bounds and not
+    the target.
+    """
+    if search.bounds and search.free:
+        values, cycle, lacking = _where_bounds_are_kept(search, values, cycle)
+        if lacking is not None:
+            here = target.measured(cycle)
+            missed = f"There the orbit has {replace(target, target=here).wish}."
+            return replace(lacking, detail=f"{lacking.detail} {missed}")
     if target.miss(cycle) <= search.settings.first_step:
         search.tell(f"asking for {target.wish}")
         outcome = refine(search, values, cycle, target)
@@ -313,15 +338,15 @@ def _to_target(
     last = trust_region_steps(search, values, cycle, solve)
     here = target.measured(last.cycle)
     if abs(here - target.target) > search.settings.smallest_step * target.target:
-        return _short_of(search, target, here, last.values, last.outcome)
+        return _short_of(search, target, here, last, last.outcome)
     search.tell(f"asking for {target.wish}")
     outcome = refine(search, last.values, last.cycle, target, values)
     if outcome.status is not SearchStatus.FOUND:
-        # The nearest numbers of that value may be far along its level line.
+        # The nearest values with the target may be far away on its level set.
         outcome = refine(search, last.values, last.cycle, target, last.values)
     if outcome.status is SearchStatus.FOUND:
         return outcome
-    short = _short_of(search, target, here, last.values, outcome)
+    short = _short_of(search, target, here, last, outcome)
     return replace(short, detail=outcome.detail)
 
 
@@ -329,10 +354,11 @@ def _short_of(
     search: SearchProblem,
     target: Target,
     here: float,
-    values: ParameterValues,
+    step: LastStep,
     last: StartOutcome | None,
 ) -> StartOutcome:
-    """Return a failure that says how near a target the search came, and what held it."""
+    """Return a failure with the remaining distance from a target and the active bounds."""
+    values = step.values
     at = listed(search.numbers(values))
     reached = f"The nearest that was reached is {replace(target, target=here).wish}, at {at}"
     detail = f"{reached}{_held(search, values)}"
@@ -341,13 +367,14 @@ def _short_of(
     return replace(
         last or StartOutcome(status=SearchStatus.NOT_SOLVED),
         status=SearchStatus.NOT_SOLVED,
-        detail=f"{detail}; missed: `{target.wish}` by {miss:.3g}. {why}".strip(),
+        detail=f"{detail}; missed: `{target.wish}` by {miss:.3g}"
+        f"{kept_and_exceeded(search, values, step.cycle)}. {why}".strip(),
         shortfall=miss,
     )
 
 
 def _held(search: SearchProblem, values: ParameterValues) -> str:
-    """Return which free numbers are at a bound of their box, in brackets."""
+    """Return the free values at a bound of their box, in brackets."""
     held = [
         f"{name} at its bound {bound:g}"
         for name, bounds in search.free.items()

@@ -1,7 +1,8 @@
 """A search in small steps: each in a box around the last orbit, as wide as earlier steps allow.
 
-A program is transcribed around one orbit and trusted near it only. Where the whole way is too far
-for one program, each step solves its own around the simulated solution of the last one.
+A program is transcribed around one orbit and is valid only near it. If the whole distance is too
+large for one program, each step solves a new program around the simulated solution of the last
+step.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _BOXES = StepControl(first=0.1, shortest=2e-3, most=40, growth=2.0, shrinkage=0.
 """Half widths of boxes in units of the whole range."""
 
 _TOUCHES = 1e-3
-"""A number this near the side of its box, in units of its half width, is held by it."""
+"""Distance below which a value is limited by a side of its box, in units of the half width."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,10 +28,10 @@ class LastStep:
     """The end of a sequence of steps.
 
     Attributes:
-        values: The numbers there.
-        cycle: One simulated period there.
-        outcome: Outcome of the last accepted step; ``None`` if none was accepted.
-        converged: True if a further step would lead nowhere, rather than could not be taken.
+        values: Values at the end.
+        cycle: One simulated period at these values.
+        outcome: Outcome of the last accepted step, or ``None`` without an accepted step.
+        converged: True at an optimum, False if a further step failed.
     """
 
     values: ParameterValues
@@ -45,13 +46,13 @@ def trust_region_steps(
     cycle: Cycle,
     solve: Callable[[SearchProblem, ParameterValues, Cycle], StartOutcome],
 ) -> LastStep:
-    """Return where steps lead that each solve a program in a box around the last orbit.
+    """Solve a sequence of programs, each in a box around the last orbit, and return the last step.
 
     Args:
-        search: The search; its box is never left.
-        values: Numbers of the first orbit.
-        cycle: One simulated period there.
-        solve: One step, given the search in a smaller box.
+        search: The search. All steps stay in its box.
+        values: Values of the first orbit.
+        cycle: One simulated period of the first orbit.
+        solve: Function that computes a step, given the search in a smaller box.
     """
 
     def advance(steps: Sequence[LastStep], half: float) -> PathStep[LastStep, bool]:
@@ -87,7 +88,7 @@ def _box_around(
 def _is_held(
     search: SearchProblem, values: ParameterValues, box: dict[str, tuple[float, float]]
 ) -> bool:
-    """Return True if a number is at a side of its small box that is not one of the whole."""
+    """Return True if a value is at a side of its small box that is not a side of the whole box."""
     for name, (low, high) in box.items():
         here, near = values.number(name), _TOUCHES * (high - low)
         whole = search.free[name]

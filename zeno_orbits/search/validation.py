@@ -1,29 +1,36 @@
-"""Refuse searches that make no sense for their problem."""
+"""Reject searches that are not valid for their problem."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import Bound
-from zeno_orbits.search.objectives import LEAST_RADIUS
+from zeno_orbits.orbits import RELEASE_ROWS, Bound
+from zeno_orbits.search.guess import settle
+from zeno_orbits.search.objectives import LEAST_RADIUS, FastestContraction, TargetPeriod
 from zeno_orbits.search.search_problem import SearchProblem
+from zeno_orbits.simulation import steady_turn
 from zeno_orbits.verification import require_quantities
 
 
 def check_search(search: SearchProblem) -> None:
-    """Refuse a search that names what the problem has not, or that nothing can answer.
+    """Reject a search with unknown names, or a search that cannot have a solution.
 
     Raises:
-        InputError: It names what is wrong.
+        InputError: If the search is not valid. The message names the invalid part.
     """
     problem, near = search.problem, search.near
     _check_boxes(problem, search.free)
     for state in search.initial_states:
         problem.state_vector(state)
     search.objective.check(problem, search.free)
+    if isinstance(search.objective, TargetPeriod):
+        _check_period(search, search.objective.target)
+    _check_multipliers(search)
     _check_bounds(problem, search.bounds)
     if near is not None and near.problem != problem.name:
         message = f"must be of problem `{problem.name}`, but it is of `{near.problem}`"
@@ -33,6 +40,79 @@ def check_search(search: SearchProblem) -> None:
 def _check_boxes(problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
     for name, box in free.items():
         problem.require_range(name, box, argument="free")
+
+
+_STEADY = 1e-9
+"""Relative rounding error of a clock's frequency, and of the distance from a whole turn."""
+
+
+def _check_period(search: SearchProblem, target: float) -> None:
+    """Reject a period that the clock of a forced problem excludes (theory (34)).
+
+    Raises:
+        InputError: If the period is excluded. The message contains the period of the clock and the
+            parameters that change it.
+    """
+    own = _turn(search, {})
+    if own is None:
+        return
+    moving = [
+        quantity.name
+        for quantity in search.problem.quantities
+        if (value := search.values.number(quantity.name))
+        and (turn := _turn(search, {quantity.name: _NUDGED * value})) is not None
+        and abs(turn / own - 1) > _STEADY
+    ]
+    free = [name for name in moving if name in search.free]
+    possible = [own]
+    for name in free:
+        possible += [turn for end in search.free[name] if (turn := _turn(search, {name: end}))]
+    shortest, longest = min(possible), max(possible)
+    turns = max(1, math.floor(target / shortest * (1 + _STEADY)))
+    if shortest * turns * (1 - _STEADY) <= target <= longest * turns * (1 + _STEADY):
+        return
+    wanted = f"must be a whole number of turns of the clock, {shortest:.6g} s each"
+    if free:
+        wanted = f"must be a whole number of turns of the clock, {shortest:.6g} to {longest:.6g} s"
+    remedy = f": widen {', '.join(free)}" if free else f": free {' or '.join(moving)}"
+    message = f"{wanted}, but it is {target:g} s. The clock fixes the period"
+    raise InputError(f"Argument `objective` {message}{remedy if moving else ''}.")
+
+
+_NUDGED = 1.01
+"""Factor that perturbs a value to detect whether the clock depends on it."""
+
+
+def _turn(search: SearchProblem, numbers: Mapping[str, float]) -> float | None:
+    """Return the period of the clock at given values [s], or ``None`` without a steady clock."""
+    try:
+        dynamics = search.dynamics(search.values.replaced(numbers))
+    except InputError:
+        return None
+    return steady_turn(dynamics, np.array(search.problem.state_vector(search.initial_states[0])))
+
+
+def _check_multipliers(search: SearchProblem) -> None:
+    """Reject an objective or a bound on the multipliers of orbits without multipliers.
+
+    Raises:
+        InputError: If the orbits do not have multipliers. The message contains the remedy.
+    """
+    bounded = any(bound.name == "spectral_radius" for bound in search.bounds)
+    if not (bounded or isinstance(search.objective, FastestContraction)):
+        return
+    dynamics = search.dynamics(search.values)
+    start = np.array(search.problem.state_vector(search.initial_states[0]))
+    shape = search.shape or (search.near.shape if search.near is not None else None)
+    if len(start) - dynamics.holonomic(start).size > len(RELEASE_ROWS):
+        return
+    if shape is None:
+        cycle = settle(dynamics, [start], problem=search.problem).cycle
+        shape = None if cycle is None else cycle.shape
+    if shape is not None and shape.starts_at_release:
+        option = "keep" if bounded else "objective"
+        message = "must not ask for multipliers: the section of its releases is a point"
+        raise InputError(f"Argument `{option}` {message}. Choose another objective or bound.")
 
 
 def _check_bounds(problem: Problem, bounds: tuple[Bound, ...]) -> None:

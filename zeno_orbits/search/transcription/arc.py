@@ -1,4 +1,4 @@
-"""A transcribed arc: its mesh, its stages, and one collocation step an interval."""
+"""A transcribed arc: its mesh, its stages, and one collocation step per interval."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.integrators import Collocation, radau_scheme
+from zeno_orbits.kinds import Checked
 from zeno_orbits.model import CompiledSystem, ModeFunctions
 from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
 from zeno_orbits.search.transcription.program import ProgramBuilder
 from zeno_orbits.simulation import Arc
 
+_FEW = 16
+"""Number of intervals that an arc may have in addition to the steps of its simulation."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TranscriptionSettings:
+class TranscriptionSettings(Checked):
     """Scheme and tolerances of a transcription.
 
     Attributes:
@@ -38,11 +42,11 @@ class CollocatedArc:
     Attributes:
         name: ``flight 0``, ``flight 1``, ... or ``locked``.
         guess: The simulated arc.
-        mesh: Ends of its intervals, fractions of its duration, ``(n_intervals + 1,)``.
-        start: State of its flow at its start, ``(n_y, 1)``.
-        stages: States at its stages, ``(n_y, n_intervals * n_stages)``.
-        duration: Its length [s].
-        work: Electrical work over it [J].
+        mesh: Ends of the intervals, as fractions of the duration, ``(n_intervals + 1,)``.
+        start: State of the flow at the start of the arc, ``(n_y, 1)``.
+        stages: States at the stages, ``(n_y, n_intervals * n_stages)``.
+        duration: Duration of the arc [s].
+        work: Electrical work over the arc [J].
     """
 
     name: str
@@ -55,7 +59,7 @@ class CollocatedArc:
 
     @property
     def end(self) -> ca.MX:
-        """State of its flow at its end, ``(n_y, 1)``."""
+        """State of the flow at the end of the arc, ``(n_y, 1)``."""
         return self.stages[:, -1]
 
 
@@ -66,7 +70,7 @@ class ArcWriter:
         program: The program.
         compiled: The functions of the problem.
         settings: Scheme and mesh.
-        p: Gains and parameters, numbers or unknowns.
+        p: Gains and parameters, as values or unknowns.
         scale: Size of each state, ``(n_x,)``.
     """
 
@@ -91,11 +95,11 @@ class ArcWriter:
         """Declare the stages of an arc and its continuity.
 
         Args:
-            name: Its name.
+            name: Name of the arc.
             guess: The simulated arc.
-            mode: Its flow.
+            mode: Flow of the arc.
             p: Parameters of the flow, ``(n_p,)``.
-            start: State of the flow at its start, ``(n_y, 1)``.
+            start: State of the flow at the start of the arc, ``(n_y, 1)``.
         """
         scheme, n_stages = self.settings.scheme, self.settings.scheme.n_stages
         length = guess.duration
@@ -104,7 +108,14 @@ class ArcWriter:
         def trajectory(fraction: float) -> Vector:
             return guess.flow_state_at(fraction * length)
 
-        mesh = graded_mesh(trajectory, scheme, scale=scale, tolerance=self.settings.mesh_tolerance)
+        # An interval replaces at least four steps of the simulation, unless it resolves rounding.
+        mesh = graded_mesh(
+            trajectory,
+            scheme,
+            scale=scale,
+            tolerance=self.settings.mesh_tolerance,
+            most=len(guess.flow_times) - 1 + _FEW,
+        )
         fractions = stage_fractions(mesh, scheme)
         first = np.array([trajectory(float(fraction)) for fraction in fractions]).T
         stages = self.program.variable(f"{name} stages", first, scale=scale)
@@ -130,7 +141,7 @@ class ArcWriter:
         )
 
     def _interval(self, mode: ModeFunctions) -> ca.Function:
-        """Return one collocation step: defects of its stages, work over it (theory (17))."""
+        """Return the function of a collocation step: its defects and its work (theory (17))."""
         name = mode.rate.name()
         if name not in self._intervals:
             scheme = self.settings.scheme
@@ -150,7 +161,7 @@ class ArcWriter:
 
 
 def flow_scale(arc: Arc, scale: Vector) -> Vector:
-    """Return the size of the states of an arc's flow: in a rescaled flight, gap and rate too."""
+    """Return the size of each state of an arc's flow, with gap and rate in a rescaled flight."""
     states = [arc.flow_state_at(float(s)) for s in np.linspace(0.0, arc.duration, 9)]
     scaled = np.max(np.abs(np.array(states)), axis=0)[len(scale) :]
     return np.concatenate([scale, scaled])

@@ -1,4 +1,4 @@
-"""Impacts that a program resolves before the Zeno limit, and those that the limit is told by."""
+"""Impacts that a program resolves before the Zeno limit, and impacts that determine the limit."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from zeno_orbits.simulation import Impact, TailEstimate, estimate_tail, extrapol
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Closure:
-    """Impacts that are resolved before the Zeno limit, and those that determine it.
+    """Impacts that are resolved before the Zeno limit, and impacts that determine the limit.
 
     Attributes:
-        n_impacts: Impacts resolved one by one.
-        nodes: Index of each impact that the extrapolation uses, the first impact being 0.
+        n_impacts: Number of resolved impacts.
+        nodes: Index of each impact in the extrapolation. The first impact has index 0.
         error: Estimated error of the limit, relative to ``1 + |x|``.
     """
 
@@ -28,7 +28,7 @@ class Closure:
 
 
 def closures_of(cycle: Cycle, dynamics: HybridDynamics, tolerance: float) -> tuple[Closure, ...]:
-    """Return the closure of each phase; one impact that does not hold closes without an error.
+    """Return the closure of each phase. A single impact without a Zeno point has error zero.
 
     Args:
         cycle: One period of a simulation.
@@ -48,8 +48,8 @@ def closure_of(impacts: Sequence[Impact], dynamics: HybridDynamics, tolerance: f
 
     Args:
         impacts: The impacts of a phase.
-        dynamics: The system that made them.
-        tolerance: Largest estimated error; all impacts are used if none reaches it.
+        dynamics: The system of the impacts.
+        tolerance: Largest estimated error. If it is never reached, all impacts are used.
     """
     estimates: list[TailEstimate] = []
     first, best = 0, Closure(n_impacts=1, nodes=(0,), error=np.inf)

@@ -1,7 +1,8 @@
 """Bounds, peaks and amplitudes as rows of a program.
 
-A signal is held at all stages and at the extremes of the guess between them; what then still
-passes its bound between these places is seen by a simulation, which draws the places anew.
+A signal is bounded at all stages and at the extremes of the guess between them. If the signal then
+still violates its bound between these points, a simulation detects the violation and updates the
+points.
 """
 
 from __future__ import annotations
@@ -24,16 +25,16 @@ from zeno_orbits.search.transcription.transcribe import OrbitTerms
 from zeno_orbits.simulation import Signal, peaks, signal, signal_names
 
 RADIUS_SLACK = 1e-7
-"""By how much less a spectral radius is asked of the program: what its mesh may be wrong by."""
+"""Reduction of a bound on the spectral radius in the program: the error of its mesh."""
 
 
 def named_numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
-    """Return a number of the whole orbit by its name in `measures.NUMBERS`: one a phase, if so.
+    """Return a quantity of the orbit by its name in `measures.NUMBERS`, or its value in each phase.
 
-    What is measured of an orbit of several phases is the least of them.
+    The quantity of an orbit of several phases is the smallest value of its phases.
 
     Raises:
-        InputError: If orbits of this shape have no such number.
+        InputError: If orbits of this shape do not have the quantity.
     """
     if name == "period":
         return [terms.period]
@@ -52,7 +53,7 @@ def named_numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
         elif name == "gap_acceleration":
             found.append(-terms.compiled.contact_at(phase.zeno, terms.p).gap_acceleration)
         else:
-            # Where the next phase starts the stop lets go.
+            # The release is the start of the next phase.
             release = terms.phases[(place + 1) % len(terms.phases)].start
             found.append(-terms.compiled.contact_at(release, terms.p).multiplier_rate)
     if not found:
@@ -62,9 +63,9 @@ def named_numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
 
 
 def smallest_share(terms: OrbitTerms) -> ca.MX:
-    r"""Declare the smallest margin as a share of the most that it could be, and return it.
+    r"""Declare the smallest margin, as a share of its largest possible value, and return it.
 
-    :math:`t \le` each share; a largest value is an unknown that no stage exceeds (theory (32)).
+    :math:`t \le` each share. The largest value is an unknown that bounds all stages (theory (32)).
     """
     program = terms.program
     share = program.variable("smallest margin", 0.1, lower=-1.0, upper=1.0)[0, 0]
@@ -78,7 +79,7 @@ def smallest_share(terms: OrbitTerms) -> ca.MX:
             )
         for name, index, arc, value in quantities:
             quantity = _contact(terms, name, index)
-            most = largest(terms, quantity, (arc,), f"largest value beside the {name}")
+            most = largest(terms, quantity, (arc,), f"largest value near the {name}")
             program.at_least_zero(f"margin: {name}", value / most - share)
         if phase.locked is not None:
             row = phase.locked.duration / terms.period - share
@@ -89,12 +90,12 @@ def smallest_share(terms: OrbitTerms) -> ca.MX:
 def largest(
     terms: OrbitTerms, quantity: Signal, arcs: Sequence[CollocatedArc], label: str
 ) -> ca.MX:
-    """Declare an unknown that a signal does not exceed in size anywhere, and return it.
+    """Declare an unknown that bounds the absolute value of a signal, and return it.
 
     Args:
         terms: The transcribed orbit.
         quantity: The signal.
-        arcs: The arcs on which it counts.
+        arcs: The arcs on which the bound applies.
         label: Name of the unknown.
     """
     columns, at_guess = _places(terms, quantity, arcs)
@@ -106,16 +107,16 @@ def largest(
 
 
 def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
-    """Require a quantity to stay within bounds; return the size that it is measured in.
+    """Require a quantity to satisfy its bounds, and return the size of the quantity.
 
     Args:
         terms: The orbit.
         bound: The quantity and its bounds.
-        slack: By how much it may pass them, in units of its size.
+        slack: Allowed violation of the bounds, in units of the size.
     """
     if bound.name == "spectral_radius":
         if terms.return_slope is None:
-            raise ValueError("Argument `terms` must carry the return map, but it has none.")
+            raise ValueError("Argument `terms` must carry the return map, but it is missing.")
         radius = bound.upper - RADIUS_SLACK + slack
         keep_radius_below(terms.program, terms.return_slope, radius)
         return 1.0
@@ -142,7 +143,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
 
 
 def size_of(bound: Bound, largest_value: float) -> float:
-    """Return the size in which a bounded quantity is measured."""
+    """Return the unit in which a bounded quantity is scaled."""
     ends = [abs(end) for end in (bound.lower, bound.upper) if math.isfinite(end)]
     return max(*ends, largest_value) or 1.0
 
@@ -184,7 +185,7 @@ def _hold(
 def _places(
     terms: OrbitTerms, quantity: Signal, arcs: Sequence[CollocatedArc]
 ) -> tuple[ca.MX, Array]:
-    """Return the states at which a signal is held, ``(n_x, n)``, and its values in the guess."""
+    """Return the states at which a signal is bounded, ``(n_x, n)``, and its values in the guess."""
     n_x, value = terms.compiled.n_x, quantity.at(terms.numbers)
     columns: list[ca.MX] = []
     values: list[float] = []
@@ -203,11 +204,11 @@ def inside(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> ca.MX:
 
     Args:
         terms: The transcribed orbit.
-        arc: One of its arcs.
-        fraction: In [0, 1].
+        arc: An arc of the orbit.
+        fraction: Fraction of the duration, in [0, 1].
 
     Returns:
-        The state, ``(n_y, 1)``, in the program's unknowns.
+        The state in the program's unknowns, ``(n_y, 1)``.
     """
     states, place = _interval(terms, arc, fraction)
     return ca.mtimes(states, ca.DM(lagrange_basis(_points(terms), place)))
@@ -216,12 +217,13 @@ def inside(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> ca.MX:
 def extreme(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
     """Return the largest value of a state (smallest, if ``sign`` is -1) over the orbit.
 
-    Inside an interval it is where the derivative of the collocation polynomial vanishes, and the
-    place is an unknown; at an impact, where the rate may turn round, it is a node.
+    Inside an interval, the derivative of the collocation polynomial vanishes at the extreme, and
+    the position of the extreme is an unknown. At an impact, where the rate may change its sign, the
+    extreme is a node.
 
     Args:
         terms: The transcribed orbit.
-        index: Place of the state among the states.
+        index: Index of the state.
         sign: 1 for the largest value, -1 for the smallest.
     """
     arc, peak = max(
@@ -245,7 +247,7 @@ def _entry(index: int) -> Callable[[Vector], float]:
 
 
 def _interval(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> tuple[ca.MX, float]:
-    """Return the states of the interval that holds a fraction of an arc, and the place in it."""
+    """Return the states of the interval with a fraction of an arc, and the position inside it."""
     mesh, n = arc.mesh, terms.scheme.n_stages
     interval = max(int(np.searchsorted(mesh, fraction)) - 1, 0)
     first = interval * n
@@ -255,5 +257,5 @@ def _interval(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> tuple[c
 
 
 def _points(terms: OrbitTerms) -> list[float]:
-    """Return the places of an interval's states in it, its start included."""
+    """Return the positions of an interval's states, including its start."""
     return [0.0, *terms.scheme.nodes.tolist()]

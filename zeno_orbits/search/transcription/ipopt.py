@@ -1,4 +1,4 @@
-"""Ipopt, asked for the solution of a program with names. Source: [WachterBiegler2006]_."""
+"""Solution of a program with named rows by Ipopt. Source: [WachterBiegler2006]_."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array
+from zeno_orbits.kinds import Checked
 from zeno_orbits.search.transcription.program import Program
 
 
 class SolveStatus(Enum):
-    """End of a solve. The value is the sentence shown to the user."""
+    """Result of a solve. The value is the sentence shown to the user."""
 
     SOLVED = "the solver converged"
     ACCEPTABLE = "the solver converged to a looser tolerance only"
@@ -35,7 +36,7 @@ class SolveStatus(Enum):
 
     @classmethod
     def from_ipopt(cls, return_status: str) -> SolveStatus:
-        """Translate Ipopt's return status; the only place that knows Ipopt's words."""
+        """Convert Ipopt's return status. No other code depends on Ipopt's words."""
         return _IPOPT_STATUS.get(return_status, cls.STOPPED)
 
 
@@ -56,24 +57,24 @@ _IPOPT_STATUS = {
 
 
 class Hessian(Enum):
-    """Second derivatives of the Lagrangian: computed, or approximated from gradients."""
+    """Second derivatives of the Lagrangian: exact, or approximated from gradients."""
 
     EXACT = "exact"
     LIMITED_MEMORY = "limited-memory"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class IpoptSettings:
+class IpoptSettings(Checked):
     """Tolerances and limits of Ipopt.
 
     Attributes:
-        tolerance: Largest violation of a row, scaled.
-        optimality: Largest dual infeasibility, scaled; an orbit is exact long before its gains
-            are exactly optimal.
-        most_iterations: Iterations before it gives up.
-        most_seconds: Wall time before it gives up [s].
-        first_barrier: First barrier parameter; small, as the guess comes from a simulation.
-        hessian: Exact or approximated.
+        tolerance: Largest scaled violation of a row.
+        optimality: Largest scaled dual infeasibility. An orbit is accurate long before its gains
+            are optimal.
+        most_iterations: Largest number of iterations.
+        most_seconds: Largest wall time [s].
+        first_barrier: First barrier parameter, small as the guess comes from a simulation.
+        hessian: Exact or approximated second derivatives.
     """
 
     tolerance: float = 1e-11
@@ -88,7 +89,7 @@ class IpoptSettings:
         return {
             "print_time": False,
             "error_on_fail": False,
-            # The gradient of the Lagrangian serves multipliers that nobody asks for.
+            # The gradient of the Lagrangian serves only multipliers, which are not used.
             "calc_lam_p": False,
             "no_nlp_grad": True,
             "ipopt": {
@@ -113,15 +114,15 @@ class IpoptSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """The end of a solve, successful or not; residuals are recomputed from the rows.
+    """Result of a solve, successful or not. Residuals are recomputed from the rows.
 
     Attributes:
-        status: The end.
-        values: Block or report name to its values, in its own units and shape.
-        residuals: Row name to its violation, scaled; rows of the same name give their largest.
+        status: Status of the solve.
+        values: Name of a block or report to its values, in its own units and shape.
+        residuals: Name of a row to its scaled violation. For rows of the same name, the largest.
         objective: Value of the objective.
-        iterations: Iterations used.
-        wall_time: Time in the solver, building excluded [s].
+        iterations: Number of iterations.
+        wall_time: Time in the solver, without the construction of the program [s].
     """
 
     status: SolveStatus
@@ -137,38 +138,38 @@ class Solution:
 
 
 def _quiet_about_interrupts() -> contextlib.AbstractContextManager[object]:
-    """Keep CasADi's own line about an interrupt off the terminal; other threads keep theirs."""
+    """Suppress CasADi's line about an interrupt on the terminal, in the main thread only."""
     if threading.current_thread() is threading.main_thread():
         return contextlib.redirect_stderr(io.StringIO())
     return contextlib.nullcontext()
 
 
 def row_rounding(program: Program) -> Array:
-    r"""Return the rounding of the terms of each row at the guess, ``(m,)``: it is met no better.
+    r"""Return the rounding error of each row at the guess, ``(m,)``, a lower limit of its residual.
 
     .. math:: \epsilon \sum_j |J_{ij} x_j|
 
-    A row that holds a decay of rate :math:`\rho` over an interval :math:`h` has terms of size
-    :math:`h \rho`, and no iterate meets it better than their rounding. To ask for more ends in
-    Ipopt's iteration limit, at a solution.
+    A row with a decay of rate :math:`\rho` over an interval :math:`h` has terms of size
+    :math:`h \rho`, and the residual of an iterate cannot be smaller than their rounding error. With
+    a smaller tolerance, Ipopt would reach its iteration limit at a solution.
     """
     at = ca.Function("jacobian", [program.unknowns], [program.jacobian])(program.guess)
     terms = ca.mtimes(ca.fabs(at), ca.fabs(ca.DM(program.guess)))
     sizes = np.array(terms.full()).ravel()
-    # A row whose terms overflow is not met by anything, and must not be weighted away.
+    # A row whose terms overflow cannot be satisfied, and must keep its weight.
     finite = np.where(np.isfinite(sizes), sizes, 0.0)
     return _ROUNDINGS * float(np.finfo(np.float64).eps) * finite
 
 
 _ROUNDINGS = 4.0
-"""Roundings of its terms that a row collects, a few."""
+"""Number of rounding errors of its terms that a row accumulates."""
 
 
 def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
     """Solve a program with Ipopt, from its guess.
 
     Raises:
-        KeyboardInterrupt: If the user interrupts; Ipopt alone would swallow it.
+        KeyboardInterrupt: If the user interrupts. Ipopt alone would suppress the interrupt.
     """
     settings = settings or IpoptSettings()
     nothing = ca.MX.sym("nothing", 0)
@@ -195,7 +196,7 @@ def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
     scaled = np.array(answer["x"].full()).ravel()
     met = np.array(answer["g"].full()).ravel() / weights
     violation = np.maximum(program.row_lower - met, met - program.row_upper)
-    # A row that is no number must not pass for one that is met.
+    # A NaN counts as a violation.
     violation[np.isnan(violation)] = np.inf
     residuals: dict[str, float] = {}
     for name, value in zip(program.row_names, violation, strict=True):

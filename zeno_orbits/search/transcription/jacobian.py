@@ -1,12 +1,12 @@
-r"""The Jacobian of a program most of whose rows are one function, applied to many columns.
+r"""The Jacobian of a program whose rows are mostly one function, applied to many columns.
 
-CasADi differentiates such a program seed by seed, one for every colour of the sparsity pattern,
-and each seed doubles the code of the function. Here the chain rule is written down: with rows
+CasADi differentiates such a program with one seed per colour of the sparsity pattern, and each seed
+doubles the code of the function. Here the chain rule is applied explicitly: with rows
 :math:`g_k = S^{-1} f(c_k(u))` of the columns :math:`c_k` of a matrix,
 
 .. math:: \partial g_k / \partial u = S^{-1}\, f'(c_k)\; \partial c_k / \partial u,
 
-where :math:`f'` is derived once and the columns are, but for a few entries, unknowns themselves.
+where :math:`f'` is derived once and the columns are unknowns themselves, except for a few entries.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ class MappedRows:
     """Rows made of one function at many columns.
 
     Attributes:
-        function: From a column in parts, one input a part, to the rows of the column, its first
-            output, before they are scaled.
-        parts: The parts of all columns; a part of ``m`` entries is a matrix of ``n m`` entries.
+        function: Function of a column, with one input per part of the column. Its first output is
+            the column's rows before scaling.
+        parts: The parts of all columns. A part of ``m`` entries is a matrix of ``n m`` entries.
         n_columns: Number of columns, ``n``.
         scale: Divisor of each row, ``(n n_rows,)``.
     """
@@ -34,7 +34,7 @@ class MappedRows:
     scale: ca.DM
 
     def columns(self) -> ca.MX:
-        """Return the columns, whole, ``(n_column, n)``."""
+        """Return the complete columns, ``(n_column, n)``."""
         n = self.n_columns
         return ca.vertcat(*(ca.reshape(part, part.numel() // n, n) for part in self.parts))
 
@@ -43,7 +43,7 @@ def rows_jacobian(rows: list[ca.MX | MappedRows], unknowns: ca.MX) -> ca.MX:
     """Return the sparse Jacobian of rows in order, ``(n_rows, n_unknowns)``.
 
     Args:
-        rows: Plain columns of rows, or mapped ones.
+        rows: Plain columns of rows, or mapped rows.
         unknowns: The unknowns, ``(n_unknowns,)``.
     """
     inner = [ca.vec(r.columns()) if isinstance(r, MappedRows) else r for r in rows]
@@ -60,7 +60,7 @@ def rows_jacobian(rows: list[ca.MX | MappedRows], unknowns: ca.MX) -> ca.MX:
 
 
 def _outer(rows: MappedRows, known: dict[int, ca.Function]) -> ca.MX:
-    """Return the block-diagonal derivative of scaled rows by their columns."""
+    """Return the block-diagonal derivative of scaled rows with respect to their columns."""
     key = hash(rows.function)
     if key not in known:
         known[key] = _derivative(rows.function)

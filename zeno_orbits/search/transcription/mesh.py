@@ -1,8 +1,10 @@
-r"""Collocation schemes and the meshes they stand on, graded by the guess itself.
+r"""Meshes of collocation schemes, graded by the guess.
 
-After every impact the current runs through a layer of width `L/R`; an even mesh cannot see it and
-the program diverges. Halving every interval whose polynomial misses the guess grades the mesh
-from the impact outwards, and knows nothing of motors. Source: [HairerWanner1996]_, theory (17).
+After every impact the current has a boundary layer of width `L/R`. A uniform mesh does not resolve
+the layer, and the program diverges. Every interval whose polynomial deviates from the guess is
+halved, which grades the mesh from the impact outwards. The method does not depend on motors.
+
+Source: [HairerWanner1996]_, theory (17).
 """
 
 from __future__ import annotations
@@ -15,6 +17,11 @@ import numpy as np
 from zeno_orbits.arrays import Array
 from zeno_orbits.integrators import Collocation, lagrange_basis
 
+_COARSER = 10.0
+"""Factor of the tolerance if the number of intervals is not sufficient."""
+_ROUNDING, _SIZE = 1e-16, 1.0
+"""Smallest tolerance above zero, and a deviation as large as the trajectory."""
+
 
 def graded_mesh(
     trajectory: Callable[[float], Array],
@@ -23,17 +30,23 @@ def graded_mesh(
     scale: Array,
     tolerance: float,
     fewest: int = 1,
+    most: int = 2**20,
     deepest: int = 14,
 ) -> Array:
-    """Return the ends of the intervals on which polynomials follow a trajectory.
+    """Return the ends of the intervals on which polynomials approximate a trajectory.
+
+    Intervals are halved until the polynomials satisfy the tolerance. If this needs more than
+    ``most`` intervals, the trajectory is rounding noise at this tolerance. The tolerance is then
+    multiplied by ten until ``most`` intervals are sufficient.
 
     Args:
         trajectory: State at a fraction of the arc in [0, 1], ``(n_y,)``.
-        scheme: Its stages and the start of the interval are the points of the polynomial.
+        scheme: Collocation scheme. The polynomial interpolates its stages and the interval's start.
         scale: Size of each state, ``(n_y,)``.
         tolerance: Largest deviation of the polynomial between its points, in units of ``scale``.
-        fewest: Even intervals to begin with.
-        deepest: Most halvings of one of them.
+        fewest: Number of uniform intervals at the beginning.
+        most: Largest number of intervals.
+        deepest: Largest number of halvings of an interval.
 
     Returns:
         Fractions from 0 to 1, ``(n_intervals + 1,)``.
@@ -42,22 +55,27 @@ def graded_mesh(
     between = (points[1:] + points[:-1]) / 2
     predict = np.array([lagrange_basis(points.tolist(), float(at)) for at in between])
 
-    def fits(left: float, right: float) -> bool:
+    def deviation(left: float, right: float) -> float:
         at = np.array([trajectory(left + (right - left) * float(c)) for c in points])
         seen = np.array([trajectory(left + (right - left) * float(c)) for c in between])
-        return bool(np.max(np.abs(predict @ at - seen) / scale) <= tolerance)
+        return float(np.max(np.abs(predict @ at - seen) / scale))
 
-    def split(left: float, right: float, depth: int) -> list[float]:
-        if depth == 0 or fits(left, right):
-            return [right]
-        middle = (left + right) / 2
-        return [*split(left, middle, depth - 1), *split(middle, right, depth - 1)]
-
-    even = np.linspace(0.0, 1.0, fewest + 1)
-    ends = [0.0]
-    for left, right in pairwise(even):
-        ends += split(float(left), float(right), deepest)
-    return np.array(ends)
+    even = np.linspace(0.0, 1.0, fewest + 1).tolist()
+    room = max(most, fewest)
+    while tolerance < _SIZE:
+        ends = [0.0]
+        waiting = [(left, right, deepest) for left, right in pairwise(even)][::-1]
+        while waiting and len(ends) + len(waiting) <= room + 1:
+            left, right, depth = waiting.pop()
+            if depth == 0 or deviation(left, right) <= tolerance:
+                ends.append(right)
+                continue
+            middle = (left + right) / 2
+            waiting += [(middle, right, depth - 1), (left, middle, depth - 1)]
+        if not waiting:
+            return np.array(ends)
+        tolerance = max(_COARSER * tolerance, _ROUNDING)
+    return np.array(even)
 
 
 def stage_fractions(mesh: Array, scheme: Collocation) -> Array:

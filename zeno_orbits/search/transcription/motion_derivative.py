@@ -1,8 +1,8 @@
-r"""The derivative of a program's motion by its start, as more unknowns and rows of the program.
+r"""The derivative of a program's motion with respect to its start (theory (30)).
 
-The equations :math:`G(z) = 0` of a transcribed motion hold for its neighbours, too, so a direction
-:math:`\delta z` in which the motion may move solves :math:`G'(z)\,\delta z = 0`: the variational
-equation of the discretised motion, impacts and Zeno limit included (theory (30)).
+The equations :math:`G(z) = 0` of a transcribed motion also hold for neighbouring motions. A
+direction :math:`\delta z` of the motion therefore solves :math:`G'(z)\,\delta z = 0`. This is the
+variational equation of the discretised motion, including impacts and the Zeno limit.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ from zeno_orbits.search.transcription.program import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramMotion:
-    """A motion in a program: which unknowns move with it and which equations it meets.
+    """A motion in a program: its unknowns and its equations.
 
     Attributes:
-        blocks: Its blocks of unknowns.
-        equations: Its equations; as many as its unknowns, less the dimension of its start.
+        blocks: Blocks of unknowns of the motion.
+        equations: Equations of the motion. Their number is the number of unknowns minus the
+            dimension of the start.
     """
 
     blocks: tuple[Block, ...]
@@ -40,7 +41,7 @@ class ProgramMotion:
 def derivative_along(
     program: ProgramBuilder, motion: ProgramMotion, start: ca.MX, targets: Array, end: ca.MX
 ) -> Derived:
-    r"""Return how the end of a motion moves with its start, and how that changes.
+    r"""Return the derivative of a motion's end with respect to its start, and its own derivative.
 
     .. math:: A = C\,\delta z, \quad \begin{pmatrix} G' \\ s' \end{pmatrix} \delta z
         = \begin{pmatrix} 0 \\ E \end{pmatrix}, \qquad
@@ -53,10 +54,11 @@ def derivative_along(
         motion: The motion.
         start: Expressions :math:`s` whose derivatives along a direction are prescribed, ``(m,)``.
         targets: These derivatives :math:`E`, ``(m, n_directions)``.
-        end: Expressions whose derivatives :math:`C` are wanted, ``(n_end,)``.
+        end: Expressions with derivatives :math:`C`, ``(n_end,)``.
 
     Returns:
-        :math:`A`, ``(n_end, n_directions)``, and its derivative by all unknowns declared so far.
+        :math:`A`, ``(n_end, n_directions)``, and its derivative with respect to all unknowns
+        declared so far.
     """
     moving = ca.vertcat(*(block.symbol for block in motion.blocks))
     unknowns = ca.vertcat(*(block.symbol for block in program.blocks))
@@ -76,13 +78,16 @@ def derivative_along(
 
 
 _LINEAR = "qr"
-"""CasADi's sparse QR; its sparse LU, unpivoted, missed such equations by 1e-7 and more."""
+"""CasADi's sparse QR. Its sparse LU without pivoting had residuals of 1e-7 and more."""
 
 
 def _bend(
     motion: ProgramMotion, start: ca.MX, end: ca.MX, moving: ca.MX, unknowns: ca.MX
 ) -> ca.Function:
-    """Return the gradient by the unknowns of ``c end' v - w (G', start') v``, of u, v, w and c."""
+    """Return the gradient of ``c end' v - w (G', start') v`` with respect to the unknowns u.
+
+    The gradient is a function of u, v, w and c.
+    """
     along = ca.MX.sym("v", moving.numel())
     weights = ca.MX.sym("w", moving.numel())
     chosen = ca.MX.sym("c", end.numel())
@@ -139,7 +144,7 @@ def _scales(origin: Along, scale: Any, n: int) -> ca.DM:
 
 
 def _directional(function: ca.Function) -> ca.Function:
-    """Return the derivative of a function's first output along a move of its inputs."""
+    """Return the derivative of a function's first output along a direction of its inputs."""
     parts = [ca.SX.sym(f"part{k}", *function.size_in(k)) for k in range(function.n_in())]
     moves = [ca.SX.sym(f"move{k}", *function.size_in(k)) for k in range(function.n_in())]
     rows = function.call(parts)[0]

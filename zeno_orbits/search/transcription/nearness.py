@@ -1,4 +1,4 @@
-"""The measure of how near numbers are to those that are wanted."""
+"""The measure of the distance between values and their targets."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nearness:
-    r"""The measure of nearness of free numbers: :math:`\sum ((p_i - t_i) / s_i)^2 / 2`.
+    r"""The measure of nearness of free values: :math:`\sum ((p_i - t_i) / s_i)^2 / 2`.
 
     Attributes:
-        first: Name to value where the search started.
-        sizes: Name to size :math:`s_i` in which a difference is measured.
+        first: Name to value at the start of the search.
+        sizes: Name to size :math:`s_i`, the unit of a difference.
     """
 
     first: Mapping[str, float]
     sizes: Mapping[str, float]
 
     def distance(self, numbers: Mapping[str, Any], target: Mapping[str, float]) -> Any:
-        """Return the distance of numbers, or of unknowns, from those wanted; others from the first.
+        """Return the distance of values, or of unknowns, from their targets or from the start.
 
         Args:
             numbers: Name to value or unknown.
-            target: Name to value that is wanted.
+            target: Name to target value. Without a target, the start is used.
         """
         wanted = {**self.first, **target}
         parts = [

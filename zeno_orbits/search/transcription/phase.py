@@ -1,4 +1,4 @@
-"""The rows of one phase of an orbit: where it starts, flights, impacts, and what ends it."""
+"""The rows of one phase of an orbit: its start, its flights, its impacts and its end."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class PhaseTerms:
     """The expressions of one phase.
 
     Attributes:
-        label: Prefix of the names of its blocks and rows; empty if it is the only phase.
-        start: Its start, ``(n_x,)``.
+        label: Prefix of the names of blocks and rows. Empty for an orbit of a single phase.
+        start: Start of the phase, ``(n_x,)``.
         flights: The transcribed flights.
-        approach_rate: Gap rate before its first impact, negative.
-        zeno: Zeno state, ``(n_x,)``, if the stop holds.
-        locked: The transcribed locked arc, likewise.
+        approach_rate: Gap rate before the first impact, negative.
+        zeno: Zeno state, ``(n_x,)``, or ``None`` without a contact phase.
+        locked: The transcribed locked arc, or ``None`` without a contact phase.
     """
 
     label: str
@@ -50,15 +50,15 @@ class PhaseTerms:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenPhase:
-    """A phase in the program, with what only its neighbours need.
+    """A phase in the program, with the expressions that only adjacent phases need.
 
     Attributes:
-        terms: Its terms.
-        end: Its end, ``(n_x,)``.
-        rows: Rows of the contact that vanish where it ends by themselves.
-        limit_time: Time from its start to its Zeno point, or to its impact [s].
-        duration: Its length [s].
-        work: Electrical work over it [J].
+        terms: Terms of the phase.
+        end: End of the phase, ``(n_x,)``.
+        rows: Rows of the contact that vanish at the end by construction.
+        limit_time: Time from the start of the phase to its Zeno point, or to its impact [s].
+        duration: Duration of the phase [s].
+        work: Electrical work over the phase [J].
     """
 
     terms: PhaseTerms
@@ -95,14 +95,14 @@ class PhaseWriter:
         self.dynamics = dynamics
 
     def rows_before(self, place: int) -> tuple[int, ...]:
-        """Return the rows of the contact that vanish where a phase starts."""
+        """Return the rows of the contact that vanish at the start of a phase."""
         before = OrbitShape(phases=(self.cycle.phases[place - 1].kind,))
         return rows_of(before, self.dynamics.restitution)
 
     def phase(
         self, label: str, phase: Phase, closure: Closure, rows: tuple[int, ...]
     ) -> WrittenPhase:
-        """Declare a phase: its start, its flights and impacts, and what ends it."""
+        """Declare a phase: its start, its flights and impacts, and its end."""
         program, n_x = self.program, self.compiled.n_x
         released = rows == RELEASE_ROWS
         word = "release" if released else "start"
@@ -161,7 +161,7 @@ class PhaseWriter:
         )
 
     def first_flight(self, label: str, phase: Phase, start: ca.MX) -> CollocatedArc:
-        """Declare the first flight: in its own variables, if an impact threw the state off."""
+        """Declare the first flight, in rescaled variables if it begins with an impact."""
         name, arc, compiled = f"{label}flight 0", phase.flight, self.compiled
         if not is_rescaled(arc, compiled.n_x):
             return self.arcs.collocate(name, arc, compiled.free, self.p, start)
@@ -171,7 +171,7 @@ class PhaseWriter:
         )
 
     def arrival(self, flight: CollocatedArc, start: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """Return the gap that has to close at the end of a first flight, and the gap rate there."""
+        """Return the gap at the end of a first flight, which must vanish, and its gap rate."""
         if not is_rescaled(flight.guess, self.compiled.n_x):
             contact = self.compiled.contact_at(flight.end, self.p)
             return contact.gap, contact.gap_rate
@@ -181,10 +181,10 @@ class PhaseWriter:
     def impacts(
         self, label: str, flight: CollocatedArc, phase: Phase, closure: Closure, gap_scale: float
     ) -> tuple[list[CollocatedArc], ca.MX, ca.MX]:
-        """Declare the flights between impacts; return them, the Zeno limit, and the last reset.
+        """Declare the flights between impacts. Return them, the Zeno limit, and the last reset.
 
-        The limit is ``(time, electrical work, state)``, theory (15), or nothing if the stop does
-        not hold.
+        The limit is ``(time, electrical work, state)``, theory (15). It is empty without a contact
+        phase.
         """
         program, n_x = self.program, self.compiled.n_x
         hops: list[CollocatedArc] = []
@@ -273,14 +273,14 @@ class PhaseWriter:
     def join(
         self, label: str, phase: Phase, end: ca.MX, start: ca.MX, rows: tuple[int, ...]
     ) -> None:
-        """Require that a phase starts where the one before it ends."""
+        """Require that a phase starts at the end of the previous phase."""
         tangent = self._stop_tangent(phase.start.state, rows)
         change = (start - end) / ca.DM(self.scale)
-        name = f"{label}it starts where the last one ends"
+        name = f"{label}it starts at the end of the last phase"
         self.program.equal(name, ca.mtimes(ca.DM(tangent).T, change))
 
     def close(self, at: Vector, start: ca.MX, end: ca.MX, rows: tuple[int, ...]) -> Array:
-        """Require that the period ends where it starts; return the directions that compares."""
+        """Require that the period ends at its start, and return the compared directions."""
         tangent = self._stop_tangent(at, rows)
         change = (end - start) / ca.DM(self.scale)
         self.program.equal("the orbit closes", ca.mtimes(ca.DM(tangent).T, change))
@@ -302,9 +302,9 @@ class PhaseWriter:
         )
 
     def _never_negative(self, name: str, index: int, arc: CollocatedArc, scale: float) -> None:
-        """Require a contact quantity to be non-negative at all stages of an arc but its end."""
+        """Require a contact quantity to be non-negative at all stages of an arc except its end."""
         x, p = ca.SX.sym("x", self.compiled.n_x), ca.SX.sym("p", self.p.numel())
-        # A function of its own: the derivatives of the other quantities are not asked for.
+        # A separate function avoids the derivatives of the other quantities.
         quantity = ca.Function("quantity", [x, p], [self.compiled.contact(x, p)[index]])
         states = arc.stages[:, :-1]
         parameters = ca.repmat(self.p, 1, states.shape[1])
@@ -325,6 +325,6 @@ def is_rescaled(arc: Arc, n_x: int) -> bool:
 
 
 def _largest(arc: Arc, quantity: Callable[[Vector], float], n_x: int) -> float:
-    """Return the largest size of a quantity over an arc."""
+    """Return the largest absolute value of a quantity over an arc."""
     times = np.linspace(arc.start_time, arc.end_time, 33)
     return max(abs(quantity(arc.state_at(float(time))[:n_x])) for time in times)

@@ -1,7 +1,7 @@
 """Nonlinear programs whose unknowns and rows have names.
 
-A block's guess, bounds and scale are declared with it, so they cannot fall out of step, and a
-failed solve is reported in the words of the problem.
+A block is declared together with its guess, bounds and scale, so they are always consistent. A
+failed solve is reported with the names of the problem.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ class Program:
 
     Attributes:
         unknowns: All unknowns, each divided by its scale, ``(n,)``.
-        objective: To be minimised.
+        objective: Expression to minimise.
         rows: Scaled constraint expressions, ``(m,)``.
-        jacobian: Their derivatives, sparse, ``(m, n)``.
-        reports: Name to an expression whose value at the solution is wanted.
-        names: Name to place and shape of each block of unknowns.
+        jacobian: Sparse derivative of the rows, ``(m, n)``.
+        reports: Name to an expression that is evaluated at the solution.
+        names: Name to first index and shape of each block of unknowns.
         row_names: Name of each row.
         scales: Scale of each unknown.
         guess: First iterate, scaled.
@@ -58,7 +58,7 @@ class Along:
     """The first output of a function at many columns of arguments.
 
     Attributes:
-        function: From a column, one input a part, to its rows and whatever else.
+        function: Function of a column, with one input per part. The first output is its rows.
         parts: The parts of all columns, side by side.
     """
 
@@ -68,12 +68,12 @@ class Along:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Equation:
-    """Rows that have to vanish, as they were declared.
+    """Rows that have to vanish, as declared.
 
     Attributes:
-        names: One name for all columns, or one a column.
+        names: One name for all columns, or one name per column.
         origin: The expression that vanishes.
-        scale: Its unit.
+        scale: Unit of the expression.
     """
 
     names: str | Sequence[str]
@@ -83,13 +83,13 @@ class Equation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """A block of unknowns as it was declared.
+    """A block of unknowns, as declared.
 
     Attributes:
-        name: Its name.
-        symbol: Its scaled unknowns, as one column.
-        scale: Its scale, one a row.
-        guess: Its first values, in its own units and shape.
+        name: Name of the block.
+        symbol: Scaled unknowns, as one column.
+        scale: Scale of each row.
+        guess: First values, in the block's own units and shape.
     """
 
     name: str
@@ -100,12 +100,12 @@ class Block:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Derived:
-    """A quantity that the unknowns determine by way of linear equations, and its own derivative.
+    """A quantity that follows from the unknowns by linear equations, with its derivative.
 
     Attributes:
         value: The quantity, ``(n, m)``.
-        slope: Derivative of its columns, one below the other, by the unknowns that were declared
-            when it was made, ``(n m, k)``.
+        slope: Derivative of the stacked columns with respect to the unknowns that were declared
+            before the quantity, ``(n m, k)``.
     """
 
     value: ca.MX
@@ -113,7 +113,7 @@ class Derived:
 
 
 class ProgramBuilder:
-    """Collects unknowns and rows; the only thing here that accumulates."""
+    """Collects unknowns and rows. It is the only mutable class of this module."""
 
     def __init__(self) -> None:
         self._blocks: list[Block] = []
@@ -142,9 +142,9 @@ class ProgramBuilder:
         """Declare a block of unknowns and return it, in its own units and the shape of its guess.
 
         Args:
-            name: Its name.
-            guess: First values; a scalar, a vector or a matrix.
-            scale: Typical size, a number or one a row.
+            name: Name of the block.
+            guess: First values, as a scalar, a vector or a matrix.
+            scale: Typical size, as a scalar or one value per row.
             lower: Lower bound, like ``scale``.
             upper: Upper bound, like ``scale``.
         """
@@ -175,7 +175,7 @@ class ProgramBuilder:
         return symbol * ca.DM(sizes)
 
     def equal(self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0) -> None:
-        """Require an expression to vanish, measured in units of its scale."""
+        """Require an expression to vanish, in units of its scale."""
         self._constrain(names, expression, scale, (0.0, 0.0))
         if expression.numel():
             self._equations.append(Equation(names=names, origin=expression, scale=scale))
@@ -183,7 +183,7 @@ class ProgramBuilder:
     def at_least_zero(
         self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0
     ) -> None:
-        """Require an expression to be non-negative, measured in units of its scale."""
+        """Require an expression to be non-negative, in units of its scale."""
         self._constrain(names, expression, scale, (0.0, math.inf))
 
     def equal_along(
@@ -197,8 +197,8 @@ class ProgramBuilder:
         """Require the first output of a function to vanish at many columns of arguments.
 
         Args:
-            names: One name for all columns, or one a column.
-            function: From a column, one input a part, to its rows and whatever else.
+            names: One name for all columns, or one name per column.
+            function: Function of a column, with one input per part. The first output is its rows.
             parts: The parts of all columns, side by side.
             scale: Unit of the rows of a column, in the shape of the output.
 
@@ -223,16 +223,16 @@ class ProgramBuilder:
 
     @property
     def blocks(self) -> tuple[Block, ...]:
-        """The blocks of unknowns that have been declared."""
+        """The blocks of unknowns declared so far."""
         return tuple(self._blocks)
 
     @property
     def equations(self) -> tuple[Equation, ...]:
-        """The rows that have been required to vanish."""
+        """The equations declared so far."""
         return tuple(self._equations)
 
     def derived(self, name: str, quantity: Derived) -> ca.MX:
-        """Name a derived quantity and return it, to be used in rows."""
+        """Name a derived quantity and return it for use in rows."""
         symbol = ca.MX.sym(name, *quantity.value.shape)
         self._derived.append((symbol, quantity))
         return symbol
@@ -245,11 +245,11 @@ class ProgramBuilder:
         return ca.DM(ca.Function("at_guess", [unknowns], [plain])(guess))
 
     def report(self, name: str, expression: ca.MX) -> None:
-        """Ask for the value of an expression at the solution."""
+        """Declare an expression that is evaluated at the solution."""
         self._reports[name] = expression
 
     def build(self, objective: ca.MX | None = None) -> Program:
-        """Return the program; without an objective, any point that meets the rows will do."""
+        """Return the program. Without an objective, any feasible point is a solution."""
         bounds = np.array([np.concatenate(side) for side in zip(*self._bounds, strict=True)])
         rows = np.array(self._row_bounds)
         unknowns = ca.vertcat(*(block.symbol for block in self._blocks))
@@ -273,7 +273,7 @@ class ProgramBuilder:
         )
 
     def _jacobian(self, unknowns: ca.MX) -> ca.MX:
-        """Return the derivative of the rows by the unknowns, by way of what is derived, too."""
+        """Return the derivative of the rows in the unknowns, including derived quantities."""
         symbols = [ca.vec(symbol) for symbol, _ in self._derived]
         whole = rows_jacobian(self._origins, ca.vertcat(unknowns, *symbols))
         n = unknowns.numel()
@@ -284,7 +284,7 @@ class ProgramBuilder:
         return whole[:, :n] + ca.mtimes(whole[:, n:], ca.vertcat(ca.MX(0, n), *slopes))
 
     def _resolved(self, expressions: Sequence[ca.MX]) -> list[ca.MX]:
-        """Return expressions with derived quantities in the unknowns."""
+        """Return expressions in the unknowns, with all derived quantities substituted."""
         if not self._derived:
             return list(expressions)
         symbols = [symbol for symbol, _ in self._derived]
@@ -320,7 +320,7 @@ class ProgramBuilder:
         scale: Any,
         bounds: tuple[float, float],
     ) -> None:
-        """Add rows; a matrix has one name a column."""
+        """Add rows. A matrix has one name per column."""
         labels = [names] if isinstance(names, str) else list(names)
         n_rows = expression.numel()
         if n_rows == 0:

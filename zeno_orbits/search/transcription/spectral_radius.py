@@ -1,7 +1,8 @@
 r"""The derivative of the return map inside a program, and its spectral radius as rows.
 
-Theory (30) and (31). The whole section map is carried, not one Floquet vector: its trace and
-determinant are smooth where two multipliers meet, and bound all of them at once.
+See theory (30) and (31). The program contains the whole section map, not a single Floquet vector:
+the map's trace and determinant are smooth at a collision of two multipliers, and bound all
+multipliers at once.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from zeno_orbits.search.transcription.program import ProgramBuilder
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
 
 MOST_COORDINATES = 6
-"""Dimension of the release section up to which trace and determinant tell the spectral radius."""
+"""Largest dimension of the release section for rows on the spectral radius."""
 
 
 def section_map(terms: OrbitTerms) -> ca.MX:
-    r"""Declare the directions of a neighbouring motion; return :math:`\partial P/\partial y`.
+    r"""Declare the directions of a neighbouring motion, and return :math:`\partial P/\partial y`.
 
     Args:
         terms: The orbit.
@@ -29,7 +30,7 @@ def section_map(terms: OrbitTerms) -> ca.MX:
         The derivative of the return map in coordinates of the section, ``(d, d)``.
 
     Raises:
-        InputError: If the section has no or too many coordinates.
+        InputError: If the section has zero or too many coordinates.
     """
     program = terms.program
     slope = _multiplier_slope(terms)
@@ -40,7 +41,7 @@ def section_map(terms: OrbitTerms) -> ca.MX:
         reason = f"one to {MOST_COORDINATES} can be asked for"
         raise InputError(f"Argument `objective` {wanted}, but {reason}.")
     end, chart = terms.end, ca.mtimes(ca.DM(basis).T, terms.start / ca.DM(terms.scale))
-    # Where the stop lets go is told by the multiplier; an impact ends its flight by itself.
+    # The multiplier determines the release. An impact ends its flight without a further equation.
     ends = ca.MX(0, 1)
     if terms.shape.starts_at_release:
         ends = terms.compiled.contact_at(end, terms.p).multiplier / float(np.max(np.abs(slope)))
@@ -54,35 +55,37 @@ def section_map(terms: OrbitTerms) -> ca.MX:
 
 
 def keep_radius_below(program: ProgramBuilder, jacobian: ca.MX, radius: ca.MX | float) -> None:
-    r"""Require all multipliers to be at most a radius in size.
+    r"""Require the modulus of all multipliers to be at most a radius.
 
-    Jury's conditions on the characteristic polynomial of :math:`A / \rho` (theory (31)), which two
-    or more multipliers meet exactly if all of them lie in the unit disc.
+    The rows are Jury's conditions on the characteristic polynomial of :math:`A / \rho`
+    (theory (31)). For two or more multipliers they hold if and only if all multipliers lie in the
+    unit disc.
 
     Args:
-        program: The program that the rows are added to.
+        program: The program to which the rows are added.
         jacobian: Derivative of the return map in section coordinates, ``(d, d)``.
-        radius: The radius, a number or an unknown.
+        radius: The radius, as a value or an unknown.
     """
     d = jacobian.shape[0]
     entries, size = ca.SX.sym("A", d, d), ca.SX.sym("radius")
     coefficients = _characteristic(entries)
     scaled = [one / size ** (d - k) for k, one in enumerate(coefficients)]
     rows = ca.Function("jury", [entries, size], [ca.vertcat(*_jury(scaled))])(jacobian, radius)
-    names = [f"multipliers: real ones not {word} the spectral radius" for word in _REAL]
+    names = [f"real multipliers not {word} the spectral radius" for word in _REAL]
     names += [_COMPLEX] * (rows.numel() - 2)
     for k, name in enumerate(names):
         program.at_least_zero(name, rows[k])
 
 
 _REAL = ("above", "below -")
-_COMPLEX = "multipliers: complex ones not above the spectral radius"
+_COMPLEX = "multipliers: complex values not above the spectral radius"
 
 
 def _characteristic(matrix: ca.SX) -> list[ca.SX]:
-    r"""Return the coefficients of :math:`\det(z - A)` from :math:`z^0` on; the last one is 1.
+    r"""Return the coefficients of :math:`\det(z - A)` from :math:`z^0` on. The last is 1.
 
-    Faddeev and LeVerrier's recurrence: no division, as a multiplier is often zero.
+    The recurrence of Faddeev and LeVerrier does not divide by entries, as a multiplier is often
+    zero.
     """
     d = matrix.shape[0]
     found = [ca.SX(1)]
@@ -95,13 +98,13 @@ def _characteristic(matrix: ca.SX) -> list[ca.SX]:
 
 
 def _jury(a: list[ca.SX]) -> list[ca.SX]:
-    r"""Return numbers that are positive if and only if all roots lie inside the unit circle.
+    r"""Return expressions that are positive if and only if all roots lie inside the unit circle.
 
     .. math:: p(1), \quad (-1)^d p(-1), \quad \text{and the inners of}\quad
         X \pm Y, \quad X_{ij} = a_{d-j+i}, \quad Y_{ij} = a_{i+j-d+2}
 
-    with :math:`i, j` from 0 to :math:`d - 2`, and zero where :math:`a` has no such place. Inners
-    are what is left when the first and last rows and columns are taken away, again and again.
+    with :math:`i, j` from 0 to :math:`d - 2`, and zero for an index outside of :math:`a`. The
+    inners follow from repeated removal of the first and last rows and columns.
     """
     d = len(a) - 1
     rows = [sum(a, ca.SX(0)), sum(((-1) ** (d - k) * one for k, one in enumerate(a)), ca.SX(0))]
@@ -112,7 +115,7 @@ def _jury(a: list[ca.SX]) -> list[ca.SX]:
                 whole[i, j] = (a[d - j + i] if j >= i else 0) + (
                     sign * a[i + j - d + 2] if i + j >= d - 2 else 0
                 )
-        # For two multipliers the other sign is the sum of both first rows.
+        # For two multipliers, the row of the other sign is the sum of the first two rows.
         if d == 2 and sign > 0:
             continue
         for cut in range(d // 2):
@@ -122,7 +125,7 @@ def _jury(a: list[ca.SX]) -> list[ca.SX]:
 
 
 def radius_of(jacobian: Array) -> float:
-    """Return the spectral radius of a matrix of numbers."""
+    """Return the spectral radius of a numerical matrix."""
     return float(np.max(np.abs(np.linalg.eigvals(jacobian))))
 
 
@@ -134,7 +137,7 @@ def _section_basis(terms: OrbitTerms, slope: Array) -> Array:
 
 
 def _multiplier_slope(terms: OrbitTerms) -> Array:
-    """Return the derivative of the multiplier by the scaled states at the release, ``(1, n_x)``."""
+    """Return the gradient of the multiplier in the scaled states at the release, ``(1, n_x)``."""
     x, p = ca.SX.sym("x", terms.compiled.n_x), ca.SX.sym("p", terms.p.numel())
     multiplier = terms.compiled.contact_at(x, p).multiplier
     gradient = ca.Function("gradient", [x, p], [ca.jacobian(multiplier, x)])

@@ -1,8 +1,8 @@
 """The conditions of a periodic orbit as a named nonlinear program.
 
-Multiple shooting over the phases of a period, mostly release, first flight, rescaled flights, Zeno
-point and locked arc; every interval is one collocation step whose last stage is the next node
-(theory (16), (17), (47)).
+The program uses multiple shooting over the phases of a period: usually release, first flight,
+rescaled flights, Zeno point and locked arc. Every interval is one collocation step whose last stage
+is the next node (theory (16), (17), (47)).
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ class OrbitTerms:
     Attributes:
         program: The program, open for more rows.
         compiled: The functions of the problem.
-        p: Gains, then parameters, numbers or unknowns, ``(n_p,)``.
-        free: Name to unknown of what is free.
-        nearness: How near what is free is to where the search started.
+        p: Gains, then parameters, as values or unknowns, ``(n_p,)``.
+        free: Name to unknown of each free value.
+        nearness: Measure of the distance between the free values and the start of the search.
         shape: The shape of the orbit.
-        period: [s].
+        period: Period of the orbit [s].
         electrical_work: Work of the sources in one period [J].
         phases: The terms of each phase.
-        end: End of the period, ``(n_x,)``; on an orbit, its start.
+        end: End of the period, ``(n_x,)``. It equals the start on an orbit.
         scale: Size of each state, ``(n_x,)``.
-        tangent: Basis of the scaled states near the start that the closure compares.
-        motion: From any start on its section to the end, not closed.
+        tangent: Basis of the scaled states near the start in which start and end are compared.
+        motion: Motion from any start on the section to the end, without the closing equations.
         scheme: The collocation scheme of the arcs.
         state_names: Name of each state.
         numbers: Gains, then parameters, in the guess.
@@ -97,16 +97,18 @@ def transcribe(
 
     Args:
         compiled: The functions of the problem.
-        values: Its numbers; what is free starts at its value here.
-        dynamics: The system at these numbers.
+        values: Gains and parameters, which are also the first values of the free unknowns.
+        dynamics: The system at these values.
         cycle: One simulated period, the guess.
-        closures: Of each phase, which impacts are resolved and which tell the Zeno point.
-        free: Name to bounds of the gains and parameters that are unknown.
-        nearness: How near what is free is to where the search started, for the objective.
+        closures: For each phase, the resolved impacts and the impacts that determine the Zeno
+            point.
+        free: Name to bounds of the unknown gains and parameters.
+        nearness: Measure of the distance between the free values and the start of the search, for
+            the objective.
         settings: Scheme, mesh and closure.
 
     Returns:
-        The terms of an objective, with the program they belong to.
+        The terms of an objective, with their program.
     """
     program = ProgramBuilder()
     unknown = _declare_free(program, values, free)
@@ -163,7 +165,7 @@ def labels_of(shape: OrbitShape) -> tuple[str, ...]:
 
 
 def start_block(shape: OrbitShape, place: int) -> str:
-    """Return the name of the block where a phase starts."""
+    """Return the name of the block with the start of a phase."""
     before = shape.phases[place - 1]
     return f"{labels_of(shape)[place]}{'release' if before.holds else 'start'} state"
 
@@ -184,7 +186,7 @@ def _declare_free(
 def _impact_law(
     compiled: CompiledSystem, p: ca.MX, free_places: Sequence[int], values: Sequence[float]
 ) -> ImpactLaw:
-    """Return the law of impact: its numbers, or functions of what is free if one depends on it."""
+    """Return the law of impact, with constants or with functions of the free values."""
     _, columns = compiled.impulse.jac_sparsity(2, 1).get_triplet()
     if not set(columns) & set(free_places):
         return ImpactLaw(*(ca.MX(float(number)) for number in compiled.law_at(ca.DM(values))))
