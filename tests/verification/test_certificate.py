@@ -82,12 +82,12 @@ def test_a_margin_that_is_not_positive_refuses(margin: float) -> None:
 
 
 def test_trouble_refuses_even_without_residuals() -> None:
-    seen = replace(GOOD, trouble="There is no release within 3 s")
+    seen = replace(GOOD, trouble="No release occurs within 3 s")
     assert not seen.passed
-    assert seen.verdict() == "Refused: There is no release within 3 s."
+    assert seen.verdict() == "Refused: No release occurs within 3 s."
     both = replace(seen, residuals={**GOOD.residuals, "closure": math.inf})
     assert "`closure` = inf exceeds" in both.verdict()
-    assert "; There is no release within 3 s." in both.verdict()
+    assert "; No release occurs within 3 s." in both.verdict()
 
 
 @pytest.mark.parametrize("seen", [GOOD, _with(closure=1.0), replace(GOOD, multipliers=())])
@@ -215,7 +215,7 @@ def test_what_is_not_finite_becomes_null() -> None:
         integration_error=math.inf,
         zeno_error=math.inf,
         period=math.nan,
-        trouble="There is no release",
+        trouble="No release occurs",
     )
     data = bad.as_json()
     json.dumps(data, allow_nan=False)

@@ -265,7 +265,11 @@ class _Ledger:
         if audit is None:
             return SimpleNamespace(own=SimpleNamespace(energy=UNIT))
         self.audited.append(audit)
-        return system(n_q=1, on_stop=lambda x: state(0.0, 0.0, *x[2:]))
+        return system(
+            n_q=1,
+            on_stop=lambda x: state(0.0, 0.0, *x[2:]),
+            impulse_direction=lambda _: state(0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        )
 
 
 def test_energies_are_those_of_a_ledger_and_of_every_impact(

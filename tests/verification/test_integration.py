@@ -168,9 +168,9 @@ def _execution(*, returns: int = 0, zeno_points: int = 0) -> Any:
 @pytest.mark.parametrize(
     ("execution", "said"),
     [
-        (_execution(), "no release"),
-        (_execution(zeno_points=1), "no release"),
-        (_execution(returns=1), "no Zeno point"),
+        (_execution(), "No release occurs"),
+        (_execution(zeno_points=1), "No release occurs"),
+        (_execution(returns=1), "No Zeno point occurs"),
         (_execution(returns=1, zeno_points=1), "phases `zeno*2`, but zeno, impact"),
     ],
 )

@@ -65,7 +65,11 @@ class _Stages:
             shape=ONE_ZENO, problem_digest=(), values=lambda _: "numbers"
         )
         self.problem: Any = SimpleNamespace(
-            name="toy", reference=None, escapes={}, state_names=("a", "b", "c")
+            name="toy",
+            reference=None,
+            escapes={},
+            state_names=("a", "b", "c"),
+            is_balanced=True,
         )
         self.claim = SimpleNamespace(
             shape=ONE_ZENO, start=np.array([1.0, 2.0, 3.0]), period=1.5, phases=()
@@ -75,6 +79,7 @@ class _Stages:
             ("problem_dynamics", system),
             ("observe", lambda: self.seen),
             ("orbit_residuals", self._residuals),
+            ("sampled_guards", dict),
             ("delta_sweep", lambda: self.sweep),
             ("energies_of", lambda: self.energies),
             ("second_model", lambda: 4e-11),
@@ -240,6 +245,7 @@ def test_the_stages_are_told_in_their_order(stages: _Stages) -> None:
     stages.certificate(on_progress=lambda *stage: told.append(stage))
     assert told == [
         ("integrating the orbit", None),
+        ("sampling gap and multiplier", None),
         ("cutting the impact sequence", None),
         ("balancing the energy", None),
         ("comparing two derivations of the model", None),

@@ -21,10 +21,9 @@ from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.integrators import Automatic, Taylor
+from zeno_orbits.integrators import Automatic
 from zeno_orbits.integrators.engine import Leg, Passage
 from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.integrators.taylor.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -45,11 +44,6 @@ from zeno_orbits.verification.integration import _measured, observe
 from zeno_orbits.verification.verifier import VerificationSettings, certified, verify
 
 QUICK = VerificationSettings(n_periods=1)
-FAST = replace(
-    QUICK,
-    simulation=SimulationSettings(engine=Taylor() if heyoka_is_installed() else Automatic()),
-)
-"""The same residuals ten times as fast, for the many orbits that are false."""
 MOTION = {"first_impact", "impact_sequence", "zeno_point", "closure", "period", "drift"}
 """What changes when the motion does."""
 
@@ -59,7 +53,7 @@ Check = Callable[..., OrbitCertificate]
 @pytest.fixture(name="check", scope="module")
 def _check(problem: Problem) -> Check:
     def check(orbit: ZenoOrbit, dynamics: HybridDynamics | None = None) -> OrbitCertificate:
-        return verify(orbit, problem, settings=FAST, dynamics=dynamics)
+        return verify(orbit, problem, settings=QUICK, dynamics=dynamics)
 
     return check
 
@@ -246,7 +240,7 @@ def test_a_restitution_without_a_locked_arc_is_refused(check: Check, orbit: Zeno
     # Beyond 0.417 the impacts do not die out before the stop lets go.
     seen = check(replace(orbit, parameters={**orbit.parameters, "restitution": 0.5}))
     assert not seen.passed
-    assert "There is no " in seen.trouble
+    assert "No release occurs" in seen.trouble
     assert seen.multipliers == ()
     assert not seen.stable
 
@@ -381,6 +375,16 @@ def test_a_wrong_energy_fails_at_the_impacts(
     assert check(orbit, wrong).failed == ("impact_energy",)
 
 
+def test_a_large_potential_energy_does_not_drown_the_loss_of_an_impact(
+    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+) -> None:
+    # The difference of two such energies is rounded to 1e-8 J, and an impact loses 0.4 J at most.
+    lifted = replace(machine, energy=lambda x: machine.energy(x) + 4e8)
+    seen = check(orbit, lifted)
+    assert seen.passed
+    assert seen.residuals["impact_energy"] < 1e-12
+
+
 @pytest.mark.parametrize(
     ("right", "wrong"),
     [
@@ -398,7 +402,7 @@ def test_a_second_model_with_a_wrong_sign_fails_alone(
     assert text.count(right) == 1
     file = tmp_path / "reference.py"
     file.write_text(text.replace(right, wrong), encoding="utf-8")
-    seen = verify(orbit, replace(problem, reference=file), settings=FAST)
+    seen = verify(orbit, replace(problem, reference=file), settings=QUICK)
     assert seen.failed == ("second_model",)
 
 
@@ -412,7 +416,7 @@ def test_a_second_model_that_is_wrong_on_the_stop_fails_alone(
     file = tmp_path / "reference.py"
     wrong = "field=lambda x: machine.locked_flow(x) * (1 + 1e-6)"
     file.write_text(text.replace(right, wrong), encoding="utf-8")
-    seen = verify(orbit, replace(problem, reference=file), settings=FAST)
+    seen = verify(orbit, replace(problem, reference=file), settings=QUICK)
     assert seen.failed == ("second_model",)
 
 
@@ -429,13 +433,13 @@ def test_a_second_model_that_is_wrong_before_impacts_only_fails_alone(
         return SimpleNamespace(dynamics=lambda _: replace(machine, energy=energy))
 
     monkeypatch.setattr(cross_checks, "load_reference", wrong)
-    assert verify(orbit, problem, settings=FAST).failed == ("second_model",)
+    assert verify(orbit, problem, settings=QUICK).failed == ("second_model",)
 
 
 def test_the_largest_gap_of_a_rescaled_flight_is_that_of_the_motion(
     orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
 ) -> None:
-    first = observe(machine, claim_of(orbit, problem), FAST.simulation, 1).first
+    first = observe(machine, claim_of(orbit, problem), QUICK.simulation, 1).first
     assert first is not None
     hop = first.cycle.rescaled_flights[0]
     states = [hop.state_at(t) for t in np.linspace(hop.start_time, hop.end_time, 201)]
@@ -462,7 +466,7 @@ def test_a_gap_that_is_negative_in_mid_flight_fails_alone(
 def test_a_gap_that_is_negative_at_one_step_only_fails_alone(
     check: Check, orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
 ) -> None:
-    first = observe(machine, claim_of(orbit, problem), FAST.simulation, 1).first
+    first = observe(machine, claim_of(orbit, problem), QUICK.simulation, 1).first
     assert first is not None
     inside = first.cycle.execution.arcs[0].flow_states[1]
 
@@ -475,18 +479,18 @@ def test_a_gap_that_is_negative_at_one_step_only_fails_alone(
 def test_an_energy_that_an_impact_loses_too_much_is_measured_in_that_of_the_first_hit(
     check: Check, orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
 ) -> None:
-    first = observe(machine, claim_of(orbit, problem), FAST.simulation, 1).first
+    first = observe(machine, claim_of(orbit, problem), QUICK.simulation, 1).first
     assert first is not None
     hit = first.cycle.impacts[0]
-    share = 1e-6 * machine.normal_inertia(hit.state_minus) * hit.approach_rate**2 / 2
+    part = 1e-6 * machine.normal_inertia(hit.state_minus)
 
     def energy(x: Vector) -> float:
-        at_it = float(np.max(np.abs(x - hit.state_plus))) < 1e-8
-        return machine.energy(x) - share * at_it
+        return machine.energy(x) + part * machine.gap_rate(x) ** 2 / 2
 
     seen = check(orbit, replace(machine, energy=energy))
     assert "impact_energy" in seen.failed
-    assert seen.residuals["impact_energy"] == pytest.approx(1e-6, rel=1e-3)
+    lost = 1e-6 * (1 - machine.restitution**2)
+    assert seen.residuals["impact_energy"] == pytest.approx(lost, rel=1e-3)
 
 
 def test_a_constraint_that_is_broken_before_the_first_impact_only_fails_alone(
@@ -510,10 +514,10 @@ def _flight_of(orbit: ZenoOrbit, machine: HybridDynamics) -> Vector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Careless:
-    """An engine that takes any tolerance above a hundred times the finest for a coarse one."""
+    """An engine that takes any tolerance near the usual one, or above it, for a coarse one."""
 
     def follow(self, leg: Leg) -> Passage:
-        loose = leg.tolerance.relative > 50 * Tolerance().relative
+        loose = leg.tolerance.relative > Tolerance().relative / 50
         coarse = Tolerance(relative=1e-5, absolute=1e-6)
         return Automatic().follow(replace(leg, tolerance=coarse) if loose else leg)
 
@@ -580,7 +584,7 @@ def test_one_wrong_zeno_limit_of_two_is_enough(place: int) -> None:
 def test_a_cut_that_cannot_be_followed_is_told_by_an_error_without_bound(
     orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = observe(machine, claim_of(orbit, problem), FAST.simulation, 1).first
+    first = observe(machine, claim_of(orbit, problem), QUICK.simulation, 1).first
     assert first is not None
 
     def fails_once(*given: Any, settings: SimulationSettings, **named: Any) -> Execution:
@@ -591,7 +595,7 @@ def test_a_cut_that_cannot_be_followed_is_told_by_an_error_without_bound(
     fastest = abs(first.cycle.phases[0].impacts[0].approach_rate)
     middle = 3e-3 * fastest
     monkeypatch.setattr(cross_checks, "simulate", fails_once)
-    sweep = delta_sweep(machine, first, (3e-2, 3e-3, 3e-4), FAST.simulation, 1e-9)
+    sweep = delta_sweep(machine, first, (3e-2, 3e-3, 3e-4), QUICK.simulation, 1e-9)
     assert [cut.delta for cut in sweep] == pytest.approx(
         [part * fastest for part in (3e-2, 3e-3, 3e-4)]
     )
@@ -669,8 +673,8 @@ def test_a_motion_that_does_not_come_back_fails_at_its_end_alone(
 def test_a_later_period_that_goes_elsewhere_fails_alone(orbit: ZenoOrbit, problem: Problem) -> None:
     since = orbit.period + 0.5 * orbit.zeno_time
     completion = _OffOnce(since=since, until=since + orbit.period)
-    off = replace(FAST.simulation, completion=completion)
-    settings = replace(FAST, n_periods=3, simulation=off)
+    off = replace(QUICK.simulation, completion=completion)
+    settings = replace(QUICK, n_periods=3, simulation=off)
     seen = verify(orbit, problem, settings=settings)
     assert seen.failed == ("drift",)
     assert verify(orbit, problem, settings=replace(settings, n_periods=1)).passed
@@ -684,7 +688,7 @@ def test_a_power_that_the_motion_does_not_take_fails_alone(
         system = problem.model(p)
         return replace(system, input_power=(1 + 1e-6) * system.input_power)
 
-    seen = verify(orbit, replace(problem, model=model, reference=None), settings=FAST)
+    seen = verify(orbit, replace(problem, model=model, reference=None), settings=QUICK)
     assert seen.failed == ("energy_balance",)
     assert seen.residuals["energy_balance"] == pytest.approx(1e-6, rel=0.5)
 
@@ -785,7 +789,7 @@ def test_a_coordinate_beyond_its_escape_fails_alone(
     _, states = simulate(machine, start, until=orbit.period).sampled()
     largest = float(np.max(np.abs(states[:, problem.state_names.index(state)])))
     escape = Escape(beyond=part * largest, phrase="it goes over the top")
-    seen = verify(orbit, replace(problem, escapes={state: escape}), settings=FAST)
+    seen = verify(orbit, replace(problem, escapes={state: escape}), settings=QUICK)
     assert seen.failed == failed
     assert seen.residuals["escape"] == pytest.approx(1 / part - 1 if failed else 0.0, abs=1e-3)
     assert seen.verdict().endswith("; it goes over the top.") == bool(failed)
@@ -794,7 +798,7 @@ def test_a_coordinate_beyond_its_escape_fails_alone(
 def test_a_problem_without_escapes_has_no_residual_of_them(
     orbit: ZenoOrbit, problem: Problem
 ) -> None:
-    seen = verify(orbit, replace(problem, escapes={}), settings=FAST)
+    seen = verify(orbit, replace(problem, escapes={}), settings=QUICK)
     assert "escape" not in seen.residuals
 
 
@@ -871,10 +875,10 @@ def test_numbers_that_are_missing_are_refused(
 def test_a_period_too_short_for_a_return_is_refused(check: Check, orbit: ZenoOrbit) -> None:
     seen = check(replace(orbit, period=1e-3))
     assert not seen.passed
-    assert "There is no release" in seen.trouble
+    assert "No release occurs" in seen.trouble
 
 
 def test_a_pendulum_at_rest_is_no_orbit(check: Check, orbit: ZenoOrbit) -> None:
     seen = check(changed(orbit, release_state=dict.fromkeys(orbit.release_state, 0.0)))
     assert not seen.passed
-    assert "There is no release" in seen.trouble
+    assert "No release occurs" in seen.trouble

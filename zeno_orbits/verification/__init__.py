@@ -1,16 +1,16 @@
-"""Verification of an orbit from its numbers alone.
+"""Verification of an orbit from its data alone.
 
-The problem is rebuilt from the orbit's gains and parameters, integrated forward, and compared with
-what the orbit claims; nothing here knows how the orbit was found. In the order in which it runs:
-`claim` (the orbit as vectors), `integration`, `residuals`, `cross_checks` (cuts, energies, a second
-model), `certificate`; `verifier` puts these together. `measurement` answers another question:
-how large a quantity is on an orbit.
+The problem is rebuilt from the orbit's gains and parameters and integrated forward. The result is
+compared with the data of the orbit. The verification is independent of the method that found the
+orbit. The modules in the order of execution are `claim` (the orbit as vectors), `integration`,
+`residuals`, `cross_checks` (truncations, energies, a second model) and `certificate`. `verifier`
+combines them. `measurement` computes the range of a quantity along an orbit.
 
 Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `RESIDUALS`,
 `certified`, `problem_dynamics`; `measure`, `require_quantities`.
 
-Imports: orbits, simulation, model, integrators, work, arrays, errors. Never search, continuation,
-maps, experiment or precision.
+Imports: orbits, simulation, model, integrators, work, arrays, kinds, errors. Never search,
+continuation, maps, experiment or precision.
 """
 
 import lazy_loader as lazy

@@ -24,14 +24,17 @@ RESIDUALS: Mapping[str, str] = {
     "adhesion": "the multiplier is never negative on the stop",
     "escape": "no coordinate goes beyond an escape of the problem",
     "closure": "the period ends where it starts",
-    "period": "the period is the one that the orbit says",
-    "drift": "the later periods end where the first one does",
+    "period": "the period agrees with the orbit",
+    "drift": "the later periods end where the first period ends",
     "energy_balance": "work in = energy gained + copper, friction and impact losses",
     "holonomic": "the holonomic constraints hold",
     "second_model": "a second derivation of the model gives the same flows and resets",
     "integration": "a looser integration gives the same return",
 }
-"""Name to what is true where it is zero, in causal order: the first to fail explains the rest."""
+"""Statement by residual that is true if the residual is zero.
+
+The order is causal: the first residual that fails explains the later failures.
+"""
 
 FAILURES: Mapping[str, str] = {
     "release": "gap, gap rate or multiplier is not zero at the release",
@@ -47,35 +50,39 @@ FAILURES: Mapping[str, str] = {
     "adhesion": "the multiplier is negative on the stop",
     "escape": "a coordinate goes beyond an escape of the problem",
     "closure": "the period does not end where it starts",
-    "period": "the period is not the one that the orbit says",
-    "drift": "a later period does not end where the first one does",
+    "period": "the period differs from the orbit",
+    "drift": "a later period does not end where the first period ends",
     "energy_balance": "work in differs from energy gained + copper, friction and impact losses",
     "holonomic": "a holonomic constraint does not hold",
     "second_model": "a second derivation of the model gives other flows or resets",
     "integration": "a looser integration gives another return",
 }
-"""Name to what is true where it is not zero."""
+"""Statement by residual that is true if the residual is not zero."""
 
 
 _MISSES = ("first_impact", "impact_sequence", "closure", "period")
-"""Residuals that compare the orbit's numbers with an integration's, for every shape."""
+"""Residuals that compare the orbit's data with an integration, for every shape."""
 _MISSES_IF_ANY = ("release", "start", "zeno_point", "phases")
-"""The same, for the shapes that have them; one of the first two there must be."""
+"""Such residuals that only some shapes have. Every shape has one of the first two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeltaCut:
-    """One cut of the impact sequence by the paper's rule.
+    """One truncation of the impact sequence by the paper's rule.
 
     Attributes:
         delta: Threshold of the impact speed.
-        speed: Speed of the impact at which it was cut.
-        error: Distance from the completed motion at an equal later time, relative.
+        speed: Speed of the impact at which the sequence was truncated.
+        error: Relative distance from the completed motion at an equal later time.
     """
 
     delta: float
     speed: float
     error: float
+
+
+OPEN_BALANCE = "The energy balance is open: further states act with a force, without powers."
+"""Statement in the certificate of a problem whose energy balance cannot be checked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -84,30 +91,33 @@ class OrbitCertificate(Displayed):
 
     Attributes:
         tolerance: Largest residual that passes.
-        residuals: Name to relative size, zero for a true orbit; a name of ``RESIDUALS``. Infinite
-            where the integration never came so far.
-        margins: Name to the distance from losing the orbit: ``gap_acceleration`` (minus d2h/dt2 at
-            the Zeno point), ``first_impact_speed``, ``release_transversality`` (minus the rate of
-            the multiplier at the release), ``locked_time``, each the least over the phases that
-            have it; ``lets_go`` (d2h/dt2 after a plastic impact that does not hold);
-            ``phases_apart`` (how far the period is from several of a shorter one, relative).
-        energies: Name to energy over one period [J]: ``input_work``, ``copper_loss``,
+        residuals: Relative size by name, zero for a true orbit. The names are keys of
+            ``RESIDUALS``. A size is infinite if the integration ended earlier.
+        margins: Distance to loss of existence by name: ``gap_acceleration`` (minus d2h/dt2 at the
+            Zeno point), ``first_impact_speed``, ``release_transversality`` (minus the rate of the
+            multiplier at the release) and ``locked_time``, each the least over the phases that have
+            it. ``lets_go`` is d2h/dt2 after a plastic impact with immediate release.
+            ``phases_apart`` is the relative distance of the period from several shorter periods.
+        energies: Energy over one period by name [J]: ``input_work``, ``copper_loss``,
             ``other_loss``, ``impact_loss``, ``energy_gain``.
-        multipliers: Floquet multipliers; empty if they could not be had (their error is infinite
-            then) or if the section is a point.
-        multiplier_error: Estimated error of the largest.
-        delta_sweep: Cuts at falling thresholds.
-        delta_order: Observed order of the error in the speed of the cut; NaN without a sweep.
-        integration_error: Estimated error of the returned state, relative.
-        zeno_error: Estimated error of the Zeno limit, relative; that of the integration, which
-            gives the impacts, comes on top.
-        period: Period that the integration found [s].
-        n_periods: Periods that were integrated.
+        multipliers: Floquet multipliers. Empty if the section is a point, or if they could not be
+            computed. In the second case their error is infinite.
+        multiplier_error: Estimated error of the largest multiplier.
+        delta_sweep: Truncations at decreasing thresholds.
+        delta_order: Observed order of the error in the speed of the truncation. NaN without a
+            sweep.
+        integration_error: Estimated relative error of the returned state.
+        zeno_error: Estimated relative error of the Zeno limit. The error of the integration, which
+            computes the impacts, is added to it.
+        period: Period from the integration [s].
+        n_periods: Number of periods that were integrated.
         model: The derivation that was integrated, ``derived`` or ``reference``.
-        trouble: Clauses on what else is wrong: why the integration stopped early, which escape was
-            passed, a false statement of the orbit about itself; empty if nothing is.
-        shape: Shape that the orbit claims, as text.
-        asked: Bounds that a search was asked to keep, with the range that was measured.
+        trouble: Clauses on other failures: the reason why the integration stopped early, an escape
+            that was passed, or a false statement in the orbit's data. Empty without failures.
+        shape: Claimed shape of the orbit, as text.
+        asked: Requested bounds of the search, with the measured ranges.
+        open_balance: True if a force acts whose powers are not specified by the problem, so that
+            the energy balance cannot be checked.
     """
 
     tolerance: float
@@ -126,9 +136,10 @@ class OrbitCertificate(Displayed):
     trouble: str = ""
     shape: str = ONE_ZENO.text
     asked: tuple[Mapping[str, Any], ...] = ()
+    open_balance: bool = False
 
     def __repr__(self) -> str:
-        """Return one line: the verdict and how stable the orbit is."""
+        """Return one line with the verdict and the stability of the orbit."""
         return f"<OrbitCertificate: {self.verdict()} spectral_radius={self.spectral_radius:.6g}>"
 
     def _columns(self) -> Columns:
@@ -162,16 +173,16 @@ class OrbitCertificate(Displayed):
 
     @property
     def spectral_radius(self) -> float:
-        """Largest modulus of a multiplier; NaN if they could not be had.
+        """Largest modulus of a multiplier. NaN if the multipliers could not be computed.
 
-        Zero for a release section that is a point, as a locked mass without memory has it.
+        It is zero if the release section is a point, as for a constrained mass without memory.
         """
         known = 0.0 if math.isfinite(self.multiplier_error) else math.nan
         return max((abs(value) for value in self.multipliers), default=known)
 
     @property
     def stable(self) -> bool:
-        """True if the multipliers, their error included, are inside the unit circle."""
+        """True if the multipliers, with their error, are inside the unit circle."""
         return self.spectral_radius + self.multiplier_error < 1.0
 
     @property
@@ -195,26 +206,28 @@ class OrbitCertificate(Displayed):
 
     @property
     def orbit_error(self) -> float:
-        r"""Estimated relative error of the orbit, of all its numbers against the true one's.
+        r"""Estimated relative error of all values of the orbit.
 
-        A return that misses by `d` comes from a fixed point :math:`d / |1 - \mu|` away, with the
-        multiplier :math:`\mu`; infinite where the return or the multipliers could not be had.
+        If a return differs from its start by `d`, the fixed point is :math:`d / |1 - \mu|` away,
+        with the multiplier :math:`\mu`. The error is infinite if the return or the multipliers
+        could not be computed.
         """
         misses = [self.residuals.get(name, math.inf) for name in _MISSES]
         known = [self.residuals[name] for name in _MISSES_IF_ANY if name in self.residuals]
         misses += known or [math.inf]
         if not all(map(math.isfinite, (*misses, self.integration_error, self.multiplier_error))):
             return math.inf
-        # The Zeno point and the period miss by themselves, however strongly the orbit attracts.
+        # The Zeno point and the period have their own errors, however stable the orbit is.
         least = min([1.0, *(abs(1.0 - mu) for mu in self.multipliers)])
         miss = max(misses) + self.integration_error
         return miss / least if least > 0.0 else math.inf
 
     def verdict(self) -> str:
-        """Return yes or no in one sentence, with the residual that explains a no."""
+        """Return the verdict in one sentence, with the residual that explains a failure."""
         if self.passed:
             worst = max(self.residuals.values(), default=0.0)
-            return f"Verified: {self._kind}; largest residual {worst:.1e}."
+            opened = f" {OPEN_BALANCE}" if self.open_balance else ""
+            return f"Verified: {self._kind}; largest residual {worst:.1e}.{opened}"
         if self.failed:
             name = self.failed[0]
             size = f"`{name}` = {self.residuals[name]:.1e} exceeds {self.tolerance:.0e}"
@@ -228,7 +241,7 @@ class OrbitCertificate(Displayed):
         return f"Refused: {reason}{tail}."
 
     def as_json(self) -> dict[str, Any]:
-        """Return the certificate as plain data; what is not finite becomes ``null``."""
+        """Return the certificate as plain data. Values that are not finite become ``null``."""
         return {
             "passed": self.passed,
             "stable": self.stable,
@@ -253,6 +266,7 @@ class OrbitCertificate(Displayed):
             "model": self.model,
             "trouble": self.trouble,
             "asked": [dict(one) for one in self.asked],
+            **({"open_balance": True} if self.open_balance else {}),
         }
 
 

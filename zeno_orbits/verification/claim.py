@@ -1,4 +1,4 @@
-"""An orbit as claimed: its numbers as vectors, in the order of the problem's states."""
+"""The claimed orbit: its data as vectors, in the order of the problem's states."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class ClaimedPhase:
     """A phase of an orbit, as vectors.
 
     Attributes:
-        start_time: [s].
-        start: ``(n_x,)``.
-        impacts: Time [s] and state before it, ``(n_x,)``, of every resolved impact.
-        zeno: Zeno time [s] and state, ``(n_x,)``, if the stop holds.
+        start_time: Time of the start [s].
+        start: State at the start, ``(n_x,)``.
+        impacts: Time [s] of every resolved impact and the state before it, ``(n_x,)``.
+        zeno: Zeno time [s] and state, ``(n_x,)``, if contact follows.
     """
 
     start_time: float
@@ -36,7 +36,7 @@ class Claim:
 
     Attributes:
         shape: Its shape.
-        period: [s].
+        period: Period [s].
         phases: Its phases.
     """
 
@@ -51,10 +51,10 @@ class Claim:
 
 
 def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
-    """Return an orbit's numbers as vectors.
+    """Return an orbit's data as vectors.
 
     Raises:
-        InputError: If the orbit is of another problem, or its names are not the problem's.
+        InputError: If the orbit belongs to another problem, or its names differ from the problem's.
     """
     if orbit.problem != problem.name:
         message = (
@@ -98,9 +98,9 @@ def _require_same(names: Iterable[str], known: Iterable[str], wanted: str) -> No
 
 
 def _require_impacts(phase: OrbitPhase, where: str) -> None:
-    """Refuse a phase without an impact, or with several where the first one ends it."""
+    """Reject a phase without an impact, or with several impacts if the first ends the phase."""
     if not phase.impacts:
-        raise InputError(f"Argument `orbit` must have an impact{where}, but it has none.")
+        raise InputError(f"Argument `orbit` must have an impact{where}, but it lacks one.")
     if phase.kind is not PhaseKind.ZENO and len(phase.impacts) > 1:
         wanted = f"must have one impact{where}, which is `{phase.kind.value}`"
         raise InputError(f"Argument `orbit` {wanted}, but it has {len(phase.impacts)}.")

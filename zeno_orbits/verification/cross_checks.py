@@ -1,4 +1,4 @@
-"""Checks of an orbit that integrate it again, in another way: cuts, energies, a second model."""
+"""Checks of an orbit by further integrations: truncations, energies, a second model."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from zeno_orbits.verification.integration import FirstCycle, distance
 from zeno_orbits.verification.residuals import lawful_impact
 
 _FINEST_CUT = 1e-9
-"""Of the first impact speed: the slowest impact that a sweep cuts at."""
+"""Smallest threshold of a sweep, relative to the first impact speed."""
 
 _FALL = 2.0
-"""Fall of a cut's error, at least, for which a finer one is worth while; theory says 1000."""
+"""Least factor by which the error must decrease for a finer truncation. It is 1000 in theory."""
 
 _LATER = 1.001
-"""Part of a period that an integration may take longer, by its error."""
+"""Factor on the period by which an integration may take longer, because of its error."""
 
 
 def delta_sweep(
@@ -35,20 +35,22 @@ def delta_sweep(
     simulation: SimulationSettings,
     enough: float,
 ) -> tuple[DeltaCut, ...]:
-    """Cut the sequence by the paper's rule at falling thresholds, and compare on the locked arc.
+    """Truncate the sequence by the paper's rule at decreasing thresholds.
 
-    Each cut motion is integrated from its last impact that the completed motion has, too.
+    Each truncated motion is compared with the completed motion in the contact phase. It is
+    integrated from the last impact that both motions have.
 
     Args:
         dynamics: The system.
         first: The first period, completed by the extrapolated limit.
-        cuts: Thresholds in units of the first impact speed, falling.
+        cuts: Thresholds in units of the first impact speed, decreasing.
         simulation: Accuracy.
-        enough: Cuts go on, a tenth as fast each, while the last one is farther off than this and
-            nearer than the one before: where the locked arc is short, the cubic error is large.
+        enough: Sufficiently small error. Truncations continue, each at a tenth of the speed, while
+            the last error is larger than this and the errors decrease. If the contact phase is
+            short, the cubic error is large.
 
     Returns:
-        One entry a threshold, of the accumulation that its last cut tells worst; none where impacts
+        One entry per threshold, for the accumulation with the largest last error. Empty if impacts
         do not accumulate.
     """
     sweeps = [
@@ -85,7 +87,7 @@ def _cut(
     delta: float,
     simulation: SimulationSettings,
 ) -> DeltaCut:
-    """Return how far a motion is off in the middle of the locked arc that is cut below a speed."""
+    """Return the error in the middle of the contact phase of a motion truncated below a speed."""
     zeno = phase.end.time if phase.zeno is None else phase.zeno.time
     when = (zeno + phase.end.time) / 2
     before = _last_common_impact(phase, delta)
@@ -102,16 +104,16 @@ def _cut(
 
 
 def _last_common_impact(phase: Phase, delta: float) -> Impact:
-    """Return the last impact up to which a cut and the completed motion are the same."""
+    """Return the last impact up to which the truncated and the completed motion are equal."""
     slow = (impact for impact in phase.impacts if abs(impact.approach_rate) < delta)
     return next(slow, phase.impacts[-1])
 
 
 def cut_order(sweep: tuple[DeltaCut, ...], noise: float) -> float:
-    """Return the slope of error against speed, over the cuts that are above rounding and noise.
+    """Return the order of the error in the speed, over the errors above rounding and noise.
 
     Args:
-        sweep: The cuts.
+        sweep: The truncations.
         noise: Error of the integration.
     """
     floor = max(1e-12, noise)
@@ -130,7 +132,7 @@ def energies_of(
     cycle: Cycle,
     simulation: SimulationSettings,
 ) -> dict[str, float]:
-    """Return the energies of one period [J], from an integration that carries the ledger along.
+    """Return the energies of one period [J], from an integration together with the powers.
 
     Args:
         orbit: The orbit.
@@ -140,25 +142,28 @@ def energies_of(
         simulation: Accuracy.
 
     Returns:
-        Name of an energy, as in the certificate, to its size.
+        Energy by name, as in the certificate.
     """
     values = orbit.values(problem)
     unit = problem.dynamics(values).own.energy
     dynamics = problem.dynamics(values, audited_in(unit))
     if isinstance(simulation.completion, ZenoPassage):
-        # Each impact loses its part; only a short tail loses what the last speed says.
+        # Each impact dissipates its own part. Only a short tail is estimated from the last speed.
         simulation = replace(simulation, completion=simulation.completion.one_by_one)
     start = placed(dynamics, claim.shape, np.concatenate([claim.start, np.zeros(3)]))
     last = None if claim.shape.starts_at_release else len(cycle.impacts)
-    # Where an impact ends the period, it is counted: the time of the end may come before it.
+    # An impact at the end of the period is counted, even if the end time is slightly earlier.
     until = cycle.end.time if last is None else _LATER * cycle.end.time
     run = simulate(dynamics, start, until=until, impacts=last, settings=simulation)
     impact_loss = 0.0
     for impact in run.impacts:
         impact_loss += lawful_impact(dynamics, impact)[1]
+        impact_loss -= _stored(dynamics, impact.state_minus, impact.state_plus)
     for zeno in run.zeno_points:
-        # The tail loses the whole normal kinetic energy that is left.
+        # The tail dissipates all remaining normal kinetic energy, like a plastic impact.
         impact_loss += dynamics.normal_inertia(zeno.state) * zeno.last_speed**2 / 2
+        departing = zeno.state + zeno.last_speed * dynamics.impulse_direction(zeno.state)
+        impact_loss -= _stored(dynamics, departing, zeno.state)
     end = run.end_state if last is None else run.impacts[-1].state_plus
     return {
         "input_work": unit * float(end[-3]),
@@ -169,8 +174,16 @@ def energies_of(
     }
 
 
+def _stored(dynamics: HybridDynamics, before: Vector, after: Vector) -> float:
+    """Return the energy added by a change of circuit states and further states [J]."""
+    first = 2 * dynamics.n_q
+    changed = before.copy()
+    changed[first:] = after[first:]
+    return dynamics.energy(changed) - dynamics.energy(before)
+
+
 def imbalance(energies: Mapping[str, float]) -> float:
-    """Return the part of the largest energy that the balance (theory (13)) leaves unexplained."""
+    """Return the defect of the energy balance (theory (13)), relative to the largest energy."""
     spent = sum(value for name, value in energies.items() if name != "input_work")
     size = max(abs(value) for value in energies.values())
     return abs(energies["input_work"] - spent) / size if size > 0.0 else 0.0
@@ -181,7 +194,7 @@ def second_model(orbit: ZenoOrbit, problem: Problem, cycle: Cycle) -> float:
 
     Args:
         orbit: The orbit.
-        problem: Its problem; it has a hand-written model.
+        problem: Its problem, which has a hand-written model.
         cycle: The first period.
     """
     values = orbit.values(problem)

@@ -1,4 +1,4 @@
-"""A forward integration from the start that an orbit claims, over some periods."""
+"""Forward integration from the claimed start of an orbit over several periods."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from zeno_orbits.verification.claim import Claim
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FirstCycle:
-    """The first period as integrated, and the sizes that residuals are relative to.
+    """The first integrated period, and the sizes that residuals are relative to.
 
     Attributes:
         cycle: The period.
-        largest: Largest size of each state over it, tails included, ``(n_x,)``.
-        scale: The same, nowhere zero, ``(n_x,)``.
+        largest: Largest size of each state over the period, with tails, ``(n_x,)``.
+        scale: The same sizes with zeros replaced, ``(n_x,)``.
         gap: Largest gap.
         force: Largest multiplier.
     """
@@ -45,19 +45,19 @@ class FirstCycle:
 
     @property
     def zeno_error(self) -> float:
-        """Largest estimated error of a Zeno limit, its impacts taken as exact; 0 without one."""
+        """Largest estimated error of a Zeno limit with exact impacts. 0 without a Zeno point."""
         return max((point.limit_error for point in self.cycle.zeno_points), default=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """An orbit as the integration shows it.
+    """The integrated orbit.
 
     Attributes:
         first: The first period, if it has the phases of the claim.
-        returns: Where all periods end.
-        integration_error: Difference that a looser integration makes, relative.
-        trouble: Why the integration ended early; empty if it did not.
+        returns: Times and states at the ends of all periods.
+        integration_error: Relative difference from an integration at a looser tolerance.
+        trouble: Reason why the integration ended early. Empty if it did not.
     """
 
     first: FirstCycle | None
@@ -67,19 +67,19 @@ class Observation:
 
 
 _LONGEST = 1e200
-"""Longest time to wait [s]; beyond it the time of a rescaled flight overflows."""
+"""Longest time to wait [s]. Beyond it the time of a rescaled flight overflows."""
 
 
 def observe(
     dynamics: HybridDynamics, claim: Claim, simulation: SimulationSettings, n_periods: int
 ) -> Observation:
-    """Integrate from the claimed start over some periods, and the first again less accurately.
+    """Integrate from the claimed start over several periods. Repeat the first less accurately.
 
     Args:
         dynamics: The system.
         claim: The orbit as claimed.
         simulation: Accuracy.
-        n_periods: Returns to wait for; the claimed period only bounds the waiting.
+        n_periods: Number of returns. The claimed period is only used to limit the waiting time.
     """
     shape = claim.shape.at_restitution(dynamics.restitution)
     start = placed(dynamics, shape, claim.start)
@@ -91,7 +91,7 @@ def observe(
     except ZenoOrbitsError as error:
         if n_periods == 1:
             return _nothing(str(error).removesuffix("."))
-        # A motion that leaves its orbit later has still told of the first period.
+        # If the motion leaves its orbit later, the first period is still valid.
         first = observe(dynamics, claim, simulation, 1)
         return replace(first, trouble=first.trouble or str(error).removesuffix("."))
     found = first_cycles(run, start, shape)
@@ -113,7 +113,7 @@ def _difference_of_looser(
     first: FirstCycle,
     simulation: SimulationSettings,
 ) -> float:
-    """Return how far the first return of a looser integration is from the first one's."""
+    """Return the distance between the first returns of this and of a looser integration."""
     loose = replace(at_looser_tolerance(simulation), completion=ZenoExtrapolation(tolerance=1e-10))
     end = first.cycle.end
     try:
@@ -129,11 +129,11 @@ def _nothing(trouble: str) -> Observation:
 
 
 def _missing(execution: Execution, start: Vector, shape: OrbitShape) -> str:
-    """Return why an execution does not begin with a period of a shape, as a clause."""
+    """Return a clause on the reason why an execution does not begin with a period of a shape."""
     if shape.starts_at_release and not execution.returns(execution.end_time):
-        return "There is no release"
+        return "No release occurs"
     if shape.starts_at_release and not execution.zeno_points:
-        return "There is no Zeno point"
+        return "No Zeno point occurs"
     phases = phases_of(execution, start, held=shape.starts_at_release)[: shape.n_phases]
     seen = ", ".join(kind.value for kind in kinds_of(phases)) or "none"
     return f"There are not the phases `{shape.text}`, but {seen}"
@@ -156,7 +156,7 @@ def _measured(dynamics: HybridDynamics, cycle: Cycle) -> FirstCycle:
 
 
 def _largest_gap(dynamics: HybridDynamics, arc: Arc) -> float:
-    """Return the largest gap of an arc; a rescaled flight carries it along."""
+    """Return the largest gap of an arc. A rescaled flight computes it during integration."""
     states = arc.flow_states
     if arc.mode is Mode.FREE and states.shape[1] > len(arc.start_state):
         return float(np.max(np.abs(states[:, -2]))) * arc.time_unit**2
@@ -167,8 +167,8 @@ def distance(a: Vector, b: Vector, scale: Vector) -> float:
     """Return the largest difference of two states, each entry in units of its scale.
 
     Args:
-        a: One state, ``(n_x,)``.
-        b: The other, ``(n_x,)``.
+        a: First state, ``(n_x,)``.
+        b: Second state, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
     """
     return float(np.max(np.abs(a - b) / scale))

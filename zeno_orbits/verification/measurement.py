@@ -1,6 +1,6 @@
-"""Quantities of an orbit, measured on a simulation from its numbers alone.
+"""Quantities of an orbit, measured in a simulation from its data alone.
 
-A search asks its program for these quantities; here nothing is known of the program.
+A search computes these quantities with its NLP. This module is independent of the NLP.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from zeno_orbits.verification.integration import FirstCycle, observe
 from zeno_orbits.verification.residuals import margins_of
 
 MARGINS = ("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time")
-"""Distances from losing an orbit, as in its certificate."""
+"""Distances to loss of existence of an orbit, as in its certificate."""
 
 NUMBERS = ("period", "energy", "spectral_radius", "margin", *MARGINS)
-"""Quantities that are one number for a whole orbit."""
+"""Scalar quantities of a whole orbit."""
 
 
 def quantity_names(problem: Problem) -> tuple[str, ...]:
-    """Return the names of all quantities that an orbit of a problem has."""
+    """Return the names of all quantities of an orbit of a problem."""
     return (*signal_names(problem.compiled()), *NUMBERS)
 
 
 def require_quantities(names: Sequence[str], problem: Problem, argument: str) -> None:
-    """Refuse a name that is no quantity of the problem.
+    """Reject a name that is not a quantity of the problem.
 
     Args:
         names: The names.
         problem: The problem.
-        argument: Argument that they come from, for the message.
+        argument: Argument with the names, for the message.
 
     Raises:
-        InputError: It lists those that are.
+        InputError: If a name is not a quantity. The message lists the quantities.
     """
     known = quantity_names(problem)
     for name in names:
@@ -59,12 +59,12 @@ def measure(
     Args:
         orbit: The orbit.
         problem: Its problem.
-        names: What to measure, from `quantity_names`.
+        names: Quantities to measure, from `quantity_names`.
         simulation: Accuracy.
 
     Raises:
-        InputError: If a name is no quantity of the problem.
-        SimulationError: If the release does not come back.
+        InputError: If a name is not a quantity of the problem.
+        SimulationError: If the motion does not return to the release.
     """
     require_quantities(names, problem, "names")
     simulation = simulation or SimulationSettings()
@@ -122,10 +122,11 @@ def _number(
 
 
 def measured_smallest_share(dynamics: HybridDynamics, cycle: Cycle) -> float:
-    r"""Return the smallest margin of all phases as a share of the most it could be (theory (32)).
+    r"""Return the smallest margin of all phases, relative to its largest possible value.
 
-    The locked arc in periods; :math:`-\ddot h` at the Zeno point and the speed of the first impact,
-    each over its largest value on the locked arc and in the first flight.
+    The contact duration is relative to the period. :math:`-\ddot h` at the Zeno point is relative
+    to its largest value in the contact phase. The speed of the first impact is relative to its
+    largest value in the first flight. Theory (32).
     """
     shares: list[float] = []
     for phase in cycle.phases:

@@ -1,4 +1,7 @@
-"""Residuals, zero along a periodic orbit, and margins, positive along it (theory (19), (46))."""
+"""Residuals and margins of a periodic orbit (theory (19), (46)).
+
+Residuals are zero and margins are positive along an orbit.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from zeno_orbits.verification.integration import FirstCycle, Observation, distan
 def orbit_residuals(
     dynamics: HybridDynamics, problem: Problem, claim: Claim, seen: Observation
 ) -> dict[str, float]:
-    """Return every residual that the integration itself tells, by its name in the certificate.
+    """Return every residual of the integration itself, by its name in the certificate.
 
     Args:
         dynamics: The system.
@@ -50,7 +53,7 @@ def orbit_residuals(
 
 
 def _holonomic(dynamics: HybridDynamics, first: FirstCycle) -> float:
-    """Return the largest value of a constraint, relative to what states of their size change it."""
+    """Return the largest value of a constraint, relative to its change over the states' sizes."""
     ends = [arc.end_state for arc in first.cycle.execution.arcs]
     return max(
         float(np.max(np.abs(dynamics.holonomic(x)) / constraint_sizes(dynamics, x))) for x in ends
@@ -58,14 +61,14 @@ def _holonomic(dynamics: HybridDynamics, first: FirstCycle) -> float:
 
 
 def escapes_of(problem: Problem, first: FirstCycle) -> dict[str, tuple[float, str]]:
-    """Return the coordinates that go beyond the escapes that a problem declares.
+    """Return the coordinates that exceed the escape limits of a problem.
 
     Args:
         problem: The problem.
         first: The first period.
 
     Returns:
-        Name of a coordinate to its excess, in units of the escape, and the escape in words.
+        For each such coordinate, its excess in units of the limit, and a description of the limit.
     """
     found: dict[str, tuple[float, str]] = {}
     for name, largest in zip(problem.state_names, first.largest, strict=True):
@@ -76,7 +79,7 @@ def escapes_of(problem: Problem, first: FirstCycle) -> dict[str, tuple[float, st
 
 
 def _hits(claim: Claim, first: FirstCycle) -> dict[str, float]:
-    """Return how far starts of phases, impacts and Zeno points are from what the orbit says."""
+    """Return the deviations of starts of phases, impacts and Zeno points from the claimed orbit."""
     period, cycle = claim.period, first.cycle
 
     def miss(time: float, x: Vector, said: tuple[float, Vector]) -> float:
@@ -91,7 +94,7 @@ def _hits(claim: Claim, first: FirstCycle) -> dict[str, float]:
         ]
         zeno = phase.zeno
         if zeno is not None:
-            # Impacts that the integration left to the tail have to lie inside it.
+            # Impacts that the integration does not resolve must be inside the tail.
             unseen = said.impacts[len(phase.impacts) :]
             hits += [max(0.0, abs(t - zeno.time) - zeno.tail) / period for t, _ in unseen]
             zenos.append(math.inf if said.zeno is None else miss(zeno.time, zeno.state, said.zeno))
@@ -106,10 +109,11 @@ def _hits(claim: Claim, first: FirstCycle) -> dict[str, float]:
 
 
 def margins_of(dynamics: HybridDynamics, first: FirstCycle | None) -> dict[str, float]:
-    """Return the distances from losing the orbit, the smallest over the phases; none without one.
+    """Return the distances to loss of existence, the smallest over the phases.
 
-    ``phases_apart`` is 0 if the starts of two alike phases are no farther apart than an orbit is
-    certain: then the period is several of a shorter one.
+    Without a first period the result is empty. ``phases_apart`` is 0 if the starts of two phases of
+    one kind are equal to the accuracy of an orbit. The period then consists of several shorter
+    periods.
     """
     if first is None:
         return {}
@@ -137,10 +141,10 @@ def margins_of(dynamics: HybridDynamics, first: FirstCycle | None) -> dict[str, 
 
 
 def _off_section(dynamics: HybridDynamics, claim: Claim, first: FirstCycle | None) -> float:
-    """Return how far the claimed start is from its section.
+    """Return the distance of the claimed start from its section.
 
-    At a release gap, gap rate and multiplier are zero; just after an impact the gap is, and after a
-    plastic one its rate.
+    At a release the gap, the gap rate and the multiplier are zero. Just after an impact the gap is
+    zero. After a plastic impact the gap rate is also zero.
     """
     speed = 1.0 if first is None else abs(first.cycle.impacts[0].approach_rate)
     gap = 1.0 if first is None else first.gap
@@ -177,12 +181,12 @@ def _adhesion(dynamics: HybridDynamics, first: FirstCycle) -> float:
 
 
 def lawful_impact(dynamics: HybridDynamics, impact: Impact) -> tuple[float, float]:
-    """Return the gap rate that Newton's law asks for after an impact, and the energy that it costs.
+    """Return the gap rate after an impact by Newton's law, and the energy loss.
 
-    Stated here on its own, as what is checked must not be called.
+    The law is implemented here again, because a check must not call the checked code.
 
     Args:
-        dynamics: The system, for its restitution and the inertia that an impact feels.
+        dynamics: The system, for its restitution and its effective inertia at an impact.
         impact: The impact.
     """
     e, rate = dynamics.restitution, impact.approach_rate
@@ -191,13 +195,52 @@ def lawful_impact(dynamics: HybridDynamics, impact: Impact) -> tuple[float, floa
 
 
 def _impact_laws(dynamics: HybridDynamics, impacts: tuple[Impact, ...]) -> dict[str, float]:
-    """Return how far the resets are from Newton's law and from its energy loss."""
+    """Return the deviations of the resets from Newton's law and from its energy loss."""
     turn, loss = 0.0, 0.0
     fastest = max(abs(impact.approach_rate) for impact in impacts)
     for impact in impacts:
         inertia = dynamics.normal_inertia(impact.state_minus)
         speed, cost = lawful_impact(dynamics, impact)
-        change = dynamics.energy(impact.state_plus) - dynamics.energy(impact.state_minus)
+        change = _energy_change(dynamics, impact)
         turn = max(turn, abs(dynamics.gap_rate(impact.state_plus) - speed) / fastest)
         loss = max(loss, abs(change + cost) / (inertia * fastest**2 / 2))
     return {"restitution": turn, "impact_energy": loss}
+
+
+_FAST = 2.0**60
+"""Factor on velocities at which potential energies vanish relative to the kinetic energy."""
+
+
+def _energy_change(dynamics: HybridDynamics, impact: Impact) -> float:
+    r"""Return the energy after an impact minus the energy before it [J].
+
+    If the velocities have the mean :math:`a` and half the jump :math:`b`, their part of it is
+    :math:`2 a^\top M b`. It is computed from energies at the velocities :math:`c (a \pm s b)`,
+    with arbitrary factors:
+
+    .. math:: 2 a^\top M b = \frac{E(c (a + s b)) - E(c (a - s b))}{c^2 s}
+
+    A large :math:`c` eliminates potential energies. The choice :math:`s = |a| / |b|` avoids a
+    difference of large kinetic energies, whose rounding error would exceed the energy of a slow
+    impact. Apart from the velocities, only further states may change, by their own law. Their
+    change of energy is added.
+    """
+    moving = slice(dynamics.n_q, 2 * dynamics.n_q)
+    still = [impact.state_plus.copy(), impact.state_minus.copy()]
+    direction = dynamics.impulse_direction(impact.state_minus)[2 * dynamics.n_q :]
+    still[1][2 * dynamics.n_q :] -= (1 + dynamics.restitution) * impact.approach_rate * direction
+    for x in still:
+        x[moving] = 0.0
+    other = dynamics.energy(still[0]) - dynamics.energy(still[1])
+    after, before = impact.state_plus[moving], impact.state_minus[moving]
+    mean, half = (after + before) / 2, (after - before) / 2
+    sizes = float(np.max(np.abs(mean))), float(np.max(np.abs(half)))
+    if sizes[1] == 0.0:
+        return other
+    share = sizes[0] / sizes[1] or 1.0
+    energies: list[float] = []
+    for sign in (1.0, -1.0):
+        x = impact.state_minus.copy()
+        x[moving] = _FAST * (mean + sign * share * half)
+        energies.append(dynamics.energy(x))
+    return other + (energies[0] - energies[1]) / (_FAST**2 * share)

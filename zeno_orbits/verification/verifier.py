@@ -1,19 +1,20 @@
-"""Check an orbit by forward integration from its numbers alone.
+"""Check an orbit by forward integration from its data alone.
 
-Nothing here knows how the orbit was found: the problem is rebuilt from the orbit's parameters and
-gains, the completed system is simulated from where the period starts over several periods, and what
-happens is held against what the orbit says. Residuals are relative (theory (19), (46)).
+The check is independent of the method that found the orbit. The problem is rebuilt from the orbit's
+parameters and gains. The completed system is simulated over several periods, from the start of the
+period. The result is compared with the orbit's data. Residuals are relative (theory (19), (46)).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
+from zeno_orbits.kinds import Checked, checked
 from zeno_orbits.model import HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import (
     Multipliers,
@@ -36,19 +37,20 @@ from zeno_orbits.verification.cross_checks import (
 )
 from zeno_orbits.verification.integration import FirstCycle, Observation, observe
 from zeno_orbits.verification.residuals import escapes_of, margins_of, orbit_residuals
+from zeno_orbits.verification.second_net import sampled_guards
 from zeno_orbits.work import Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VerificationSettings:
+class VerificationSettings(Checked):
     """Accuracy and extent of a verification.
 
     Attributes:
         tolerance: Largest residual that passes.
-        n_periods: Periods to integrate.
+        n_periods: Number of periods to integrate.
         simulation: Accuracy of the integration.
         cuts: Thresholds of the delta sweep, in units of the first impact speed.
-        use_reference: Integrate the problem's hand-written model instead of the derived one.
+        use_reference: Integrate the problem's hand-written model instead of the derived model.
     """
 
     tolerance: float = 1e-9
@@ -59,16 +61,16 @@ class VerificationSettings:
 
 
 _GROWN = 1e3
-"""Residual, in units of what passes, up to which it may be the integration's own error."""
+"""Residual, in units of the tolerance, up to which it may be an error of the integration."""
 _FINER = 1e-2
-"""Tolerances of the integration that tells, in units of the usual ones."""
+"""Tolerances of the decisive integration, in units of the usual tolerances."""
 
 _SHARE = 0.1
-"""Part of the looser integration's error that the finer one may have, to be on the safe side."""
+"""Conservative ratio between the errors of the finer and of the looser integration."""
 
 
 _MULTIPLIERS = 1e-10
-"""Relative local error at which multipliers are taken; finer costs more and tells no more."""
+"""Relative local error for multipliers. A smaller error costs more without being useful."""
 
 
 def verify(
@@ -82,10 +84,11 @@ def verify(
     """Return the certificate of an orbit.
 
     Args:
-        orbit: The orbit; its own certificate and multipliers are not looked at.
+        orbit: The orbit. Its own certificate and multipliers are ignored.
         problem: Its problem.
         settings: Tolerance, number of periods and accuracy.
-        dynamics: The system to integrate; by default the problem's, at the orbit's numbers.
+        dynamics: The system to integrate. By default it is the problem's system at the orbit's
+            parameter values.
         on_progress: Called with the name of each stage as it begins.
 
     Raises:
@@ -98,9 +101,9 @@ def verify(
     on_progress("integrating the orbit", None)
     seen = observe(dynamics, claim, settings.simulation, settings.n_periods)
     residuals = orbit_residuals(dynamics, problem, claim, seen)
-    worst = max(residuals.values()) / settings.tolerance
+    worst = max(*residuals.values(), seen.integration_error) / settings.tolerance
     if seen.first is not None and 1.0 < worst < _GROWN:
-        # Over many impacts the integration's own errors may have grown so far.
+        # Over many impacts the errors of the integration may have grown to this size.
         finer = at_looser_tolerance(settings.simulation, factor=_FINER)
         settings = replace(settings, simulation=finer)
         seen = observe(dynamics, claim, finer, settings.n_periods)
@@ -109,7 +112,7 @@ def verify(
     again = _CrossChecks()
     if seen.first is not None:
         again = _cross_checks(orbit, problem, dynamics, claim, seen.first, settings, on_progress)
-        residuals |= again.residuals
+        residuals = _worse(residuals, again.residuals)
         residuals["integration"] = seen.integration_error
         on_progress("computing the multipliers", None)
         with suppress(ZenoOrbitsError):
@@ -117,7 +120,7 @@ def verify(
     stable = multipliers is not None and multipliers.spectral_radius < 1.0
     trouble = seen.trouble
     if not stable:
-        # Rounding grows along an unstable orbit: later returns say nothing of it.
+        # Rounding errors grow along an unstable orbit, so later returns are meaningless.
         residuals.pop("drift", None)
         trouble = trouble if multipliers is None else ""
     clauses = [trouble, *_contradictions(orbit, problem, dynamics, seen)]
@@ -137,7 +140,13 @@ def verify(
         model="reference" if settings.use_reference else "derived",
         trouble="; ".join(clause for clause in clauses if clause),
         shape=claim.shape.text,
+        open_balance=not problem.is_balanced,
     )
+
+
+def _worse(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    """Return the union of two sets of residuals, with the larger value of common residuals."""
+    return {**one, **{name: max(size, one.get(name, size)) for name, size in other.items()}}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,6 +168,8 @@ def _cross_checks(
     on_progress: Progress,
 ) -> _CrossChecks:
     simulation, residuals = settings.simulation, dict[str, float]()
+    on_progress("sampling gap and multiplier", None)
+    residuals |= sampled_guards(dynamics, first)
     on_progress("cutting the impact sequence", None)
     sweep = delta_sweep(dynamics, first, settings.cuts, simulation, settings.tolerance / 10.0)
     if sweep:
@@ -167,7 +178,8 @@ def _cross_checks(
     energies: dict[str, float] = {}
     try:
         energies = energies_of(orbit, problem, claim, first.cycle, simulation)
-        residuals["energy_balance"] = imbalance(energies)
+        if problem.is_balanced:
+            residuals["energy_balance"] = imbalance(energies)
     except ZenoOrbitsError:
         residuals["energy_balance"] = math.inf
     if problem.reference is not None:
@@ -179,7 +191,7 @@ def _cross_checks(
 def _contradictions(
     orbit: ZenoOrbit, problem: Problem, dynamics: HybridDynamics, seen: Observation
 ) -> Iterator[str]:
-    """Yield clauses on what an orbit says of itself, and on coordinates that escape."""
+    """Yield clauses on false statements in an orbit's data, and on coordinates that escape."""
     if orbit.problem_digest and not same_equations(orbit.problem_digest, digest_of(problem)):
         yield f"the equations of problem `{problem.name}` differ from those that gave the orbit"
     shape = orbit.shape.at_restitution(dynamics.restitution)
@@ -190,6 +202,7 @@ def _contradictions(
         yield from (phrase for _, phrase in escapes_of(problem, seen.first).values())
 
 
+@checked
 def certified(orbit: ZenoOrbit, certificate: OrbitCertificate) -> ZenoOrbit:
     """Return the orbit with a certificate and its multipliers in it."""
     return replace(
@@ -205,12 +218,13 @@ def problem_dynamics(
     """Return the system of an orbit, derived from energies or written by hand.
 
     Args:
-        orbit: The orbit; its gains and parameters are the system's.
+        orbit: The orbit. The system has its gains and parameters.
         problem: Its problem.
-        use_reference: Take the problem's hand-written model.
+        use_reference: Use the problem's hand-written model.
 
     Raises:
-        InputError: If the orbit's numbers do not fit the problem, or it has no hand-written model.
+        InputError: If the orbit's parameter values do not fit the problem, or the problem does not
+            have a hand-written model.
     """
     values = orbit.values(problem)
     if use_reference:
@@ -224,7 +238,7 @@ def multipliers_of(
     """Return the multipliers of an orbit as `verify` computes them, without its other checks.
 
     Args:
-        orbit: The orbit; its own multipliers are not looked at.
+        orbit: The orbit. Its own multipliers are ignored.
         problem: Its problem.
         settings: Accuracy.
 
@@ -259,7 +273,7 @@ def _multipliers(
 
 
 def _no_finer(tolerance: Tolerance) -> Tolerance:
-    """Return a tolerance that multipliers, of which eight digits are read, can do with."""
+    """Return a tolerance sufficient for multipliers, of which eight digits are used."""
     return Tolerance(
         relative=max(tolerance.relative, _MULTIPLIERS),
         absolute=max(tolerance.absolute, _MULTIPLIERS / 10),
