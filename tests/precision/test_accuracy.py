@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from scipy.integrate import DOP853
 
+from tests.reference.many_digits.execution import extended_execution
 from tests.reference.reference_orbit import FIRST_IMPACT, PERIOD, RELEASE, ZENO_STATE, ZENO_TIME
 from tests.support.units import Units, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
-from zeno_orbits.integrators import Automatic, Radau, RungeKutta, SciPy, Taylor
+from zeno_orbits.integrators import Automatic, Radau, RungeKutta, SciPy
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -30,7 +31,6 @@ from zeno_orbits.precision.accuracy import (
     simulate_with_error,
     why_engine,
 )
-from zeno_orbits.precision.extended import extended_execution
 from zeno_orbits.precision.landmark import (
     Kind,
     Landmark,
@@ -217,7 +217,6 @@ ENGINES = {
     "automatic": Automatic(),
     "explicit": RungeKutta(),
     "implicit": Radau(),
-    "taylor": Taylor(),
     "scipy": SciPy(method=DOP853),
 }
 Points = list[tuple[float, Vector]]

@@ -351,6 +351,16 @@ def test_the_estimate_of_the_corrected_model_is_right_to_an_order_of_magnitude(
         assert all(0.1 < ratio < 10.0 for ratio in ratios), (size, ratios)
 
 
+def test_no_reduced_model_errs_by_more_than_its_bound(
+    costs: Mapping[tuple[str, float], ReductionCost],
+) -> None:
+    for (word, size), cost in costs.items():
+        for name in LANDMARKS:
+            assert cost.measured[name] <= cost.bound[name], (word, size, name)
+            # A bound that is far too wide would hold as well.
+            assert cost.bound[name] <= 100.0 * cost.measured[name], (word, size, name)
+
+
 def test_the_correction_pays_a_hundredfold_at_the_declared_inductance(
     costs: Mapping[tuple[str, float], ReductionCost],
 ) -> None:
@@ -384,7 +394,7 @@ def test_the_layer_of_one_motor_is_its_inductance_over_its_resistance(problem: P
 def test_a_release_from_which_nothing_returns_is_refused(problem: Problem) -> None:
     full = problem.dynamics(_with_inductance(problem, 10.0))
     release = np.array([0.198, 0.0, -5.236, 0.0])
-    with pytest.raises(SimulationError, match=r"No Zeno point|No orbit"):
+    with pytest.raises(SimulationError, match=r"No Zeno point|lacks an orbit"):
         orbit_near(full, release, 1.81)
 
 
@@ -441,7 +451,7 @@ def test_a_reduced_problem_is_named_after_its_problem_and_has_no_current(word: s
 def test_an_unknown_fidelity_is_refused_with_those_there_are() -> None:
     with pytest.raises(InputError, match="motor_pendulum@corrected, motor_pendulum@quasi_static"):
         load_problem("motor_pendulum@coarse")
-    with pytest.raises(InputError, match="`bouncing_ball` has none"):
+    with pytest.raises(InputError, match="`bouncing_ball` lacks them"):
         load_problem("bouncing_ball@quasi_static")
 
 
@@ -459,7 +469,7 @@ def test_no_inductance_is_refused_with_the_problem_to_take_instead(
 ) -> None:
     assert main(["simulate", "motor_pendulum", "--set", "L=0"]) == 2
     assert "take `motor_pendulum@quasi_static`" in capsys.readouterr().err
-    assert main(["simulate", "motor_pendulum@quasi_static", "--until", "1"]) == 0
+    assert main(["simulate", "motor_pendulum@quasi_static", "--t-end", "1"]) == 0
     # The corrected drive takes it as its limit.
     problem = load_problem("motor_pendulum")
     corrected = problem.at_fidelity(CORRECTED)
@@ -474,7 +484,7 @@ def test_an_orbit_file_of_a_reduced_problem_is_found_drawn_and_verified(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "orbit.json"
-    assert main(["search", "motor_pendulum@quasi_static", "--fix", "Kp=2.5", "-o", str(path)]) == 0
+    assert main(["search", "motor_pendulum@quasi_static", "--set", "Kp=2.5", "-o", str(path)]) == 0
     assert read_orbit(path).problem == "motor_pendulum@quasi_static"
     assert main(["verify", str(path)]) == 0
     assert main(["verify", str(path), "--problem", str(PENDULUM)]) == 0
@@ -502,14 +512,14 @@ def test_the_commands_list_the_fidelities_and_say_what_they_cost(
     assert main(["problems", "--json"]) == 0
     names = [entry["name"] for entry in json.loads(capsys.readouterr().out)]
     assert {"motor_pendulum@quasi_static", "motor_pendulum@corrected"} < set(names)
-    assert main(["conditions", "motor_pendulum@quasi_static"]) == 0
+    assert main(["zeno-condition", "motor_pendulum@quasi_static"]) == 0
     assert "dtheta1" in capsys.readouterr().out
-    assert main(["fidelity", "motor_pendulum", "--json"]) == 0
+    assert main(["reduced-models", "motor_pendulum", "--json"]) == 0
     told = {entry["problem"]: entry for entry in json.loads(capsys.readouterr().out)}
     assert told["motor_pendulum@quasi_static"]["estimate"]["period"] == pytest.approx(
         2.64e-4, rel=0.01
     )
-    assert main(["fidelity", "bouncing_ball"]) == 2
+    assert main(["reduced-models", "bouncing_ball"]) == 2
 
 
 def test_numbers_without_names_keep_a_cart_of_one_motor_in_step() -> None:

@@ -1,18 +1,44 @@
-"""Errors of results and their price: error estimates, reduced models, work and precision.
+"""Errors of results and their cost: error estimates, reduced models, work-precision studies.
 
-An error estimate comes from a second run at a looser tolerance; the truth that engines are compared
-with, from numbers of many digits: `gauss` follows flows in them, `extended_run` executions.
+An error is estimated with a second run at a looser tolerance. Trials of integrators are compared
+with a run at the tightest tolerance, which is confirmed by another integrator.
 
 Offers: `simulate_to` (an execution to a wanted accuracy), `simulate_with_error`, `settings_for`,
 `difference` (of two executions); `reduction_costs` (errors of reduced models);
-`trade`, `WorkPrecision`, `read_work_precision`; `extended_execution`, `extended_orbit` (in many
-digits).
+`trade`, `WorkPrecision`, `read_work_precision`.
 
-Many digits are python-flint's (the extra `proof`); `proof` evaluates functions in them.
-
-Imports: search, proof, verification, orbits, simulation, model, integrators, work, arrays, errors.
+Imports: search, verification, orbits, simulation, loop, model, integrators, work, arrays, kinds,
+errors.
 """
+
+from typing import Any
 
 import lazy_loader as lazy
 
-__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
+_ORBIT = "use `zeno_orbits.proof.prove(orbit, problem)`, which encloses the same quantities"
+_EXECUTION = (
+    "use `zeno_orbits.proof.enclose_period(orbit, problem)`, which encloses every event of a period"
+)
+_REMOVED = {
+    "ExtendedOrbit": _ORBIT,
+    "extended_orbit": _ORBIT,
+    "ExtendedExecution": _EXECUTION,
+    "extended_execution": _EXECUTION,
+}
+"""Removed names of version 0.2, and their replacements."""
+
+_attribute, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name when it is first used.
+
+    Raises:
+        AttributeError: If the name is unknown.
+        InputError: If the name was removed.
+    """
+    if name in _REMOVED:
+        from zeno_orbits.errors import InputError
+
+        raise InputError(f"`zeno_orbits.precision.{name}` is removed: {_REMOVED[name]}.")
+    return _attribute(name)

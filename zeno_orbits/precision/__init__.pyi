@@ -4,10 +4,6 @@ from .accuracy import settings_for as settings_for
 from .accuracy import simulate_to as simulate_to
 from .accuracy import simulate_with_error as simulate_with_error
 from .accuracy import why_engine as why_engine
-from .extended import ExtendedExecution as ExtendedExecution
-from .extended import extended_execution as extended_execution
-from .extended_fixed_point import ExtendedOrbit as ExtendedOrbit
-from .extended_fixed_point import extended_orbit as extended_orbit
 from .landmark import difference as difference
 from .reduced_models import ReductionCost as ReductionCost
 from .reduced_models import reduction_costs as reduction_costs

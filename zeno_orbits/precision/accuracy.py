@@ -1,8 +1,8 @@
-"""Settings for a wanted accuracy, and error estimates of executions.
+"""Settings for a required accuracy, and error estimates of executions.
 
-The settings are the cheapest that `zeno-orbits trade` measured to reach an accuracy. They are
-checked: an execution is computed twice, at tolerances some way apart, and the difference is its
-reported error.
+The settings are the cheapest that reached an accuracy in `zeno-orbits work-precision`. They are
+checked: an execution is computed twice, at different tolerances. The difference is its reported
+error.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from zeno_orbits.simulation import (
     Impact,
     Release,
     SimulationSettings,
+    Truncation,
     ZenoPassage,
     ZenoPoint,
     simulate,
@@ -32,7 +33,7 @@ from zeno_orbits.simulation import (
 from zeno_orbits.work import Progress, portion, silent
 
 FINEST, COARSEST = 1e-12, 1e-2
-"""Accuracies that can be asked for."""
+"""Range of accuracies that can be requested."""
 
 _SHARE = 0.1
 """Tolerance in units of the accuracy: errors over ten periods stay below ten tolerances."""
@@ -48,11 +49,14 @@ class Assured:
     Attributes:
         execution: The execution.
         settings: Settings of the run.
-        error: Its ``difference`` from one of a looser tolerance, the error of that and so more than
-            its own; what its Zeno limits expect, rounding, or the tolerance itself where that is
-            more. Infinite if the looser one goes another way or does not come through.
-        zeno_errors: The same of every Zeno point alone, flights before it and limit together: of
-            time and state, relative to ``1 + |t|`` and ``1 + |x|`` (1: own sizes).
+        error: Estimated error. It is the ``difference`` from an execution at a looser tolerance.
+            This is the error of the looser execution, so it is larger than the actual error. If the
+            estimated error of the Zeno limits, rounding or the tolerance is larger, the error is
+            the largest of these values. It is infinite if the looser execution has other events or
+            fails.
+        zeno_errors: Estimated error of every Zeno point alone, which includes the flights before it
+            and its limit. Errors of time and state are relative to ``1 + |t|`` and ``1 + |x|``,
+            where 1 is the characteristic scale.
     """
 
     execution: Execution
@@ -62,14 +66,14 @@ class Assured:
 
 
 def settings_for(accuracy: float, settings: SimulationSettings | None = None) -> SimulationSettings:
-    """Return the cheapest settings that were measured to reach an accuracy.
+    """Return the cheapest settings that reached an accuracy in measurements.
 
     Args:
-        accuracy: Largest relative error over some ten periods.
-        settings: Everything else: engine, limits.
+        accuracy: Largest relative error over about ten periods.
+        settings: All other settings: integrator, limits.
 
     Raises:
-        InputError: If double precision cannot give it, or it is no accuracy at all.
+        InputError: If double precision cannot reach the accuracy, or the value is not an accuracy.
     """
     if not FINEST <= accuracy <= COARSEST:
         wanted = f"must lie in [{FINEST:g}, {COARSEST:g}]"
@@ -80,11 +84,11 @@ def settings_for(accuracy: float, settings: SimulationSettings | None = None) ->
 def at_tolerance(
     tolerance: float, settings: SimulationSettings | None = None
 ) -> SimulationSettings:
-    """Return settings at a tolerance, the Zeno limit's included.
+    """Return settings at a tolerance, with the corresponding tolerance of the Zeno limit.
 
     Args:
         tolerance: Relative error of a step.
-        settings: Everything else: engine, limits.
+        settings: All other settings: integrator, limits.
     """
     return replace(
         settings or SimulationSettings(),
@@ -102,19 +106,20 @@ def simulate_to(
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> Assured:
-    """Return the completed execution to a wanted accuracy, with an estimate of its error.
+    """Return the completed execution to a required accuracy, with an estimate of its error.
 
     Args:
-        dynamics: The system at fixed numbers.
+        dynamics: The system at fixed parameter values.
         state: Initial state, ``(n_x,)``.
-        until: When to stop [s].
+        until: End time [s].
         accuracy: Largest relative error of every event and of the end (see ``difference``).
-        settings: Engine and limits; tolerance and completion follow the accuracy.
-        on_progress: Called with the part of the time that each run has simulated.
+        settings: Integrator and limits. Tolerance and completion are derived from the accuracy.
+        on_progress: Called with the simulated fraction of the time of each run.
 
     Raises:
-        InputError: If the accuracy is out of reach from the start.
-        SimulationError: If the estimate stays above it: the motion magnifies rounding.
+        InputError: If the accuracy is outside the range of double precision.
+        SimulationError: If the estimate remains above the accuracy, because the motion amplifies
+            rounding errors.
     """
     chosen = settings_for(accuracy, settings)
     tolerances = [_STEP * chosen.tolerance.relative]
@@ -124,12 +129,12 @@ def simulate_to(
     best = math.inf
     for number, tolerance in enumerate(tolerances):
         tried = at_tolerance(tolerance, chosen)
-        # Two runs are the rule; each further one gets half of what was left.
+        # Usually there are two runs. Each further run gets half of the remaining progress.
         progress = portion(on_progress, 1.0 - 0.5**number, 1.0 - 0.5 ** (number + 1))
         try:
             found = simulate(dynamics, state, until=until, settings=tried, on_progress=progress)
         except PenetrationError:
-            # So coarse a run may go through the stop; the finest one may not.
+            # A coarse run may penetrate the stop, but the finest run may not.
             if tolerance == tolerances[-1]:
                 raise
             continue
@@ -162,25 +167,28 @@ def simulate_with_error(
     """Return the completed execution with given settings, and an estimate of its error.
 
     Args:
-        dynamics: The system at fixed numbers.
+        dynamics: The system at fixed parameter values.
         state: Initial state, ``(n_x,)``.
-        until: When to stop [s].
-        settings: Accuracy; a second run has a hundred times its tolerance.
-        on_progress: Called with the part of the time that each run has simulated.
+        until: End time [s].
+        settings: Accuracy. A second run has a hundred times its tolerance. If the settings truncate
+            impact sequences, the second run has the same tolerance and computes their limit.
+        on_progress: Called with the simulated fraction of the time of each run.
 
     Raises:
         InputError: If the state is not admissible or the horizon is not a positive number.
-        SimulationError: If the execution cannot be continued; that of the second run may end early.
+        SimulationError: If the execution cannot be continued. The second run may end early.
     """
     fine = settings or SimulationSettings()
     first, second = portion(on_progress, 0.0, 0.7), portion(on_progress, 0.7, 1.0)
     found = simulate(dynamics, state, until=until, settings=fine, on_progress=first)
+    is_cut = isinstance(fine.completion, Truncation)
+    other = replace(fine, completion=ZenoPassage()) if is_cut else at_looser_tolerance(fine)
     try:
         looser = simulate(
             dynamics,
             state,
             until=until,
-            settings=at_looser_tolerance(fine),
+            settings=other,
             on_progress=second,
         )
     except SimulationError:
@@ -191,7 +199,7 @@ def simulate_with_error(
 def _beside(
     looser: Execution | None, found: Execution, settings: SimulationSettings, own: OwnScale
 ) -> Assured:
-    """Return an execution with the error that a looser one shows."""
+    """Return an execution with its error, estimated from a looser execution."""
     # Two runs that take the same steps share their errors, so no run is better than its tolerance.
     least = max(ROUNDING * (1 + len(found.events)), settings.tolerance.relative)
     error = math.inf if looser is None else difference(looser, found, own)
@@ -206,12 +214,12 @@ def _beside(
 def errors_of_zeno_points(
     looser: Execution | None, found: Execution, own: OwnScale = USUAL
 ) -> Iterator[float]:
-    """Yield the error of every Zeno point; infinity from where a looser run goes another way on.
+    """Yield the error of every Zeno point, infinite after the first event that differs.
 
     Args:
-        looser: A run at a looser tolerance; None if it did not come through.
+        looser: A run at a looser tolerance, or ``None`` if it failed.
         found: The run.
-        own: Sizes of the problem's numbers.
+        own: Characteristic scales of the problem.
     """
     others = () if looser is None else _holds(looser)
     alike = True
@@ -229,17 +237,17 @@ def errors_of_zeno_points(
 
 
 def _holds(execution: Execution) -> tuple[ZenoPoint | Release, ...]:
-    """Return the events but for the impacts, of which a looser run may resolve fewer."""
+    """Return all events except impacts, because a looser run may resolve fewer impacts."""
     return tuple(event for event in execution.events if not isinstance(event, Impact))
 
 
 def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: float) -> str:
-    """Return in one sentence how the default engine will go about a problem, and why.
+    """Return a sentence on the method of the default integrator for a problem, with its reason.
 
     Args:
-        dynamics: The system at fixed numbers.
-        state: Where it starts, ``(n_x,)``.
-        leg: How long it goes without an event [s]; what decays much sooner does not last.
+        dynamics: The system at fixed parameter values.
+        state: Initial state, ``(n_x,)``.
+        leg: Time without an event [s]. A mode that decays much sooner is a transient.
     """
     values = flow_eigenvalues(dynamics.free, np.array(state, dtype=np.float64))
     fastest, _ = rates_of(values)
@@ -254,9 +262,10 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: f
 
 
 def _limit_error(execution: Execution, own: OwnScale) -> float:
-    """Return the largest error that the Zeno points themselves expect, relative to the states.
+    """Return the largest estimated error of the Zeno limits, relative to the states.
 
-    Two runs that complete after the same impact share most of it, and so do not show it.
+    Two runs that complete after the same impact share most of this error, so their difference does
+    not contain it.
     """
     scale = sizes(execution, own)
     shares = [

@@ -1,4 +1,4 @@
-"""Differences of two executions of one motion: landmark by landmark, relative."""
+"""Relative differences of two executions of one motion, landmark by landmark."""
 
 from __future__ import annotations
 
@@ -11,14 +11,19 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.kinds import checked
 from zeno_orbits.model import USUAL, OwnScale
 from zeno_orbits.simulation import Event, Execution, Impact, ZenoPoint
 
 ROUNDING = 4e-15
-"""Differences below this, times the number of events, are rounding: two runs may share it."""
+"""Relative rounding error per event. Two runs may share it, so it is not visible in a difference.
+"""
 
 _NOTHING = 1e-12
-"""A state that is never larger, in its own size, is zero to rounding and no unit of its error."""
+"""Largest size of a state, in its characteristic scale, that is zero to rounding.
+
+Such a state is not a unit of its error.
+"""
 
 
 class Kind(Enum):
@@ -32,12 +37,12 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Landmark:
-    """A point of an execution that another one has, too.
+    """A point of an execution that has a counterpart in another execution.
 
     Attributes:
-        kind: What it is.
-        time: When [s].
-        state: Where, ``(n_x,)``; before the impact, where it is one.
+        kind: Its kind.
+        time: Time [s].
+        state: State, ``(n_x,)``. At an impact, it is the state before the impact.
     """
 
     kind: Kind
@@ -45,21 +50,22 @@ class Landmark:
     state: Vector
 
 
+@checked
 def difference(first: Execution, second: Execution, own: OwnScale = USUAL) -> float:
     """Return the largest relative difference of two executions, over every event and the end.
 
-    Times are relative to the last event's, states to their largest
-    value. Near a Zeno point one may resolve more impacts than the other. An event so late that the
-    other one lacks it is held against the end of that: an end so near an impact is before it or
-    after it, and no accuracy says which.
+    Times are relative to the time of the last event, states to their largest value. Near a Zeno
+    point one execution may resolve more impacts than the other. An event that only one execution
+    reaches is compared with the end of the other, since rounding decides whether an event at the
+    end is included.
 
     Args:
-        first: One execution.
-        second: Another one to the same time.
-        own: Sizes of the problem's numbers.
+        first: First execution.
+        second: Second execution, to the same time.
+        own: Characteristic scales of the problem.
 
     Returns:
-        Infinity if they go different ways.
+        The difference. Infinite if the executions have different events.
     """
     pairs = list(_pairs(_sections_of(first), _sections_of(second)))
     last = max((event.time for event in second.events), default=0.0)
@@ -69,10 +75,8 @@ def difference(first: Execution, second: Execution, own: OwnScale = USUAL) -> fl
 def landmarks(execution: Execution) -> tuple[Landmark, ...]:
     """Return the landmarks by which executions of different completions are compared.
 
-    These are the releases, if there are any.
-
-    Without a release, Zeno points; without these, impacts; without these, the end. So the paper's
-    rule, whose Zeno instants mean little, is judged by what comes later.
+    The landmarks are the first nonempty group of: releases, Zeno points, impacts, the end. So the
+    paper's rule is judged by later events, because its Zeno instants have little meaning.
     """
     for events in (execution.releases, execution.zeno_points, execution.impacts):
         if events:
@@ -84,12 +88,12 @@ def apart(first: Sequence[Landmark], second: Sequence[Landmark], scale: Vector) 
     """Return the largest relative difference of two executions' landmarks.
 
     Args:
-        first: Of one execution.
-        second: Of the other; the time of the last one is the unit of the times.
+        first: Landmarks of one execution.
+        second: Landmarks of the other execution. The last time is the unit of the times.
         scale: Size of each state, ``(n_x,)`` (see ``sizes``).
 
     Returns:
-        Infinity if one has a landmark that the other lacks.
+        The difference. Infinite if a landmark does not have a counterpart.
     """
     if [mark.kind for mark in first] != [mark.kind for mark in second]:
         return math.inf
@@ -97,12 +101,18 @@ def apart(first: Sequence[Landmark], second: Sequence[Landmark], scale: Vector) 
 
 
 def sizes(execution: Execution, own: OwnScale = USUAL) -> Vector:
-    """Return the largest value of each state at the ends of arcs, ``(n_x,)``; its size for zero."""
+    """Return the largest value of each state at the ends of arcs, ``(n_x,)``.
+
+    The value zero is replaced by the state's characteristic scale.
+    """
     return sizes_of([x for arc in execution.arcs for x in (arc.start_state, arc.end_state)], own)
 
 
 def sizes_of(states: Sequence[Sequence[float] | Vector], own: OwnScale = USUAL) -> Vector:
-    """Return the largest value of each state among some, ``(n_x,)``; its own size for zero."""
+    """Return the largest value of each state over a number of states, ``(n_x,)``.
+
+    The value zero is replaced by the state's characteristic scale.
+    """
     largest = np.max(np.abs(np.array(states, dtype=np.float64)), axis=0)
     usual = own.states(len(largest))
     return np.where(largest > _NOTHING * usual, largest, usual)
@@ -120,7 +130,7 @@ def _end(execution: Execution) -> Landmark:
 
 
 def _sections_of(execution: Execution) -> list[list[Landmark]]:
-    """Return the landmarks in groups: some impacts, then a Zeno point, a release or the end."""
+    """Return the landmarks in groups. Each is impacts, then a Zeno point, a release or the end."""
     marks = [*map(_landmark, execution.events), _end(execution)]
     cuts = [k for k, mark in enumerate(marks, start=1) if mark.kind is not Kind.IMPACT]
     return [marks[start:stop] for start, stop in pairwise([0, *cuts])]
@@ -129,11 +139,11 @@ def _sections_of(execution: Execution) -> list[list[Landmark]]:
 def _pairs(
     first: Sequence[Sequence[Landmark]], second: Sequence[Sequence[Landmark]]
 ) -> Iterator[tuple[Landmark, Landmark]]:
-    """Yield what corresponds to each other."""
+    """Yield pairs of corresponding landmarks."""
     for (*some, mark), (*others, other) in zip(first, second, strict=False):
         yield from zip(some, others, strict=False)
         if mark.kind is other.kind is Kind.END and len(some) != len(others):
-            # One more impact before the end of one than before the end of the other.
+            # One execution has more impacts before its end than the other.
             n = min(len(some), len(others))
             yield [*some, mark][n], [*others, other][n]
         else:
@@ -141,10 +151,10 @@ def _pairs(
 
 
 def _largest(pairs: Sequence[tuple[Landmark, Landmark]], scale: Vector, unit: float) -> float:
-    """Return the largest relative difference within pairs; infinity if a pair is none."""
+    """Return the largest relative difference within pairs, infinite for a pair of two kinds."""
     if any(a.kind is not b.kind and Kind.END not in (a.kind, b.kind) for a, b in pairs):
         return math.inf
     times = [abs(a.time - b.time) / unit for a, b in pairs]
     states = [float(np.max(np.abs(a.state - b.state) / scale)) for a, b in pairs]
-    # NumPy's maximum keeps NaN, which Python's may lose.
+    # NumPy's maximum keeps NaN. Python's maximum may lose it.
     return float(np.max([*times, *states]))

@@ -1,8 +1,8 @@
 r"""Errors of reduced models in an orbit: estimated from reduced models alone, and measured.
 
-The quasi-static drive is wrong by :math:`O(L/R)`, the corrected one by :math:`O((L/R)^2)`
-(theory (20)). So their difference is the error of the first, to first order, and neither has the
-thin layers that make the full problem slow. Source: theory (20), (21).
+The quasi-static model has an error of :math:`O(L/R)`, the corrected model of :math:`O((L/R)^2)`
+(theory (20)). So their difference is the error of the quasi-static model, to first order. Both
+avoid the thin boundary layers that make the full problem slow. Source: theory (20), (21).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from zeno_orbits.search import close_cycle, cycle_near, find_orbit
 from zeno_orbits.simulation import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
-"""The words by which a problem declares the two reduced models."""
+"""Names with which a problem declares the two reduced models."""
 
 LANDMARKS = ("period", "first_impact", "zeno_time", "release", "zeno_state")
 """Quantities by which two orbits are compared."""
@@ -28,20 +28,20 @@ LANDMARKS = ("period", "first_impact", "zeno_time", "release", "zeno_state")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReductionCost:
-    """The error that a reduced model makes in an orbit.
+    """The error of a reduced model in an orbit.
 
     Errors are relative as in a certificate: times to the period, states to their size over it.
 
     Attributes:
         problem: The reduced problem.
-        n_states: Its states.
-        n_full_states: Those of the full problem.
+        n_states: Number of its states.
+        n_full_states: Number of states of the full problem.
         layer: Longest time constant of the currents, `L/R` for a single motor [s].
-        rate: Fastest relative change of a velocity along the reduced orbit [1/s]; ``layer * rate``
-            is the small number of the expansion.
-        estimate: Landmark to error, from reduced models alone. For the quasi-static model it tends
-            to the error itself; for the corrected one it is an order of magnitude.
-        measured: Landmark to error against the full problem; empty if that was not asked for.
+        rate: Fastest relative change of a velocity along the reduced orbit [1/s]. ``layer * rate``
+            is the small parameter of the expansion.
+        estimate: Error by landmark, from reduced models alone. For the quasi-static model it tends
+            to the actual error. For the corrected model it is an order of magnitude.
+        measured: Error by landmark, relative to the full problem. Empty without a measurement.
     """
 
     problem: str
@@ -52,24 +52,46 @@ class ReductionCost:
     estimate: Mapping[str, float]
     measured: Mapping[str, float]
 
+    @property
+    def bound(self) -> dict[str, float]:
+        """Largest possible error of the reduced model by landmark.
+
+        For the quasi-static model the estimate is the first term that the model omits. For the
+        corrected model it is the order of magnitude of that term. Each further term is assumed to
+        be at most ten times ``layer * rate`` times the previous term. Theory (20) gives its order
+        but not its constant, and at the Zeno point it contains a logarithm.
+        """
+        return {name: self.bounded(error) for name, error in self.estimate.items()}
+
+    def bounded(self, estimate: float) -> float:
+        """Return the largest possible error for an estimate."""
+        if self.problem.endswith(f"@{QUASI_STATIC}"):
+            return estimate * (1.0 + _CONSTANT * self.layer * self.rate)
+        return estimate * _CONSTANT
+
+
+_CONSTANT = 10.0
+"""Largest ratio of two successive terms of the expansion, divided by ``layer * rate``."""
+
 
 def reduction_costs(
     problem: Problem, values: ParameterValues, *, measure: bool = False
 ) -> dict[str, ReductionCost]:
-    """Return fidelity to the error of its model, for both reduced models (theory (21)).
+    """Return the errors of both reduced models by fidelity (theory (21)).
 
-    The difference of their orbits is the error of the quasi-static one, to first order. Times
-    ``layer * rate``, it tells the size of the corrected one's.
+    The difference of their orbits is the error of the quasi-static model, to first order. This
+    difference times ``layer * rate`` is the order of magnitude of the corrected model's error.
 
     Args:
-        problem: The full problem; it declares both reduced models.
-        values: Its numbers.
-        measure: Find the full problem's orbit, too.
+        problem: The full problem, which declares both reduced models.
+        values: Its parameter values.
+        measure: True if the orbit of the full problem is also computed.
 
     Raises:
         InputError: If the problem does not declare both models.
-        OrbitNotFoundError: If the quasi-static problem has no orbit at these numbers.
-        SimulationError: If another one has none near it: the reduction is not allowed there.
+        OrbitNotFoundError: If no orbit of the quasi-static problem is found at these values.
+        SimulationError: If another model does not have an orbit nearby. The reduction is then not
+            valid.
     """
     reduced = {word: problem.at_fidelity(word) for word in (QUASI_STATIC, CORRECTED)}
     quasi_static = reduced[QUASI_STATIC]
@@ -103,16 +125,16 @@ def reduction_costs(
 def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycle:
     """Return the periodic orbit of a system near a release state of another fidelity.
 
-    Newton's method on the return map, whose derivative is taken once. Currents that the other
-    state does not have start at rest, where their rate vanishes.
+    It uses Newton's method on the return map, whose derivative is computed once. Currents that the
+    other fidelity does not have start at rest, with zero rate.
 
     Args:
         dynamics: The system.
-        release: Release state of the other, the first entries of ``x``.
-        period: Its period [s].
+        release: Release state of the other fidelity, the first entries of ``x``.
+        period: Period of the other fidelity's orbit [s].
 
     Raises:
-        SimulationError: If there is no orbit there.
+        SimulationError: If an orbit does not exist nearby.
     """
     settings = SimulationSettings()
     x = dynamics.on_stop(np.concatenate([release, _resting_current(dynamics, release)]))
@@ -120,14 +142,14 @@ def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycl
         scale = cycle_near(dynamics, x, period=period, settings=settings).scale()
         section = release_section(dynamics, x, scale)
         x = section.state(dynamics, np.zeros(section.dimension))
-        # Far from the orbit returns alone may wander: the slope keeps to what is near.
+        # Far from the orbit, successive returns alone may diverge. Newton's method stays nearby.
         slope = return_slope(dynamics, x, scale=scale, period=period, settings=settings)
         return close_cycle(
             dynamics, x, scale=scale, period=period, settings=settings, slope=slope
         ).cycle
     except SimulationError as error:
         raise SimulationError(
-            "No orbit of this fidelity is near that of the other, the reduction is too coarse: "
+            "This fidelity lacks an orbit near the other orbit, the reduction is too coarse: "
             f"{error.reason}",
             time=period,
             state=tuple(x.tolist()),
@@ -135,10 +157,10 @@ def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycl
 
 
 def landmark_errors(reduced: Cycle, other: Cycle) -> dict[str, float]:
-    """Return landmark to relative difference, over the states that the reduced model has.
+    """Return the relative differences by landmark, over the states of the reduced model.
 
-    After a plastic impact, `e = 0`, the Zeno point stands at the start of the current's layer,
-    which a reduced model has behind it: ``zeno_state`` is left out.
+    After a plastic impact, `e = 0`, the Zeno point is at the start of the current's boundary layer.
+    In a reduced model it is after the layer. So ``zeno_state`` is then omitted.
     """
     n, period = len(reduced.start.state), other.period
     scale = other.scale()[:n]
@@ -159,11 +181,11 @@ def landmark_errors(reduced: Cycle, other: Cycle) -> dict[str, float]:
 
 
 def layer_time(dynamics: HybridDynamics, release: Vector) -> float:
-    """Return the longest time constant of a problem's currents [s]; 0 if it has none.
+    """Return the longest time constant of a problem's currents [s], 0 without currents.
 
     Args:
         dynamics: The full problem.
-        release: Any state of it, or its first entries.
+        release: Any of its states, or the first entries of a state.
     """
     rates, block = _current_rates(dynamics, release)
     return 0.0 if rates.size == 0 else float(1 / np.min(np.abs(np.linalg.eigvals(block))))
@@ -177,7 +199,7 @@ def _resting_current(dynamics: HybridDynamics, release: Vector) -> Vector:
 
 
 def _current_rates(dynamics: HybridDynamics, release: Vector) -> tuple[Vector, Vector]:
-    """Return the rates of the currents at zero current, and their derivative by the currents.
+    """Return the rates of the currents at zero current, and their Jacobian in the currents.
 
     The law is linear in the currents (theory (2)), so unit currents give the derivative exactly.
     """
@@ -193,7 +215,7 @@ def _current_rates(dynamics: HybridDynamics, release: Vector) -> tuple[Vector, V
 
 
 def _rate(dynamics: HybridDynamics, cycle: Cycle) -> float:
-    """Return the largest acceleration of a coordinate over its largest speed [1/s]."""
+    """Return the largest acceleration of a coordinate divided by its largest speed [1/s]."""
     n_q = dynamics.n_q
     speeds, accelerations = np.zeros(n_q), np.zeros(n_q)
     for arc, flow in ((cycle.flight, dynamics.free), (cycle.locked, dynamics.locked)):

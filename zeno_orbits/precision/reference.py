@@ -1,43 +1,30 @@
-"""The reference of trials: an execution in many digits, with its error."""
+"""The reference of trials: an execution at the tightest tolerance, with its error."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, TranslationError, ZenoOrbitsError
-from zeno_orbits.integrators import Radau
-from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
+from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.integrators import Automatic, Radau
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.precision.accuracy import at_tolerance
-from zeno_orbits.precision.landmark import (
-    ROUNDING,
-    Kind,
-    Landmark,
-    apart,
-    landmarks,
-    sizes,
-    sizes_of,
-)
+from zeno_orbits.precision.landmark import ROUNDING, Kind, Landmark, apart, landmarks, sizes_of
 from zeno_orbits.simulation import SimulationSettings, simulate
 
-if TYPE_CHECKING:
-    from zeno_orbits.precision.extended import ExtendedExecution
-
-TRUTH_DIGITS = 20
+_FINEST, _NEXT = 1e-14, 1e-13
 
 _SAMPLES = 64
-"""Times at which the truth is looked at for the size of its states."""
+"""Number of times at which the size of the states is evaluated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """Reference that trials are compared with.
+    """Reference solution with which trials are compared.
 
     Attributes:
         marks: The landmarks.
@@ -52,81 +39,42 @@ class Truth:
     error: float
 
 
-def true_landmarks(
-    problem: Problem,
-    values: ParameterValues,
-    dynamics: HybridDynamics,
-    state: Sequence[float],
-    until: float,
-) -> Truth:
-    """Return the truth in extended precision, or in doubles where that cannot be had.
+def true_landmarks(dynamics: HybridDynamics, state: Sequence[float], until: float) -> Truth:
+    """Return the landmarks of an execution by Radau's method, with their error.
+
+    The error is the largest difference from a run at a looser tolerance and from a run with the
+    default integrator, and at least rounding.
 
     Args:
-        problem: The problem.
-        values: Its numbers.
-        dynamics: The system at these numbers.
+        dynamics: The system at fixed parameter values.
         state: Initial state, ``(n_x,)``.
-        until: When to stop [s].
+        until: End of the execution [s].
 
     Raises:
         InputError: If the state is not admissible or the horizon not a positive number.
-        ZenoOrbitsError: If nothing happens that a motion could be judged by, or it cannot be
-            followed.
+        ZenoOrbitsError: If the execution has no event, or it cannot be followed.
     """
     if not 0.0 < until < math.inf:
         message = f"Argument `until` must be a positive number of seconds, but it is {until}."
         raise InputError(message)
-    if find_spec("flint") is None:
-        return _truth_in_doubles(dynamics, state, until, "install the extra `proof` for a better")
-    from zeno_orbits.precision.extended import extended_execution
-
-    try:
-        exact = extended_execution(
-            problem,
-            values,
-            state,
-            until=until,
-            times=np.linspace(0.0, until, _SAMPLES).tolist(),
-            digits=TRUTH_DIGITS,
+    finest, *others = (
+        simulate(dynamics, state, until=until, settings=at_tolerance(tolerance, settings))
+        for tolerance, settings in (
+            (_FINEST, SimulationSettings(engine=Radau())),
+            (_NEXT, SimulationSettings(engine=Radau())),
+            (_FINEST, SimulationSettings(engine=Automatic())),
         )
-    except TranslationError:
-        return _truth_in_doubles(
-            dynamics, state, until, "not all of the problem is analytic, for a better"
+    )
+    marks = landmarks(finest)
+    if marks[0].kind is Kind.END:
+        raise ZenoOrbitsError(
+            f"There is nothing to compare: no event within {until:g} s. Choose a longer `until`."
         )
-    return Truth(
-        marks=_exact_landmarks(exact),
-        scale=sizes_of([list(map(float, sample.state)) for sample in exact.samples], dynamics.own),
-        how="extended precision",
-        error=exact.error,
-    )
-
-
-def _truth_in_doubles(
-    dynamics: HybridDynamics, state: Sequence[float], until: float, why: str
-) -> Truth:
-    """Return the truth of the tightest tolerances, of an engine that the default one is not."""
-    implicit = SimulationSettings(engine=Radau())
-    finest, next_finest = (
-        simulate(dynamics, state, until=until, settings=at_tolerance(tolerance, implicit))
-        for tolerance in (1e-14, 1e-13)
-    )
-    marks, scale = landmarks(finest), sizes(finest, dynamics.own)
+    samples = map(finest.state_at, np.linspace(0.0, finest.end_time, _SAMPLES).tolist())
+    scale = sizes_of(list(samples), dynamics.own)
     return Truth(
         marks=marks,
         scale=scale,
-        how=f"double precision at 1e-14 ({why} truth)",
-        error=max(apart(landmarks(next_finest), marks, scale), ROUNDING),
-    )
-
-
-def _exact_landmarks(exact: ExtendedExecution) -> tuple[Landmark, ...]:
-    points = exact.releases or exact.zeno_points
-    if not points:
-        raise ZenoOrbitsError(
-            "There is nothing to compare: no release and no Zeno point in this time."
-        )
-    kind = Kind.RELEASE if exact.releases else Kind.ZENO
-    return tuple(
-        Landmark(kind=kind, time=float(p.time), state=np.array([float(v) for v in p.state]))
-        for p in points
+        how=f"double precision at {_FINEST:.0e} by an implicit method",
+        error=max(ROUNDING, *(apart(landmarks(other), marks, scale) for other in others)),
     )

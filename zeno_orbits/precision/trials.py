@@ -1,7 +1,7 @@
-"""Measurements of work and precision: trials of engines, closures, meshes and reduced models.
+"""Work-precision study: trials of integrators, Zeno approximations, meshes and reduced models.
 
-The truth is computed in many digits, with an estimate of its own error. Errors are those of
-`landmark.apart`; times are medians of processor time, which other work on the machine shakes less.
+The reference solution is computed at the tightest tolerance by two integrators. Their difference
+bounds its error. Errors are computed by `landmark.apart`. Times are medians of processor time.
 """
 
 from __future__ import annotations
@@ -11,20 +11,19 @@ import statistics
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-import numpy as np
-
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError, counted
 from zeno_orbits.integrators import (
+    ENGINES,
     Automatic,
     Engine,
     SciPy,
     SteppingEngine,
-    Taylor,
-    decay_rates,
     engine_named,
-    installed_engines,
 )
+from zeno_orbits.kinds import Checked
+from zeno_orbits.loop import program_of
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, bind
 from zeno_orbits.precision.accuracy import at_tolerance
 from zeno_orbits.precision.landmark import apart, landmarks
@@ -42,20 +41,25 @@ from zeno_orbits.work import Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorkPrecisionSettings:
+class WorkPrecisionSettings(Checked):
     """Extent of the measurements.
 
     Attributes:
-        until: Length of the execution [s].
-        repeats: Runs of each setting.
-        tolerances: Of the engines.
-        slow_from: SciPy's methods are not tried below this tolerance: minutes would not do.
+        until: Length of the execution [s]. By default it is at least ``least``, and includes the
+            first release after a Zeno point, the first Zeno point, or else the first impact.
+        least: Shortest length if ``until`` is not given [s]. It is at most a thousand
+            characteristic times of the problem.
+        repeats: Number of runs of each setting.
+        tolerances: Tolerances of the integrators.
+        slow_from: Smallest tolerance at which SciPy's methods are tried. Below it, minutes would
+            not be sufficient.
         cuts: Thresholds of the paper's rule, as gap rates.
         impacts: Numbers of impacts before the extrapolation.
-        meshes: Mesh tolerances of the solve for a periodic orbit; none where there is no orbit.
+        meshes: Mesh tolerances of the solver for a periodic orbit. Empty without an orbit.
     """
 
-    until: float = 6.0
+    until: float | None = None
+    least: float = 6.0
     repeats: int = 5
     tolerances: tuple[float, ...] = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
     slow_from: float = 1e-8
@@ -63,11 +67,20 @@ class WorkPrecisionSettings:
     impacts: tuple[int, ...] = (1, 2, 3, 4, 6, 8)
     meshes: tuple[float, ...] = (1e-2, 1e-4, 1e-6, 3e-8)
 
+    @classmethod
+    def quick(cls) -> WorkPrecisionSettings:
+        """Return settings for a quick study, which takes seconds instead of a minute."""
+        return cls(
+            least=3.0,
+            repeats=1,
+            tolerances=(1e-4, 1e-8),
+            cuts=(1e-1, 1e-3),
+            impacts=(2, 4),
+            meshes=(),
+        )
 
-QUICK = WorkPrecisionSettings(
-    until=3.0, repeats=1, tolerances=(1e-4, 1e-8), cuts=(1e-1, 1e-3), impacts=(2, 4), meshes=()
-)
-"""A first look: seconds instead of a minute."""
+
+QUICK = WorkPrecisionSettings.quick()
 
 
 def trade(
@@ -78,22 +91,24 @@ def trade(
     settings: WorkPrecisionSettings | None = None,
     on_progress: Progress = silent,
 ) -> WorkPrecision:
-    """Return what accuracy costs in a problem.
+    """Measure the computing time against the accuracy for a problem.
 
     Args:
         problem: The problem.
-        values: Its numbers.
+        values: Its parameter values.
         state: Initial state, ``(n_x,)``.
         settings: Extent of the measurements.
-        on_progress: Called with what is being measured and the part that is done.
+        on_progress: Called with the name of the current measurement and the completed fraction.
 
     Raises:
-        SimulationError: If the problem cannot be followed so far.
+        SimulationError: If the problem cannot be simulated that long.
     """
     settings = settings or WorkPrecisionSettings()
     dynamics = problem.dynamics(values)
+    until, seen = _window(dynamics, state, settings)
+    settings = replace(settings, until=until)
     on_progress("computing the truth", 0.0)
-    truth = true_landmarks(problem, values, dynamics, state, settings.until)
+    truth = true_landmarks(dynamics, state, until)
     plans = [
         *_plans(dynamics, state, settings),
         *_interpreted(problem, values, state, settings),
@@ -106,32 +121,88 @@ def trade(
     trials += _meshes(problem, values, settings, on_progress)
     return WorkPrecision(
         problem=problem.name,
-        work=f"{settings.until:g} s from {_named(problem, state)}",
+        work=f"{until:g} s from {_named(problem, state)}; {seen}",
         truth=truth.how,
         truth_error=truth.error,
         trials=tuple(trials),
+        compared=truth.marks[0].kind.value,
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Plan:
-    """A trial to be made: how it runs, and which entries of the truth's state it knows."""
+_LONGER = 7
+"""Number of times that a window without a Zeno point is doubled, to search for a Zeno point."""
+_MOST_TIMES = 1000.0
+"""Largest number of characteristic times in the shortest window.
+
+A micro relay has a million characteristic times per second.
+"""
+_AFTER = 1.1
+"""Ratio of the length of a window to the time of its last event, so that rounding cannot decide."""
+
+
+def _window(
+    dynamics: HybridDynamics, state: Sequence[float], settings: WorkPrecisionSettings
+) -> tuple[float, str]:
+    """Return the length of the execution, and a description of its events.
+
+    The best settings for smooth flight are not relevant for impacts. So a window without a Zeno
+    point grows until it contains a Zeno point, if possible.
+    """
+    if settings.until is not None:
+        return settings.until, _events_in(simulate(dynamics, state, until=settings.until))
+    least = min(settings.least, _MOST_TIMES * dynamics.own.time)
+    found = simulate(dynamics, state, until=least)
+    for doubled in range(1, _LONGER + 1):
+        if _released(found):
+            break
+        try:
+            found = simulate(dynamics, state, until=least * 2**doubled)
+        except SimulationError as error:
+            found = error.execution or found
+            break
+    points = [point.time for point in found.zeno_points[:1]]
+    impacts = [impact.time for impact in found.impacts[:1]]
+    held = _released(found)[:1] or points or impacts
+    until = max([least, *(_AFTER * time for time in held)])
+    # The length was computed and not typed by a user, so three digits are enough.
+    until = float(f"{until:.3g}")
+    return until, _events_in(simulate(dynamics, state, until=until))
+
+
+def _released(execution: Execution) -> list[float]:
+    """Return the times of releases after a Zeno point [s]."""
+    points = execution.zeno_points
+    return [one.time for one in execution.releases if points and one.time > points[0].time]
+
+
+def _events_in(execution: Execution) -> str:
+    counts = (
+        (len(execution.impacts), "impact"),
+        (len(execution.zeno_points), "Zeno point"),
+        (len(execution.releases), "release"),
+    )
+    words = [counted(number, noun) for number, noun in counts if number]
+    return ", ".join(words) or "no impact in it"
+
+
+class _Plan(NamedTuple):
+    """A planned trial: its simulation, and the entries of the reference state that it computes."""
 
     sweep: str
     name: str
     value: float
+    simulation: SimulationSettings
     dynamics: HybridDynamics
     state: Sequence[float]
     entries: Sequence[int]
-    simulation: SimulationSettings
 
 
 def engines() -> dict[str, Engine]:
-    """Return name to engine, for all that are installed."""
+    """Return the integrators by name."""
     from scipy.integrate import DOP853, LSODA
     from scipy.integrate import Radau as SciPyRadau
 
-    return {name: engine_named(name) for name in installed_engines()} | {
+    return {name: engine_named(name) for name in ENGINES} | {
         "SciPy DOP853": SciPy(method=DOP853),
         "SciPy LSODA": SciPy(method=LSODA),
         "SciPy Radau": SciPy(method=SciPyRadau),
@@ -141,28 +212,18 @@ def engines() -> dict[str, Engine]:
 def _plans(
     dynamics: HybridDynamics, state: Sequence[float], settings: WorkPrecisionSettings
 ) -> Iterator[_Plan]:
-    def plan(sweep: str, name: str, value: float, simulation: SimulationSettings) -> _Plan:
-        return _Plan(
-            sweep=sweep,
-            name=name,
-            value=value,
-            dynamics=dynamics,
-            state=state,
-            entries=range(len(state)),
-            simulation=simulation,
-        )
-
+    own = dynamics, state, range(len(state))
     for name, engine in engines().items():
         for tolerance in settings.tolerances:
             if not isinstance(engine, SciPy) or tolerance >= settings.slow_from:
-                yield plan("engine", name, tolerance, _settings(engine, tolerance))
+                yield _Plan("engine", name, tolerance, _settings(engine, tolerance), *own)
     tight = _settings(Automatic(), min(settings.tolerances))
     closures: list[tuple[str, str, float, Completion]] = [
         *(("cut", "plastic below", delta, Truncation(delta=delta)) for delta in settings.cuts),
         *(("impacts", "limit after", n, FixedImpacts(n_impacts=n)) for n in settings.impacts),
     ]
     for sweep, name, value, completion in closures:
-        yield plan(sweep, name, value, replace(tight, completion=completion))
+        yield _Plan(sweep, name, value, replace(tight, completion=completion), *own)
 
 
 def _interpreted(
@@ -171,23 +232,23 @@ def _interpreted(
     state: Sequence[float],
     settings: WorkPrecisionSettings,
 ) -> Iterator[_Plan]:
-    """Plan the engines of compiled steps once more, interpreted; none where nothing is compiled."""
+    """Plan additional runs of our integrators in interpreted Python, the reference implementation.
+
+    The result is empty if the problem is not compiled.
+    """
     compiled = problem.compiled()
-    # What is measured must be compiled before, not in the middle of it.
-    if not compiled.build(values.vector):
+    if program_of(compiled) is None:
         return
     dynamics = bind(compiled.interpreted(), values.vector)
     for name, engine in engines().items():
         if isinstance(engine, SteppingEngine):
             for tolerance in settings.tolerances:
                 yield _Plan(
-                    sweep="engine",
-                    name=f"{name}, interpreted",
-                    value=tolerance,
-                    dynamics=dynamics,
-                    state=state,
-                    entries=range(len(state)),
-                    simulation=_settings(engine, tolerance),
+                    "engine",
+                    f"{name}, interpreted",
+                    tolerance,
+                    _settings(engine, tolerance),
+                    *(dynamics, state, range(len(state))),
                 )
 
 
@@ -197,37 +258,29 @@ def _reduced(
     state: Sequence[float],
     settings: WorkPrecisionSettings,
 ) -> Iterator[_Plan]:
-    """Plan the reduced models of a problem; the truth stays that of the full one."""
+    """Plan the reduced models of a problem. The reference is still the full problem."""
     for reduced in problem.ladder()[1:]:
         shared = reduced.shared(values)
-        reduced.compiled().build(shared.vector)
         dynamics = reduced.dynamics(shared)
         entries = [problem.state_names.index(name) for name in reduced.state_names]
+        word, own = reduced.name.partition("@")[2], [state[entry] for entry in entries]
         for tolerance in settings.tolerances:
-            yield _Plan(
-                sweep="fidelity",
-                name=reduced.name.partition("@")[2],
-                value=tolerance,
-                dynamics=dynamics,
-                state=[state[entry] for entry in entries],
-                entries=entries,
-                simulation=_settings(Automatic(), tolerance),
-            )
+            simulation = _settings(Automatic(), tolerance)
+            yield _Plan("fidelity", word, tolerance, simulation, dynamics, own, entries)
 
 
 def _tried(plan: _Plan, truth: Truth, settings: WorkPrecisionSettings) -> Trial:
-    """Run a plan, once to warm up and then for its time, and compare it with the truth."""
+    """Run a plan once as a warm-up, then for timing, and compare it with the reference."""
     trial = Trial(
         sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
     )
-    if isinstance(plan.simulation.engine, Taylor) and _is_too_stiff(plan, settings.until):
-        return replace(trial, trouble="left out: its steps are explicit, and the problem is stiff")
+    until = settings.until or settings.least
     try:
-        execution, first = _timed(plan, settings.until)
+        execution, first = _timed(plan, until)
         repeats = settings.repeats if first < _LONG else 0
-        times = [_timed(plan, settings.until)[1] for _ in range(repeats)] or [first]
+        times = [_timed(plan, until)[1] for _ in range(repeats)] or [first]
     except (ZenoOrbitsError, ArithmeticError, ValueError) as error:
-        # Foreign integrators raise their own errors.
+        # Third-party integrators raise their own errors.
         return replace(trial, trouble=str(error))
     entries = list(plan.entries)
     known = [replace(mark, state=mark.state[entries]) for mark in truth.marks]
@@ -236,28 +289,29 @@ def _tried(plan: _Plan, truth: Truth, settings: WorkPrecisionSettings) -> Trial:
         seconds=statistics.median(times),
         error=apart(landmarks(execution), known, truth.scale[entries]),
         n_impacts=len(execution.impacts),
+        speed=_cut_speed(execution) if plan.sweep == "cut" else math.nan,
     )
 
 
-_MOST_DECAYS = 1e5
-"""Fastest decay times horizon up to which a Taylor series takes less than a minute or so."""
-
-
-def _is_too_stiff(plan: _Plan, until: float) -> bool:
-    """Return True if Taylor series, explicit as they are, would take minutes."""
-    fastest, _ = decay_rates(plan.dynamics.free, np.array(plan.state, dtype=np.float64))
-    return fastest * until > _MOST_DECAYS
+def _cut_speed(execution: Execution) -> float:
+    """Return the geometric mean of the gap rates at which impact sequences were truncated."""
+    speeds = [point.last_speed for point in execution.zeno_points if point.last_speed > 0.0]
+    return math.exp(statistics.fmean(map(math.log, speeds))) if speeds else math.nan
 
 
 _LONG = 2.0
-"""A run longer than this is not repeated [s]: nothing that warms up matters then."""
+"""Duration beyond which a run is not repeated [s], because the warm-up is then negligible."""
 
 _MOST_STEPS = 10_000
-"""Steps for every second of motion after which a setting is given up; good ones take 1000."""
+"""Largest number of steps per second, or per ten characteristic times if these are shorter.
+
+A setting that needs more steps is abandoned. Good settings take 1000 steps.
+"""
 
 
 def _timed(plan: _Plan, until: float) -> tuple[Execution, float]:
-    limited = replace(plan.simulation, most_steps=round(_MOST_STEPS * max(until, 1.0)))
+    spans = until / min(10.0 * plan.dynamics.own.time, 1.0)
+    limited = replace(plan.simulation, most_steps=round(_MOST_STEPS * max(spans, 1.0)))
     started = time.process_time()
     execution = simulate(plan.dynamics, plan.state, until=until, settings=limited)
     return execution, time.process_time() - started
@@ -269,7 +323,7 @@ def _meshes(
     settings: WorkPrecisionSettings,
     on_progress: Progress,
 ) -> Iterator[Trial]:
-    """Solve for the periodic orbit on finer and finer meshes, each compared with a simulation."""
+    """Solve for the periodic orbit on successively finer meshes, and compare with a simulation."""
     if not settings.meshes:
         return
     from zeno_orbits.search import SearchSettings, TranscriptionSettings, find_orbit

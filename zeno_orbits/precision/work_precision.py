@@ -1,6 +1,6 @@
-"""Work-precision results: the accuracy and the price of engines, closures and reduced models.
+"""Work-precision results: accuracy and cost of integrators, Zeno approximations, reduced models.
 
-The command `trade` measures and writes them; `trials` makes the measurements.
+The command `work-precision` writes the results. The measurements are implemented in `trials`.
 """
 
 from __future__ import annotations
@@ -11,28 +11,35 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from zeno_orbits.errors import InputError
 from zeno_orbits.precision.landmark import ROUNDING
 from zeno_orbits.work import Columns, Displayed, EntryError, restored
 
 SAME_WORK = ("engine", "cut", "impacts", "fidelity")
-"""Sweeps whose trials follow the same motion, so that their times compare."""
+"""Sweeps whose trials simulate the same motion, so that their times are comparable."""
+
+_ABOVE = 100.0
+"""Least ratio of an error to the error of the reference, for the estimate of an order."""
 
 _CLOSURES = {"cut": "plastic below a speed", "impacts": "limit after n impacts"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One setting, timed and compared with the truth.
+    """One setting, timed and compared with the reference.
 
     Attributes:
         sweep: Quantity that is varied: ``engine``, ``cut``, ``impacts``, ``mesh`` or ``fidelity``.
-        name: Engine, closure or model.
-        value: The number that is varied: a tolerance, a threshold, a count.
+        name: Name of the integrator, Zeno approximation or model.
+        value: Value of the varied quantity: a tolerance, a threshold, a count.
         seconds: Median processor time of the work [s].
-        error: Largest relative difference from the truth; infinite if the run went another way.
-        n_impacts: Impacts that were resolved.
-        trouble: Reason why there is no result; empty if there is one.
+        error: Largest relative difference from the reference. Infinite if the events differ.
+        n_impacts: Number of resolved impacts.
+        trouble: Reason of a failure. Empty if the trial has a result.
+        speed: Geometric mean of the gap rates at which impact sequences were truncated. NaN without
+            a truncation.
     """
 
     sweep: str
@@ -42,10 +49,11 @@ class Trial:
     error: float
     n_impacts: int = 0
     trouble: str = ""
+    speed: float = math.nan
 
     @property
     def label(self) -> str:
-        """Name of the line of the trial in a picture."""
+        """Name of the trial's curve in a plot."""
         if self.sweep == "engine":
             return self.name
         return _CLOSURES.get(self.sweep, f"model {self.name}")
@@ -53,14 +61,16 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class WorkPrecision(Displayed):
-    """All trials of one piece of work.
+    """All trials of one work-precision study.
 
     Attributes:
         problem: The problem.
         work: The simulated motion, as a phrase.
-        truth: The reference it is compared with, as a phrase.
-        truth_error: Estimated error of that.
-        trials: The trials, those that are other work (``mesh``) included.
+        truth: The reference for the comparison, as a phrase.
+        truth_error: Estimated error of the reference.
+        trials: The trials, including trials of other work (``mesh``).
+        compared: Kind of the events whose errors are reported: the first of ``release``, ``Zeno
+            point``, ``impact`` and ``end`` that the motion contains.
     """
 
     problem: str
@@ -68,9 +78,10 @@ class WorkPrecision(Displayed):
     truth: str
     truth_error: float
     trials: tuple[Trial, ...]
+    compared: str = "release"
 
     def __repr__(self) -> str:
-        """Return one line: what was measured, how often, against what."""
+        """Return one line with the motion, the number of trials and the reference."""
         return (
             f"<WorkPrecision of {self.problem}: {self.work}, trials={len(self.trials)}, "
             f"front={len(self.front)}; truth: {self.truth}, error {self.truth_error:.0e}>"
@@ -85,9 +96,9 @@ class WorkPrecision(Displayed):
 
     @property
     def front(self) -> tuple[Trial, ...]:
-        """The trials that no other one beats in both time and error, the fastest first.
+        """The Pareto front of time and error, the fastest trial first.
 
-        Errors below rounding are luck and do not count as smaller.
+        Errors below rounding are accidental and do not count as smaller.
         """
         comparable = [t for t in self.trials if t.sweep in SAME_WORK and math.isfinite(t.error)]
         front: list[Trial] = []
@@ -96,14 +107,39 @@ class WorkPrecision(Displayed):
                 front.append(trial)
         return tuple(front)
 
+    @property
+    def cut_order(self) -> float:
+        """Observed order of the error of the paper's rule in the speed of the truncation.
+
+        It is NaN if an order cannot be computed. Errors that may be due to the reference or to
+        rounding are omitted.
+        """
+        runs = [t for t in self.trials if t.sweep == "engine" and t.name == "automatic"]
+        # Truncated runs have the tightest tolerance. Errors due to that tolerance have no order.
+        steps = min(runs, key=lambda trial: trial.value).error if runs else 0.0
+        least = max(_ABOVE * max(self.truth_error, ROUNDING), 10 * steps)
+        cuts = [t for t in self.trials if t.sweep == "cut" and least < t.error < 1.0]
+        known = {t.speed: t.error for t in cuts if t.speed > 0.0}
+        if len(known) < 2:
+            return math.nan
+        speeds, errors = np.log(list(known)), np.log(list(known.values()))
+        return float(np.polyfit(speeds, errors, 1)[0])
+
+    @property
+    def expected_cut_order(self) -> int:
+        """Order of the error by theory (11): 3 for releases, 1 for the Zeno points themselves."""
+        return 3 if self.compared == "release" else 1
+
     def as_json(self) -> dict[str, Any]:
-        """Return the results as plain data; what is not finite becomes ``null``."""
+        """Return the results as plain data. Values that are not finite become ``null``."""
         front = set(map(id, self.front))
         return {
             "problem": self.problem,
             "work": self.work,
             "truth": self.truth,
             "truth_error": self.truth_error if math.isfinite(self.truth_error) else None,
+            "compared": self.compared,
+            "cut_order": self.cut_order if math.isfinite(self.cut_order) else None,
             "trials": [
                 {
                     "sweep": trial.sweep,
@@ -114,19 +150,20 @@ class WorkPrecision(Displayed):
                     "impacts": trial.n_impacts,
                     "trouble": trial.trouble,
                     "on_front": id(trial) in front,
+                    **({"speed": trial.speed} if math.isfinite(trial.speed) else {}),
                 }
                 for trial in self.trials
             ],
         }
 
     def cheapest(self, accuracy: float) -> Trial | None:
-        """Return the fastest trial that reached an accuracy, if one did."""
+        """Return the fastest trial that reached an accuracy, or ``None``."""
         return next((trial for trial in self.front if trial.error <= accuracy), None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _TrialEntry:
-    """A trial in a file; what is not finite is null."""
+    """A trial in a file. A value that is not finite is null."""
 
     sweep: str
     name: str
@@ -135,27 +172,29 @@ class _TrialEntry:
     error: float | None
     impacts: int
     trouble: str
+    speed: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _File:
-    """A file of the command `trade`."""
+    """A file of the command `work-precision`."""
 
     problem: str
     work: str
     truth: str
     truth_error: float | None
     trials: tuple[_TrialEntry, ...]
+    compared: str = "release"
 
 
 def read_work_precision(path: Path) -> WorkPrecision:
-    """Read a file that the command `trade` wrote.
+    """Read a file of the command `work-precision`.
 
     Args:
         path: The file.
 
     Raises:
-        InputError: If it is missing, cut short or of a wrong type.
+        InputError: If the file is missing, truncated or of a wrong type.
     """
     wanted = f"Trade file `{path}` must hold what `trade -o` wrote, but"
     try:
@@ -169,6 +208,7 @@ def read_work_precision(path: Path) -> WorkPrecision:
         work=found.work,
         truth=found.truth,
         truth_error=_number(found.truth_error),
+        compared=found.compared,
         trials=tuple(
             Trial(
                 sweep=entry.sweep,
@@ -178,6 +218,7 @@ def read_work_precision(path: Path) -> WorkPrecision:
                 error=_number(entry.error),
                 n_impacts=entry.impacts,
                 trouble=entry.trouble,
+                speed=math.nan if entry.speed is None else entry.speed,
             )
             for entry in found.trials
         ),
@@ -185,5 +226,5 @@ def read_work_precision(path: Path) -> WorkPrecision:
 
 
 def _number(value: float | None) -> float:
-    """Return a number of a file; what was not finite was written as null."""
+    """Return a number of a file. The entry null stands for a value that is not finite."""
     return math.inf if value is None else value

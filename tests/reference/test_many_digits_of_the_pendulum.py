@@ -8,10 +8,10 @@ import pytest
 
 from tests.reference import reference_orbit as measured
 from tests.reference.hand_pendulum import HandPendulum
+from tests.reference.many_digits.execution import extended_execution
+from tests.reference.many_digits.fixed_point import ExtendedOrbit, extended_orbit
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.poincare import floquet_multipliers
-from zeno_orbits.precision.extended import extended_execution
-from zeno_orbits.precision.extended_fixed_point import ExtendedOrbit, extended_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")

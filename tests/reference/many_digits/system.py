@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 from flint import arb, ctx
 
+from tests.reference.many_digits.gauss import GaussFlow, ball_function
+from tests.reference.many_digits.gauss_scheme import Real
 from zeno_orbits.model import ContactQuantities, ImpactLaw, ParameterValues, Problem
-from zeno_orbits.precision.gauss import GaussFlow, ball_function
-from zeno_orbits.precision.gauss_scheme import Real
 
 State = list[Real]
 

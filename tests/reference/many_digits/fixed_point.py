@@ -21,11 +21,7 @@ from typing import Any
 import numpy as np
 from flint import ctx
 
-from zeno_orbits.arrays import Array
-from zeno_orbits.errors import InputError
-from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Section, release_section
-from zeno_orbits.precision.extended import (
+from tests.reference.many_digits.execution import (
     SPARE_DIGITS,
     ExtendedImpact,
     ExtendedPoint,
@@ -36,9 +32,13 @@ from zeno_orbits.precision.extended import (
     points,
     trace_difference,
 )
-from zeno_orbits.precision.extended_run import ExtendedRun, Trace
-from zeno_orbits.precision.extended_system import ExtendedSystem, State, relative_difference
-from zeno_orbits.precision.gauss import followed_no_further
+from tests.reference.many_digits.gauss import followed_no_further
+from tests.reference.many_digits.run import ExtendedRun, Trace
+from tests.reference.many_digits.system import ExtendedSystem, State, relative_difference
+from zeno_orbits.arrays import Array
+from zeno_orbits.errors import InputError
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import Section, release_section
 
 _SCOUT_DIGITS = 20
 """Length of the numbers in which the derivative is measured."""
@@ -178,7 +178,7 @@ class _ReturnMap:
         """Return what happens until the next release."""
         trace = ExtendedRun(self.system, until=self._horizon, releases=1).follow(x)
         if not trace.releases:
-            raise followed_no_further("There is no next release", self._horizon, x)
+            raise followed_no_further("No release follows", self._horizon, x)
         return trace
 
     def off(self, x: State, other: State) -> float:

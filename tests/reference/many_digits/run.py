@@ -15,14 +15,14 @@ from decimal import Decimal
 
 from flint import arb, ctx
 
-from zeno_orbits.errors import ChatterError, InputError
-from zeno_orbits.precision.extended_system import (
+from tests.reference.many_digits.gauss import GaussFlow, followed_no_further
+from tests.reference.many_digits.gauss_scheme import Real
+from tests.reference.many_digits.system import (
     ExtendedSystem,
     State,
     along,
 )
-from zeno_orbits.precision.gauss import GaussFlow, followed_no_further
-from zeno_orbits.precision.gauss_scheme import Real
+from zeno_orbits.errors import ChatterError, InputError
 from zeno_orbits.simulation import Mode, tail_time
 
 _CONTACT = 1e-12

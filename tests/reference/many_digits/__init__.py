@@ -1,0 +1,1 @@
+"""Executions and orbits in many digits: the truth that results in doubles are compared with."""
