@@ -37,6 +37,7 @@ PENDULUM = load_problem("motor_pendulum")
 OSCILLATOR = load_problem("forced_oscillator")
 SCALE = np.array([1.0, 1.0, 10.0, 10.0, 2.0])
 SETTINGS = SimulationSettings()
+MACHINES = Path(__file__).parents[1] / "support" / "machines"
 COARSE = ContinuationSettings(steps=FamilySteps(first=0.05, longest=0.1))
 
 
@@ -160,7 +161,7 @@ def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> 
 
 @pytest.mark.slow
 def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits() -> None:
-    from zeno_orbits.precision import extended_orbit
+    from tests.reference.many_digits.fixed_point import extended_orbit
 
     # Where 1e-5 of the restitution is left, and some milliseconds of the lock.
     orbit, value = pendulum_orbit(restitution=0.41), 0.41678
@@ -396,3 +397,24 @@ def test_the_amplitude_of_a_point_is_half_the_travel_of_the_state_that_the_probl
         for time in np.linspace(start, end, 4001)
     )
     assert orbit_amplitude(OSCILLATOR, family, point) == pytest.approx(farthest / 2, rel=1e-6)
+
+
+def test_a_family_whose_section_is_a_point_ends_where_the_motion_jumps() -> None:
+    """Every motion of the juggler is released at one phase: it returns there after 5 turns or 6."""
+    juggler = zo.load_problem(MACHINES / "juggler.py")
+    turn = 2 * math.pi / juggler.values().parameters["omega"]
+
+    def orbit_at(amplitude: float) -> ZenoOrbit | None:
+        return zo.find_orbit_by_shooting(juggler, parameters={"A": amplitude}).orbit
+
+    start = orbit_at(0.11)
+    assert start is not None
+    (family,) = zo.continue_orbit(start, "A", (0.09, 0.13), problem=juggler).families
+    assert [end.kind for end in (family.first, family.last)] == [SpecialPointKind.LOCK_VANISHES] * 2
+    low, high = family.first.at.value, family.last.at.value
+    assert low < 0.11 < high
+    assert all(abs(point.period / turn - 5) < 1e-9 for point in family.points)
+    for amplitude in (*np.linspace(low, high, 12)[1:-1], low - 1e-6, high + 1e-6):
+        found = orbit_at(float(amplitude))
+        five = found is not None and abs(found.period / turn - 5) < 1e-6
+        assert five == (low < amplitude < high)

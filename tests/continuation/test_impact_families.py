@@ -71,6 +71,7 @@ def test_the_family_in_the_amplitude_ends_by_grazing_at_one_tenth() -> None:
     assert end.at.state["speed"] == pytest.approx(0.0, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_its_fold_is_where_the_closed_form_has_a_multiplier_of_one() -> None:
     (family,) = family_in_amplitude().families
     (fold,) = [special for special in family.special if special.kind is SpecialPointKind.FOLD]
@@ -97,6 +98,7 @@ def test_longer_steps_find_the_same_points() -> None:
         assert one.at.value == pytest.approx(other.at.value, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
     values = OSCILLATOR.values(parameters={**COCO, "stop": 0.0, "omega": 2.5})
     found = continue_impacts(

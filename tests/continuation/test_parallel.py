@@ -39,9 +39,9 @@ CORES = int(joblib.cpu_count())
 PROBLEM = "forced_oscillator"
 IMPACTS = (
     *("continue", PROBLEM, "--section", "impact", "--set", "c=0.1", "--set", "stop=1"),
-    *("--set", "restitution=0.8", "--start", "speed=1", "--start", "cosine=1"),
+    *("--set", "restitution=0.8", "--initial", "speed=1", "--initial", "cosine=1"),
 )
-NEAR = (*IMPACTS, "--in", "A=0.8:1.1", "--steps", "12")
+NEAR = (*IMPACTS, "--parameter", "A=0.8:1.1", "--max-points", "12")
 """A family that takes a second."""
 
 needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
@@ -183,6 +183,7 @@ def test_a_job_that_fails_or_kills_every_worker_leaves_the_others_alone(
     assert curve.ends == ("2 steps", f"gave up: {LostPoint().reason}")
 
 
+@pytest.mark.slow
 def test_a_direction_that_kills_every_worker_is_an_end_that_was_given_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -236,10 +237,13 @@ def test_a_job_that_was_lost_is_done_again_and_gives_the_same(
     ("words", "told"),
     [
         ((*NEAR[:-1], "11"), "`settings.steps.most` is 12, not 11"),
-        ((*NEAR[:-4], "--in", "A=0.8:1.2", "--steps", "12"), "`range` is"),
-        ((*NEAR[:-4], "--in", "omega=0.9:1.1", "--steps", "12"), '`in` is "A", not "omega"'),
+        ((*NEAR[:-4], "--parameter", "A=0.8:1.2", "--max-points", "12"), "`range` is"),
+        (
+            (*NEAR[:-4], "--parameter", "omega=0.9:1.1", "--max-points", "12"),
+            '`in` is "A", not "omega"',
+        ),
         ((*NEAR, "--set", "omega=1.01"), "`parameters.omega` is 1.0, not 1.01"),
-        (("continue", "motor_pendulum", "--in", "Kd=-1.1:-0.9"), '`problem` is "forced_osc'),
+        (("continue", "motor_pendulum", "--parameter", "Kd=-1.1:-0.9"), '`problem` is "forced_osc'),
         (("map", "bouncing_ball", "--x", "m=1:2", "--y", "g=9:10"), '`work` is "continuation"'),
     ],
 )
@@ -274,6 +278,7 @@ def test_the_checkpoint_of_another_version_and_a_broken_one_are_refused(
     chunk.write_bytes(whole)
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_the_jobs_that_are_finished(
     tmp_path: Path, kept: tuple[Path, dict[str, Any]]
 ) -> None:
@@ -342,7 +347,7 @@ def test_a_stage_of_another_work_in_the_folder_is_refused(tmp_path: Path) -> Non
 # ---------------------------------------------------------------------------- killed
 
 
-LONG = ("continue", PROBLEM, "--in", "A=0.5:1.2", "--second", "stop=-0.9:-0.7")
+LONG = ("continue", PROBLEM, "--parameter", "A=0.5:1.2", "--parameter2", "stop=-0.9:-0.7")
 
 
 @needs_two

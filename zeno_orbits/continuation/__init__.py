@@ -1,17 +1,17 @@
 """Follow families of periodic orbits in a parameter, with special points, ends and boundaries.
 
-A family is followed both ways from one orbit, whether its orbits attract or not. Folds, flips,
-Neimark-Sacker and branch points and ends are located, and can be followed in a second parameter
-(`two_parameters`).
+A family is followed in both directions from one orbit. Its orbits may be stable or unstable. Folds,
+period doublings (flips), Neimark-Sacker points, branch points and ends are located. They can be
+followed in a second parameter (`two_parameters`).
 
 Offers: `continue_orbit` and `continue_impacts`, which return a `Continuation` of `Family`; how to
 follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, `Crew` (workers);
 `start_orbit` and `values_inside`; `orbit_amplitude` of a point of a family.
 
-Imports: search, orbits, simulation, model, work, arrays, errors.
+Imports: search, orbits, simulation, model, work, arrays, kinds, errors.
 
-To find a fault in a family, read in this order: `continuation` (what is asked), `setup` (where it
-starts), `branch` (steps and ends), `corrector` (one point), `return_maps` (one return).
+To find a fault in a family, read in this order: `continuation` (the arguments), `setup` (the start
+of the family), `branch` (steps and ends), `corrector` (one point), `return_maps` (one return).
 """
 
 import lazy_loader as lazy

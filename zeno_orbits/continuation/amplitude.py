@@ -1,4 +1,4 @@
-"""The amplitude of an orbit of a family, of the state that its problem names."""
+"""The amplitude of an orbit of a family, in the state that its problem names."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from zeno_orbits.model import Problem
 from zeno_orbits.simulation import extent_of, simulate
 
 _SHORT = 1e-3
-"""Part of the period below which an arc has no extremes but those of its neighbours."""
+"""Part of the period below which the extremes of an arc are taken from its neighbours."""
 
 
 def orbit_amplitude(problem: Problem, family: Family, point: FamilyPoint) -> float:
-    """Return half the travel of a problem's `amplitude_of` state over a period of an orbit.
+    """Return half the range of a problem's `amplitude_of` state over a period of an orbit.
 
     The orbit is simulated for one period from its state on the section.
 
     Args:
         problem: The problem.
-        family: A family of it.
-        point: A point of the family; at an end, the limit of its orbits.
+        family: A family of the problem.
+        point: A point of the family. At an end, it is the limit of the orbits.
 
     Returns:
-        The amplitude in the unit of the state; NaN if the orbit cannot be simulated, which may
-        happen at the limit of an end.
+        The amplitude in the unit of the state. It is NaN if the orbit cannot be simulated, which
+        may happen at an end.
     """
     values = problem.values(gains=family.gains, parameters=family.parameters)
     dynamics = problem.dynamics(values.replaced({family.parameter: point.value}))

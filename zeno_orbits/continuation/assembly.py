@@ -1,4 +1,4 @@
-"""Both directions of a family joined, in the names of its problem."""
+"""Join both directions of a family, with the names of its problem."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.branch import Branch
+from zeno_orbits.continuation.branch import LEAST_DOUBT, Branch
 from zeno_orbits.continuation.corrector import BranchPoint
 from zeno_orbits.continuation.families import Family, FamilyPoint, SpecialPoint
 from zeno_orbits.continuation.return_maps import Margin
@@ -19,11 +19,11 @@ from zeno_orbits.model import Problem
 
 @dataclass(frozen=True, kw_only=True)
 class FollowedFamily:
-    """A family with what is needed to follow branches and curves from it.
+    """A family, with the data from which branches and curves are followed.
 
     Attributes:
         family: The family.
-        setup: What it was followed on.
+        setup: The setup of the family.
         special: Its special points.
         ends: Its located ends, each with the last points before it.
     """
@@ -41,13 +41,13 @@ def whole_family(
 
     Args:
         problem: The problem.
-        setup: What the family was followed on.
-        backward: One direction; without points if the family starts at an end.
-        forward: The other one.
+        setup: The setup of the family.
+        backward: One direction. It has zero points if the family starts at an end.
+        forward: The opposite direction.
     """
     names = _Names(problem=problem, setup=setup)
     before = len(backward.points)
-    # The start is the first point of both, but a family may grow in one direction only.
+    # Both directions begin at the start, unless the family is followed in one direction only.
     shared = 1 if before else 0
     points = (*backward.points[::-1], *forward.points[shared:])
     special = [
@@ -70,6 +70,7 @@ def whole_family(
             special=tuple(special),
             first=names.end(backward, points[0], 0),
             last=names.end(forward, points[-1], len(points) - 1),
+            resolution=setup.metric.unit * max(backward.doubt, forward.doubt, LEAST_DOUBT),
         ),
         setup=setup,
         special=tuple(located),
@@ -82,11 +83,15 @@ def whole_family(
 
 
 _AHEAD, _AWAY_FROM_END = 0.005, 0.2
-"""Distance from an end, in the parameter's range or else in all, from which its curve is found."""
+"""Distance from an end at which its curve is started: in the parameter's range, or in all scaled
+coordinates."""
 
 
 def _leading(points: tuple[BranchPoint, ...], end: Located) -> tuple[BranchPoint, ...]:
-    """Return two neighbours before an end, as near to it as a step of its curve may stray."""
+    """Return two neighbours before an end, at about the distance from which its curve is started.
+
+    The second is the last point at least that far from the end.
+    """
     far = [
         k
         for k, point in enumerate(points)
@@ -99,30 +104,32 @@ def _leading(points: tuple[BranchPoint, ...], end: Located) -> tuple[BranchPoint
 
 @dataclass(frozen=True, kw_only=True)
 class _Names:
-    """The names of a problem, by which points of a branch become points of a family."""
+    """The names of a problem, with which points of a branch become points of a family."""
 
     problem: Problem
     setup: Setup
 
     def point(self, point: BranchPoint) -> FamilyPoint:
-        """Return a point of a branch in names."""
+        """Return a point of a branch as a point of the family."""
         return FamilyPoint(
             value=point.s,
             state=self._state(point.x),
             period=point.found.time,
             multipliers=point.multipliers,
+            multiplier_error=point.multiplier_error,
             margins=self._margins(point.found.margins),
             miss=point.miss,
         )
 
     def special(self, located: Located, index: int) -> SpecialPoint:
-        """Return a special point in names, after the point of a place in the family."""
+        """Return a special point, after the point with an index in the family."""
         x, s = self.setup.metric.of_place(located.z)
         at = replace(
             self.point(located.point),
             value=s,
             state=self._state(x),
             period=located.period,
+            multiplier_error=located.multiplier_error,
             margins=self._margins(located.margins),
         )
         also = ", ".join(kind.value for kind in located.also)
@@ -135,12 +142,12 @@ class _Names:
         )
 
     def end(self, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:
-        """Return the end of a branch in names; its last point if the end was not located.
+        """Return the end of a branch, or its last point if the end was not located.
 
         Args:
             branch: The branch.
             last: Its last point.
-            index: Place of that point in the family.
+            index: Index of that point in the family.
         """
         if branch.end is not None:
             return self.special(branch.end, index)
@@ -152,7 +159,7 @@ class _Names:
         return dict(zip(self.problem.state_names, x.tolist(), strict=True))
 
     def _margins(self, margins: Mapping[Margin, float]) -> dict[str, float]:
-        """Return margins by their words, with the return's number where there are several."""
+        """Return margins by name. The name has the number of the return if there are several."""
         return {
             margin.loss.value
             if self.setup.n_returns == ONE_RETURN

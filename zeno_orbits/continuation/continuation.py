@@ -1,9 +1,10 @@
-r"""Families of periodic orbits in a gain or a parameter, stable or not.
+r"""Families of periodic orbits in a gain or a parameter, stable or unstable.
 
-From one orbit the family is followed both ways until it ends, and every point at which it changes
-its character is located and named. Numbers that the problem derives from others, as the motor
-pendulum's calibrated constants, are held at their values at the start: the family is that of one
-machine of which one number changes. Source: [Keller1977]_, theory (37) to (40).
+From one orbit the family is followed in both directions until it ends. Every point at which its
+character changes is located and named. A problem may derive parameters from others, such as the
+motor pendulum's calibrated constants. Derived parameters are held at their values at the start, so
+the family belongs to one machine of which one parameter changes. Source: [Keller1977]_, theory (37)
+to (40).
 """
 
 from __future__ import annotations
@@ -27,20 +28,22 @@ from zeno_orbits.continuation.setup import (
 )
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
+from zeno_orbits.kinds import Checked
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ONE_ZENO, ZenoOrbit
 from zeno_orbits.search import close_orbit, find_orbit
+from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import Progress, plain, silent, versions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SecondParameter:
-    """A second parameter, in which special points are followed, too.
+class SecondParameter(Checked):
+    """A second parameter, in which special points are also followed.
 
     Attributes:
         name: Name of a gain or a parameter.
         box: Its range, lower end first.
-        kinds: Which kinds of special points to follow.
+        kinds: Kinds of special points to follow.
     """
 
     name: str
@@ -59,20 +62,20 @@ def continue_orbit(
     on_progress: Progress = silent,
     crew: Crew | None = None,
 ) -> Continuation:
-    """Return the family of an orbit in a gain or a parameter, and what branches off it.
+    """Return the family of an orbit in a gain or a parameter, and its bifurcating branches.
 
     Args:
         problem: The problem.
-        orbit: An orbit of it; its parameter must lie in the box.
+        orbit: An orbit of the problem. Its parameter must lie in the box.
         parameter: Name of a gain or a parameter.
-        box: Range in which to follow it, lower end first.
+        box: Range of the parameter, lower end first.
         second: A second parameter, if special points are to be followed in both.
-        settings: How to follow families.
+        settings: Settings of the continuation.
         on_progress: Called with each point.
-        crew: Workers; by default this process does it all.
+        crew: Workers. By default this process runs all jobs.
 
     Raises:
-        InputError: If a name or a range does not fit, or the orbit is of another problem.
+        InputError: If a name or a range does not fit, or the orbit belongs to another problem.
         SimulationError: If the orbit does not close.
         WorkError: If the work cannot be finished.
     """
@@ -93,21 +96,21 @@ def continue_impacts(
     on_progress: Progress = silent,
     crew: Crew | None = None,
 ) -> Continuation:
-    """Return the family of the orbit with one impact a turn that a motion settles to.
+    """Return the family of the attracting orbit with one impact per turn.
 
     Args:
         problem: The problem.
-        values: Its numbers at the start.
-        state: Initial state of the motion, ``(n_x,)``.
+        values: Its parameter values at the start.
+        state: Initial state of a motion that converges to the orbit, ``(n_x,)``.
         parameter: Name of a gain or a parameter.
-        box: Range in which to follow it, lower end first.
-        settings: How to follow families.
+        box: Range of the parameter, lower end first.
+        settings: Settings of the continuation.
         on_progress: Called with each point.
-        crew: Workers; by default this process does it all.
+        crew: Workers. By default this process runs all jobs.
 
     Raises:
         InputError: If a name or a range does not fit.
-        SimulationError: If the impacts do not settle.
+        SimulationError: If the impacts do not converge.
         WorkError: If the work cannot be finished.
     """
     settings = settings or ContinuationSettings()
@@ -119,17 +122,17 @@ def continue_impacts(
 def continue_from(
     start: FamilyStart, dispatch: Dispatch, *, second: SecondParameter | None = None
 ) -> Continuation:
-    """Return the family through a state of a section, and what branches off it.
+    """Return the family through a state of a section, and its bifurcating branches.
 
     Args:
-        start: Where it begins.
-        dispatch: The problem, the settings, and who runs the jobs.
+        start: The start of the family.
+        dispatch: The problem, the settings, and the processes that run the jobs.
         second: A second parameter, if special points are to be followed in both.
 
     Raises:
         InputError: If the second parameter does not fit, the crew has another problem, or its
             checkpoint belongs to other work.
-        SimulationError: If there is no fixed point near.
+        SimulationError: If there is no fixed point nearby.
         WorkError: If the work cannot be finished.
     """
     identity = _identity(start, dispatch)
@@ -149,13 +152,15 @@ def values_inside(
     boxes: Mapping[str, tuple[float, float]],
     given: Mapping[str, float],
 ) -> ParameterValues:
-    """Return numbers to start at: mid-range for what lies outside its range and nobody has set.
+    """Return parameter values to start at, inside the ranges of a continuation.
+
+    A value outside its range is replaced by the middle of the range, unless it was given.
 
     Args:
         problem: The problem.
-        values: Its numbers.
-        boxes: Name to range of what a family is followed in.
-        given: Name to number of what was set, which stays as it is.
+        values: Its parameter values.
+        boxes: Range by name, for each parameter of the continuation.
+        given: Value by name, for each parameter that was given. These values are kept.
     """
     moved = {
         name: (low + high) / 2
@@ -168,22 +173,22 @@ def values_inside(
 def start_orbit(
     problem: Problem, values: ParameterValues, *, on_progress: Progress = silent
 ) -> ZenoOrbit:
-    """Return the orbit at given numbers that a motion settles to.
+    """Return the attracting orbit at given parameter values.
 
-    By simulation alone, and where that does not close one, by the search.
+    The orbit is computed by simulation alone. If it does not close, it is computed by the search.
 
     Args:
         problem: The problem.
-        values: Its numbers.
+        values: Its parameter values.
         on_progress: Called with each stage.
 
     Raises:
-        OrbitNotFoundError: If the motion settles to no such orbit.
+        OrbitNotFoundError: If the motion does not converge to such an orbit.
     """
     try:
         closing = close_orbit(problem, values, on_progress=on_progress, shape=ONE_ZENO)
     except InputError:
-        # A rough simulation may drift off a holonomic row; the search is no worse for it.
+        # A rough simulation may drift off a holonomic row. The search does not depend on it.
         closing = None
     if closing is not None and closing.orbit is not None:
         return closing.orbit
@@ -199,7 +204,7 @@ def _continuation(
 
 
 def _identity(start: FamilyStart, dispatch: Dispatch) -> dict[str, Any]:
-    """Return all that a family depends on, as plain data."""
+    """Return the complete input of a family as plain data."""
     setup = start.setup
     return {
         "problem": dispatch.problem.name,
@@ -210,12 +215,13 @@ def _identity(start: FamilyStart, dispatch: Dispatch) -> dict[str, Any]:
         "section": plain(setup.section),
         "start": [*start.x.tolist(), start.s],
         "settings": plain(dispatch.settings, "settings"),
+        "simulator": simulator_in_use(),
         "versions": versions(),
     }
 
 
 def _families(start: FamilyStart, dispatch: Dispatch) -> list[FollowedFamily]:
-    """Return the family through a state, and those that flips throw off."""
+    """Return the family through a state, and the families that branch off at flips."""
     found = [_both_directions(start, dispatch)]
     latest = list(found)
     for generation in range(dispatch.settings.doublings):

@@ -1,13 +1,15 @@
-r"""Points of a family of fixed points, and Newton's method that leads to them.
+r"""Points of a family of fixed points, computed by Newton's method.
 
 With the section coordinates `y` and the parameter `s`, a family solves :math:`P(y, s) - y = 0`.
-Everything is measured in scaled ambient terms, :math:`z = (x / \mathrm{scale}, s / \mathrm{unit})`,
-so that a chart can be laid anew around every iterate and none is ever left. Theory (37).
+All distances are measured in scaled ambient coordinates,
+:math:`z = (x / \mathrm{scale}, s / \mathrm{unit})`. So every iterate gets a new chart around it,
+and iterates cannot leave a chart. Theory (37).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,9 +21,12 @@ from zeno_orbits.orbits import Section
 
 _MOST_ITERATIONS = 9
 CLOSED = 2e-11
-"""Miss of a return, in scaled states, that counts as zero."""
+"""Largest difference of a return from its start, in scaled states, that counts as zero."""
 STALLED = 2e-9
-"""Miss that rounding may leave near an end of a family; more is no point of it."""
+"""Largest difference of a return from its start that rounding may cause near an end of a family.
+
+A point with a larger difference is not a point of the family.
+"""
 _CONTRACTION = 0.5
 
 
@@ -40,12 +45,40 @@ class FamilyMetric:
     horizon: float
 
     def place(self, x: Vector, s: float) -> Vector:
-        """Return the ambient place of a state and a parameter, ``(n_x + 1,)``."""
+        """Return the ambient point of a state and a parameter, ``(n_x + 1,)``."""
         return np.append(x / self.scale, s / self.unit)
 
+    def waiting_for(self, period: float, *, longer: float) -> FamilyMetric:
+        """Return the same units with the longest waiting time for orbits of a period.
+
+        Args:
+            period: Period of the last orbit [s].
+            longer: Longest time to wait, in periods.
+        """
+        return replace(self, horizon=longer * period)
+
     def of_place(self, z: Vector) -> tuple[Vector, float]:
-        """Return the state and the parameter at an ambient place."""
+        """Return the state and the parameter at an ambient point."""
         return z[:-1] * self.scale, float(z[-1]) * self.unit
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """Test functions at a point of a family, their derivatives along it, and their errors.
+
+    Attributes:
+        values: Test functions in the order of `KINDS`, ``(4,)``.
+        slopes: Derivatives with respect to scaled arclength, ``(4,)``.
+        errors: Estimated errors of the values, ``(4,)``. Infinite if no estimate exists.
+        bend: Derivative of the unit tangent with respect to scaled arclength, ``(n_x + 1,)``.
+        multiplier_error: Estimated error of the multipliers. Infinite if no estimate exists.
+    """
+
+    values: Vector
+    slopes: Vector
+    errors: Vector
+    bend: Vector
+    multiplier_error: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,11 +88,14 @@ class BranchPoint:
     Attributes:
         x: State on the section, ``(n_x,)``.
         s: Parameter.
-        z: Both in scaled terms, ``(n_x + 1,)``.
-        tangent: Unit tangent of the family there, ``(n_x + 1,)``.
+        z: State and parameter in scaled ambient coordinates, ``(n_x + 1,)``.
+        tangent: Unit tangent of the family at the point, ``(n_x + 1,)``.
         jacobian: :math:`\partial P / \partial y`, ``(d, d)``.
+        regularity: Determinant of the rows :math:`(\partial_y P - 1, \partial_s P)` above the unit
+            null vector of these rows. It changes sign at a branch point only.
         found: The return.
         miss: Largest difference of the return from the state, in scaled states.
+        course: Test functions, their derivatives and errors, if they were computed.
     """
 
     x: Vector
@@ -67,13 +103,20 @@ class BranchPoint:
     z: Vector
     tangent: Vector
     jacobian: Vector
+    regularity: float
     found: DifferentiatedReturn
     miss: float
+    course: Course | None = None
 
     @cached_property
     def multipliers(self) -> tuple[complex, ...]:
         """Floquet multipliers, the largest first."""
         return eigenvalues(self.jacobian)
+
+    @property
+    def multiplier_error(self) -> float:
+        """Estimated error of the multipliers. Infinite if no estimate exists."""
+        return math.inf if self.course is None else self.course.multiplier_error
 
 
 def correct(
@@ -84,28 +127,29 @@ def correct(
     *,
     fixed: Vector | None = None,
 ) -> BranchPoint:
-    r"""Return the point of the family in the plane through a place, at right angles to a tangent.
+    r"""Return the point of the family in the plane through a given point, normal to a tangent.
 
     .. math::
         \begin{pmatrix} \partial_y P - 1 & \partial_s P\\ t^\top \partial_y z & t^\top \partial_s z
         \end{pmatrix} \begin{pmatrix}\delta y\\ \delta s\end{pmatrix} =
         - \begin{pmatrix} P - y\\ t^\top (z - z_0) \end{pmatrix}
 
-    with `s` in units of its range: of very different columns rounding leaves only the largest.
+    with `s` in units of its range. If the columns had very different sizes, rounding would erase
+    all but the largest.
 
     Args:
         returns: The return map.
         metric: Units.
-        z: The place :math:`z_0`, ``(n_x + 1,)``.
-        along: The tangent `t`, whose sense the new tangent gets, ``(n_x + 1,)``.
-        fixed: Normal of another plane, if not the tangent.
+        z: The given point :math:`z_0`, ``(n_x + 1,)``.
+        along: The tangent `t`, ``(n_x + 1,)``. It fixes the sense of the new tangent.
+        fixed: Normal of the plane. By default it is the tangent.
 
     Raises:
         SimulationError: If Newton's method does not converge.
-        ZenoOrbitsError: If a return fails on the way.
+        ZenoOrbitsError: If a return fails.
     """
     normal = along if fixed is None else fixed
-    # A parameter at an end of its range must not leave it by a rounding error.
+    # A parameter at an end of its range must not leave the range by a rounding error.
     is_held = fixed is not None and not fixed[:-1].any()
     x, s = metric.of_place(z)
     before = np.inf
@@ -125,7 +169,7 @@ def correct(
         x = x + metric.scale * (ambient[:-1] @ change)
         s = s if is_held else s + metric.unit * float(change[-1])
         if max(miss, abs(off)) <= CLOSED or stalled:
-            # The last correction is too small to be worth another return.
+            # The last correction is so small that another return is not needed.
             return _point(x, s, metric, rows, ambient, found, miss, along)
         before = miss
     raise SimulationError(
@@ -136,10 +180,10 @@ def correct(
 
 
 def corrected_again(returns: ReturnMap, metric: FamilyMetric, point: BranchPoint) -> BranchPoint:
-    """Return a point after one more correction, however small its miss is.
+    """Return a point after one more Newton correction, however small the correction is.
 
     Args:
-        returns: The return map, at another accuracy than the one of the point for instance.
+        returns: The return map, for instance at a different accuracy.
         metric: Units.
         point: The point.
 
@@ -156,15 +200,36 @@ def corrected_again(returns: ReturnMap, metric: FamilyMetric, point: BranchPoint
     return correct(returns, metric, place, point.tangent)
 
 
-def first_point(
-    returns: ReturnMap, metric: FamilyMetric, x: Vector, s: float, *, rising: bool
-) -> BranchPoint:
-    """Return the point of the family at a parameter, its tangent with the parameter or against it.
+def evaluated(returns: ReturnMap, metric: FamilyMetric, z: Vector, along: Vector) -> BranchPoint:
+    """Return the return map and its derivatives at a point, without a correction.
 
     Args:
         returns: The return map.
         metric: Units.
-        x: A state near it, ``(n_x,)``.
+        z: The point, ``(n_x + 1,)``.
+        along: Tangent that fixes the sense of the new tangent, ``(n_x + 1,)``.
+
+    Raises:
+        ZenoOrbitsError: If the return fails.
+    """
+    x, s = metric.of_place(z)
+    x = returns.projected(x, s, metric.scale)
+    here = returns.frame(x, s, metric.scale)
+    found = returned(returns, x, s, metric)
+    rows, ambient = linearized(here, found, metric)
+    miss = float(np.max(np.abs(here.components(found.end - x)), initial=0.0))
+    return _point(x, s, metric, rows, ambient, found, miss, along)
+
+
+def first_point(
+    returns: ReturnMap, metric: FamilyMetric, x: Vector, s: float, *, rising: bool
+) -> BranchPoint:
+    """Return the point of the family at a parameter, with a tangent of a given sense.
+
+    Args:
+        returns: The return map.
+        metric: Units.
+        x: A state near the point, ``(n_x,)``.
         s: The parameter.
         rising: True if the parameter rises along the tangent.
 
@@ -187,27 +252,28 @@ def returned(returns: ReturnMap, x: Vector, s: float, metric: FamilyMetric) -> D
         metric: Units, and the time to wait.
 
     Raises:
-        SimulationError: If numbers ran out of range on the way.
+        SimulationError: If a computed value is out of range.
     """
     if not (np.all(np.isfinite(x)) and np.isfinite(s)):
         raise SimulationError("Newton's method diverges", time=0.0, state=tuple(x.tolist()))
     try:
         return returns.follow(x, s, horizon=metric.horizon)
     except (InputError, np.linalg.LinAlgError, OverflowError) as error:
-        # A trial far off the family may be no state of the machine, or run away unstopped.
+        # A trial far from the family may be an invalid state, or its motion may diverge.
         raise SimulationError(str(error), time=metric.horizon, state=tuple(x.tolist())) from error
 
 
 def linearized(
     here: Section, found: DifferentiatedReturn, metric: FamilyMetric
 ) -> tuple[Vector, Vector]:
-    """Return the derivative of `P - y` and of the ambient place.
+    """Return the derivatives of `P - y` and of the ambient point.
 
-    By the coordinates, then by the parameter in units of its range.
+    The first columns are derivatives with respect to the coordinates. The last column is the
+    derivative with respect to the parameter in units of its range.
 
     Args:
         here: The section around the state.
-        found: The return from it.
+        found: The return from the state.
         metric: Units.
 
     Returns:
@@ -240,13 +306,14 @@ def _point(
     tangent = ambient @ direction
     tangent = tangent / np.linalg.norm(tangent)
     if tangent @ along < 0.0:
-        tangent = -tangent
+        tangent, direction = -tangent, -direction
     return BranchPoint(
         x=x,
         s=s,
         z=metric.place(x, s),
         tangent=tangent,
         jacobian=rows[:, :d] + np.eye(d),
+        regularity=float(np.linalg.det(np.concatenate([rows, direction[None, :]]))),
         found=found,
         miss=miss,
     )

@@ -1,11 +1,12 @@
 r"""Ends of a family: the limit at which one of its margins vanishes.
 
-At an end the family exists on one side only. It is approached in a variable in which it is smooth
-up to the end, and the last stretch is extrapolated. Theory (39) and (40).
+At an end the family exists on one side only. The end is approached in a variable in which the
+family is smooth up to the end. The last part of the family is extrapolated. Theory (39) and (40).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,6 +18,7 @@ from zeno_orbits.continuation.lock_end import locate_cut
 from zeno_orbits.continuation.margins import ENDS, Threat, causes, stages
 from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.continuation.subdivision import neville
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 
 
@@ -26,16 +28,16 @@ def locate_end(
     points: Sequence[BranchPoint],
     threat: Threat,
 ) -> Located:
-    """Return the end of a family at which a margin is zero, by the name of what causes it.
+    """Return the end of a family at which a margin is zero, with its cause as its kind.
 
     Args:
         returns: The return map.
         metric: Units.
-        points: Points in order, the last one near the end.
+        points: Points in order. The last point is near the end.
         threat: The margin that vanishes.
 
     Raises:
-        ZenoOrbitsError: If it cannot be closed in on.
+        ZenoOrbitsError: If the end cannot be approached.
     """
     found = _located(returns, metric, points, threat)
     if not found.path:
@@ -69,7 +71,7 @@ def _better(
     points: Sequence[BranchPoint],
     cause: Threat,
 ) -> Located:
-    """Return an end as its cause leads to it, if that tells better where it is."""
+    """Return an end located by the margin of its cause, if the error estimate is smaller."""
     try:
         other = _located(returns, metric, points, cause)
     except ZenoOrbitsError:
@@ -78,7 +80,7 @@ def _better(
 
 
 def _limits(before: BranchPoint, last: BranchPoint, gone: Margin) -> dict[Margin, float]:
-    """Return margins where one of them vanishes, on a line through the last two points."""
+    """Return the margins at an end by linear extrapolation to the zero of one of them."""
     early, late = before.found.margins, last.found.margins
     part = late[gone] / (early[gone] - late[gone])
     return {
@@ -95,10 +97,12 @@ _GOOD = 1e-11
 def _approach(
     returns: ReturnMap, metric: FamilyMetric, before: BranchPoint, last: BranchPoint, margin: Margin
 ) -> Located:
-    """Return the limit of points at which a margin is halved again and again."""
+    """Return the limit of a sequence of points along which a margin is halved repeatedly."""
     nodes, unit = [before, last], last.found.time
+    patience, stalls = metric.horizon / unit, margin.loss is Loss.FREQUENCY
     best: tuple[float, Vector] | None = None
     for _ in range(_HALVINGS):
+        metric = metric.waiting_for(nodes[-1].found.time, longer=patience)
         try:
             nodes.append(_halved(returns, metric, nodes, margin))
         except ZenoOrbitsError:
@@ -109,8 +113,10 @@ def _approach(
         if len(used) < 4:
             continue
         values = [node.found.margins[margin] for node in used]
-        rows = np.array([np.append(node.z, node.found.time / unit) for node in used])
-        limit, error = _neville(np.array(values), rows)
+        times = [0.0 if stalls else node.found.time / unit for node in used]
+        rows = np.array([np.append(node.z, time) for node, time in zip(used, times, strict=True)])
+        limit, change = neville(np.array(values), rows)
+        error = float(np.max(change))
         if best is None or error < best[0]:
             best = (error, limit)
         elif error > 10 * best[0]:
@@ -125,7 +131,7 @@ def _approach(
         kind=ENDS[margin.loss],
         point=nodes[-1],
         z=limit[:-1],
-        period=float(limit[-1]) * unit,
+        period=math.inf if stalls else float(limit[-1]) * unit,
         error=error * metric.unit,
         margins=_limits(nodes[-2], nodes[-1], margin),
         place=margin.place,
@@ -136,7 +142,10 @@ def _approach(
 def _noise(
     returns: ReturnMap, metric: FamilyMetric, nodes: Sequence[BranchPoint], margin: Margin
 ) -> float:
-    """Return by how much a looser computation moves the nearest points to an end, and it."""
+    """Return an estimate of the change of an end at a looser tolerance.
+
+    It is computed from the changes of the two points nearest to the end.
+    """
     before, last = nodes[-2:]
     fall = last.found.margins[margin] - before.found.margins[margin]
     slope = abs(float(last.z[-1] - before.z[-1]) / fall)
@@ -155,14 +164,14 @@ def _noise(
 def _halved(
     returns: ReturnMap, metric: FamilyMetric, nodes: Sequence[BranchPoint], margin: Margin
 ) -> BranchPoint:
-    """Return a point at which a margin is about half that of the last one."""
+    """Return a point at which a margin is about half its value at the last point."""
     used = nodes[-4:]
     values = np.array([node.found.margins[margin] for node in used])
     rows = np.array([node.z for node in used])
     part = 0.5
     last = nodes[-1]
     for _ in range(6):
-        target, _ = _neville(values - part * values[-1], rows)
+        target, _ = neville(values - part * values[-1], rows)
         try:
             point = correct(returns, metric, target, last.tangent)
             value = point.found.margins.get(margin)
@@ -173,17 +182,3 @@ def _halved(
                 return point
         part = (1 + part) / 2
     raise SimulationError("The end cannot be approached", time=0.0, state=())
-
-
-def _neville(places: Vector, rows: Vector) -> tuple[Vector, float]:
-    """Return the value at 0 of the polynomial through rows at places, and the last change."""
-    table = list(rows)
-    previous = table[-1]
-    for order in range(1, len(table)):
-        previous = table[-1]
-        table = [
-            (places[k + order] * table[k] - places[k] * table[k + 1])
-            / (places[k + order] - places[k])
-            for k in range(len(table) - 1)
-        ]
-    return table[0], float(np.max(np.abs(table[0] - previous)))

@@ -1,7 +1,8 @@
-"""Families of orbits as values: points, special points, ends, and their JSON."""
+"""Results of a continuation: families, their points, special points and ends, and their JSON."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -14,7 +15,7 @@ FORMAT = 1
 
 
 class SpecialPointKind(Enum):
-    """Kinds of special points of a family. The value is the word shown to the user."""
+    """Kinds of special points of a family. The value is the name in the output."""
 
     START = "start"
     FOLD = "fold"
@@ -29,6 +30,7 @@ class SpecialPointKind(Enum):
     RELEASE_LOST = "release not transversal"
     EARLIER_RELEASE = "earlier release"
     AMPLITUDE_ZERO = "amplitude zero"
+    PERIOD_INFINITE = "period to infinity"
     BOUND = "end of the range"
     CLOSED = "family closes"
     REJOINS = "joins half the period"
@@ -37,7 +39,7 @@ class SpecialPointKind(Enum):
 
     @property
     def located(self) -> bool:
-        """True if it is a point of the problem; False where the continuation starts or stops."""
+        """True for a point of the problem, False for a start or stop of the continuation."""
         return self not in _OF_THE_CONTINUATION
 
 
@@ -55,7 +57,10 @@ _ON_THE_UNIT_CIRCLE = (
     SpecialPointKind.TORUS,
     SpecialPointKind.BRANCHING,
 )
-"""Where a multiplier has modulus 1: that rounding leaves it below says nothing of stability."""
+"""Kinds at which a multiplier has modulus 1.
+
+If rounding leaves the modulus below 1, the orbit is not therefore stable.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,12 +68,13 @@ class FamilyPoint:
     """An orbit of a family.
 
     Attributes:
-        value: Of the parameter that the family is followed in.
+        value: Value of the parameter that the family is followed in.
         state: State name to value at the section.
-        period: [s].
-        multipliers: Of the return map, the largest first.
-        margins: Margins by name, with the number of the return where there are several.
-        miss: Largest difference of the return from the state, relative.
+        period: Period [s]. Infinite at the end of a family whose motion stalls.
+        multipliers: Multipliers of the return map, the largest first.
+        margins: Margins by name. The name has the number of the return if there are several.
+        miss: Largest relative difference of the return from the state.
+        multiplier_error: Estimated error of the multipliers. Infinite if no estimate exists.
     """
 
     value: float
@@ -77,6 +83,7 @@ class FamilyPoint:
     multipliers: tuple[complex, ...]
     margins: Mapping[str, float]
     miss: float
+    multiplier_error: float = 0.0
 
     @property
     def spectral_radius(self) -> float:
@@ -85,17 +92,24 @@ class FamilyPoint:
 
     @property
     def stable(self) -> bool:
-        """True if the orbit attracts."""
-        return self.spectral_radius < 1.0
+        """True if the orbit is stable: the spectral radius is below 1 by more than its error."""
+        return self.spectral_radius + self.multiplier_error < 1.0
+
+    @property
+    def undecided(self) -> bool:
+        """True if the spectral radius differs from 1 by no more than its error."""
+        return not abs(self.spectral_radius - 1.0) > self.multiplier_error
 
     def as_json(self) -> dict[str, Any]:
         """Return the point as plain data."""
         return {
             "value": self.value,
-            "period": self.period,
+            "period": finite_or_none(self.period),
             "state": dict(self.state),
             "multipliers": [[mu.real, mu.imag] for mu in self.multipliers],
+            "multiplier_error": finite_or_none(self.multiplier_error),
             "stable": self.stable,
+            "undecided": self.undecided,
             "margins": dict(self.margins),
             "miss": self.miss,
         }
@@ -103,14 +117,14 @@ class FamilyPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpecialPoint:
-    """A point of a family with a name.
+    """A special point or an end of a family.
 
     Attributes:
-        kind: Its name.
-        at: The orbit; at an end, the limit of the orbits.
-        error: Estimated error of the parameter's value; zero where it is given.
-        index: Place among the family's points after which it comes.
-        detail: More about it.
+        kind: Its kind.
+        at: The orbit. At an end, it is the limit of the orbits.
+        error: Estimated error of the parameter's value. Zero if the value is given.
+        index: Index of the family's point before it.
+        detail: Additional information.
     """
 
     kind: SpecialPointKind
@@ -121,7 +135,7 @@ class SpecialPoint:
 
     @property
     def stable(self) -> bool:
-        """True if the orbit is known to attract, which a modulus of 1 does not tell."""
+        """True if the orbit is stable. False at a special point with a multiplier of modulus 1."""
         return self.kind not in _ON_THE_UNIT_CIRCLE and self.at.stable
 
     def as_json(self) -> dict[str, Any]:
@@ -136,8 +150,13 @@ class SpecialPoint:
         }
 
 
+def finite_or_none(value: float) -> float | None:
+    """Return a finite number unchanged and any other as ``None``, for JSON."""
+    return value if math.isfinite(value) else None
+
+
 _MOST_NAMED = 8
-"""Named points of a family, and families, that a printed value shows."""
+"""Largest number of named points per family, and of families, in a printed result."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -146,14 +165,17 @@ class Family(Displayed):
 
     Attributes:
         problem: Name of the problem.
-        parameter: Name of the number that it is followed in.
-        gains: Name to value; the parameter's own is that of the start.
-        parameters: Name to value, derived ones included: those are held fixed.
-        n_returns: Returns after which its orbits close.
+        parameter: Name of the parameter in which it is followed.
+        gains: Gains by name, with the values at the start.
+        parameters: Parameters by name, with the values at the start. Derived parameters are
+            included and held fixed.
+        n_returns: Number of returns after which its orbits close.
         points: The orbits.
         special: Special points, in order.
         first: The end before the first point.
-        last: The end after the last one.
+        last: The end after the last point.
+        resolution: Distance in the parameter below which two special points of one kind may have
+            been missed.
     """
 
     problem: str
@@ -165,6 +187,7 @@ class Family(Displayed):
     special: tuple[SpecialPoint, ...]
     first: SpecialPoint
     last: SpecialPoint
+    resolution: float = math.inf
 
     def __repr__(self) -> str:
         """Return one line: the range of the parameter and the named points."""
@@ -177,7 +200,7 @@ class Family(Displayed):
         )
 
     def _columns(self) -> Columns:
-        """Return the orbits in order, those with a name among them."""
+        """Return the orbits in order, including the named orbits."""
         return _orbits_of((self,))
 
     def _shown_columns(self) -> Columns:
@@ -193,6 +216,7 @@ class Family(Displayed):
         """Return the family as plain data."""
         return {
             "n_returns": self.n_returns,
+            "resolution": finite_or_none(self.resolution),
             "points": [point.as_json() for point in self.points],
             "special": [point.as_json() for point in self.special],
             "ends": [self.first.as_json(), self.last.as_json()],
@@ -206,11 +230,11 @@ class SpecialCurve:
     Attributes:
         kind: Its kind.
         names: The two parameters.
-        x: Values of the first, in order along the curve.
-        y: Values of the second.
-        errors: Estimated error of each point, as part of the ranges.
-        ends: Why it ends, at either end.
-        cusps: Which points are cusps of a fold, where two folds meet.
+        x: Values of the first parameter, in order along the curve.
+        y: Values of the second parameter.
+        errors: Estimated error of each point, relative to the ranges.
+        ends: Reason of the ending, at either end.
+        cusps: Indices of the points that are cusps of a fold, where two folds meet.
     """
 
     kind: SpecialPointKind
@@ -222,7 +246,7 @@ class SpecialCurve:
     cusps: tuple[int, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """Return the boundary as plain data: a polyline with a name."""
+        """Return the curve as plain data: a polyline with a name."""
         return {
             "name": self.kind.value,
             "parameters": list(self.names),
@@ -239,11 +263,11 @@ class HalfCurve:
     """A special point followed in two parameters, in one direction.
 
     Attributes:
-        x: Values of the first parameter, in order, those of the point itself included.
-        y: Values of the second.
-        errors: Estimated error of each point, as part of the ranges.
-        end: Why it ends.
-        cusps: Which points are cusps of a fold.
+        x: Values of the first parameter, in order, including the start of the curve.
+        y: Values of the second parameter.
+        errors: Estimated error of each point, relative to the ranges.
+        end: Reason of the ending.
+        cusps: Indices of the points that are cusps of a fold.
     """
 
     x: tuple[float, ...]
@@ -254,7 +278,7 @@ class HalfCurve:
 
     @property
     def closes(self) -> bool:
-        """True if it comes back to its start, so that it is the whole curve."""
+        """True if the curve returns to its start. It is then the whole curve."""
         return self.end == SpecialPointKind.CLOSED.value
 
 
@@ -269,8 +293,9 @@ def whole_curve(
     Args:
         kind: Its kind.
         names: The two parameters.
-        first: The half that the curve ends with.
-        second: The half that it begins with, backwards; not needed if the first closes.
+        first: Half of the curve from the special point to the end of the curve.
+        second: Half of the curve from the special point to the beginning of the curve. It is not
+            needed if the first half closes.
     """
     if second is None:
         second = replace(first, x=first.x[:1], y=first.y[:1], errors=first.errors[:1], cusps=())
@@ -288,12 +313,12 @@ def whole_curve(
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Continuation(Displayed):
-    """All that a continuation found.
+    """The result of a continuation.
 
     Attributes:
-        families: The family of the start, then those that branch off.
-        boundaries: Special points in two parameters.
-        versions: Name to version of what computed it.
+        families: The family of the start, then the families that branch off.
+        boundaries: Curves of special points in two parameters.
+        versions: Version by name, of the software that computed it.
     """
 
     families: tuple[Family, ...]
@@ -301,13 +326,13 @@ class Continuation(Displayed):
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def __repr__(self) -> str:
-        """Return a line a family, and the number of boundaries."""
+        """Return one line per family, and the number of boundaries."""
         shown = "".join(f"\n  {family!r}" for family in self.families[:_MOST_NAMED])
         counts = f"families={len(self.families)}, boundaries={len(self.boundaries)}"
         return f"<Continuation: {counts}{shown}>"
 
     def _columns(self) -> Columns:
-        """Return the orbits of all families, one family below the other."""
+        """Return the orbits of all families, family by family."""
         return _orbits_of(self.families)
 
     def _shown_columns(self) -> Columns:
@@ -352,7 +377,7 @@ def _orbits_of(families: Sequence[Family]) -> Columns:
 
 
 def _named_of(families: Sequence[Family]) -> Columns:
-    """Return the orbits of families that have a name."""
+    """Return the named orbits of families."""
     named = [(k, one) for k, family in enumerate(families) for one in family.named]
     return {
         "family": [k for k, _ in named],

@@ -1,7 +1,8 @@
-"""The jobs of a continuation, which do not depend on each other.
+"""The independent jobs of a continuation.
 
-A direction of a family, the branch that a flip throws off, one direction of a curve in two
-parameters: each follows from its start alone. So it is the same wherever it is done.
+A job computes one direction of a family, the branch that bifurcates at a flip, or one direction of
+a curve in two parameters. Each job depends on its start alone. So its result is the same in every
+process.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Job(Protocol[R]):
 
         Args:
             problem: The problem.
-            settings: How families and curves are followed.
+            settings: Settings of the continuation.
             on_progress: Called with each point.
 
         Raises:
@@ -49,7 +50,7 @@ class Job(Protocol[R]):
         ...
 
     def failed(self, reason: str, /) -> R:
-        """Return the result of a job that failed: its start alone."""
+        """Return the result of a failed job, which contains only its start."""
         ...
 
 
@@ -58,7 +59,7 @@ class FollowDirection:
     """Follow a family from a point along its tangent.
 
     Attributes:
-        setup: What it is followed on.
+        setup: The setup of the family.
         start: The point.
     """
 
@@ -74,26 +75,26 @@ class FollowDirection:
         return _followed(self.setup, returns, self.start, settings, on_progress)
 
     def failed(self, reason: str) -> Branch:
-        """Return the start alone."""
+        """Return a branch that contains only the start."""
         return _given_up(self.start, reason)
 
 
 _AWAY = (1e-3, 4e-3, 1.6e-2)
-"""Distances from a flip at which the branch of twice the period is looked for."""
+"""Distances from a flip at which the branch of twice the period is searched."""
 _APART = 0.2
-"""Part of that distance by which a point must differ from its own first return."""
+"""Least distance of a point from its own first return, relative to its distance from the flip."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FollowDoubling:
-    r"""Follow the family of twice the period that a flip throws off.
+    r"""Follow the family of twice the period that bifurcates at a flip (period doubling).
 
-    It leaves at right angles to the parameter, along the multiplier's own direction `v`:
-    :math:`z = z_* \pm \epsilon v + O(\epsilon^2)`. One sense is enough, as a return leads from
+    It starts normal to the parameter axis, along the eigenvector `v` of the multiplier:
+    :math:`z = z_* \pm \epsilon v + O(\epsilon^2)`. One sense is enough, because a return maps
     either half of the family to the other.
 
     Attributes:
-        setup: What the family with the flip was followed on.
+        setup: The setup of the family with the flip.
         flip: The flip.
     """
 
@@ -104,7 +105,7 @@ class FollowDoubling:
     def run(
         self, problem: Problem, settings: ContinuationSettings, on_progress: Progress
     ) -> Branch | None:
-        """Return the branch, or ``None`` if none starts near the flip."""
+        """Return the branch, or ``None`` if no branch starts near the flip."""
         point, metric = self.flip, self.setup.metric
         once, setup = self.setup.returns(problem), self.setup.doubled()
         returns = setup.returns(problem)
@@ -115,7 +116,7 @@ class FollowDoubling:
         direction /= np.linalg.norm(direction)
 
         def closes_earlier(other: BranchPoint) -> bool:
-            """Return True for an orbit that closes after half the returns."""
+            """Return True for an orbit that already closes after half the returns."""
             half = once.follow(other.x, other.s, horizon=metric.horizon)
             away = float(np.linalg.norm(other.z - point.z))
             return float(np.max(np.abs(half.end - other.x) / metric.scale)) < min(
@@ -133,7 +134,7 @@ class FollowDoubling:
         return None
 
     def failed(self, reason: str) -> Branch | None:
-        """Return the flip alone."""
+        """Return a branch that contains only the flip."""
         return _given_up(self.flip, reason)
 
 
@@ -142,7 +143,7 @@ class FollowHalfCurve:
     """Follow a special point in two parameters, in one direction.
 
     Attributes:
-        setup: What its family was followed on.
+        setup: The setup of its family.
         plane: The two parameters.
         start: The point.
         upwards: True if the second parameter rises at first.
@@ -168,7 +169,7 @@ class FollowHalfCurve:
         return half_boundary(setup, self.start, upwards=self.upwards)
 
     def failed(self, reason: str) -> HalfCurve:
-        """Return the point alone."""
+        """Return a curve that contains only the point."""
         return HalfCurve(
             x=self.start.value[:1],
             y=self.start.value[1:],

@@ -1,7 +1,7 @@
-r"""The end at which a locked arc vanishes, from sequences of impacts that are cut ever later.
+r"""The end at which a contact phase vanishes, as the limit of truncated impact sequences.
 
-There the Zeno point is not differentiable, but a return cut after some impacts is, on both sides of
-the end. Theory (39).
+At this end the Zeno point is not differentiable. A return that is truncated after some impacts is
+differentiable on both sides of the end. Theory (39).
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.continuation.test_functions import with_course
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 
 _ROOT = 1e-13
 _GOOD = 1e-11
 _REACH = 4.0
-"""Distance of an end from the last point, as a multiple of the predicted one."""
+"""Largest distance of an end from the last point, as a multiple of the predicted distance."""
 _MOST_IMPACTS = 400
 _MOST_FIRST_CUTS = 8
-"""Cuts that are tried as the first one."""
+"""Number of truncations that are tried as the first of the sequence."""
 _FIRST_STEP = 1e-4
 
 
@@ -38,17 +39,17 @@ def locate_cut(
     margin: Margin,
     distance: float,
 ) -> Located:
-    """Return where the locked arc vanishes beyond a point of the family.
+    """Return the end beyond a point of the family at which the contact phase vanishes.
 
     Args:
         returns: The return map.
         metric: Units.
         last: The last point of the family.
-        margin: The locked time, of one of several returns.
+        margin: The contact duration, of one of several returns.
         distance: Rough distance of the end.
 
     Raises:
-        ZenoOrbitsError: If it does not vanish near.
+        ZenoOrbitsError: If the contact phase does not vanish nearby.
     """
     near = _Near(centre=last.z, reach=_REACH * distance)
     trouble: ZenoOrbitsError | None = None
@@ -56,7 +57,8 @@ def locate_cut(
         try:
             found = _cut_ever_later(returns, metric, here, n, _FIRST_STEP, margin.place, near)
         except ZenoOrbitsError as error:
-            # The root of a cut nears the end as (sigma/kappa)^n: after few impacts it may be far.
+            # The root of a truncation converges to the end as (sigma/kappa)^n. It may be far from
+            # the end after few impacts.
             trouble = error
             continue
         return replace(found, margins={**last.found.margins, margin: 0.0})
@@ -70,17 +72,17 @@ def locate_cut_near(
     along: Vector,
     place: int,
 ) -> Located:
-    """Return where the locked arc vanishes near a place at which it is expected to.
+    """Return the end at which the contact phase vanishes, near an estimate of it.
 
     Args:
         returns: The return map.
         metric: Units.
-        z: The place, ``(n_x + 1,)``.
-        along: Tangent of the family there, roughly, ``(n_x + 1,)``.
-        place: The return in which it is.
+        z: The estimate, ``(n_x + 1,)``.
+        along: Approximate tangent of the family at the estimate, ``(n_x + 1,)``.
+        place: Index of the return with that contact phase.
 
     Raises:
-        ZenoOrbitsError: If it does not.
+        ZenoOrbitsError: If the contact phase does not vanish nearby.
     """
     for n in _KNOWN_CUTS:
         try:
@@ -88,15 +90,16 @@ def locate_cut_near(
             near = _Near(centre=here.z, reach=_BESIDE)
             return _cut_ever_later(returns, metric, here, n, _FIRST_STEP, place, near)
         except ZenoOrbitsError:
-            # Beyond the end a sequence is let go, the later the nearer: fewer impacts still are.
+            # Beyond the end contact ends before the impacts accumulate, the later the nearer the
+            # end is. So fewer impacts may still occur.
             continue
     raise SimulationError("The end of the locked arc is not near", time=0.0, state=())
 
 
 _KNOWN_CUTS = (9, 7, 5, 4)
-"""Impacts of the first cut where the end is known roughly."""
+"""Numbers of impacts to try in the first truncation, near an estimate of the end."""
 _BESIDE = 0.03
-"""Largest distance of the end from there."""
+"""Largest distance of the end from its first approximation."""
 
 
 def _cut_ever_later(
@@ -108,13 +111,13 @@ def _cut_ever_later(
     place: int,
     near: _Near,
 ) -> Located:
-    r"""Return the limit of the points at which cut sequences are on the separatrix (theory (39)).
+    r"""Return the limit of the points with truncated sequences on the separatrix (theory (39)).
 
-    The root of :math:`1 - r_n / r_*` converges like :math:`(\sigma/\kappa)^n`, so every two
-    give a better third.
+    The root of :math:`1 - r_n / r_*` converges as :math:`(\sigma/\kappa)^n`, so each pair of roots
+    is extrapolated to a better estimate.
     """
     cut, law = Margin(loss=Loss.CUT, place=place), separatrix(returns.restitution(here.s))
-    # About one decade of convergence between the cuts, so that their differences tell something.
+    # About one decade of convergence per truncation, so that the differences are significant.
     stride = max(1, round(-1.0 / np.log10(law.shrinking / law.repulsion)))
     found: list[BranchPoint] = []
     limits: list[Vector] = []
@@ -133,10 +136,11 @@ def _cut_ever_later(
             if error < _GOOD or step < _GOOD:
                 break
         n += stride
-    # The last cut's own convergence, and what a looser computation changes.
+    # The error is the last change of the limit plus the change of the root at a looser tolerance.
     loose = corrected_again(cut_after(returns, place, n).loosened(), metric, here)
     slope = _slope(cut_after(returns, place, n), metric, here, cut, max(step, 1e-9))
     doubt = abs(loose.found.margins[cut] - here.found.margins[cut]) / abs(slope)
+    here = with_course(cut_after(returns, place, n), metric, here, max(step, 1e-9))
     return Located(
         kind=SpecialPointKind.LOCK_VANISHES,
         point=here,
@@ -144,6 +148,7 @@ def _cut_ever_later(
         period=float(limits[-1][-1]),
         error=(error + doubt) * metric.unit,
         margins=here.found.margins,
+        multiplier_error=here.multiplier_error,
         place=place,
     )
 
@@ -154,7 +159,10 @@ _MOST_CUTS = 16
 def _telling_cuts(
     returns: ReturnMap, metric: FamilyMetric, last: BranchPoint, place: int
 ) -> Iterator[tuple[int, BranchPoint]]:
-    """Yield numbers of impacts at which the cut tells how far the end is, the least first."""
+    """Yield the numbers of impacts, in ascending order, whose truncation has a positive margin.
+
+    The distance of the end can be estimated from such a margin.
+    """
     n, cut = 2, Margin(loss=Loss.CUT, place=place)
     while n < _MOST_IMPACTS:
         point = correct(cut_after(returns, place, n), metric, last.z, last.tangent)
@@ -166,7 +174,7 @@ def _telling_cuts(
 def _slope(
     returns: ReturnMap, metric: FamilyMetric, point: BranchPoint, cut: Margin, step: float
 ) -> float:
-    """Return the derivative of the cut's margin along the family."""
+    """Return the derivative of the truncation's margin along the family."""
     for _ in range(6):
         try:
             other = correct(returns, metric, point.z - step * point.tangent, point.tangent)
@@ -174,18 +182,18 @@ def _slope(
             step /= 4
             continue
         return (point.found.margins[cut] - other.found.margins[cut]) / step
-    raise SimulationError("The cut has no slope", time=0.0, state=())
+    raise SimulationError("The slope of the cut is undefined", time=0.0, state=())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Near:
-    """The ball in which a root is looked for; one outside is another one."""
+    """The ball in which a root is searched. Any root outside belongs to another end."""
 
     centre: Vector
     reach: float
 
     def check(self, z: Vector) -> None:
-        """Refuse a place that is too far."""
+        """Reject a point outside the ball."""
         if not float(np.linalg.norm(z - self.centre)) <= self.reach:
             raise SimulationError("The locked arc does not vanish near", time=0.0, state=())
 
@@ -201,7 +209,7 @@ def _cut_root(
     cut: Margin,
     near: _Near,
 ) -> BranchPoint:
-    """Return the point at which a cut sequence is on the separatrix, by secants."""
+    """Return the point at which a truncated sequence is on the separatrix, by secants."""
     here = correct(returns, metric, start.z, start.tangent)
     value = here.found.margins[cut]
     slope = _slope(returns, metric, here, cut, step)
@@ -224,7 +232,10 @@ def _cut_root(
 def _less(
     returns: ReturnMap, metric: FamilyMetric, here: BranchPoint, distance: float, cut: Margin
 ) -> BranchPoint:
-    """Return a point ahead at which the cut's margin is smaller, as far ahead as it can be had."""
+    """Return a point ahead with an acceptable margin, as far ahead as it can be computed.
+
+    The distance is reduced until the margin's modulus is below twice its value here.
+    """
     for _ in range(_MOST_CUT_TRIALS):
         try:
             other = correct(returns, metric, here.z + distance * here.tangent, here.tangent)

@@ -1,7 +1,8 @@
-r"""Margins that vanish at the end of a family, and which of them causes the others.
+r"""Margins that vanish at the end of a family, and the margin that causes the others to vanish.
 
-Several margins may vanish at one point. What an end is called must not depend on which of them was
-followed to it, so it is a matter of the powers in which they vanish together. Theory (40).
+Several margins may vanish at one point. The kind of an end must not depend on the margin that was
+followed to it. So the kind is determined from the powers with which the margins vanish together.
+Theory (40).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from zeno_orbits.continuation.separatrix import separatrix
 
 ENDS = {
     Loss.AMPLITUDE: SpecialPointKind.AMPLITUDE_ZERO,
+    Loss.FREQUENCY: SpecialPointKind.PERIOD_INFINITE,
     Loss.LOCK: SpecialPointKind.LOCK_VANISHES,
     Loss.ACCELERATION: SpecialPointKind.THEOREM_LOST,
     Loss.FIRST_IMPACT: SpecialPointKind.GRAZING,
@@ -31,11 +33,12 @@ ENDS = {
 """Kind of the end at which a margin vanishes."""
 
 _NEARLY = 0.4
-"""Part of a margin's largest value below which its end may be near."""
+"""Fraction of a margin's largest value below which its end may be near."""
 _TOGETHER = 0.6
-"""Fall of a margin, as a part of what another's entails, at which both vanish at one point.
+"""Least ratio between the decrease of a margin and the decrease that another margin entails.
 
-Far from it; close to it the powers are told to `_POWER`."""
+If the ratio is between this value and its inverse, both margins vanish at one point. The test is
+for points far from the end. Close to the end, the powers are determined to `_POWER`."""
 _ENTAILED: dict[Loss, dict[Loss, float]] = {
     Loss.AMPLITUDE: {
         Loss.FIRST_IMPACT: 1.0,
@@ -47,9 +50,9 @@ _ENTAILED: dict[Loss, dict[Loss, float]] = {
     Loss.RELEASE_RATE: {Loss.FIRST_IMPACT: 3.0, Loss.ACCELERATION: 2.0, Loss.AMPLITUDE: 3.0},
     Loss.LOCK: {Loss.ACCELERATION: 1.0, Loss.ADHESION: 2.0},
 }
-"""Margins that vanish with another one, and with which power of it (theory (40)).
+"""Margins that vanish with another margin, each with its power of that margin (theory (40)).
 
-The amplitude does so with the release where nothing but the flight moves it.
+The amplitude vanishes with the release rate if the state changes only in the flight.
 """
 
 
@@ -58,9 +61,9 @@ class Threat:
     """A margin that is about to vanish.
 
     Attributes:
-        margin: Which.
+        margin: The margin.
         distance: Predicted distance along the family.
-        fall: Logarithm of its last fall.
+        fall: Logarithm of the ratio of its last two values.
     """
 
     margin: Margin
@@ -70,11 +73,11 @@ class Threat:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A place on the way to an end.
+    """A point on the way to an end.
 
     Attributes:
-        z: The place, in any metric.
-        margins: The margins there.
+        z: The point, in any metric.
+        margins: The margins at the point.
     """
 
     z: Vector
@@ -91,7 +94,7 @@ def threats(way: Sequence[Stage], restitution: float) -> list[Threat]:
 
     Args:
         way: Neighbours in order, at least two.
-        restitution: At the last one.
+        restitution: Coefficient of restitution at the last stage.
     """
     before, last = way[-2], way[-1]
     step = float(np.linalg.norm(last.z - before.z))
@@ -101,7 +104,7 @@ def threats(way: Sequence[Stage], restitution: float) -> list[Threat]:
         if earlier is None or step == 0.0 or margin.loss is Loss.CUT:
             continue
         if margin.loss is Loss.ACCELERATION and restitution > 0.0:
-            # It vanishes by itself at plastic impacts alone.
+            # It vanishes independently at plastic impacts only.
             continue
         largest = max(stage.margins.get(margin, 0.0) for stage in way)
         if 0.0 < value < min(earlier, _NEARLY * largest):
@@ -121,15 +124,15 @@ def _n_returns(stage: Stage) -> int:
 
 
 def consequences(margin: Margin, n_returns: int) -> dict[Margin, float]:
-    """Return the margins that vanish with another one, and with which power of it.
+    """Return the margins that vanish with another margin, each with its power of that margin.
 
-    Where the amplitude vanishes everything does that is no time, in proportion. Where the release
-    is not transversal the flight after it, in the next return, vanishes. Where the locked arc
+    If the amplitude vanishes, all margins that are not times vanish in proportion. If the release
+    stops being transversal, the flight after it vanishes, in the next return. If the contact phase
     vanishes, so does the acceleration at its start.
 
     Args:
-        margin: The one that vanishes.
-        n_returns: Returns to a period.
+        margin: The margin that vanishes.
+        n_returns: Number of returns per period.
     """
     later = margin.loss is Loss.RELEASE_RATE
     place = (margin.place + later) % n_returns
@@ -140,7 +143,7 @@ def consequences(margin: Margin, n_returns: int) -> dict[Margin, float]:
 
 
 def _without_consequences(found: dict[Margin, Threat], n_returns: int) -> list[Threat]:
-    """Return threats without those that another entails, by how fast they fall together."""
+    """Return threats without the consequences of others, according to their joint decrease."""
     left = dict(found)
     for margin, threat in found.items():
         for consequence, power in consequences(margin, n_returns).items():
@@ -153,17 +156,18 @@ def _without_consequences(found: dict[Margin, Threat], n_returns: int) -> list[T
 
 
 def causes(way: Sequence[Stage], gone: Margin) -> tuple[Margin, ...]:
-    r"""Return the margins that vanish where one does, without the consequences of others.
+    r"""Return the margins that vanish together with a margin, without the consequences of others.
 
-    With :math:`m` the margin, others vanish with it as :math:`m^\alpha`. Next to the end
-    :math:`\alpha` no longer changes; that of a margin with something left falls to zero.
+    If :math:`m` is the margin, the others vanish with it as :math:`m^\alpha`. Next to the end
+    :math:`\alpha` is constant. The exponent of a margin with a positive limit tends to zero.
 
     Args:
-        way: Stages on the way to the end, the last ones next to it; at least three.
+        way: Stages on the way to the end, at least three. The last stages are next to the end.
         gone: The margin.
 
     Returns:
-        In the order of `ENDS`, so that the same comes out whichever of them was followed.
+        The margins in the order of `ENDS`. So the result does not depend on the margin that was
+        followed.
     """
     powers = {gone: 1.0}
     for margin in way[-1].margins:
@@ -182,35 +186,39 @@ def causes(way: Sequence[Stage], gone: Margin) -> tuple[Margin, ...]:
 
 
 _LEAST_POWER, _STEADY, _POWER = 0.2, 0.1, 0.25
-"""Least exponent of what vanishes, and how far it may change and be from a power it should have."""
+"""Least exponent of a margin that vanishes, its largest relative change between stages, and its
+largest relative deviation from an entailed power."""
 
 
 def _exponent(before: Stage, after: Stage, margin: Margin, gone: Margin) -> float:
-    """Return the exponent with which a margin falls beside another between two stages."""
-    early, late = before.margins.get(margin, 0.0), after.margins[margin]
+    """Return the exponent of a margin's decrease relative to another margin between two stages."""
+    early, late = (stage.margins.get(margin, 0.0) for stage in (before, after))
     if not early > late > 0.0:
         return 0.0
     return float(np.log(early / late) / np.log(before.margins[gone] / after.margins[gone]))
 
 
 CLOSE = 0.02
-"""Distance along a curve, in the ranges, at which what runs out is where it ends."""
+"""Largest distance along a curve, in units of the ranges, of a margin's zero from the curve's end.
+
+Within this distance the curve is reported to end at that zero.
+"""
 
 
 def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> str:
-    """Return in words which margin vanishes where a curve of special points ends.
+    """Return a description of the margin that vanishes at the end of a curve of special points.
 
-    Two things happen there at once, at a point of codimension two. The text is empty if no margin
-    vanishes nearby.
+    The end is a point of codimension two. The text is empty if no margin vanishes nearby.
 
     Args:
         way: Points of the curve in order.
-        restitution: At the last one.
+        restitution: Coefficient of restitution at the last point.
         within: Largest distance ahead.
     """
     found: list[Threat] = []
     for margin, value in way[-1].margins.items():
-        # A margin may waver on its last steps: what counts is whence it fell to what is left.
+        # A margin may fluctuate on its last steps. So its decrease is measured from the last
+        # stage at which it was larger by a factor.
         whence = [
             k for k, stage in enumerate(way) if stage.margins.get(margin, 0.0) > _FALL * value
         ]
@@ -228,4 +236,4 @@ def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> 
 
 
 _FALL = 1.5
-"""Fall of a margin that tells how far its end is."""
+"""Factor of a margin's decrease from which the distance of its end is estimated."""

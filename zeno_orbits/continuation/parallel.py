@@ -25,10 +25,11 @@ class Crew:
     """Workers of a continuation.
 
     Attributes:
-        problem_file: File of the problem; a continuation is given ``problem_file.load()``.
-        plan: Where finished jobs are kept. Its identity is filled in.
-        pool: The workers, of `open_pool`.
-        on_progress: Called with how many jobs of a stage are done.
+        problem_file: File of the problem. The problem of the continuation is
+            ``problem_file.load()``.
+        plan: Plan with the checkpoint of finished jobs. Its identity is filled in.
+        pool: The workers, from `open_pool`.
+        on_progress: Called with the number of finished jobs of a stage.
     """
 
     problem_file: ProblemFile
@@ -43,9 +44,9 @@ class Dispatch:
 
     Attributes:
         problem: The problem.
-        settings: How families and curves are followed.
+        settings: Settings of the continuation.
         on_progress: Called with each point that this process computes.
-        crew: The workers, if there are any.
+        crew: The workers, or ``None``.
     """
 
     problem: Problem
@@ -54,10 +55,10 @@ class Dispatch:
     crew: Crew | None = None
 
     def claimed(self, own: dict[str, Any]) -> Dispatch:
-        """Return the same with the checkpoint claimed for one continuation.
+        """Return this dispatch with the checkpoint claimed for one continuation.
 
         Args:
-            own: What distinguishes it from other work, as plain data.
+            own: Data that distinguish the continuation from other work, as plain data.
 
         Raises:
             InputError: If the crew has another problem, or the checkpoint belongs to other work.
@@ -75,12 +76,12 @@ class Dispatch:
     def results(self, stage: str, noun: str, groups: Sequence[Sequence[Job[R]]]) -> list[list[R]]:
         """Return the results of jobs, in their groups.
 
-        In a group each job follows what the one before left over: after a family or a curve that
-        closes nothing is left, and the group ends.
+        Within a group each job continues the work of the previous job. A group ends after a family
+        or a curve that closes, because the remaining jobs are then unnecessary.
 
         Args:
             stage: Name under which finished jobs are kept.
-            noun: What progress reports call the jobs.
+            noun: Name of the jobs in progress reports.
             groups: The jobs.
         """
         if self.crew is not None:
@@ -100,7 +101,7 @@ class Dispatch:
 def _attempted(
     job: Job[R], problem: Problem, settings: ContinuationSettings, on_progress: Progress
 ) -> R:
-    """Return the result of a job; if its orbits are lost, the others go on."""
+    """Return the result of a job. If the job fails, the other jobs continue."""
     try:
         return job.run(problem, settings, on_progress)
     except (SimulationError, StepError) as error:
@@ -120,7 +121,7 @@ def _until_closed(results: list[R]) -> list[R]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Task(Generic[R]):
-    """Run jobs by their numbers; it holds all that a worker has to know."""
+    """Run jobs by their indices. An instance contains all data that a worker needs."""
 
     problem_file: ProblemFile
     settings: ContinuationSettings

@@ -5,14 +5,16 @@ composed:
 
 .. math:: D(P_2 \circ P_1) = \partial_x P_2\; D P_1 + \partial_s P_2
 
-Orbits with a Zeno point return from release to release. Those without one return from impact to
-impact: the section are the states just after an impact, :math:`h = 0`, :math:`\dot h > 0`, of
-dimension :math:`n_x - 1` less the holonomic rows. Source: theory (37).
+Orbits with a Zeno point return from release to release. Orbits without a Zeno point return from
+impact to impact. Their section is the set of states just after an impact, :math:`h = 0`,
+:math:`\dot h > 0`. Its dimension is :math:`n_x - 1` minus the number of holonomic rows. Source:
+theory (37).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import pairwise
@@ -27,6 +29,7 @@ from zeno_orbits.orbits import (
     IMPACT_ROWS,
     RELEASE_ROWS,
     Line,
+    ReturnDerivative,
     Section,
     differentials_of,
     loosened,
@@ -38,28 +41,33 @@ from zeno_orbits.simulation import (
     Arc,
     Ending,
     Execution,
+    Impact,
     Mode,
     Perturbations,
     SimulationSettings,
     least_inside,
+    motion_of,
     simulate,
+    steady_turn,
 )
 
 
 class Loss(Enum):
-    """Kinds of margins: numbers that are positive along a family. The value is the word shown.
+    """Kinds of margins, which are positive along a family. The value is the name in the output.
 
     ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return, in the
-    problem's own sizes: smooth along a family, and zero where the motion stands still. The
-    amplitude that a problem names is `orbit_amplitude`.
+    problem's characteristic scales. It is smooth along a family, and zero at an equilibrium. The
+    amplitude that a problem names is `orbit_amplitude`. ``FREQUENCY`` is the inverse of the time of
+    a return. It is zero if a motion stalls, so that its period tends to infinity.
     """
 
     AMPLITUDE = "amplitude"
+    FREQUENCY = "returns per second"
     LOCK = "locked time"
     ACCELERATION = "acceleration onto the stop at the Zeno point"
     FIRST_IMPACT = "speed of the first impact"
     NEAR_MISS = "least gap before the first impact"
-    LATER_IMPACT = "speed of a later impact, as part of that of the flight before it"
+    LATER_IMPACT = "speed of a later impact, relative to the flight before it"
     RELEASE_RATE = "rate of the multiplier at the release"
     ADHESION = "least multiplier on the locked arc"
     CUT = "distance from the separatrix of the impacts"
@@ -71,7 +79,7 @@ class Margin:
 
     Attributes:
         loss: Its kind.
-        place: The return, counted from 0.
+        place: Index of the return, from 0.
     """
 
     loss: Loss
@@ -83,11 +91,14 @@ class DifferentiatedReturn:
     """A return and its derivatives in the full state.
 
     Attributes:
-        time: How long it takes [s].
-        end: Where it ends, ``(n_x,)``.
-        by_state: Derivative of the end by the start, ``(n_x, n_x)``.
-        by_parameter: Derivative of the end by the place on the line, ``(n_x,)``.
-        margins: Its distance from each loss.
+        time: Duration of the return [s].
+        end: State at its end, ``(n_x,)``.
+        by_state: Derivative of `end` with respect to the start, ``(n_x, n_x)``.
+        by_parameter: Derivative of `end` with respect to the position on the line, ``(n_x,)``.
+        margins: Distance from each kind of loss.
+        volume: Product of the multipliers by Liouville's formula if the orbit closes, or ``None``
+            if the formula does not apply (theory (41)).
+        turns: Number of turns of the clock in that time. 0 without a steadily turning clock.
     """
 
     time: float
@@ -95,6 +106,41 @@ class DifferentiatedReturn:
     by_state: Vector
     by_parameter: Vector
     margins: Mapping[Margin, float]
+    volume: float | None = None
+    turns: float = 0.0
+
+
+class LazyMargins(Mapping[Margin, float]):
+    """Margins that are computed at their first use.
+
+    Most returns are trials of Newton's method and do not need margins.
+
+    Args:
+        measure: Function that computes the margins.
+    """
+
+    def __init__(self, measure: Callable[[], Mapping[Margin, float]]) -> None:
+        self._measure: Callable[[], Mapping[Margin, float]] | None = measure
+        self._values: Mapping[Margin, float] = {}
+
+    def _measured(self) -> Mapping[Margin, float]:
+        if self._measure is not None:
+            # The function keeps a whole execution alive. It is released here.
+            self._values, self._measure = self._measure(), None
+        return self._values
+
+    def __reduce__(self) -> tuple[type[dict[Margin, float]], tuple[dict[Margin, float]]]:
+        """Return the computed margins, because other processes do not have the execution."""
+        return dict, (dict(self._measured()),)
+
+    def __getitem__(self, key: Margin) -> float:
+        return self._measured()[key]
+
+    def __iter__(self) -> Iterator[Margin]:
+        return iter(self._measured())
+
+    def __len__(self) -> int:
+        return len(self._measured())
 
 
 class ReturnMap(Protocol):
@@ -110,20 +156,21 @@ class ReturnMap(Protocol):
 
         Args:
             x: The state, ``(n_x,)``.
-            s: Place on the line.
+            s: Position on the line.
             horizon: Longest time to wait [s].
 
         Raises:
-            ZenoOrbitsError: If nothing comes back within the horizon, or not differentiably.
+            ZenoOrbitsError: If the motion does not return within the horizon, or the return is not
+                differentiable.
         """
         ...
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
-        """Return the section around a state of it.
+        """Return the section around one of its states.
 
         Args:
             x: The state, ``(n_x,)``.
-            s: Place on the line.
+            s: Position on the line.
             scale: Size of each state, ``(n_x,)``.
         """
         ...
@@ -133,17 +180,17 @@ class ReturnMap(Protocol):
 
         Args:
             x: The state, ``(n_x,)``.
-            s: Place on the line.
+            s: Position on the line.
             scale: Size of each state, ``(n_x,)``.
         """
         ...
 
     def restitution(self, s: float) -> float:
-        """Return the coefficient of restitution at a place on the line."""
+        """Return the coefficient of restitution at a position on the line."""
         ...
 
     def loosened(self) -> ReturnMap:
-        """Return the same map at a looser tolerance: what that changes is an error estimate."""
+        """Return the same map at a looser tolerance. The change is an error estimate."""
         ...
 
     def moved_to(self, line: Line) -> ReturnMap:
@@ -157,9 +204,9 @@ class SectionReturns:
 
     Attributes:
         compiled: Functions of the problem.
-        line: The parameters.
+        line: The line of parameters.
         settings: Accuracy.
-        rows: Conditions of the section, of the class.
+        rows: Conditions that define the section, an attribute of the class.
     """
 
     compiled: CompiledSystem
@@ -168,15 +215,15 @@ class SectionReturns:
     rows: ClassVar[tuple[int, ...]]
 
     def dynamics(self, s: float) -> HybridDynamics:
-        """Return the system at a place on the line."""
+        """Return the system at a position on the line."""
         return bind(self.compiled, self.line.at(s).tolist())
 
     def restitution(self, s: float) -> float:
-        """Return the coefficient of restitution at a place on the line."""
+        """Return the coefficient of restitution at a position on the line."""
         return self.dynamics(s).restitution
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
-        """Return the section around a state of it."""
+        """Return the section around one of its states."""
         return section_along(self.dynamics(s), self.line, self.rows, x, scale)
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
@@ -194,7 +241,7 @@ class SectionReturns:
 
 @dataclass(frozen=True, kw_only=True)
 class ReleaseReturns(SectionReturns):
-    """From release to release, through a Zeno point."""
+    """Return map from release to release, through a Zeno point."""
 
     rows = RELEASE_ROWS
 
@@ -204,6 +251,16 @@ class ReleaseReturns(SectionReturns):
         found = return_derivative(
             dynamics, x, horizon=horizon, settings=self.settings, parameters=line.moving
         )
+        return DifferentiatedReturn(
+            time=found.period.value,
+            end=found.end,
+            by_state=found.by_state,
+            by_parameter=found.by_parameters @ line.slopes,
+            margins=LazyMargins(lambda: self._margins(dynamics, found)),
+            turns=_turns(dynamics, x, found.period.value),
+        )
+
+    def _margins(self, dynamics: HybridDynamics, found: ReturnDerivative) -> Mapping[Margin, float]:
         run = found.execution
         arcs = [arc for arc in run.arcs if arc.end_time <= found.period.value]
         flight = next(arc for arc in arcs if arc.mode is Mode.FREE)
@@ -212,9 +269,10 @@ class ReleaseReturns(SectionReturns):
         states = [found.start, zeno.state, run.impacts[0].state_plus]
         states += [_inside(arc, part) for arc in (flight, locked) for part in _PARTS]
         ranges = np.delete(np.ptp(np.array(states), axis=0), self.compiled.clock)
-        sizes = np.delete(dynamics.own.states(len(x)), self.compiled.clock)
+        sizes = np.delete(dynamics.own.states(found.start.size), self.compiled.clock)
         margins = {
             Margin(loss=Loss.AMPLITUDE): float(np.max(ranges / sizes)),
+            Margin(loss=Loss.FREQUENCY): 1 / found.period.value,
             Margin(loss=Loss.LOCK): found.locked_time.value,
             Margin(loss=Loss.ACCELERATION): -found.gap_acceleration.value,
             Margin(loss=Loss.FIRST_IMPACT): -found.first_rate.value,
@@ -229,37 +287,32 @@ class ReleaseReturns(SectionReturns):
         hold = least_inside(locked, dynamics.multiplier, dynamics.multiplier_rate)
         if hold is not None:
             margins[Margin(loss=Loss.ADHESION)] = hold
-        return DifferentiatedReturn(
-            time=found.period.value,
-            end=found.end,
-            by_state=found.by_state,
-            by_parameter=found.by_parameters @ line.slopes,
-            margins=margins,
-        )
+        return margins
 
 
 _PARTS = (0.25, 0.5, 0.75)
-"""Parts of an arc at which states are compared; fixed ones, so that their range is smooth."""
+"""Fractions of an arc at which states are compared. Since they are fixed, the range is smooth."""
 
 
 def _inside(arc: Arc, part: float) -> Vector:
-    return arc.flow_state_at(part * arc.duration)
+    # The flow of a rescaled flight has further states.
+    return arc.flow_state_at(part * arc.duration)[: len(arc.start_state)]
 
 
 _LOOSER = 30.0
-"""Factor of the tolerances at which a point is located a second time."""
+"""Factor on the tolerances for the second computation of a point."""
 
 
 def _least_gap(dynamics: HybridDynamics, flight: Arc) -> float | None:
-    """Return the least gap inside a flight, if it has a minimum there."""
+    """Return the least gap inside a flight, or ``None`` if the gap has no minimum inside."""
     return least_inside(flight, dynamics.gap, dynamics.gap_rate)
 
 
 def _least_kept(dynamics: HybridDynamics, run: Execution) -> float | None:
-    """Return the least part of its speed at the start that a flight between impacts lands with.
+    """Return the least ratio of impact speed to initial speed over the flights between impacts.
 
-    It tends to one as impacts accumulate, and to zero only where one of them grazes. Returns
-    ``None`` if the first impact is the last one.
+    The ratio tends to one as impacts accumulate, and to zero only if an impact grazes. Return
+    ``None`` if there is only one impact.
     """
     rates = [impact.approach_rate for impact in run.impacts]
     kept = [
@@ -271,7 +324,7 @@ def _least_kept(dynamics: HybridDynamics, run: Execution) -> float | None:
 
 
 class OnSection:
-    """Base of return maps that have the section and the line of another one."""
+    """Base of return maps with the section and the line of another return map."""
 
     @property
     def base(self) -> ReturnMap:
@@ -284,7 +337,7 @@ class OnSection:
         return self.base.line
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
-        """Return the section around a state of it."""
+        """Return the section around one of its states."""
         return self.base.frame(x, s, scale)
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
@@ -292,23 +345,23 @@ class OnSection:
         return self.base.projected(x, s, scale)
 
     def restitution(self, s: float) -> float:
-        """Return the coefficient of restitution at a place on the line."""
+        """Return the coefficient of restitution at a position on the line."""
         return self.base.restitution(s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Composed(OnSection):
-    """Several returns, one after the other, under which an orbit of a higher period closes.
+    """Composition of several returns, under which an orbit of a higher period closes.
 
     Attributes:
-        maps: The return maps, all of one section and one line.
+        maps: The return maps, all with the same section and line.
     """
 
     maps: tuple[ReturnMap, ...]
 
     @property
     def base(self) -> ReturnMap:
-        """The return map whose section and line it has."""
+        """The return map with the same section and line."""
         return self.maps[0]
 
     def moved_to(self, line: Line) -> Composed:
@@ -320,23 +373,31 @@ class Composed(OnSection):
         return Composed(maps=tuple(one.loosened() for one in self.maps))
 
     def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
-        """Return the motion until the last of the returns."""
+        """Return the motion up to the last return."""
         end, by_state, by_parameter = x, np.eye(x.size), np.zeros(x.size)
-        time, margins = 0.0, dict[Margin, float]()
-        for place, one in enumerate(self.maps):
+        time, turns, margins = 0.0, 0.0, list[Mapping[Margin, float]]()
+        volumes = list[float | None]()
+        for one in self.maps:
             found = one.follow(end, s, horizon=horizon)
+            volumes.append(found.volume)
             by_state = found.by_state @ by_state
             by_parameter = found.by_state @ by_parameter + found.by_parameter
-            end, time = found.end, time + found.time
-            margins |= {replace(key, place=place): value for key, value in found.margins.items()}
+            end, time, turns = found.end, time + found.time, turns + found.turns
+            margins.append(found.margins)
         return DifferentiatedReturn(
-            time=time, end=end, by_state=by_state, by_parameter=by_parameter, margins=margins
+            time=time,
+            end=end,
+            by_state=by_state,
+            by_parameter=by_parameter,
+            margins=LazyMargins(lambda: _placed(margins)),
+            volume=_product(volumes),
+            turns=turns,
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImpactReturns(SectionReturns):
-    """From just after an impact to just after the next."""
+    """Return map from just after an impact to just after the next impact."""
 
     rows = IMPACT_ROWS
 
@@ -344,7 +405,7 @@ class ImpactReturns(SectionReturns):
         """Return the flight from an impact to the next, and its derivatives.
 
         Raises:
-            SimulationError: If the stop is not left, or not struck again within the horizon.
+            SimulationError: If contact persists, or no impact follows within the horizon.
         """
         dynamics, line = self.dynamics(s), self.line
         speed = dynamics.gap_rate(x)
@@ -352,7 +413,7 @@ class ImpactReturns(SectionReturns):
             raise SimulationError("The stop is not left", time=0.0, state=tuple(x.tolist()))
         run = simulate(dynamics, x, until=horizon, releases=1, impacts=1, settings=self.settings)
         if not run.impacts or run.arcs[0].ending is not Ending.IMPACT:
-            raise SimulationError("There is no next impact", time=horizon, state=tuple(x.tolist()))
+            raise SimulationError("No impact follows", time=horizon, state=tuple(x.tolist()))
         arc, impact = run.arcs[0], run.impacts[0]
         perturbations = Perturbations(
             dynamics=dynamics,
@@ -360,10 +421,13 @@ class ImpactReturns(SectionReturns):
             n_parameters=len(line.moving),
             tolerance=self.settings.tolerance,
         )
-        after = perturbations.struck(impact, perturbations.flown(arc, perturbations.launched(x)))
+        after = motion_of(perturbations, run, perturbations.launched(x)).of(arc).after
         n_x = x.size
         end = projected(dynamics, IMPACT_ROWS, impact.state_plus, dynamics.own.states(n_x))
-        margins = {Margin(loss=Loss.FIRST_IMPACT): -impact.approach_rate}
+        margins = {
+            Margin(loss=Loss.FREQUENCY): 1 / impact.time,
+            Margin(loss=Loss.FIRST_IMPACT): -impact.approach_rate,
+        }
         least = least_inside(arc, dynamics.gap, dynamics.gap_rate)
         if least is not None:
             margins[Margin(loss=Loss.NEAR_MISS)] = least
@@ -373,4 +437,54 @@ class ImpactReturns(SectionReturns):
             by_state=after.state[:, :n_x],
             by_parameter=after.state[:, n_x:] @ line.slopes,
             margins=margins,
+            volume=_volume(dynamics, perturbations, arc, impact),
+            turns=_turns(dynamics, x, impact.time),
         )
+
+
+def _turns(dynamics: HybridDynamics, x: Vector, time: float) -> float:
+    """Return the number of turns of the clock in a time, 0 without a steadily turning clock."""
+    turn = steady_turn(dynamics, x)
+    return time / turn if turn else 0.0
+
+
+def _placed(margins: Sequence[Mapping[Margin, float]]) -> Mapping[Margin, float]:
+    """Return the margins of several returns, each with the index of its return."""
+    return {
+        replace(key, place=place): value
+        for place, one in enumerate(margins)
+        for key, value in one.items()
+    }
+
+
+def _product(factors: Sequence[float | None]) -> float | None:
+    known = [factor for factor in factors if factor is not None]
+    return math.prod(known) if len(known) == len(factors) else None
+
+
+def _volume(
+    dynamics: HybridDynamics, perturbations: Perturbations, arc: Arc, impact: Impact
+) -> float | None:
+    r"""Return the factor of phase volume over a flight and its impact.
+
+    .. math:: \frac{w}{v}\,\frac{dw}{dv}\,\exp\int \operatorname{div} f\,dt
+
+    with the gap rates `v` before and `w` after the impact. Return ``None`` if the divergence is not
+    constant (then damping is not linear), or if holonomic rows couple the coordinates.
+    """
+    if dynamics.holonomic(impact.state_plus).size > bool(dynamics.clock):
+        return None
+    n_x = impact.state_plus.size
+    places = np.linspace(0.0, arc.duration, _TRACES)
+    traces = [np.trace(dynamics.free.jacobian(arc.flow_state_at(t)[:n_x])) for t in places]
+    if np.ptp(traces) > _CONSTANT * max(np.max(np.abs(traces)), 1 / impact.time):
+        return None
+    before = abs(impact.approach_rate)
+    by_rate = abs(float(perturbations.differentials.speed_after(impact.approach_rate)[0]))
+    ratio = dynamics.speed_after(impact.approach_rate) / before
+    return float(ratio * by_rate * np.exp(traces[0] * impact.time))
+
+
+_TRACES, _CONSTANT = 7, 1e-12
+"""Number of points at which the divergence is computed, and the largest relative change at which it
+counts as constant."""

@@ -1,4 +1,4 @@
-r"""Impacts that accumulate exactly where the stop lets go: the self-similar sequence.
+r"""Impacts that accumulate exactly at the release: the self-similar sequence.
 
 Let the acceleration towards the stop fall to zero at :math:`t = 0`, :math:`\ddot h = b t`. In units
 in which an impact is at :math:`t = -1` and :math:`b = 1`, a flight that starts at the speed
@@ -6,9 +6,9 @@ in which an impact is at :math:`t = -1` and :math:`b = 1`, a flight that starts 
 
 .. math:: r' = \frac{e\,(s/2 - s^2/3)}{(1 - s)^2}, \qquad r = \frac{w\,b}{a^2}.
 
-The fixed point :math:`r_*` parts sequences that accumulate before :math:`t = 0` from those that are
-let go. It repels by a factor :math:`\kappa` an impact, while the time left shrinks by
-:math:`\sigma = 1 - s`. Theory (39).
+The fixed point :math:`r_*` separates sequences that accumulate before :math:`t = 0` from sequences
+that do not. It is unstable: per impact, a distance from it grows by a factor :math:`\kappa`, while
+the remaining time shrinks by :math:`\sigma = 1 - s`. Theory (39).
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Separatrix:
-    r"""The self-similar sequence at a restitution.
+    r"""The self-similar sequence at a coefficient of restitution.
 
     Attributes:
-        ratio: :math:`r_*`, speed after an impact times fall of the acceleration over its square.
-        shrinking: :math:`\sigma`, by which the time left falls from impact to impact.
-        repulsion: :math:`\kappa`, by which a distance from the ratio grows.
+        ratio: :math:`r_*`, the speed after an impact times the rate at which the acceleration
+            decreases, divided by the square of the acceleration.
+        shrinking: :math:`\sigma`, the factor of the remaining time per impact.
+        repulsion: :math:`\kappa`, the factor of a distance from the ratio per impact.
     """
 
     ratio: float
@@ -33,7 +34,7 @@ class Separatrix:
 
     @property
     def exponent(self) -> float:
-        r"""Power of the distance to its end with which a locked arc vanishes.
+        r"""Power of the distance to the end with which a contact phase vanishes.
 
         .. math:: \alpha = \frac{\ln 1/\sigma}{\ln \kappa}
 
@@ -46,10 +47,10 @@ def separatrix(restitution: float) -> Separatrix:
     r"""Return the self-similar sequence: :math:`e (1/2 - s/3) = (1/2 - s/6)(1 - s)^2`.
 
     Args:
-        restitution: :math:`0 < e < 1`.
+        restitution: Coefficient of restitution, :math:`0 < e < 1`.
     """
     e = restitution
-    # With k = 1 - s, so that nothing is lost where s nears 1: e (1 + 2k) = (2 + k) k^2.
+    # k = 1 - s avoids cancellation near s = 1: e (1 + 2k) = (2 + k) k^2.
     low, high = 0.0, 1.0
     for _ in range(200):
         k = (low + high) / 2

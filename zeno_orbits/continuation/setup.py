@@ -1,4 +1,4 @@
-"""The setup and the start of a family: numbers, the parameter, the return map, units."""
+"""The setup and the start of a family: parameter values, return map, and units."""
 
 from __future__ import annotations
 
@@ -12,25 +12,27 @@ from zeno_orbits.continuation.corrector import FamilyMetric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.kinds import Checked
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Line, OrbitShape, PhaseKind, ZenoOrbit
 from zeno_orbits.search import settle
 from zeno_orbits.simulation import SimulationSettings
 
 _PATIENCE = 4.0
-"""Periods of the start to wait for a return."""
+"""Longest time to wait for a return, in periods of the start."""
 ONE_RETURN = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ContinuationSettings:
+class ContinuationSettings(Checked):
     """Settings of a continuation.
 
     Attributes:
         steps: Steps along a family.
         simulation: Accuracy of a return.
         curve: Steps along a curve in two parameters.
-        doublings: How often a branch of twice the period is followed where a flip throws it off.
+        doublings: Number of successive period doublings at which the branch of twice the period is
+            followed.
     """
 
     steps: FamilySteps = field(default_factory=FamilySteps)
@@ -41,16 +43,16 @@ class ContinuationSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """Everything a family depends on but its problem, which cannot be sent to a worker.
+    """All inputs of a family except its problem, which cannot be sent to a worker.
 
     Attributes:
-        values: The problem's numbers at the start.
-        parameter: The number that changes.
+        values: The problem's parameter values at the start.
+        parameter: Name of the parameter that changes.
         box: Its range.
-        section: Return map of a single return.
+        section: Class of the return map of a single return.
         metric: Units.
         simulation: Accuracy of a return.
-        n_returns: Returns after which the orbits close.
+        n_returns: Number of returns after which the orbits close.
     """
 
     values: ParameterValues
@@ -73,7 +75,7 @@ class Setup:
         return Composed(maps=self.n_returns * (once,))
 
     def doubled(self) -> Setup:
-        """Return the same for orbits that close after twice as many returns."""
+        """Return this setup for orbits that close after twice as many returns."""
         return replace(self, n_returns=2 * self.n_returns)
 
 
@@ -82,9 +84,9 @@ class FamilyStart:
     """The start of a family.
 
     Attributes:
-        setup: What it is followed on.
+        setup: The setup of the family.
         x: A state near a fixed point of the return map, ``(n_x,)``.
-        s: The parameter there.
+        s: Value of the parameter at the state.
     """
 
     setup: Setup
@@ -103,13 +105,13 @@ def start_at_release(
 
     Args:
         problem: The problem.
-        orbit: An orbit of it with one release a period.
+        orbit: An orbit of the problem with one release per period.
         parameter: Name of a gain or a parameter.
-        box: Range in which to follow it, lower end first.
-        settings: How to follow the family.
+        box: Range of the parameter, lower end first.
+        settings: Settings of the continuation.
 
     Raises:
-        InputError: If a name or a range does not fit, or the orbit is of another problem.
+        InputError: If a name or a range does not fit, or the orbit belongs to another problem.
     """
     if orbit.problem != problem.name:
         message = f"must be of problem `{problem.name}`, but it is of `{orbit.problem}`"
@@ -131,14 +133,14 @@ def start_at_release(
 
 
 def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
-    """Return the size of each state over the events of an orbit, nowhere near zero, ``(n_x,)``."""
+    """Return the size of each state over the events of an orbit, away from zero, ``(n_x,)``."""
     events = [problem.state_vector(state) for state in orbit.states_at_events]
     sizes = np.max(np.abs(events), axis=0)
     return problem.dynamics(orbit.values(problem)).own.not_small(sizes, 1e-9)
 
 
 _SETTLED = 1e-3
-"""Change of the state from impact to impact, in units of its size, at which it nearly repeats."""
+"""Largest change of the state between impacts, relative to its size, at which it nearly repeats."""
 _ONE_IMPACT = OrbitShape(phases=(PhaseKind.IMPACT,))
 
 
@@ -154,15 +156,15 @@ def start_at_impact(
 
     Args:
         problem: The problem.
-        values: Its numbers at the start.
-        state: Initial state of a motion that settles to one impact a turn, ``(n_x,)``.
+        values: Its parameter values at the start.
+        state: Initial state of a motion that converges to one impact per turn, ``(n_x,)``.
         parameter: Name of a gain or a parameter.
-        box: Range in which to follow it, lower end first.
-        settings: How to follow the family.
+        box: Range of the parameter, lower end first.
+        settings: Settings of the continuation.
 
     Raises:
         InputError: If a name or a range does not fit.
-        SimulationError: If the impacts do not settle.
+        SimulationError: If the impacts do not converge.
     """
     s = _checked(problem, values, "in", parameter, box)
     settling = settle(problem.dynamics(values), [state], shape=_ONE_IMPACT, problem=problem)
@@ -189,12 +191,12 @@ def start_at_impact(
 def plane_of(
     problem: Problem, values: ParameterValues, first: Setup, second: str, box: tuple[float, float]
 ) -> ParameterPlane:
-    """Return the plane of two parameters around given numbers.
+    """Return the plane of two parameters, with all other parameters at given values.
 
     Args:
         problem: The problem.
-        values: Its numbers at the start.
-        first: What the family is followed on in the first parameter.
+        values: Its parameter values at the start.
+        first: Setup of the family in the first parameter.
         second: Name of the second parameter.
         box: Its range, lower end first.
 
@@ -214,12 +216,12 @@ def plane_of(
 
 
 def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
-    """Return the line along which one number changes.
+    """Return the line along which one parameter changes.
 
     Args:
         problem: The problem.
-        p: All numbers, ``(n_p,)``.
-        parameter: Name of the one that changes.
+        p: All parameter values, ``(n_p,)``.
+        parameter: Name of the parameter that changes.
     """
     direction = np.zeros(p.size)
     direction[problem.place(parameter, argument="in")] = 1.0
@@ -236,7 +238,8 @@ def _checked(
     """Return the value of a parameter at the start, inside its range.
 
     Raises:
-        InputError: If there is no such parameter, or its range is empty, forbidden or elsewhere.
+        InputError: If the parameter is unknown, or its range is empty, contains forbidden values,
+            or does not contain the value at the start.
     """
     problem.require_range(parameter, box, argument=argument)
     low, high = box

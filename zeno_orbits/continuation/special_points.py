@@ -1,14 +1,14 @@
 r"""Special points inside a family: test functions and their roots.
 
-Inside a family every test function is smooth along it, and a sign change between two points is
-closed in on by points of the family in between. Theory (38).
+Inside a family every test function is smooth along it. A sign change between two points is
+located by computing points of the family between them. Theory (38).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -16,9 +16,12 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.return_maps import Margin, ReturnMap
+from zeno_orbits.continuation.test_functions import (
+    INSIDE,
+    TestFunction,
+    multiplier_change,
+)
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-
-TestFunction = Callable[[BranchPoint], float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,14 +30,15 @@ class Located:
 
     Attributes:
         kind: Its kind.
-        point: A point of the family at it, or the nearest that was computed.
-        z: Its ambient place, ``(n_x + 1,)``; at an end, the limit.
-        period: [s].
+        point: The point of the family there, or the nearest computed point.
+        z: Its ambient coordinates, ``(n_x + 1,)``. At an end, they are the limit.
+        period: Period [s].
         error: Estimated error of the parameter.
-        margins: Margins of the orbit; at an end, their limits.
-        place: At an end, the return in which it is, counted from 0.
+        multiplier_error: Estimated error of the multipliers.
+        margins: Margins of the orbit. At an end, they are the limits.
+        place: Index of the return that causes an end, from 0.
         path: Points of the family on the way to an end, in order.
-        also: At an end of codimension two, the other kinds.
+        also: Other kinds of an end of codimension two.
     """
 
     kind: SpecialPointKind
@@ -43,61 +47,21 @@ class Located:
     period: float
     error: float
     margins: Mapping[Margin, float]
+    multiplier_error: float = math.inf
     place: int = 0
     path: tuple[BranchPoint, ...] = ()
     also: tuple[SpecialPointKind, ...] = ()
 
-
-def fold_test(point: BranchPoint) -> float:
-    """Return the parameter's part of the tangent; it changes sign at a fold."""
-    return float(point.tangent[-1])
-
-
-def flip_test(point: BranchPoint) -> float:
-    r"""Return :math:`\det(\partial_y P + 1)`; it vanishes with a multiplier of -1."""
-    return float(np.linalg.det(point.jacobian + np.eye(len(point.jacobian))))
-
-
-def torus_test(point: BranchPoint) -> float:
-    r"""Return :math:`\prod_{i<j} (1 - \mu_i \mu_j)`; it vanishes with a pair on the circle."""
-    product = np.prod([1 - a * b for a, b in combinations(point.multipliers, 2)])
-    return float(np.real(product))
-
-
-def branching_test(point: BranchPoint) -> float:
-    r"""Return :math:`\det(\partial_y P - 1)` over the tangent's part along the parameter.
-
-    By Cramer's rule both vanish at a fold; where the first does alone, another branch crosses.
-    """
-    determinant = np.linalg.det(point.jacobian - np.eye(len(point.jacobian)))
-    return float(determinant / (point.tangent[-1] or 1e-300))
-
-
-INSIDE: dict[SpecialPointKind, TestFunction] = {
-    SpecialPointKind.FOLD: fold_test,
-    SpecialPointKind.FLIP: flip_test,
-    SpecialPointKind.TORUS: torus_test,
-    SpecialPointKind.BRANCHING: branching_test,
-}
 
 _ROOT = 1e-13
 _MOST_TRIALS = 40
 _REAL = 1e-6
 
 
-def crossings(a: BranchPoint, b: BranchPoint) -> tuple[SpecialPointKind, ...]:
-    """Return the kinds of special points between two neighbours on a family."""
-    found = [kind for kind, test in INSIDE.items() if test(a) * test(b) < 0.0]
-    if SpecialPointKind.FOLD in found and SpecialPointKind.BRANCHING in found:
-        # The quotient of two numbers with one simple root each between the points.
-        found.remove(SpecialPointKind.BRANCHING)
-    return tuple(found)
-
-
 def locate_inside(
     returns: ReturnMap, metric: FamilyMetric, a: BranchPoint, b: BranchPoint, kind: SpecialPointKind
 ) -> Located | None:
-    """Return the special point between two neighbours, or ``None`` if nothing happens there.
+    """Return the special point between two neighbours, or ``None`` without a bifurcation.
 
     Args:
         returns: The return map.
@@ -107,14 +71,35 @@ def locate_inside(
         kind: Kind of a special point whose test function changes its sign in between.
 
     Raises:
-        ZenoOrbitsError: If a point in between cannot be had.
+        ZenoOrbitsError: If a point in between cannot be computed.
     """
     root = root_between(returns, metric, a, b, INSIDE[kind])
     pair = max((abs(m.imag) for m in root.point.multipliers), default=0.0)
     if kind is SpecialPointKind.TORUS and pair < _REAL:
-        # Two real multipliers with product one: nothing happens to the orbit.
+        # Two real multipliers have the product one. This is not a bifurcation.
         return None
     return _located(kind, root, metric)
+
+
+def arclength(a: BranchPoint, b: BranchPoint) -> float:
+    """Return the scaled arclength between two neighbours, to fourth order."""
+    chord = float(np.linalg.norm(b.z - a.z))
+    angle = float(np.linalg.norm(b.tangent - a.tangent))
+    return chord * (1 + angle**2 / 24)
+
+
+def place_between(a: BranchPoint, b: BranchPoint, part: float) -> Vector:
+    """Return the point at a fraction of the way between two neighbours, on the Hermite cubic.
+
+    Args:
+        a: A point of a family.
+        b: Its neighbour.
+        part: Fraction of the way, 0 at `a` and 1 at `b`.
+    """
+    length, rest = arclength(a, b), 1 - part
+    ahead = (1 + 2 * part) * a.z + part * length * a.tangent
+    behind = (1 + 2 * rest) * b.z - rest * length * b.tangent
+    return rest**2 * ahead + part**2 * behind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,12 +107,14 @@ class Root:
     """A root of a test function on a family.
 
     Attributes:
-        point: The point there.
+        point: The point of the family at the root.
         error: Estimated error of the parameter in its unit.
+        multiplier_error: Estimated error of the multipliers.
     """
 
     point: BranchPoint
     error: float
+    multiplier_error: float
 
 
 def _located(kind: SpecialPointKind, root: Root, metric: FamilyMetric) -> Located:
@@ -138,6 +125,7 @@ def _located(kind: SpecialPointKind, root: Root, metric: FamilyMetric) -> Locate
         z=point.z,
         period=point.found.time,
         error=root.error * metric.unit,
+        multiplier_error=root.multiplier_error,
         margins=point.found.margins,
     )
 
@@ -161,7 +149,8 @@ def root_between(
 
     def point_at(distance: float) -> BranchPoint:
         if distance not in known:
-            z = a.z + distance / length * (b.z - a.z)
+            z = place_between(a, b, distance / length)
+            z += (distance - float((z - a.z) @ a.tangent)) * a.tangent
             known[distance] = correct(returns, metric, z, a.tangent)
         return known[distance]
 
@@ -180,7 +169,7 @@ def root_between(
     near = sorted(known, key=lambda distance: abs(distance - root))[1:]
     other = next((d for d in near if abs(d - root) > 1e-7 * length), near[-1])
     slope = (test(known[other]) - test(point)) / (other - root)
-    return Root(point=point, error=_doubt(returns, metric, point, test, slope))
+    return _root(returns, metric, point, test, slope)
 
 
 _NUDGE = 1e-4
@@ -204,7 +193,7 @@ def located_near(
         test: Its test function.
 
     Raises:
-        ZenoOrbitsError: If no such point is near.
+        ZenoOrbitsError: If there is no such point nearby.
     """
     here, value = start, test(start)
     other = correct(returns, metric, here.z + _NUDGE * here.tangent, here.tangent)
@@ -220,29 +209,33 @@ def located_near(
                 slope = (value_there - value) / gone
             here, value = there, value_there
         if abs(distance) < _TINY:
-            root = Root(point=here, error=_doubt(returns, metric, here, test, slope))
-            return _located(kind, root, metric)
-    raise SimulationError(f"There is no {kind.value} near", time=0.0, state=())
+            return _located(kind, _root(returns, metric, here, test, slope), metric)
+    raise SimulationError(f"The {kind.value} was not found", time=0.0, state=())
 
 
 _NEAR, _TINY = 0.3, 1e-8
-"""Largest distance of a special point along the family; length of a secant that is rounding."""
+"""Largest distance of a special point along the family, and the length of a secant below which it
+is due to rounding."""
 
 
-def _doubt(
+def _root(
     returns: ReturnMap, metric: FamilyMetric, point: BranchPoint, test: TestFunction, slope: float
-) -> float:
-    """Return the change of a root along the parameter by a looser computation, in its unit."""
+) -> Root:
+    """Return a root with its errors, which are the changes at a looser tolerance."""
     try:
         again = corrected_again(returns.loosened(), metric, point)
     except ZenoOrbitsError:
-        return float("inf")
+        return Root(point=point, error=math.inf, multiplier_error=math.inf)
     along = abs(test(again) - test(point)) + abs(test(point))
     shift = along / max(abs(slope), 1e-300)
-    # At a fold the parameter is stationary along the family: a shift counts by its square.
+    # At a fold the parameter is stationary along the family, so the error is quadratic in a shift.
     moved = abs(again.z[-1] - point.z[-1]) + abs(point.tangent[-1]) * shift + shift**2
-    return float(moved) + _ROUNDING * max(1.0, abs(point.z[-1]))
+    return Root(
+        point=point,
+        error=float(moved) + _ROUNDING * max(1.0, abs(point.z[-1])),
+        multiplier_error=multiplier_change(point, again) + _ROUNDING,
+    )
 
 
 _ROUNDING = 1e-15
-"""Least error that is claimed."""
+"""Least error estimate."""

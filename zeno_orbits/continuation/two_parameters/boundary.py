@@ -1,10 +1,10 @@
 r"""Special points followed in two parameters: folds, flips and ends of families as curves.
 
-In the plane of both parameters, in units of their ranges, folds and flips are followed by
-pseudo-arclength (`fold_flip_curve`), other special points by secants: on a line at right angles to
-the secant, through the predicted place, the point is located anew as one of a family along that
-line (`end_curve`). So a curve may run in any direction, and every point of it has an error estimate
-of its own. Theory (40).
+The plane of both parameters is scaled by their ranges. Folds and flips are followed by
+pseudo-arclength (`fold_flip_curve`), other special points by secants (`end_curve`). For a secant
+step, the line through the predicted point normal to the secant is taken. The special point of the
+family along that line is the next point. So a curve may run in any direction, and each of its
+points has its own error estimate. Theory (40).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def half_boundary(setup: CurveSetup, start: CurveStart, *, upwards: bool) -> Hal
     """Return the curve of a special point in one direction.
 
     Args:
-        setup: What it is followed on.
+        setup: The setup of the curve.
         start: The special point.
         upwards: True if the second parameter rises at first, False if it falls.
 

@@ -20,7 +20,7 @@ class _Candidate:
     """A special point that may be on a curve of its own.
 
     Attributes:
-        setup: What its family was followed on.
+        setup: The setup of its family.
         start: The point.
     """
 
@@ -36,14 +36,15 @@ def curves_through(
 ) -> tuple[SpecialCurve, ...]:
     """Return the curves through special points of families, each once.
 
-    A curve may come back through another point of its kind. So points of a kind take turns, and
-    what is on a curve already is left out, whoever follows it.
+    A curve may pass through another point of its kind. So the points of a kind are followed one by
+    one, and a point on a curve already found is skipped. The result does not depend on the process
+    that follows a curve.
 
     Args:
-        dispatch: Runs the jobs.
+        dispatch: Dispatch that runs the jobs.
         plane: The two parameters.
         families: The families.
-        kinds: Which kinds of points.
+        kinds: Kinds of special points to follow.
     """
     waiting = dict(enumerate(_candidates(plane, families, kinds)))
     curves: dict[int, SpecialCurve] = {}
@@ -92,11 +93,14 @@ def _candidates(
 
 
 _SAME = 1e-6
-"""Part of a range by which two points on one boundary may differ."""
+"""Largest difference of two points on one curve, relative to a range."""
 
 
 def _known(boundaries: Sequence[SpecialCurve], plane: ParameterPlane, start: CurveStart) -> bool:
-    """Return True if a boundary runs through a point: a curve may come back to its line."""
+    """Return True if one of the curves passes through a point.
+
+    A curve may cross the line of its family more than once.
+    """
     first, second = start.value
     for boundary in boundaries:
         if boundary.kind is not start.found.kind:

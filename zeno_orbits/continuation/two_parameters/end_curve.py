@@ -1,7 +1,7 @@
 """Curves of special points by secants in the plane of two parameters.
 
-On a line at right angles to the secant, through the predicted place, the special point is located
-anew as one of a family along that line. Theory (40), (42).
+For each step, the line through the predicted point normal to the secant is taken. The special point
+of the family along that line is the next point of the curve. Theory (40), (42).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Spot:
     """A point of a boundary.
 
     Attributes:
-        at: Its place in units of the ranges, ``(2,)``.
-        located: The special point; its parameter counts along the line that it was found on.
+        at: Both parameters in units of the ranges, ``(2,)``.
+        located: The special point. Its parameter is the position on the line of its family.
         before: Points of the family that lead to an end.
     """
 
@@ -40,7 +40,7 @@ class Spot:
 
     @property
     def amplitude(self) -> float:
-        """Largest range of a state; NaN where it is not known, which is less than nothing."""
+        """Largest range of a state. NaN if it is unknown, so that every comparison is false."""
         margins = self.located.margins.items()
         return next((value for margin, value in margins if margin.loss is Loss.AMPLITUDE), np.nan)
 
@@ -50,9 +50,9 @@ class Before:
     """A point of a family that leads to an end, relative to it.
 
     Attributes:
-        state: In scaled terms, ``(n_x,)``.
-        away: In the plane, ``(2,)``.
-        left: Value there of the margin that vanishes at the end.
+        state: Scaled state relative to the end, ``(n_x,)``.
+        away: Both parameters relative to the end, ``(2,)``.
+        left: Value at the point of the margin that vanishes at the end.
     """
 
     state: Vector
@@ -69,7 +69,7 @@ class SecantCurve:
         self.forward = np.zeros(2)
 
     def run(self, first: Spot, *, upwards: bool) -> tuple[Sequence[Spot], str]:
-        """Return the curve from a point in one direction, and why it ends."""
+        """Return the curve from a point in one direction, and the reason of its end."""
         try:
             heading = self._heading(first)
         except ZenoOrbitsError as error:
@@ -79,12 +79,13 @@ class SecantCurve:
         return path.points, path.end or counted(round(self.steps.most), "step")
 
     def _heading(self, first: Spot) -> Vector:
-        """Return the direction in which the curve leaves its first point, upwards if it may.
+        """Return the direction of the curve at its first point, upwards if possible.
 
-        A line across a guess meets the curve elsewhere than guessed, and tells the direction.
+        A line across a guessed direction intersects the curve at another point. The chord to that
+        point gives the direction.
 
         Raises:
-            SimulationError: If no place beside the point leads to another.
+            SimulationError: If no guess leads to another point of the curve.
         """
         step, trouble = self.steps.first, ""
         while step >= self.steps.shortest:
@@ -116,7 +117,7 @@ class SecantCurve:
         strayed = float(np.linalg.norm(new.at - at))
         if not self._fits(last, new, at, forward):
             if strayed < step:
-                # A chord tells less of the direction at its end than what was just found.
+                # A chord is less accurate at its end than the direction that was just found.
                 self.forward = _direction(last, new)
             raise StepError("the curve bends too fast")
         if not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
@@ -124,14 +125,14 @@ class SecantCurve:
         if new.amplitude < last.amplitude / _LIKE:
             raise StepError("the orbit collapses")
         if not self.plane.holds(new.at):
-            # The curve leaves the plane beside the place that was predicted.
+            # The curve leaves the plane next to the predicted point.
             raise StepError(SpecialPointKind.BOUND.value)
         self.forward = _direction(last, new)
         self.setup.report(self.kind.value, new.at)
         return PathStep(points=(new,), easy=strayed < self.steps.bend * step / 3)
 
     def _last_end(self, spots: Sequence[Spot], trouble: str) -> PathStep[Spot, str]:
-        """Return the end where no step is possible."""
+        """Return the end at a point from which every step fails."""
         if trouble == SpecialPointKind.BOUND.value:
             return PathStep(end=trouble)
         way = [Stage(z=spot.at, margins=self._others(spot)) for spot in spots]
@@ -154,13 +155,13 @@ class SecantCurve:
         return max(0.0, min(reach))
 
     def _fits(self, last: Spot, new: Spot, at: Vector, forward: Vector) -> bool:
-        """Return True if a point is a neighbour of the last one."""
+        """Return True if a point is a neighbour of the last point."""
         step = float(np.linalg.norm(at - last.at))
         near = float(np.linalg.norm(new.at - at)) < self.steps.bend * step
         return near and float((new.at - last.at) @ forward) > 0.0
 
     def _located(self, last: Spot, at: Vector, forward: Vector, spots: Sequence[Spot]) -> Spot:
-        """Return the special point on the line across the curve through a place."""
+        """Return the special point on the line across the curve through a point of the plane."""
         across = np.array([forward[1], -forward[0]])
         returns = self.setup.returns_on(at, across)
         z = last.located.z[:-1]
@@ -191,7 +192,7 @@ class SecantCurve:
     def _end(
         self, returns: ReturnMap, z: Vector, last: Spot, across: Vector
     ) -> tuple[Located, tuple[Before, ...]]:
-        """Return an end, approached as the last one was from points at the same distance."""
+        """Return an end, approached from points at the same distances as the last end."""
         if self.kind is SpecialPointKind.LOCK_VANISHES and returns.restitution(0.0) > 0.0:
             along = last.located.point.tangent
             found = locate_cut_near(returns, self.metric, np.append(z, 0.0), along, self.place)
@@ -210,7 +211,7 @@ class SecantCurve:
         return located, before
 
     def _ahead(self, returns: ReturnMap, z: Vector, before: Before, across: Vector) -> BranchPoint:
-        """Return the point of the family ahead of an end that was ahead of the last one."""
+        """Return the point before an end that corresponds to a point before the last end."""
         place = float(before.away @ across)
         if abs(place) < _SLANT * float(np.linalg.norm(before.away)):
             raise SimulationError("The line does not cross the end", time=0.0, state=())
@@ -219,7 +220,7 @@ class SecantCurve:
         normal = np.append(-before.state, -place)
         point = correct(returns, self.metric, target, normal / np.linalg.norm(normal))
         left = left_of(point, self.kind, self.place)
-        # Two families may come so close at an end that Newton's method hops over.
+        # Two families may be so close at an end that Newton's method jumps to the other family.
         if not 1 / _LIKE < left / before.left < _LIKE:
             raise SimulationError("The family ahead of the end is another", time=0.0, state=())
         return point
@@ -242,17 +243,17 @@ def left_of(point: BranchPoint, kind: SpecialPointKind, place: int) -> float:
     Args:
         point: The point.
         kind: Kind of the end.
-        place: The return in which it is, counted from 0.
+        place: Index of the return that causes the end, from 0.
     """
     return point.found.margins.get(_margin(kind, place), np.nan)
 
 
 _LIKE = 1.4
-"""Factor by which periods, and what is left ahead of an end, may change along a curve in a step."""
+"""Factor by which the period and the margins before an end may change per step of a curve."""
 _UP, _ACROSS = np.array([0.0, 1.0]), np.array([1.0, 0.0])
 _GUESSES = (_UP, -_UP, _ACROSS, -_ACROSS)
-"""Directions in which a curve is looked for; within half a right angle of one of them it is."""
+"""Directions in which a curve is searched. Any direction is within 45 degrees of one of them."""
 _CERTAIN = 1e-6
-"""Largest estimated error of a point, as part of the range."""
+"""Largest estimated error of a point, relative to the range."""
 _SLANT = 0.2
 """Least sine of the angle at which a line crosses the family that leads to an end."""

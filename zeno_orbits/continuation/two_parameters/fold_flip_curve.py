@@ -1,7 +1,8 @@
 r"""Curves of folds and flips in two parameters, by pseudo-arclength in the state and both.
 
-A curve may turn back in either parameter, and where two folds meet: there it has a cusp in the
-plane, but none in the space in which it is followed. Theory (40).
+A curve may turn back in either parameter. It may also turn back at a point where two folds meet.
+There it has a cusp in the plane, but it is smooth in the space of the state and both parameters.
+Theory (40).
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ MULTIPLIERS = {SpecialPointKind.FOLD: 1.0, SpecialPointKind.FLIP: -1.0}
 """Multiplier of a fold and of a flip."""
 
 _EASY = 0.4
-"""Part of the allowed turn and stray that an easy step uses at most."""
+"""Largest turn and stray of an easy step, relative to their limits."""
 _FAR = 2.0
-"""Largest distance of a neighbour, on a bound for instance, in steps."""
+"""Largest distance of a neighbour, for instance on a bound, in steps."""
 _SMOOTH = 5.0
-"""Factor by which the gradient of the test function may change in a step."""
+"""Factor by which the gradient of the test function may change per step."""
 _REACHED = 1e-6
-"""A step that fails, and is this short, has reached what is ten times as near at most."""
+"""Length of a failed step below which a margin vanishes within ten times this length."""
 _FOUND = 1e-8
-"""Part of a step to which a cusp is known: the parameters err by its square there."""
+"""Accuracy of a cusp relative to the step. The error of the parameters is its square."""
 
 
 def half_fold_flip(setup: CurveSetup, start: CurveStart, *, upwards: bool) -> HalfCurve:
     """Return the curve of a fold or a flip in one direction.
 
     Args:
-        setup: What it is followed on; its unit of the parameter is one, a range.
+        setup: The setup of the curve. Its unit of the parameter is one range.
         start: The fold or flip.
         upwards: True if the second parameter rises at first, False if it falls.
 
@@ -82,7 +83,7 @@ class _Follower:
         self.steps, self.cusps = system.setup.steps, list[int]()
 
     def advance(self, points: Sequence[FoldFlipPoint], step: float) -> PathStep[FoldFlipPoint, str]:
-        """Return the next point, and a cusp before it if there is one."""
+        """Return the next point, with the cusp before it if there is a cusp."""
         last = points[-1]
         new, at_bound = self._predicted(last, step)
         if new is None:
@@ -103,7 +104,7 @@ class _Follower:
     def end_ahead(
         self, points: Sequence[FoldFlipPoint], step: float
     ) -> PathStep[FoldFlipPoint, str]:
-        """Return the end if the steps became short because something else is lost there."""
+        """Return the end if the steps became short and another margin vanishes nearby."""
         if step < _REACHED:
             return PathStep(end=self._meeting(points, 10 * _REACHED) or None)
         return PathStep()
@@ -111,11 +112,14 @@ class _Follower:
     def last_end(
         self, points: Sequence[FoldFlipPoint], trouble: str
     ) -> PathStep[FoldFlipPoint, str]:
-        """Return the end where no step is possible."""
+        """Return the end at a point from which every step fails."""
         return PathStep(end=self._meeting(points) or f"{SpecialPointKind.GAVE_UP.value}: {trouble}")
 
     def _predicted(self, last: FoldFlipPoint, step: float) -> tuple[FoldFlipPoint | None, bool]:
-        """Return the next point, and True if it lies on a bound; no point if the last one does."""
+        """Return the next point, and True if it is on a bound.
+
+        The point is ``None`` if the last point is already on a bound.
+        """
         plane = self.setup.plane
         z = last.z + step * last.tangent
         if plane.holds(z[-2:]):
@@ -144,7 +148,7 @@ class _Follower:
         return self.system.corrected(z, normal, last.gradient, last.tangent)
 
     def _require_neighbour(self, last: FoldFlipPoint, new: FoldFlipPoint, step: float) -> None:
-        """Refuse a point that is no neighbour of the last one."""
+        """Reject a point that is not a neighbour of the last point."""
         steps = self.steps
         if not 0.0 < float((new.z - last.z) @ last.tangent) < _FAR * step:
             raise StepError("the steps lead to another point")
@@ -162,7 +166,7 @@ class _Follower:
         require_continuous(last.found, new.found)
 
     def _effort(self, last: FoldFlipPoint, new: FoldFlipPoint) -> float:
-        """Return the turn and stray of a step, as part of what is allowed."""
+        """Return the larger of the turn and the stray of a step, relative to its limit."""
         angles = [float(new.tangent @ last.tangent)]
         if self.kind is SpecialPointKind.FOLD:
             angles.append(abs(float(new.normal @ last.normal)))
@@ -170,9 +174,10 @@ class _Follower:
         return max(turn, _stray(last, new) / self.steps.bend)
 
     def _cusp_between(self, last: FoldFlipPoint, new: FoldFlipPoint) -> FoldFlipPoint | None:
-        """Return the cusp between two neighbours, if there is one.
+        """Return the cusp between two neighbours, or ``None``.
 
-        The parameters move at right angles to the normal, and stand still where two folds meet.
+        The parameters move at right angles to the normal. At a point where two folds meet, they are
+        stationary along the curve.
         """
         from scipy.optimize import brentq
 
@@ -190,13 +195,13 @@ class _Follower:
         return min(known.items(), key=lambda item: abs(item[0] - root))[1]
 
     def _meeting(self, points: Sequence[FoldFlipPoint], within: float = CLOSE) -> str:
-        """Return what else is lost near the last point, if something is."""
+        """Return a description of a margin that vanishes near the last point, or an empty text."""
         way = [Stage(z=point.z, margins=point.found.margins) for point in points]
         return meeting(way, self.setup.restitution_at(points[-1].at), within)
 
 
 def _stray(last: FoldFlipPoint, new: FoldFlipPoint) -> float:
-    """Return how far two points lie from each other's tangents, as part of their distance."""
+    """Return the distance of two points from each other's tangents, relative to their distance."""
     step = new.z - last.z
     length = float(np.linalg.norm(step)) or 1.0
     return max(
@@ -206,11 +211,11 @@ def _stray(last: FoldFlipPoint, new: FoldFlipPoint) -> float:
 
 
 def _speed(point: FoldFlipPoint, other: FoldFlipPoint) -> float:
-    """Return how fast the parameters move along a curve, with the sign that another's normal has.
+    """Return the speed of the parameters along a curve, signed by the normal of a neighbour.
 
     Args:
-        point: Where.
-        other: A neighbour.
+        point: The point of the curve.
+        other: The neighbour.
     """
     sense = 1.0 if float(point.normal @ other.normal) > 0.0 else -1.0
     return sense * float(point.normal[0] * point.tangent[-1] - point.normal[1] * point.tangent[-2])

@@ -2,8 +2,8 @@ r"""Folds and flips as roots of one system in the state and two parameters.
 
 .. math:: P(y, p) - y = 0, \qquad \psi = \det(\partial_y P \mp 1) = 0
 
-The system stays regular where a family folds and where two folds meet, so its points make a smooth
-curve there, too. Theory (40).
+The system is regular at a fold of a family and at a point where two folds meet. So its solutions
+form a smooth curve there as well. Theory (40).
 """
 
 from __future__ import annotations
@@ -20,29 +20,31 @@ from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 
 _MOST_ITERATIONS = 10
 _WIDTH = 1e-6
-"""Half the width of the differences that the gradient is made of, in scaled terms."""
+"""Half the width of the differences for the gradient, in scaled coordinates."""
 _SMALL = 1e-9
-"""A correction after which, as they shrink faster than in proportion, rounding is left."""
+"""Largest correction after which only rounding errors remain, since convergence is superlinear."""
 _STUCK = 1e-7
-"""A correction that rounding may leave where the test function is flat."""
+"""Largest correction that rounding may cause if the test function is flat."""
 _FARTHEST = 0.5
 _ROUNDING = 1e-15
 _DIAGONALS = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
-"""Two lines through a place of the plane, rows. On either, both parameters move."""
+"""Directions of two lines through a point of the plane, as rows. On both, both parameters change.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Look:
-    """The equations at a place: the return, its miss, the test function.
+    """The equations at a point: the return, its residual and the test function.
 
     Attributes:
         x: State, ``(n_x,)``.
-        at: Place in the plane, in units of the ranges, ``(2,)``.
-        z: Both in scaled terms, ``(n_x + 2,)``.
+        at: Both parameters in units of the ranges, ``(2,)``.
+        z: State and parameters in scaled coordinates, ``(n_x + 2,)``.
         missed: Difference of the return from the state in coordinates, ``(d,)``.
-        test: The test function.
-        rows: Derivative of `missed` by coordinates and both lines, ``(d, d + 2)``.
-        basis: Derivative of `z` by the same, ``(n_x + 2, d + 2)``.
+        test: Value of the test function.
+        rows: Derivative of `missed` with respect to the coordinates and the positions on both
+            lines, ``(d, d + 2)``.
+        basis: Derivative of `z` with respect to the same variables, ``(n_x + 2, d + 2)``.
         found: The return.
     """
 
@@ -62,14 +64,14 @@ class FoldFlipPoint:
 
     Attributes:
         x: State, ``(n_x,)``.
-        at: Place in the plane, in units of the ranges, ``(2,)``.
-        z: Both in scaled terms, ``(n_x + 2,)``.
+        at: Both parameters in units of the ranges, ``(2,)``.
+        z: State and parameters in scaled coordinates, ``(n_x + 2,)``.
         tangent: Unit tangent of the curve, ``(n_x + 2,)``.
-        gradient: Of the test function, in the same terms, ``(n_x + 2,)``.
-        normal: Direction of the plane in which the parameters move off the curve, ``(2,)``; of a
-            fold it turns smoothly even at a cusp.
+        gradient: Gradient of the test function, in the same coordinates, ``(n_x + 2,)``.
+        normal: Direction in the plane normal to the curve, ``(2,)``. At a cusp of a fold it still
+            turns smoothly.
         found: The return.
-        error: Change of `at` when the return is computed less accurately.
+        error: Change of `at` if the return is computed less accurately.
     """
 
     x: Vector
@@ -87,8 +89,8 @@ class FoldFlipSystem:
     """The equations of a fold or a flip.
 
     Attributes:
-        setup: The plane, the return map and units; the unit of the parameter is one, a range.
-        multiplier: 1 of a fold, -1 of a flip.
+        setup: The plane, the return map and units. The unit of the parameter is one range.
+        multiplier: 1 for a fold, -1 for a flip.
     """
 
     setup: CurveSetup
@@ -100,15 +102,15 @@ class FoldFlipSystem:
         return self.setup.metric
 
     def point_at(self, x: Vector, at: Vector, along: Vector) -> FoldFlipPoint:
-        """Return the point near a state and a place, in no given plane.
+        """Return the point near a state and two parameters, without a prescribed plane.
 
         Args:
             x: The state, ``(n_x,)``.
-            at: The place, ``(2,)``.
+            at: The parameters in units of the ranges, ``(2,)``.
             along: Sense of the tangent, ``(n_x + 2,)``.
 
         Raises:
-            ZenoOrbitsError: If no point is near.
+            ZenoOrbitsError: If there is no point nearby.
         """
         start = _seen(self, x, at)
         gradient = self._gradient(start)
@@ -118,19 +120,19 @@ class FoldFlipSystem:
     def corrected(
         self, z: Vector, normal: Vector, gradient: Vector, along: Vector
     ) -> FoldFlipPoint:
-        r"""Return the point in the plane through a place at right angles to a normal.
+        r"""Return the point in the plane through a given point with a given normal.
 
-        Newton's method with exact derivatives of `P`; those of the test function are corrected
-        after each step by what it changed, and computed anew where it ends. [Broyden1965]_
+        Newton's method uses exact derivatives of `P`. After each step the derivatives of the test
+        function are corrected by its change [Broyden1965]_. At the result they are recomputed.
 
         Args:
-            z: The place, ``(n_x + 2,)``.
+            z: The given point, ``(n_x + 2,)``.
             normal: The normal, ``(n_x + 2,)``.
-            gradient: Of the test function near there, ``(n_x + 2,)``.
+            gradient: Gradient of the test function nearby, ``(n_x + 2,)``.
             along: Sense of the tangent, ``(n_x + 2,)``.
 
         Raises:
-            ZenoOrbitsError: If a return fails, or Newton's method does.
+            ZenoOrbitsError: If a return fails, or Newton's method does not converge.
         """
         look, before = _seen(self, *self._of_place(z)), np.inf
         for _ in range(_MOST_ITERATIONS):
@@ -191,7 +193,7 @@ class FoldFlipSystem:
         )
 
     def _doubt(self, look: _Look, gradient: Vector, tangent: Vector) -> float:
-        """Return by how much a looser computation moves the point in the plane."""
+        """Return the change of the point in the plane at a looser tolerance."""
         loose = replace(self.setup, returns=self.setup.returns.loosened())
         try:
             again = _seen(replace(self, setup=loose), look.x, look.at)
@@ -206,13 +208,13 @@ class FoldFlipSystem:
 
 
 def _seen(system: FoldFlipSystem, x: Vector, at: Vector) -> _Look:
-    """Return the equations at a state and a place of the plane."""
+    """Return the equations at a state and two parameters."""
     scale, size = system.metric.scale, x.size
     first, second = (system.setup.returns_on(at, way) for way in _DIAGONALS)
     x = first.projected(x, 0.0, scale)
     here, other = first.frame(x, 0.0, scale), second.frame(x, 0.0, scale)
     d = here.dimension
-    # Any rotation of a chart is as good as another, but both lines must be seen in one.
+    # A chart may have any rotation, but both lines must use the same chart.
     other = replace(here, drift=other.drift)
     lift = np.column_stack([here.lift, other.drift])
     found = returned(first, x, 0.0, system.metric)
@@ -253,7 +255,7 @@ def _solved(matrix: Vector, right: Vector) -> Vector:
 
 def _tangent(look: _Look, gradient: Vector, along: Vector) -> Vector:
     rows = np.concatenate([look.rows, (gradient @ look.basis)[None, :]])
-    # The rows have very different sizes, and only their directions matter.
+    # The rows have very different sizes. Only their directions matter.
     rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     tangent = look.basis @ np.linalg.svd(rows)[2][-1]
     tangent = np.asarray(tangent / np.linalg.norm(tangent), dtype=np.float64)

@@ -20,9 +20,9 @@ class ParameterPlane:
 
     Attributes:
         names: Their names.
-        places: Their places in ``p``.
-        box: Lower and upper ends, ``(2, 2)``, a row each.
-        p: All numbers; the two are replaced.
+        places: Their indices in ``p``.
+        box: Lower and upper ends, ``(2, 2)``, one row per parameter.
+        p: All parameter values. The values of the two parameters are replaced.
     """
 
     names: tuple[str, str]
@@ -36,14 +36,14 @@ class ParameterPlane:
         return self.box[:, 1] - self.box[:, 0]
 
     def line(self, at: Vector, direction: Vector) -> Line:
-        """Return the line through a place in a direction, both in units of the ranges, ``(2,)``."""
+        """Return the line through a point in a direction, both in units of the ranges, ``(2,)``."""
         origin, along = self.p.copy(), np.zeros(self.p.size)
         origin[list(self.places)] = at * self.units
         along[list(self.places)] = direction * self.units
         return Line(origin=origin, direction=along)
 
     def holds(self, at: Vector) -> bool:
-        """Return True if a place, ``(2,)`` in units of the ranges, lies in them."""
+        """Return True if a point, ``(2,)`` in units of the ranges, is inside the ranges."""
         low, high = self.box[:, 0] / self.units, self.box[:, 1] / self.units
         return bool(np.all(at >= low - _EDGE) and np.all(at <= high + _EDGE))
 
@@ -56,10 +56,10 @@ class CurveSteps(StepControl):
     """Steps along a curve in two parameters, in units of the ranges.
 
     Attributes:
-        bend: Largest distance of a point from its prediction, as part of the step.
+        bend: Largest distance of a point from its prediction, relative to the step.
         turn: Largest angle between neighbouring tangents of a curve of folds or flips [rad].
-        least_arc: Shortest step along such a curve, in arclength that counts the scaled state, too.
-        most_arcs: Points of such a curve in a direction.
+        least_arc: Shortest step along such a curve, in arclength that includes the scaled state.
+        most_arcs: Largest number of points of such a curve in one direction.
     """
 
     first: float = 0.005
@@ -74,10 +74,10 @@ class CurveSteps(StepControl):
 
 @dataclass(frozen=True, kw_only=True)
 class CurveSetup:
-    """Everything a curve in two parameters depends on but its start.
+    """All inputs of a curve in two parameters except its start.
 
     Attributes:
-        plane: The two parameters; the family is followed in the first.
+        plane: The two parameters. The family is followed in the first.
         returns: The return map, along any line.
         metric: Units of the family.
         steps: Steps along the curve.
@@ -91,15 +91,15 @@ class CurveSetup:
     on_progress: Progress
 
     def returns_on(self, at: Vector, direction: Vector) -> ReturnMap:
-        """Return the return map on the line through a place in a direction, both ``(2,)``."""
+        """Return the return map on the line through a point in a direction, both ``(2,)``."""
         return self.returns.moved_to(self.plane.line(at, direction))
 
     def restitution_at(self, at: Vector) -> float:
-        """Return the coefficient of restitution at a place, ``(2,)``."""
+        """Return the coefficient of restitution at a point of the plane, ``(2,)``."""
         return self.returns_on(at, np.zeros(2)).restitution(0.0)
 
     def report(self, word: str, at: Vector) -> None:
-        """Report the progress to a place, ``(2,)``."""
+        """Report the progress to a point of the plane, ``(2,)``."""
         x, y = at * self.plane.units
         self.on_progress(f"{word} at {x:.6g}, {y:.6g}", None)
 
@@ -110,7 +110,7 @@ class CurveStart:
 
     Attributes:
         found: The special point.
-        value: Both parameters there.
+        value: Both parameters at the point.
         leading: The last points of the family before an end.
     """
 
