@@ -17,17 +17,14 @@ from zeno_orbits.maps.approach import (
     places_on_the_way,
     steps_towards,
 )
-from zeno_orbits.maps.attempt import Accuracy, Attempt, Lost
-from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.attempt import Accuracy
+from zeno_orbits.maps.attractors import Fate
 from zeno_orbits.maps.classify import attractors_at, usual_time
-from zeno_orbits.maps.newton import IMPACTS, bundle_at
-from zeno_orbits.maps.point import Point
 from zeno_orbits.model import own_time
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.orbits.section import Line
 from zeno_orbits.simulation.attractor import TEN_TURNS
-from zeno_orbits.simulation.batch.outcomes import Ended, Reason, Struck
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
@@ -224,11 +221,6 @@ def test_progress_counts_the_points_up_to_all():
     assert parts[-1] == 1.0
 
 
-def point():
-    numbers = dynamics_at(PENDULUM.values())
-    return Point(numbers, PENDULUM.state_units, np.array(START), 100.0, Accuracy())
-
-
 def test_oscillators_with_a_stop_have_their_orbits_in_closed_form():
     zeno = clocked_oscillator(FORCED, attracting=True)
     (found,) = attractors_at(zeno, [zeno.values()], until=200.0)
@@ -295,58 +287,6 @@ def test_the_multipliers_between_impacts_are_those_of_the_exact_derivative():
     assert sorted(found.multipliers, key=abs) == pytest.approx(exact, abs=1e-5)
 
 
-def test_impacts_that_repeat_without_a_release_are_an_orbit_without_a_zeno_point():
-    motion = point()
-    motion.begin()
-    answers = []
-    for k in range(48):
-        if answers and len(answers[-1].states) > 1:
-            # No neighbour comes back: there is no derivative, and the motion goes on.
-            over = Ended(lane=1, time=9.0, state=np.zeros(5), reason=Reason.HORIZON)
-            answers.append(motion.hear(1, over))
-            assert len(answers[-1].states) == 1
-        # Two impacts a period of 1.5 s.
-        state = np.array([0.3, 0.0, 1.0 + k % 2, 2.0, 0.1])
-        answer = motion.hear(0, Struck(lane=0, time=0.75 * k, state=state, rate=-1.0 - k % 2))
-        if isinstance(answer, Attractor):
-            break
-        if answer is not None:
-            answers.append(answer)
-    assert [len(asked.states) for asked in answers] == [5, 1, 1]
-    assert answer.fate is Fate.NO_ZENO
-    assert answer.margins == {"first_impact_speed": 1.0}
-    assert answer.multipliers == ()
-
-
-def test_an_orbit_that_repels_is_not_what_impacts_come_to():
-    # One impact a second; the neighbours come back twice as far off.
-    motion = dynamics_at(PENDULUM.values())
-    x, scale = np.array([0.3, 0.0, 1.0, 2.0, 0.1]), np.ones(5)
-
-    def heard(factor):
-        bundle = bundle_at(motion, IMPACTS.rows, x, scale)
-        attempt = Attempt(
-            dynamics=motion,
-            accuracy=Accuracy(),
-            crossing=IMPACTS,
-            span=1.0,
-            period=1,
-            bundle=bundle,
-            final=True,
-            origin=x,
-            earlier=x,
-        )
-        attempt.request(neighbours=True)
-        for rank, state in enumerate(bundle.states):
-            away = bundle.states[0] + factor * (state - bundle.states[0])
-            answer = attempt.hear(rank, Struck(lane=rank, time=1.0, state=away, rate=-2.0))
-        return answer
-
-    assert heard(0.5).multipliers == pytest.approx(4 * [0.5], abs=1e-9)
-    assert heard(2.0) == Lost()
-    assert heard(np.nan) == Lost()
-
-
 @pytest.mark.slow
 def test_an_orbit_is_not_that_of_a_motion_whose_errors_led_to_it():
     # Errors of 1e-6 lead this ball, after 140 turns, to an attracting orbit of ten turns. Exact
@@ -355,7 +295,10 @@ def test_an_orbit_is_not_that_of_a_motion_whose_errors_led_to_it():
     acceleration, restitution, omega = 1.85373900692, 0.52901548872, 30.0
     shaken = {"A": acceleration * 9.81 / omega**2, "restitution": restitution}
     turn = 2 * math.pi / omega
-    (found,) = attractors_at(table, [table.values(parameters=shaken)], until=240 * turn)
+    coarse = Accuracy(motion=1e-6, orbit=1e-8)
+    values = table.values(parameters=shaken)
+    assert attractors_at(table, [values], until=240 * turn)[0].fate is Fate.UNSETTLED
+    (found,) = attractors_at(table, [values], until=240 * turn, accuracy=coarse)
     assert found.fate is Fate.UNSETTLED
     assert found.detail == "what it settles to depends on the smallest errors"
     truth = settled(acceleration, restitution, 600)
@@ -416,14 +359,6 @@ def test_steps_towards_an_orbit_are_counted_back_from_the_last():
     assert steps_towards(passed[:1], at, scale, 0.0) == 0
 
 
-def test_a_lane_that_fails_is_reported_with_its_reason():
-    event = Ended(
-        lane=0, time=1.0, state=np.zeros(5), reason=Reason.FAILURE, detail="It is too stiff"
-    )
-    found = point().hear(0, event)
-    assert (found.fate, found.detail) == (Fate.FAILED, "It is too stiff")
-
-
 @pytest.mark.parametrize("name", ["vibrating_table", "two_tone_table", "forced_oscillator"])
 def test_a_stop_that_will_let_go_as_the_clock_runs_on_is_no_rest(name):
     table = load_problem(name)
@@ -477,7 +412,7 @@ def test_a_length_without_a_bound_runs_away_if_it_is_far_beyond_where_it_was():
     assert (found.fate, found.escaped) == (Fate.ESCAPE, "x")
     swinging = oscillator(damping=0.0)
     (found,) = attractors_at(swinging, [swinging.values()], until=40.0, start={"x": 9.0})
-    assert (found.fate, found.detail) == (Fate.UNSETTLED, "no release comes")
+    assert (found.fate, found.detail) == (Fate.UNSETTLED, "it strikes the stop no more")
 
 
 @pytest.mark.parametrize(

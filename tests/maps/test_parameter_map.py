@@ -35,7 +35,7 @@ from zeno_orbits.work import Cluster, Plan, Workers
 YES, NO, MISUSE = 0, 1, 2
 CORES = int(joblib.cpu_count())
 ONE = Plan(place=Workers(count=1), chunk=4)
-BALL = ("map", "bouncing_ball", "--x", "m=1:2", "--y", "restitution=0:0.5", "--points", "3x2")
+BALL = ("map", "bouncing_ball", "--x", "m=1:2", "--y", "restitution=0:0.5", "--grid", "3x2")
 
 needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
 
@@ -141,14 +141,17 @@ def test_a_plane_that_makes_no_sense_is_refused(changes: Mapping[str, Any], told
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("--x m=2:1 --y restitution=0:0.5", "Argument `x` must have finite bounds LOWER < UPPER"),
-        ("--x mass=1:2 --y restitution=0:0.5", "Argument `x` must be one of m, g, restitution"),
-        ("--x m=1 --y restitution=0:0.5", "Argument `x` must be NAME=LOW:HIGH"),
-        ("--x m=1:2 --x g=1:2 --y restitution=0:0.5", "Argument `x` must be given once"),
-        ("--x m=1:2 --y restitution=0:0.5 --points 3", "must be NxM"),
-        ("--x m=1:2 --y restitution=0:0.5 --points 0x3", "positive whole number"),
-        ("--x m=1:2 --y restitution=0:0.5 --until -1", "`until` must be a positive number"),
-        ("--x m=1:2 --y restitution=0:0.5 --picture map.gif", r"must end in .png"),
+        ("--x m=2:1 --y restitution=0:0.5", "--x m=2:1: must have finite bounds LOWER < UPPER"),
+        ("--x mass=1:2 --y restitution=0:0.5", "must be one of m, g, restitution"),
+        ("--x m=1 --y restitution=0:0.5", "--x: must be NAME=LOW:HIGH"),
+        ("--x m=1:2 --x g=1:2 --y restitution=0:0.5", "--x: must be given once"),
+        ("--x m=1:2 --y restitution=0:0.5 --grid 3", "must be NxM"),
+        ("--x m=1:2 --y restitution=0:0.5 --grid 0x3", "positive whole number"),
+        (
+            "--x m=1:2 --y restitution=0:0.5 --max-time -1",
+            "--max-time -1: must be a positive number",
+        ),
+        ("--x m=1:2 --y restitution=0:0.5 --plot map.gif", r"must end in .png"),
         ("--x m=1:2 --y restitution=0:0.5 -o missing/map.json", "must be in a writable folder"),
         (
             f"--x m=1:2 --y restitution=0:0.5 --workers {CORES + 1}",
@@ -156,7 +159,7 @@ def test_a_plane_that_makes_no_sense_is_refused(changes: Mapping[str, Any], told
         ),
         (
             "--x m=1:2 --y restitution=0:0.5 --workers 1 --scheduler tcp://127.0.0.1:1",
-            "`workers` must not be given with a scheduler",
+            "--workers 1: must not be given with a scheduler",
         ),
     ],
 )
@@ -271,9 +274,9 @@ def test_the_arrays_of_a_map_have_a_row_for_every_y(found: ParameterMap) -> None
         (lambda text: text[:-40], "not complete JSON"),
         (lambda _: "[]", "not an object"),
         (lambda text: text.replace('"format": 1', '"format": 2'), "format is 2"),
-        (lambda text: text.replace('"fate": "rest"', '"fate": "bliss"', 1), "does not fit"),
+        (lambda text: text.replace('"fate": "rest"', '"fate": "bliss"', 1), "fate` must be one of"),
         (lambda text: text.replace('"count": 3', '"count": 4'), "not have one entry per point"),
-        (lambda text: text.replace('"until"', '"before"'), "does not fit"),
+        (lambda text: text.replace('"until"', '"before"'), "`until` must be there"),
     ],
 )
 def test_a_map_file_that_is_not_whole_is_refused(
@@ -300,8 +303,8 @@ def test_the_command_answers_yes_with_file_and_picture_and_removes_its_checkpoin
     tmp_path: Path,
 ) -> None:
     out, picture = tmp_path / "map.json", tmp_path / "map.png"
-    words = "--x Kp=2.4:2.6 --y Kd=-1.05:-0.95 --points 2x2 --set restitution=0 --workers 1"
-    answer = ask("map", "motor_pendulum", *words.split(), "-o", out, "--picture", picture)
+    words = "--x Kp=2.4:2.6 --y Kd=-1.05:-0.95 --grid 2x2 --set restitution=0 --workers 1"
+    answer = ask("map", "motor_pendulum", *words.split(), "-o", out, "--plot", picture)
     assert (answer.code, answer.err) == (YES, "")
     assert "simple periodic orbit" in answer.out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["map.json", "map.png"]
@@ -321,10 +324,21 @@ def test_a_named_checkpoint_stays_and_another_map_leaves_it_alone(tmp_path: Path
     assert ask(*BALL, "--workers", "1", "--checkpoint", kept).code == NO
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
     assert ask(*BALL, "--workers", "1", "--checkpoint", kept, "-o", out).code == NO
-    answer = ask(*BALL, "--workers", "1", "--checkpoint", kept, "--until", "50", "-o", out)
+    answer = ask(*BALL, "--workers", "1", "--checkpoint", kept, "--max-time", "50", "-o", out)
     assert answer.code == MISUSE
     assert "`until` is" in answer.err
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
+
+
+def test_a_checkpoint_of_the_loop_is_refused_by_the_reference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = tmp_path / "kept"
+    assert ask(*BALL, "--workers", "1", "--checkpoint", kept).code == NO
+    monkeypatch.setenv("ZENO_ORBITS_LOOP", "never")
+    answer = ask(*BALL, "--workers", "1", "--checkpoint", kept)
+    assert answer.code == MISUSE
+    assert "`simulator` is" in answer.err
 
 
 def test_an_interrupt_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
@@ -366,11 +380,11 @@ def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(tmp_path
         for words in ((), ("--checkpoint", named)):
             answer = ask(*BALL, "--workers", "1", "-o", tmp_path / "map.json", *words)
             assert answer.code == 130
-            assert answer.err == "zeno-orbits: interrupted; nothing was written\n"
+            assert answer.err == "zeno-orbits: interrupted, nothing was written\n"
     assert [path.name for path in tmp_path.iterdir()] == ["named"]
 
 
-LONG = ("map", "motor_pendulum", "--x", "Kp=2:3", "--y", "Kd=-3:-2", "--points", "8x8")
+LONG = ("map", "motor_pendulum", "--x", "Kp=2:3", "--y", "Kd=-3:-2", "--grid", "8x8")
 
 
 @needs_two
@@ -445,9 +459,9 @@ def test_curves_are_drawn_on_top_and_need_a_picture(tmp_path: Path) -> None:
     curves = _curves(tmp_path / "curves.json", ["m", "restitution"])
     answer = ask(*BALL, "--boundaries", curves)
     assert answer.code == MISUSE
-    assert "`boundaries` must come with `picture`" in answer.err
+    assert "needs --plot" in answer.err
     picture = tmp_path / "map.png"
-    assert ask(*BALL, "--workers", "1", "--boundaries", curves, "--picture", picture).code == NO
+    assert ask(*BALL, "--workers", "1", "--boundaries", curves, "--plot", picture).code == NO
     assert picture.stat().st_size > 0
 
 
@@ -492,20 +506,22 @@ def test_motions_are_waited_for_in_turns_of_the_slowest_clock_or_oscillation() -
 
 
 def test_the_command_finds_the_orbits_of_a_table_that_search_finds() -> None:
-    words = "--x A=0.0149:0.0151 --y omega=29.9:30.1 --points 3x3 --workers 1 --json"
+    words = "--x A=0.0149:0.0151 --y omega=29.9:30.1 --grid 3x3 --workers 1 --json"
     answer = ask("map", "vibrating_table", *words.split())
     assert answer.code == YES
     assert [point["fate"] for point in answer.data["points"]] == 9 * ["zeno"]
 
 
-def test_every_core_has_points_and_a_chunk_neither_few_nor_too_many() -> None:
+def test_the_chunk_depends_on_the_plane_alone_and_is_neither_small_nor_large() -> None:
     square = table(
         x=Axis(name="A", lower=0.0149, upper=0.0151, count=50),
         y=Axis(name="omega", lower=29.9, upper=30.1, count=50),
     )
-    assert [chunk_of(square, cores) for cores in (1, 2, 16, 10_000)] == [625, 625, 79, 16]
-    large = replace(square, x=replace(square.x, count=1000))
-    assert chunk_of(large, 2) == 1250
+    counts = (2, 6, 20, 50, 100, 1000)
+    planes = [
+        replace(square, x=replace(square.x, count=n), y=replace(square.y, count=n)) for n in counts
+    ]
+    assert [chunk_of(plane) for plane in planes] == [16, 16, 100, 250, 250, 250]
 
 
 def test_the_problem_that_new_writes_has_its_orbit_on_a_map(

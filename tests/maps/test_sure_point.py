@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 from zeno_orbits.maps.approach import Way
-from zeno_orbits.maps.attempt import Accuracy, Request
+from zeno_orbits.maps.attempt import Accuracy
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.sure_point import SurePoint
-from zeno_orbits.simulation import Ended, Reason
+from zeno_orbits.maps.sure_point import sure_attractor
 
-EVENT = Ended(lane=0, time=1.0, state=np.zeros(1), reason=Reason.HORIZON)
-SOON = replace(EVENT, time=0.5)
 ORBIT = Attractor(fate=Fate.NO_ZENO, period=2.0)
 REST = Attractor(fate=Fate.REST)
 DIRECT = Way(times=tuple(np.arange(1.0, 41.0)), captured=9)
@@ -23,7 +20,7 @@ LATE = replace(DIRECT, captured=10)
 Told = tuple[Attractor, Way | None]
 
 
-ACCURATE = Accuracy(motion=1e-8)
+ACCURATE = Accuracy(motion=1e-10)
 
 
 def told_by(*answers: Told, accuracy: Accuracy | None = None) -> tuple[Attractor, list[Accuracy]]:
@@ -31,7 +28,7 @@ def told_by(*answers: Told, accuracy: Accuracy | None = None) -> tuple[Attractor
     used: list[Accuracy] = []
 
     class Scripted:
-        """A motion that comes to its answer with the first event."""
+        """A motion that comes to its answer."""
 
         def __init__(self, accuracy: Accuracy) -> None:
             assert isinstance(accuracy, Accuracy)
@@ -39,20 +36,10 @@ def told_by(*answers: Told, accuracy: Accuracy | None = None) -> tuple[Attractor
             self.way = answers[len(used) - 1][1]
             self._answer = answers[len(used) - 1][0]
 
-        def begin(self) -> Request:
-            return Request(np.zeros((1, 1)), used[-1].motion, False, 1.0)
+        def attractor(self) -> Attractor:
+            return self._answer
 
-        def hear(self, rank: int, event: Ended) -> Attractor | None:
-            assert rank == 0
-            return None if event is SOON else self._answer
-
-    point = SurePoint(Scripted, accuracy or Accuracy())  # type: ignore[arg-type]
-    answer: Request | Attractor | None = point.begin()
-    while isinstance(answer, Request):
-        assert answer.tolerance == used[-1].motion
-        assert point.hear(0, SOON) is None
-        answer = point.hear(0, EVENT)
-    assert answer is not None
+    answer = sure_attractor(Scripted, accuracy or Accuracy())  # type: ignore[arg-type]
     return answer, used
 
 
@@ -67,10 +54,10 @@ def test_a_motion_that_wanders_has_to_do_so_at_two_accuracies_alike() -> None:
     finer = replace(ORBIT, period=2.0 * (1 + 0.9e-4))
     answer, used = told_by((ORBIT, LATE), (finer, LATE))
     assert answer is finer
-    assert [(one.motion, one.orbit) for one in used] == [(1e-6, 1e-8), (1e-8, 1e-8)]
+    assert [(one.motion, one.orbit) for one in used] == [(1e-8, 1e-10), (1e-10, 1e-10)]
     # One that is as accurate as its orbit already is followed more accurately.
     _, used = told_by((ORBIT, LATE), (finer, LATE), accuracy=ACCURATE)
-    assert [one.motion for one in used] == pytest.approx([1e-8, 1e-10])
+    assert [one.motion for one in used] == pytest.approx([1e-10, 1e-12])
     # So has one whose last return took another time.
     doubtful = replace(DIRECT, doubtful=True)
     answer, used = told_by((ORBIT, doubtful), (ORBIT, DIRECT))
@@ -91,8 +78,8 @@ def test_a_motion_that_wanders_has_to_do_so_at_two_accuracies_alike() -> None:
 def test_a_motion_that_ends_elsewhere_more_accurately_is_followed_a_third_time(again: Told) -> None:
     answer, used = told_by((ORBIT, LATE), again, again)
     assert answer is again[0]
-    assert [one.motion for one in used] == pytest.approx([1e-6, 1e-8, 1e-10])
-    assert [one.orbit for one in used] == pytest.approx([1e-8, 1e-8, 1e-10])
+    assert [one.motion for one in used] == pytest.approx([1e-8, 1e-10, 1e-12])
+    assert [one.orbit for one in used] == pytest.approx([1e-10, 1e-10, 1e-12])
     # The second answer is held against the third, not the first one.
     answer, _ = told_by((ORBIT, LATE), again, (ORBIT, LATE))
     assert answer.fate is Fate.UNSETTLED

@@ -1,9 +1,12 @@
-"""Maps of what motions settle to over a plane of two numbers, on all cores or a cluster.
+"""Maps of attractors over a plane of gains, parameters or states, on all cores or a cluster.
 
 Offers: `parameter_map` of a `Plane` with its two `Axis`: a `ParameterMap` of `Attractor`s, each of
-a `Fate`; `attractors_at` for any list of numbers; `read_map`, `write_map`, `read_boundaries`.
+a `Fate`; `attractors_at` for any list of numbers, `attractors_from` for any list of states, which
+are compared with a `KnownOrbit` of `known_orbits`; `read_map`, `write_map`, `read_boundaries`;
+`largest_pushes` of an orbit: the `Pushes`, each a `Push`, by `PushSettings`; `recovery_of` an
+orbit: a `Recovery`, by `RecoverySettings`.
 
-Imports: orbits, simulation, model, work, arrays, errors.
+Imports: orbits, simulation, model, integrators, work, arrays, kinds, errors.
 """
 
 import lazy_loader as lazy

@@ -1,7 +1,8 @@
-r"""Is a motion on its way to an orbit that Newton's method has found (theory (29))?
+r"""Test whether a motion converges to an orbit of Newton's method (theory (29)).
 
-Newton's method also finds orbits that the motion passes by, so the motion itself has to tell: in
-section coordinates from the orbit, with the derivative :math:`A` of the return map there.
+Newton's method also finds orbits that the motion only passes. The test therefore uses the motion
+itself: its section coordinates relative to the orbit, and the derivative :math:`A` of the return
+map there.
 """
 
 from __future__ import annotations
@@ -15,25 +16,25 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 
 _AGREES = 0.5
-"""Part by which a step of the motion may differ from what the derivative at the orbit says."""
+"""Largest relative difference between a step of the motion and the linear prediction."""
 _PLACES = 6
-"""Places on either side of the orbit from which a slow way to it is looked at."""
+"""Number of test points on either side of the orbit for a slow approach."""
 _PART = 0.25
-"""Part of the rate of the multipliers at which the motion has to come nearer there."""
+"""Required rate of approach at these points, in units of the multipliers' rate."""
 _REAL = 1e-6
-"""Imaginary part of a multiplier that is none."""
+"""Imaginary part of a multiplier that counts as zero."""
 _SHARED = 1e-2
-"""Part of the time of a return by which two motions that are the same may differ."""
+"""Largest difference between two equal motions, in units of the time of a return."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Way:
-    """How a motion came to an orbit.
+    """Approach of a motion to an orbit.
 
     Attributes:
-        times: Of all its returns [s].
-        captured: Number of the return from which on it only came nearer to the orbit.
-        doubtful: Whether its last return took another time than it takes more accurately.
+        times: Times of all returns [s].
+        captured: Index of the return after which the distance to the orbit only decreased.
+        doubtful: True if the time of the last return changes at a higher accuracy.
     """
 
     times: tuple[float, ...]
@@ -48,11 +49,11 @@ class Way:
 
 
 def is_approached(before: Vector, after: Vector, jacobian: Vector, reached: float) -> bool:
-    """Return True if a step is the one that the derivative tells, to half of it.
+    """Return True if a step agrees with the linear prediction, to half of the predicted step.
 
     Args:
-        before: Where the step began, from the orbit, in section coordinates, ``(m,)``.
-        after: Where it ended.
+        before: Start of the step relative to the orbit, in section coordinates, ``(m,)``.
+        after: End of the step, likewise.
         jacobian: Derivative of the return map, ``(m, m)``.
         reached: Error of the step.
     """
@@ -63,13 +64,14 @@ def is_approached(before: Vector, after: Vector, jacobian: Vector, reached: floa
 
 
 def places_on_the_way(origin: Vector, jacobian: Vector) -> Vector:
-    """Return places between a motion and its orbit, and as many beyond it, ``(n, m)``.
+    """Return test points between a motion and its orbit, and possibly beyond the orbit, ``(n, m)``.
 
-    A motion that comes slowly along one direction passes them, on one side or on both in turn.
-    There are none where it circles about the orbit.
+    A slow motion along one direction passes these points. If the slowest multiplier is negative,
+    the motion alternates between both sides, and the result has as many points beyond the orbit. If
+    the multiplier is complex, the motion spirals around the orbit and the result is empty.
 
     Args:
-        origin: Where the motion is, from the orbit, in section coordinates, ``(m,)``.
+        origin: Position of the motion relative to the orbit, in section coordinates, ``(m,)``.
         jacobian: Derivative of the return map, ``(m, m)``.
     """
     values = np.linalg.eigvals(jacobian)
@@ -82,14 +84,14 @@ def places_on_the_way(origin: Vector, jacobian: Vector) -> Vector:
 
 
 def all_come_nearer(places: Vector, images: Vector, jacobian: Vector) -> bool:
-    r"""Return True if a return leads nearer to the orbit from each place.
+    r"""Return True if a return reduces the distance to the orbit from each point.
 
-    Near is measured along the eigenvectors of :math:`A`, where it brings all nearer by the spectral
-    radius; a part of that rate is asked for.
+    Distances are measured along the eigenvectors of :math:`A`, where the linear map reduces all
+    distances by the factor of the spectral radius. A part of this rate is required.
 
     Args:
-        places: From the orbit, in section coordinates, ``(n, m)``.
-        images: Where they return to, ``(n, m)``.
+        places: Points relative to the orbit, in section coordinates, ``(n, m)``.
+        images: Images of the points under the return map, ``(n, m)``.
         jacobian: Derivative of the return map at the orbit, ``(m, m)``.
     """
     values, vectors = np.linalg.eig(jacobian)
@@ -104,13 +106,13 @@ def all_come_nearer(places: Vector, images: Vector, jacobian: Vector) -> bool:
 
 
 def steps_towards(passed: Sequence[Vector], state: Vector, scale: Vector, reached: float) -> int:
-    """Return how many of the last steps of a motion led towards a state.
+    """Return the number of final steps of a motion that all led towards a state.
 
     Args:
         passed: States of the motion, the last first.
         state: The state.
         scale: Size of each state, ``(n_x,)``.
-        reached: Distance that counts as none, relative.
+        reached: Relative distance that counts as zero.
     """
     away = [float(np.max(np.abs(one - state) / scale)) for one in passed]
     pairs = itertools.pairwise(away)

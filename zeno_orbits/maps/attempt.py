@@ -1,12 +1,11 @@
-"""An attempt at the orbit that a motion goes to, by Newton's method (theory (29)).
+"""An attempt to find the attracting orbit of a motion by Newton's method (theory (29)).
 
-The loop is the same on both sections; `Crossing` says what differs.
+The loop is the same on both sections. `Crossing` contains their differences.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps.approach import all_come_nearer, is_approached, places_on_the_way
 from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.crossings import Follower, Released, Struck
 from zeno_orbits.maps.newton import (
     RELEASES,
     Crossing,
@@ -23,122 +23,88 @@ from zeno_orbits.maps.newton import (
     newton_step,
 )
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation import Ended, LaneEvent, Released, Struck
 
 _MOST_ITERATIONS = 12
 _SHRINKS = 0.9
-"""Newton's steps shrink at least by this, or the orbit is not near."""
+"""Largest ratio of successive Newton steps near an orbit."""
 _STRAIGHT = 0.05
-"""Step over the distance of the multipliers from 1 up to which the derivative serves again."""
+"""Largest step after which the derivative is reused, in units of the multipliers' distance to 1."""
 _LOCAL_ERRORS = 10.0
-"""Local errors that a period of a motion adds up to."""
+"""Error of a period of a motion, in units of the local error."""
 SAME_PERIOD = 1e-4
-"""Relative difference of times up to which two accuracies tell the same period."""
+"""Relative difference below which the periods at two accuracies agree."""
 _LATER = 2.0
-"""Relative difference of the time of a return, for a unit of the distance from the orbit."""
+"""Relative difference of return times per unit of distance from the orbit."""
 _NEAR, _REPELS = 0.05, 1.2
-"""An orbit this near with multipliers beyond this is not one that the motion goes to."""
+"""Distance and spectral radius: a nearer orbit with a larger radius does not attract the motion."""
 _VANISHED = 0.02
-"""Part of the amplitude below which there is no orbit: the motion dies out."""
+"""An amplitude below this part of the motion's amplitude means decay to an equilibrium."""
 _COARSE = 3e-4
-"""Newton's steps above this are repeated at the accuracy of the motion first."""
+"""After a larger Newton step, the next step also uses the accuracy of the motion."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Accuracy:
-    """Accuracy with which motions are followed to their attractors.
+    """Accuracy with which motions are simulated up to their attractors.
 
     Attributes:
-        motion: Local error while a motion settles.
-        orbit: Local error of the orbit that is reported.
-        near: Change of a return up to which Newton's method is tried, relative.
-        exact: Last step of Newton's method; what remains is its square, the multipliers' error
-            itself.
-        repeats: Change that counts as repeating where Newton's method is not available.
+        motion: Local error while a motion converges.
+        orbit: Local error of the reported orbit.
+        near: Largest relative change of a return with which Newton's method is tried.
+        exact: Largest last step of Newton's method. The error of the orbit is about the square of
+            this step, and the error of the multipliers is about the step itself.
+        repeats: Change that counts as repeating if Newton's method is not available.
     """
 
-    motion: float = 1e-6
-    orbit: float = 1e-8
+    motion: float = 1e-8
+    orbit: float = 1e-10
     near: float = 0.02
     exact: float = 2e-6
     repeats: float = 1e-7
 
     @property
     def reached(self) -> float:
-        """Distance of a motion from its orbit that its local errors do not tell from none."""
+        """Distance of a motion from its orbit within its accumulated local errors."""
         return _LOCAL_ERRORS * self.motion
 
 
-class Request(NamedTuple):
-    """Lanes that a point asks for, in place of those it has.
-
-    Attributes:
-        states: Where they start, ``(n, n_x)``.
-        tolerance: Local error.
-        released: Whether they start at a release.
-        until: How long they run [s].
-        led: Whether the first leads the others.
-    """
-
-    states: Vector
-    tolerance: float
-    released: bool
-    until: float
-    led: bool = True
-
-
 SAME = 1e-8
-"""A release that soon after the last one, for a unit of the time given, is the same one.
+"""Two releases are the same if they differ by less than this part of the period or the time limit.
 
-Rounding has locked the start.
+Rounding has then put the start in contact.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """There is no orbit that the motion goes to, as far as this attempt tells."""
-
-
-class _Look(NamedTuple):
-    """A look along the way from the motion to an orbit.
-
-    Attributes:
-        point: The orbit.
-        places: Places on the way whose returns are waited for, from the orbit, ``(n, m)``.
-        shorter: Returns after which the orbit repeats.
-    """
-
-    point: FixedPoint
-    places: Vector
-    shorter: int
+    """This attempt found no orbit to which the motion converges."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Attempt:
-    """Newton's method under way for orbits of a period.
+    """State of Newton's method for orbits of a period.
 
     Attributes:
-        dynamics: The system.
-        accuracy: How accurately.
-        crossing: The events that make its section.
-        span: Time of a period, about [s].
-        period: Returns a period.
-        bundle: Where its lanes started.
-        final: Whether they run at the accuracy of the orbit.
-        origin: The state of the motion from which it started, ``(n_x,)``.
-        earlier: That a period before, ``(n_x,)``.
-        before: Length of the step before; the first is allowed anything.
-        jacobian: Derivative from the bundle before, for a lane without neighbours.
-        returns: Events of the section on each lane so far.
-        iterations: Steps made.
-        contracts: Whether the return map contracts wherever a step began, and none turned back.
+        follower: Simulator of the motions.
+        accuracy: Accuracy of the simulations.
+        crossing: The events that define the section.
+        span: Approximate time of a period [s].
+        period: Number of returns per period.
+        bundle: Initial states of the lanes.
+        final: True if the lanes run at the accuracy of the orbit.
+        origin: The state of the motion at the start of the iteration, ``(n_x,)``.
+        earlier: The state of the motion a period before, ``(n_x,)``.
+        before: Length of the previous step. Infinite before the first step.
+        jacobian: Derivative from the previous bundle, for a lane without neighbours.
+        iterations: Number of steps so far.
+        contracts: True if the return map contracts at the start of every step, and no step reverses
+            its direction.
         last_step: The last step, in scaled states, ``(n_x,)``.
-        look: What returns are waited for once Newton's method is at its end.
-        doubtful: Whether the motion took another time than it takes more accurately.
-        approached: Whether the motion itself is known to be on its way to the orbit.
+        doubtful: True if the time of the motion's period changes at a higher accuracy.
+        approached: True if the motion itself converges to the orbit.
     """
 
-    dynamics: HybridDynamics
+    follower: Follower
     accuracy: Accuracy
     crossing: Crossing = RELEASES
     span: float
@@ -149,46 +115,65 @@ class Attempt:
     earlier: Vector
     before: float = np.inf
     jacobian: Vector | None = None
-    returns: dict[int, list[Released | Struck]] = field(
-        default_factory=dict[int, list[Released | Struck]]
-    )
     iterations: int = 0
     contracts: bool = True
     last_step: Vector | None = None
-    look: _Look | None = None
     doubtful: bool = False
     approached: bool = False
+    _lanes: list[list[Released | Struck]] = field(
+        init=False, default_factory=list[list[Released | Struck]]
+    )
 
-    def request(self, *, neighbours: bool) -> Request:
-        """Return the lanes of the next step: the bundle, or its leader where `A` is known."""
-        accuracy = self.accuracy
-        states = self.bundle.states if neighbours else self.bundle.states[:1]
-        self.returns = {rank: [] for rank in range(len(states))}
-        tolerance = accuracy.orbit if self.final else accuracy.motion
-        return Request(states, tolerance, True, 2 * self.span)
+    def run(self) -> Attractor | Lost:
+        """Return the orbit to which the motion converges, or `Lost`."""
+        answer: Vector | Attractor | Lost = self.bundle.states
+        while isinstance(answer, np.ndarray):
+            error = self.accuracy.orbit if self.final else self.accuracy.motion
+            lanes = [self._returns(state, error) for state in answer]
+            if not all(lanes):
+                return Lost()
+            self._lanes = lanes
+            cycles = [self.crossing.cycle(self.dynamics, events) for events in lanes]
+            try:
+                point = newton_step(self.dynamics, self.bundle.section, cycles, self.jacobian)
+            except (np.linalg.LinAlgError, ZenoOrbitsError):
+                return Lost()
+            answer = self._stepped(point)
+        return answer
 
-    def hear(self, rank: int, event: LaneEvent) -> Request | Attractor | Lost | None:
-        """Take an event of one of the lanes; once all have returned, make a step."""
-        if isinstance(event, Ended):
-            return Lost()
-        if not isinstance(event, self.crossing.event):
-            return None
-        returns = self.returns[rank]
-        if len(returns) < self.period and event.time > SAME * self.span:
-            returns.append(event)
-        if any(len(events) < self.period for events in self.returns.values()):
-            return None
-        if self.look is not None:
-            return self._looked(self.look)
-        cycles = [self.crossing.cycle(self.dynamics, self.returns[k]) for k in sorted(self.returns)]
-        try:
-            point = newton_step(self.dynamics, self.bundle.section, cycles, self.jacobian)
-        except (np.linalg.LinAlgError, ZenoOrbitsError):
-            return Lost()
-        return self._stepped(point)
+    @property
+    def dynamics(self) -> HybridDynamics:
+        """The system."""
+        return self.follower.dynamics
 
-    def _stepped(self, point: FixedPoint) -> Request | Attractor | Lost | None:
-        """Go on from a step of Newton's method: again, more accurately, or to a conclusion."""
+    def _returns(self, state: Vector, error: float) -> list[Released | Struck]:
+        """Return the returns of a period of the motion from a state, or an empty list."""
+        releases = self.period if self.crossing is RELEASES else np.inf
+        found = self._first(state, error, releases)
+        if len(found) + 1 == releases:
+            # Rounding has put the start in contact, which adds an immediate release.
+            found = self._first(state, error, releases + 1)
+        return found if len(found) == self.period else []
+
+    def _first(self, state: Vector, error: float, releases: float) -> list[Released | Struck]:
+        """Return the first returns of the motion from a state, at most a period."""
+        found: list[Released | Struck] = []
+        crossings = self.follower.crossings(
+            state, until=2 * self.span, error=error, releases=releases
+        )
+        for event in crossings:
+            if isinstance(event, self.crossing.event) and event.time > SAME * self.span:
+                found.append(event)
+                if len(found) == self.period:
+                    break
+        return found
+
+    def _next(self, *, neighbours: bool) -> Vector:
+        """Return the states of the next step: the bundle, or its centre with a known `A`."""
+        return self.bundle.states if neighbours else self.bundle.states[:1]
+
+    def _stepped(self, point: FixedPoint) -> Vector | Attractor | Lost:
+        """Continue after a Newton step: with a further step, a higher accuracy, or a conclusion."""
         accuracy = self.accuracy
         self.iterations += 1
         if not (np.all(np.isfinite(point.jacobian)) and np.isfinite(point.distance)):
@@ -199,12 +184,12 @@ class Attempt:
             return Lost()
         if point.distance < _NEAR and point.spectral_radius > _REPELS:
             return Lost()
-        if self.final and point.distance <= accuracy.exact:
+        if self.final and self.jacobian is None and point.distance <= accuracy.exact:
             return self._accepted(point)
         self._note_contraction(point)
         if self.contracts and self._vanishes(point):
             return Attractor(fate=Fate.REST, trend=point.spectral_radius)
-        coarse = not self.final and point.distance > _COARSE
+        coarse = point.distance > _COARSE
         least = min((abs(1 - value) for value in point.multipliers), default=1.0)
         straight = coarse and point.distance < _STRAIGHT * least
         try:
@@ -212,16 +197,18 @@ class Attempt:
             self.bundle = bundle_at(self.dynamics, self.crossing.rows, point.state, scale)
         except ZenoOrbitsError:
             return Lost()
-        # The fixed point moves with the accuracy: the first step at another one says nothing.
-        self.before = point.distance if self.final != coarse else np.inf
-        self.final = not coarse
+        final = self.final or not coarse
+        # The fixed point depends on the accuracy, so the first step at a new accuracy is not
+        # compared with the previous step.
+        self.before = point.distance if self.final == final else np.inf
+        self.final = final
         self.jacobian = point.jacobian if straight else None
-        return self.request(neighbours=not straight)
+        return self._next(neighbours=not straight)
 
     def _note_contraction(self, point: FixedPoint) -> None:
-        """Note whether the way to the orbit so far is one that the motion takes as well.
+        """Record whether the motion may follow the path of the iteration to the orbit.
 
-        Where the return map contracts all along a straight way, the motion follows it to its end.
+        If the return map contracts all along a straight path, the motion follows it to its end.
         """
         section = self.bundle.section
         step = (point.state - section.centre) / section.scale
@@ -231,13 +218,13 @@ class Attempt:
         self.last_step = step
 
     def _vanishes(self, point: FixedPoint) -> bool:
-        """Return True if the way leads to an amplitude of zero."""
+        """Return True if the iteration leads to an amplitude of zero."""
         scale = self.bundle.section.scale
         left = float(np.max(np.abs(point.state) / scale))
         return left < _VANISHED * float(np.max(np.abs(self.origin) / scale))
 
-    def _accepted(self, point: FixedPoint) -> Request | Attractor | Lost:
-        """Return the orbit if it attracts and the motion is on its way to it."""
+    def _accepted(self, point: FixedPoint) -> Vector | Attractor | Lost:
+        """Return the orbit if it is stable and the motion converges to it."""
         if not point.spectral_radius < 1.0:
             return Lost()
         shorter = self._shorter_period()
@@ -254,49 +241,47 @@ class Attempt:
                 return Lost()
             if not is_approached(before, after, jacobian, self.accuracy.reached):
                 places = places_on_the_way(after, jacobian)
-                return self._look_along_the_way(_Look(point, places, shorter))
+                if not (self.contracts and len(places) and self._leads_there(point, places)):
+                    return Lost()
         return self._concluded(point, shorter)
 
-    def _concluded(self, point: FixedPoint, shorter: int) -> Request | Attractor:
-        """Return the orbit that the motion goes to, or look for it again after fewer returns."""
+    def _concluded(self, point: FixedPoint, shorter: int) -> Vector | Attractor:
+        """Return the orbit of the motion, or repeat the search with fewer returns per period."""
         self.approached = True
         if shorter < self.period:
             self.period, self.before = shorter, np.inf
-            return self.request(neighbours=True)
+            return self._next(neighbours=True)
         return self._orbit(point)
 
-    def _look_along_the_way(self, look: _Look) -> Request | Lost:
-        """Ask for returns from between the motion and the orbit, where it would take long."""
-        if not (self.contracts and len(look.places)):
-            return Lost()
-        section = self.bundle.section
-        rows = section.coordinates(look.point.state) + look.places
-        try:
-            states = np.array([section.state(self.dynamics, row) for row in rows])
-        except ZenoOrbitsError:
-            return Lost()
-        self.look = look
-        self.returns = {rank: [] for rank in range(len(states))}
-        return Request(states, self.accuracy.orbit, True, 2 * self.span, led=False)
+    def _leads_there(self, point: FixedPoint, places: Vector) -> bool:
+        """Return True if returns lead to an orbit from all test points on the way to it.
 
-    def _looked(self, look: _Look) -> Request | Attractor | Lost:
-        """Return the orbit if returns lead to it from all the way."""
+        Args:
+            point: The orbit.
+            places: Test points relative to the orbit, in section coordinates, ``(n, m)``.
+        """
         section = self.bundle.section
-        centre = section.coordinates(look.point.state)
-        ends = [self.returns[rank][-1].state for rank in sorted(self.returns)]
-        images = np.array([section.coordinates(end) - centre for end in ends])
-        if not all_come_nearer(look.places, images, look.point.jacobian):
-            return Lost()
-        self.look = None
-        return self._concluded(look.point, look.shorter)
+        centre = section.coordinates(point.state)
+        images: list[Vector] = []
+        for place in places:
+            try:
+                state = section.state(self.dynamics, centre + place)
+            except ZenoOrbitsError:
+                return False
+            returns = self._returns(state, self.accuracy.orbit)
+            if not returns:
+                return False
+            images.append(section.coordinates(returns[-1].state) - centre)
+        return all_come_nearer(places, np.array(images), point.jacobian)
 
     def _shorter_period(self) -> int:
-        """Return after how many returns Newton's method is at its end already.
+        """Return the smallest number of returns for which Newton's method has converged.
 
-        The returns of the last step lie beside the orbit, as its start did: that one is near that
-        start does not tell alone. Nor do coordinates: of a return from elsewhere there may be none.
+        The returns of the last step lie near the orbit, as its start does. A small distance between
+        a return and this start is therefore not sufficient. Section coordinates alone are also not
+        sufficient, since they may not exist for a distant return.
         """
-        lanes = [self.returns[rank] for rank in sorted(self.returns)]
+        lanes = self._lanes
         start, scale = self.bundle.section.centre, self.bundle.section.scale
         for period in range(1, self.period):
             away = float(np.max(np.abs(lanes[0][period - 1].state - start) / scale))

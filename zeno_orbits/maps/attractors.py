@@ -1,4 +1,4 @@
-"""Attractors with their numbers: the answer at one point of a map, and its plain data."""
+"""Attractors with their properties: the result at one point of a map, and its plain data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from zeno_orbits.simulation.attractor import STEADY
+from zeno_orbits.simulation import STEADY, AttractorKind
+from zeno_orbits.work import EntryError, restored
 
 
 class Fate(Enum):
@@ -24,21 +25,46 @@ class Fate(Enum):
     FAILED = "simulation failed"
 
 
+_KINDS = {
+    Fate.ZENO: AttractorKind.REPEATS,
+    Fate.SIMPLE: AttractorKind.REPEATS,
+    Fate.NO_ZENO: AttractorKind.REPEATS,
+    Fate.REST: AttractorKind.RESTS,
+    Fate.HELD: AttractorKind.HELD,
+    Fate.ESCAPE: AttractorKind.GONE,
+}
+_IRREGULAR = {
+    AttractorKind.QUASI_PERIODIC: "quasi-periodic motion",
+    AttractorKind.CHAOTIC: "chaotic motion",
+    AttractorKind.GROWS: "growing motion",
+}
+_ORBITS = (Fate.ZENO, Fate.SIMPLE, Fate.NO_ZENO)
+"""Attractors that are periodic orbits."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attractor:
     """The attractor of a motion.
 
     Attributes:
-        fate: Its kind. ``SIMPLE`` is an orbit that locks with the first impact: a plastic stop.
-        returns: Releases a period, 1 for a period-1 orbit, 2 after a flip; 0 without releases.
-        period: Time after which the motion repeats [s]; NaN where it does not.
+        fate: Kind of the attractor. ``SIMPLE`` is an orbit whose contact begins with the first
+            impact, at a plastic stop.
+        returns: Number of releases per period: 1 for a period-1 orbit, 2 after a period doubling, 0
+            without releases.
+        period: Time after which the motion repeats [s]. NaN if it does not repeat.
         multipliers: Floquet multipliers over the period, the largest first.
-        margins: Name to distance from where the orbit would lose its shape, as in a certificate.
+        margins: Name to distance to a loss of the orbit's shape, as in a certificate.
         state: State at the release (or impact) at which the period starts, by name.
-        escaped: Name of the coordinate that runs away.
-        trend: Factor by which the motion grows a period, if it neither repeats nor has died out;
-            NaN where nothing can be said.
-        detail: The reason in words, where the fate alone does not tell.
+        escaped: Name of the diverging coordinate.
+        trend: Growth factor of the motion per period, if it neither repeats nor has decayed. NaN if
+            it is unknown.
+        detail: Further explanation of the fate, as text.
+        kind: Kind of the motion. For a motion that has not converged, it is quasi-periodic, chaotic
+            or growing.
+        turns: Number of turns of the clock per period. 0 without a clock or a period.
+        exponent: Largest Lyapunov exponent of a motion that does not repeat [1/s], else NaN.
+        exponent_error: Three standard deviations of the exponent [1/s].
+        number: Index of the orbit if a map over states has several orbits of one kind, else 0.
     """
 
     fate: Fate
@@ -50,30 +76,52 @@ class Attractor:
     escaped: str = ""
     trend: float = float("nan")
     detail: str = ""
+    kind: AttractorKind = AttractorKind.UNDECIDED
+    turns: int = 0
+    exponent: float = float("nan")
+    exponent_error: float = float("nan")
+    number: int = 0
+
+    def __post_init__(self) -> None:
+        """Fill in the kind that follows from the fate alone."""
+        if self.kind is AttractorKind.UNDECIDED:
+            object.__setattr__(self, "kind", _KINDS.get(self.fate, self.kind))
 
     @property
     def phrase(self) -> str:
-        """Its kind in the words of a legend."""
-        if self.fate is Fate.ZENO:
-            return f"{self.fate.value}, period {self.returns}"
-        if self.fate is Fate.SIMPLE and self.returns > 1:
-            return f"{self.fate.value}, period {self.returns}"
+        """The kind of the attractor, as text for a legend."""
+        if self.fate in _ORBITS:
+            several = self.fate is Fate.ZENO or self.returns > 1
+            period = f", period {self.returns}" if several and self.returns else ""
+            turns = f", {self.turns} turns" if self.turns > 1 else ""
+            number = f", number {self.number}" if self.number else ""
+            return f"{self.fate.value}{period}{turns}{number}"
         if self.fate is Fate.ESCAPE:
             return self.detail or f"{self.escaped} runs away"
-        if self.fate is Fate.UNSETTLED and self.trend > 1.0 + STEADY:
-            return f"{self.fate.value}, growing"
-        if self.fate is Fate.UNSETTLED and self.trend < 1.0 - STEADY:
-            return f"{self.fate.value}, dying out"
+        if self.fate is Fate.UNSETTLED and self.kind in _IRREGULAR:
+            return _IRREGULAR[self.kind]
+        if self.fate is Fate.UNSETTLED and not self.detail:
+            # The motion was not analysed further.
+            if self.trend > 1.0 + STEADY:
+                return f"{self.fate.value}, growing"
+            if self.trend < 1.0 - STEADY:
+                return f"{self.fate.value}, dying out"
         return self.fate.value
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the attractor as plain data, as in a point of a map file."""
+        return attractor_json(self)
 
     @property
     def spectral_radius(self) -> float:
-        """Largest modulus of the multipliers; NaN without any."""
-        return max((abs(value) for value in self.multipliers), default=float("nan"))
+        """Largest modulus of the multipliers: 0 without multipliers, NaN if it is unknown."""
+        # A state just after an impact always has a multiplier, but a release may not have any.
+        nothing = 0.0 if self.fate in (Fate.ZENO, Fate.SIMPLE) else math.nan
+        return max((abs(value) for value in self.multipliers), default=nothing)
 
 
 def attractor_json(attractor: Attractor) -> dict[str, Any]:
-    """Return an attractor as plain data, every bit of it; what is unknown is left out."""
+    """Return an attractor as plain data, bit for bit. Unknown entries are omitted."""
     entries = {
         "fate": attractor.fate.name.lower(),
         "returns": attractor.returns,
@@ -84,29 +132,42 @@ def attractor_json(attractor: Attractor) -> dict[str, Any]:
         "escaped": attractor.escaped,
         "trend": attractor.trend,
         "detail": attractor.detail,
+        "kind": attractor.kind.name.lower(),
+        "turns": attractor.turns,
+        "exponent": attractor.exponent,
+        "exponent_error": attractor.exponent_error,
+        "number": attractor.number,
     }
     empty: tuple[object, ...] = ("", [], {})
     return {
         name: value
         for name, value in entries.items()
-        if value not in empty and not (isinstance(value, float) and math.isnan(value))
+        if value not in empty
+        and (name, value) not in (("turns", 0), ("number", 0))
+        and not (isinstance(value, float) and math.isnan(value))
     }
 
 
-def attractor_from_json(entries: Mapping[str, Any]) -> Attractor:
+def attractor_from_json(entries: Mapping[str, Any], name: str = "data") -> Attractor:
     """Return the attractor of plain data.
 
+    Args:
+        entries: The plain data.
+        name: Name of the data in an error message.
+
     Raises:
-        KeyError, TypeError, ValueError: If the data are not those of an attractor.
+        EntryError: If an entry is missing, has a wrong type, or an invalid value.
+        KeyError, TypeError, ValueError: If the data do not describe an attractor.
     """
-    return Attractor(
-        fate=Fate[str(entries["fate"]).upper()],
-        returns=int(entries.get("returns", 0)),
-        period=float(entries.get("period", math.nan)),
-        multipliers=tuple(complex(*pair) for pair in entries.get("multipliers", ())),
-        margins={str(k): float(v) for k, v in dict(entries.get("margins", {})).items()},
-        state={str(k): float(v) for k, v in dict(entries.get("state", {})).items()},
-        escaped=str(entries.get("escaped", "")),
-        trend=float(entries.get("trend", math.nan)),
-        detail=str(entries.get("detail", "")),
-    )
+    words = {**entries, "fate": str(entries["fate"]).upper()}
+    words["kind"] = str(entries.get("kind", AttractorKind.UNDECIDED.name)).upper()
+    found = restored(Attractor, words, name, finite=True)
+    if found.returns < 0:
+        raise EntryError(f"{name}.returns", "at least 0", str(found.returns))
+    if found.turns < 0:
+        raise EntryError(f"{name}.turns", "at least 0", str(found.turns))
+    if found.number < 0:
+        raise EntryError(f"{name}.number", "at least 0", str(found.number))
+    if found.period <= 0.0:
+        raise EntryError(f"{name}.period", "positive", f"{found.period:g}")
+    return found

@@ -1,9 +1,8 @@
-"""Attractors at many parameter values of a problem at once: one chunk of a map."""
+"""Attractors at many parameter values of a problem: one chunk of a map."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -12,25 +11,18 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.maps.attempt import Accuracy, Request
-from zeno_orbits.maps.attractors import Attractor
+from zeno_orbits.maps.attempt import Accuracy
+from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.crossings import Follower
+from zeno_orbits.maps.known import KnownOrbit, distinct_orbits, known_orbit
 from zeno_orbits.maps.point import Point
-from zeno_orbits.maps.sure_point import SurePoint
-from zeno_orbits.model import OwnScale, ParameterValues, Problem, own_time
-from zeno_orbits.simulation import (
-    OSCILLATIONS,
-    WAITING,
-    Batch,
-    BatchModel,
-    bounds_of,
-    model_in_rows,
-)
+from zeno_orbits.maps.sure_point import sure_attractor
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, own_time
+from zeno_orbits.simulation import OSCILLATIONS, WAITING, bounds_of, turns_in
 from zeno_orbits.work import Progress, silent
 
 _BOUNCY, _LONGEST = 0.5, 10.0
-"""Restitution from which impacts fade so slowly that it takes longer, and how much at most."""
-_LANES = 2048
-"""Lanes in a batch. More share the cost of a round better, until they leave the cache."""
+"""Restitution above which slow decay of impacts increases the time limit, and largest factor."""
 
 
 def attractors_at(
@@ -43,22 +35,22 @@ def attractors_at(
     accuracy: Accuracy | None = None,
     on_progress: Progress = silent,
 ) -> tuple[Attractor, ...]:
-    """Return what the motion from one state settles to, at every setting.
+    """Classify the attractor of the motion from one state, at every setting.
 
-    The result at a setting does not depend on the others in the batch.
+    The result at a setting does not depend on the other settings.
 
     Args:
         problem: The problem.
-        settings: Numbers for its gains and parameters, one a point.
-        start: Where motions start; the problem's first start by default.
-        until: Longest simulated time [s]; by default the `usual_time`.
-        bounds: Largest modulus of coordinates by name; beyond it a motion has escaped. By default
-            what the problem declares, and 20 pi for the others.
-        accuracy: How accurately motions are followed.
-        on_progress: Called with the part of the points that is done, whenever it has grown.
+        settings: Values of its gains and parameters at each point.
+        start: Initial state of all motions. The default is the problem's first initial state.
+        until: Longest simulated time [s]. The default is the `usual_time`.
+        bounds: Largest modulus of coordinates by name. Beyond it a motion diverges. The default is
+            the limit that the problem declares, or 20 pi for other coordinates.
+        accuracy: Accuracy of the simulations.
+        on_progress: Called with the finished part of the points after every increase.
 
     Raises:
-        InputError: If a name is unknown or a number out of its range.
+        InputError: If a name is unknown or a value is out of its range.
     """
     if until is not None and not (math.isfinite(until) and until > 0.0):
         raise InputError(
@@ -66,38 +58,115 @@ def attractors_at(
         )
     if not settings:
         return ()
-    state = np.array(problem.state_vector(problem.starts[0] if start is None else start))
+    state = np.array(problem.initial_state(start))
     time = usual_time(problem, settings, state) if until is None else until
+    motions = [(values, state) for values in settings]
+    return attractors_from(
+        problem, motions, until=time, bounds=bounds, accuracy=accuracy, on_progress=on_progress
+    )
+
+
+def attractors_from(
+    problem: Problem,
+    motions: Sequence[tuple[ParameterValues, Vector]],
+    *,
+    until: float,
+    bounds: Mapping[str, float] | None = None,
+    accuracy: Accuracy | None = None,
+    known: Sequence[KnownOrbit] = (),
+    on_progress: Progress = silent,
+) -> tuple[Attractor, ...]:
+    """Classify the attractors of motions, each with its own initial state and values.
+
+    The result of a motion does not depend on the other motions.
+
+    Args:
+        problem: The problem.
+        motions: Values and initial state ``(n_x,)`` of each motion.
+        until: Longest simulated time [s].
+        bounds: As in `attractors_at`.
+        accuracy: Accuracy of the simulations.
+        known: Orbits at these values with which motions are compared.
+        on_progress: Called with the finished part of the motions after every increase.
+
+    Raises:
+        InputError: If a bound is unknown or not positive.
+    """
     limits = _limits(problem, bounds)
-    alike: dict[OwnScale, list[int]] = {}
-    for k, values in enumerate(settings):
-        alike.setdefault(problem.dynamics(values).own, []).append(k)
-    found: dict[int, Attractor] = {}
-    for own, places in alike.items():
-        model, some = model_in_rows(problem, own), [settings[k] for k in places]
-        run = _Run(problem, model, some, state, time, limits, accuracy or Accuracy())
-        done = 0
-        while run.is_going:
-            run.advance()
-            if run.n_done > done:
-                on_progress("classifying motions", (len(found) + run.n_done) / len(settings))
-            done = run.n_done
-        found |= {places[k]: one for k, one in run.found.items()}
-    return tuple(_in_words(problem, found[k]) for k in range(len(settings)))
+    found: list[Attractor] = []
+    system: tuple[ParameterValues, HybridDynamics] | None = None
+    for values, state in motions:
+        try:
+            if system is None or system[0] is not values:
+                system = values, problem.dynamics(values)
+        except InputError as error:
+            # A derived value may be outside of its range.
+            found.append(Attractor(fate=Fate.FAILED, detail=str(error)))
+        else:
+            exact = accuracy or Accuracy()
+            found.append(_attractor(problem, system[1], state, until, limits, exact, known))
+        on_progress("classifying motions", len(found) / len(motions))
+    return tuple(found)
+
+
+def known_orbits(
+    problem: Problem,
+    values: ParameterValues,
+    attractors: Sequence[Attractor],
+    accuracy: Accuracy | None = None,
+) -> tuple[KnownOrbit, ...]:
+    """Return the distinct stable orbits among some attractors, for comparison with motions.
+
+    Args:
+        problem: The problem.
+        values: Values of its gains and parameters.
+        attractors: The attractors at these values.
+        accuracy: Accuracy of the simulations.
+
+    Raises:
+        InputError: If the problem rejects the values.
+    """
+    follower = Follower(dynamics=problem.dynamics(values), bounds=_limits(problem, None))
+    exact = accuracy or Accuracy()
+    found: list[KnownOrbit] = []
+    for attractor in attractors:
+        orbit = known_orbit(follower, problem.state_units, attractor, exact)
+        if orbit is not None:
+            found.append(orbit)
+    return distinct_orbits(found)
+
+
+def _attractor(
+    problem: Problem,
+    dynamics: HybridDynamics,
+    start: Vector,
+    until: float,
+    limits: Vector,
+    accuracy: Accuracy,
+    known: Sequence[KnownOrbit],
+) -> Attractor:
+    """Return the attractor of one motion."""
+    usual = dynamics.own.states(len(start))
+    follower = Follower(dynamics=dynamics, bounds=limits)
+    motion = partial(Point, follower, problem.state_units, start, until, usual=usual, known=known)
+    found = sure_attractor(motion, accuracy)
+    turns = turns_in(dynamics, start, found.period)
+    return _in_words(problem, replace(found, turns=turns))
 
 
 def usual_time(
     problem: Problem, settings: Sequence[ParameterValues], start: Sequence[float] | Vector
 ) -> float:
-    """Return how long to wait for motions to settle, in the problem's own time scale [s].
+    """Return the default time limit of motions, from the characteristic time of the problem [s].
 
-    It is so many turns of the slowest clock or oscillation, to one digit. Without a clock it is
-    longer as impacts fade more slowly, by `ln 0.5 / ln e` where `e` is above 0.5.
+    The limit is a fixed number of periods of the slowest clock or oscillation, rounded to one
+    digit. Without a clock and for `e` above 0.5, impacts decay more slowly, and the limit is larger
+    by the factor `ln 0.5 / ln e`.
 
     Args:
         problem: The problem.
-        settings: Numbers for its gains and parameters, at least one.
-        start: State at which the motions start, ``(n_x,)``.
+        settings: Values of its gains and parameters, at least one setting.
+        start: Initial state of the motions, ``(n_x,)``.
     """
     state = np.array(start)
     slowest = max(own_time(problem.dynamics(values), state) for values in settings)
@@ -109,7 +178,7 @@ def usual_time(
 
 
 def _in_words(problem: Problem, found: Attractor) -> Attractor:
-    """Return an attractor whose escape has the words of the problem."""
+    """Return an attractor with the problem's own description of a divergence."""
     if found.escaped not in problem.escapes:
         return found
     return replace(found, detail=problem.escapes[found.escaped].phrase)
@@ -123,105 +192,3 @@ def _limits(problem: Problem, bounds: Mapping[str, float] | None) -> Vector:
         if not bound > 0.0:
             raise InputError(f"Argument `bounds` must be positive, but `{name}` has {bound:g}.")
     return bounds_of(problem.state_names, problem.state_units, problem.compiled().n_q, declared)
-
-
-class _Run:
-    """The points of a call, and the lanes that they have."""
-
-    def __init__(
-        self,
-        problem: Problem,
-        model: BatchModel,
-        settings: Sequence[ParameterValues],
-        start: Vector,
-        until: float,
-        limits: Vector,
-        accuracy: Accuracy,
-    ) -> None:
-        self._numbers = np.array([values.vector for values in settings])
-        self._problem = problem
-        self._accuracy = accuracy
-        self._start, self._until = start, until
-        self._usual = model.own.states(model.n_x)
-        self._batch = Batch(model, _LANES, bounds=limits)
-        self._waiting = deque(range(len(settings)))
-        self._points: dict[int, SurePoint] = {}
-        self._lanes: dict[int, list[int]] = {}
-        self._owner: dict[int, tuple[int, int]] = {}
-        self._asked: deque[tuple[int, Request]] = deque()
-        self.found: dict[int, Attractor] = {}
-
-    @property
-    def is_going(self) -> bool:
-        """True while a point has not come to its conclusion."""
-        return bool(self._waiting or self._points)
-
-    @property
-    def n_done(self) -> int:
-        """Points that have."""
-        return len(self.found)
-
-    def advance(self) -> None:
-        """Give points their lanes, advance these, and tell the points of it."""
-        self._admit()
-        for event in self._batch.round():
-            if event.lane not in self._owner:
-                continue
-            index, rank = self._owner[event.lane]
-            answer = self._points[index].hear(rank, event)
-            if answer is None:
-                continue
-            self._leave(index)
-            if isinstance(answer, Attractor):
-                self.found[index] = answer
-                del self._points[index]
-            else:
-                self._asked.append((index, answer))
-
-    def _admit(self) -> None:
-        """Start the lanes that were asked for, then new points, while there is room."""
-        room = self._batch.n_free
-        granted: list[tuple[int, Request]] = []
-        while self._asked and len(self._asked[0][1].states) <= room:
-            room -= len(self._asked[0][1].states)
-            granted.append(self._asked.popleft())
-        while self._waiting and room > 0 and not self._asked:
-            index = self._waiting.popleft()
-            dynamics = self._problem.dynamics(self._numbers[index])
-            units = self._problem.state_units
-            motion = partial(Point, dynamics, units, self._start, self._until, usual=self._usual)
-            point = SurePoint(motion, self._accuracy)
-            self._points[index] = point
-            granted.append((index, point.begin()))
-            room -= 1
-        kinds = sorted({(r.released, r.led, len(r.states), r.tolerance) for _, r in granted})
-        for kind in kinds:
-            alike = [
-                (index, r)
-                for index, r in granted
-                if (r.released, r.led, len(r.states), r.tolerance) == kind
-            ]
-            self._start_lanes(alike, alike[0][1])
-
-    def _start_lanes(self, asked: list[tuple[int, Request]], one: Request) -> None:
-        """Start lanes that were asked for in the same way as one of them."""
-        n = len(one.states)
-        states = np.concatenate([request.states for _, request in asked])
-        numbers = np.repeat(self._numbers[[index for index, _ in asked]], n, axis=0)
-        until = np.repeat([request.until for _, request in asked], n)
-        if one.released:
-            lanes = self._batch.resume(
-                numbers, states, one.tolerance, until, n_followers=n - 1 if one.led else 0
-            )
-        else:
-            lanes = self._batch.start(numbers, states, one.tolerance, until)
-        for (index, _), own in zip(asked, lanes.reshape(-1, n).tolist(), strict=True):
-            self._lanes[index] = own
-            for rank, lane in enumerate(own):
-                self._owner[lane] = (index, rank)
-
-    def _leave(self, index: int) -> None:
-        own = self._lanes.pop(index, [])
-        self._batch.stop(own)
-        for lane in own:
-            del self._owner[lane]

@@ -1,14 +1,15 @@
-r"""Newton's step to a periodic orbit on its section, from returns that a batch made.
+r"""Newton's step to a periodic orbit on its section, from returns of neighbouring motions.
 
 A *bundle* starts from a state of the section and from states displaced by :math:`\epsilon` along
-each section coordinate, all following the first one's steps. Where they return tells :math:`P` and
-its derivative, and with them the fixed point to second order and the multipliers (theory (18)).
-The section is that of the releases, or of the states just after an impact where an orbit has no
-Zeno point and so no release (theory (41)).
+each section coordinate. The returns determine :math:`P` and its derivative, and therefore the fixed
+point to second order and the multipliers (theory (18)).
+The section contains the releases. If an orbit does not have a Zeno point and hence a release, it
+contains the states just after an impact (theory (41)).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,18 +17,20 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.maps.crossings import Released, Struck
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import IMPACT_ROWS, RELEASE_ROWS, Section, projected, section_around
-from zeno_orbits.simulation import Released, Struck
 
 _DISPLACED = 1e-6
 """Displacement in scaled section coordinates.
 
-Steps are shared, so a difference has the noise of rounding and roots alone, some 1e-14.
+Neighbours usually have the same sequence of steps, with nearly the same sizes. Errors of the
+integration then cancel in a difference. If a neighbour has another sequence, the difference
+contains its local error.
 """
 
 _OFF = 0.3 * _DISPLACED
-"""A state that is off its section by less, in scaled states, has good differences."""
+"""Largest distance of a state from its section for accurate differences, in scaled states."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +39,7 @@ class DisplacedStates:
 
     Attributes:
         section: The chart around the state.
-        states: The state, then one neighbour for each section coordinate, ``(m + 1, n_x)``.
+        states: The state, then one neighbour per section coordinate, ``(m + 1, n_x)``.
     """
 
     section: Section
@@ -44,12 +47,12 @@ class DisplacedStates:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BatchReturn:
-    """A return over a period: its end and its numbers.
+class PeriodReturn:
+    """A return over a period: its end, its duration and its margins.
 
     Attributes:
-        state: Where it returns, ``(n_x,)``.
-        numbers: Period first, then the margins of a certificate in order, ``(n,)``.
+        state: State at the end, ``(n_x,)``.
+        numbers: Period, then the margins of a certificate in order, ``(n,)``.
     """
 
     state: Vector
@@ -61,10 +64,11 @@ class FixedPoint:
     """Newton's step towards a fixed point of the return map.
 
     Attributes:
-        distance: Length of the step in section coordinates; its square is what remains, about.
+        distance: Length of the step in section coordinates. The remaining error is about its
+            square.
         jacobian: Derivative of the return map, ``(m, m)``.
-        state: The point, ``(n_x,)``.
-        numbers: Period and margins there.
+        state: The fixed point, ``(n_x,)``.
+        numbers: Period and margins at the fixed point.
     """
 
     distance: float
@@ -88,8 +92,9 @@ def bundle_at(
 ) -> DisplacedStates:
     """Return a state of a section and its neighbours.
 
-    The state is off its section by what the flow drifts from the stop. Where that is no small part
-    of a displacement, it is moved there as its neighbours are.
+    The state may be off its section by the drift of the flow from the stop. If this distance is not
+    small compared with a displacement, the state is projected to the section, as are its
+    neighbours.
 
     Args:
         dynamics: The system.
@@ -98,7 +103,7 @@ def bundle_at(
         scale: Size of each state, ``(n_x,)``.
 
     Raises:
-        SimulationError: If there is no section near the state.
+        SimulationError: If a section does not exist near the state.
     """
     x = x if rows == RELEASE_ROWS else projected(dynamics, rows, x, scale)
     section = section_around(dynamics, rows, x, scale)
@@ -109,12 +114,14 @@ def bundle_at(
     return DisplacedStates(section=section, states=np.array(states))
 
 
-def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> BatchReturn:
-    """Return what the releases of one period tell, margins at their smallest."""
+def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> PeriodReturn:
+    """Return the period and the smallest margins over the releases of one period."""
     margins = np.array(
         [
             (
-                -event.zeno_acceleration,
+                math.nan
+                if event.zeno_state is None
+                else -dynamics.gap_acceleration(event.zeno_state),
                 -event.struck,
                 -dynamics.multiplier_rate(event.state),
                 event.time - event.zeno_time,
@@ -123,32 +130,32 @@ def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> BatchR
         ]
     )
     numbers = np.append(events[-1].time, margins.min(axis=0))
-    return BatchReturn(state=events[-1].state, numbers=numbers)
+    return PeriodReturn(state=events[-1].state, numbers=numbers)
 
 
-def _of_impacts(_: HybridDynamics, events: Sequence[Struck]) -> BatchReturn:
-    """Return what the impacts of one period tell."""
+def _of_impacts(_: HybridDynamics, events: Sequence[Struck]) -> PeriodReturn:
+    """Return the period and the slowest impact over the impacts of one period."""
     slowest = min(-event.rate for event in events)
-    return BatchReturn(state=events[-1].state, numbers=np.array([events[-1].time, slowest]))
+    return PeriodReturn(state=events[-1].state, numbers=np.array([events[-1].time, slowest]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crossing:
-    """The events at which motions meet a section.
+    """The events at which motions cross a section.
 
     Attributes:
-        event: Their kind.
+        event: Kind of the events.
         rows: Rows of the contact that vanish on the section.
         margins: Names of the margins, as in a certificate.
-        cycle: From the system and the events of one period, with times from its start, to what
-            they tell.
-        far: Longest step of Newton's method from the motion, relative; the orbit has to be here.
+        cycle: Function of the system and the events of one period, with times from its start. It
+            returns the end, the period and the margins.
+        far: Longest relative Newton step from the motion within which the orbit must lie.
     """
 
     event: type[Released | Struck]
     rows: tuple[int, ...]
     margins: tuple[str, ...]
-    cycle: Callable[[HybridDynamics, Sequence[Any]], BatchReturn]
+    cycle: Callable[[HybridDynamics, Sequence[Any]], PeriodReturn]
     far: float
 
 
@@ -171,7 +178,7 @@ IMPACTS = Crossing(
 def newton_step(
     dynamics: HybridDynamics,
     section: Section,
-    cycles: Sequence[BatchReturn],
+    cycles: Sequence[PeriodReturn],
     jacobian: Vector | None,
 ) -> FixedPoint:
     """Return Newton's step from the centre of a section.
@@ -179,8 +186,8 @@ def newton_step(
     Args:
         dynamics: The system.
         section: The chart around the state that returned.
-        cycles: Its return, then those of its neighbours, if there are any.
-        jacobian: Derivative of the return map to take without neighbours.
+        cycles: Return of the state, then the returns of its neighbours, if available.
+        jacobian: Derivative of the return map, for a state without neighbours.
     """
     image = section.coordinates(cycles[0].state)
     numbers = cycles[0].numbers

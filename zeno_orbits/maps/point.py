@@ -1,7 +1,8 @@
-"""One point of a map as it follows its motion: what it asks of the batch, what it concludes."""
+"""One point of a map: its motion is simulated until it converges."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,53 +11,71 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps.approach import Way, steps_towards
-from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost, Request
+from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost
 from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.crossings import Follower, Struck
+from zeno_orbits.maps.known import KnownOrbit, Recognition
 from zeno_orbits.maps.newton import IMPACTS, RELEASES, Crossing, bundle_at
-from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation import (
     LOOK_BACK,
     AttractorKind,
-    Ended,
-    LaneEvent,
     Motion,
+    MotionEnd,
+    MotionLog,
     Reason,
+    RepeatedCycle,
     Repetition,
     SectionReturn,
     Settling,
-    Struck,
     changes,
+    clock_turn,
     outcome_of,
     scale_of,
+    verdict,
 )
 
+_BETWEEN, _EXACT = 128, 1e-9
+"""Impacts between two tests for repetition, and change over a period that counts as zero."""
 _REMEMBERED = 40
-"""Returns that are looked back on."""
+"""Number of stored returns."""
 _CLOSE = 1e-4
-"""Change of an impact that is a period later below which Newton's method is tried."""
+"""Change of an impact over a period below which Newton's method is tried."""
 _DISTINCT = 1e-3
-"""States nearer than this are taken for one another, relative."""
+"""Relative difference below which two states are the same."""
 _MUCH_NEARER, _LATER = 0.3, 8
-"""Newton's method is tried again if a motion is this much nearer, or this many returns later."""
+"""Newton's method is repeated if the change decreases by this factor, or after as many returns."""
 _PATIENCE = 4
-"""Failures of Newton's method after which a motion that has come nearer has to wait like others."""
+"""Failures of Newton's method after which a decrease of the change does not cause a repetition."""
 _APART = 0.2
-"""A motion repeats after more returns only if it is that much nearer after them than before."""
+"""Factor by which a longer period must reduce the change over a shorter period."""
 
 
 class Point:
-    """A motion that settles; it is told events and answers with requests or a conclusion."""
+    """A motion that is simulated until it converges."""
 
     def __init__(
         self,
-        dynamics: HybridDynamics,
+        follower: Follower,
         units: Sequence[str],
         start: Vector,
         until: float,
         accuracy: Accuracy,
         usual: Vector | float = 1.0,
+        known: Sequence[KnownOrbit] = (),
     ) -> None:
-        self._dynamics = dynamics
+        """Begin at an initial state.
+
+        Args:
+            follower: Simulator of motions.
+            units: Unit of each state.
+            start: Initial state, ``(n_x,)``.
+            until: Longest simulated time [s].
+            accuracy: Accuracy of the simulation.
+            usual: Usual size of each state, ``(n_x,)``.
+            known: Orbits with which the motion is compared at every crossing.
+        """
+        self._follower = follower
+        self._dynamics = follower.dynamics
         self._units = units
         self._usual = usual
         self._start = start
@@ -64,8 +83,9 @@ class Point:
         self._accuracy = accuracy
         self._times: dict[Crossing, list[float]] = {RELEASES: [], IMPACTS: []}
         self.way: Way | None = None
-        self._origin = 0.0
         self._tolerance = accuracy.motion
+        self._log = MotionLog(units=units, usual=usual)
+        self._checked = 0
         self._returns: list[SectionReturn] = []
         self._strikes: list[Struck] = []
         self._amplitudes: list[float] = []
@@ -73,42 +93,76 @@ class Point:
         self._failures = 0
         self._tried: dict[int, tuple[float, int]] = {}
         self._looked: dict[int, float] = {}
-        self._attempt: Attempt | None = None
+        self._known = [Recognition(orbit=one, reached=accuracy.reached) for one in known]
 
-    def begin(self) -> Request:
-        """Return the first lane to run."""
-        return Request(self._start[None, :], self._tolerance, False, self._until)
+    def attractor(self) -> Attractor:
+        """Simulate the motion and return its attractor."""
+        origin, start = 0.0, self._start
+        while True:
+            answer = self._followed(origin, start)
+            if isinstance(answer, Attractor):
+                return answer
+            origin, start = answer.time, answer.state
 
-    def hear(self, rank: int, event: LaneEvent) -> Request | Attractor | None:
-        """Take an event of one of the point's lanes.
+    def _followed(self, origin: float, start: Vector) -> Attractor | Struck:
+        """Simulate the motion from a state to its attractor, or until it needs more accuracy."""
+        crossings = self._follower.crossings(
+            start,
+            until=self._until - origin,
+            error=self._tolerance,
+            goes_on=origin > 0.0,
+            seen=lambda event: self._log.add(event, origin),
+        )
+        for crossing in crossings:
+            if isinstance(crossing, MotionEnd):
+                return self._ended(crossing)
+            time = origin + crossing.time
+            answer: Attractor | Struck | None = None
+            if isinstance(crossing, Struck):
+                answer = self._struck(replace(crossing, time=time))
+            elif not (self._returns and time - self._returns[-1].time < SAME * self._until):
+                answer = self._returned(time, crossing.state)
+            answer = answer or self._repeating()
+            if answer is not None:
+                return answer
+        raise AssertionError("A motion ends with its end.")
 
-        Args:
-            rank: Which of the lanes it asked for last.
-            event: What happened to it.
-
-        Returns:
-            Other lanes to run in place of these, or the conclusion, or ``None`` to go on.
-        """
-        if self._attempt is not None:
-            answer = self._attempt.hear(rank, event)
-            if isinstance(answer, Attractor) and answer.state:
-                self._note_way(self._attempt, answer)
-            return self._give_up(self._attempt) if isinstance(answer, Lost) else answer
-        time = self._origin + event.time
-        if isinstance(event, Ended):
-            return self._ended(event)
-        if isinstance(event, Struck):
-            return self._struck(replace(event, time=time))
-        if self._returns and time - self._returns[-1].time < SAME * self._until:
+    def _repeating(self) -> Attractor | None:
+        """Return the orbit of a motion whose impacts repeat to rounding, tested at intervals."""
+        if len(self._log.speeds) < self._checked + _BETWEEN:
             return None
-        return self._returned(time, event.state)
+        self._checked = len(self._log.speeds)
+        cycle = self._log.cycle(_EXACT)
+        return None if cycle is None else self._of_cycle(cycle)
 
-    def _returned(self, time: float, state: Vector) -> Request | Attractor | None:
-        """Look back from a new release."""
+    def _of_cycle(self, cycle: RepeatedCycle) -> Attractor:
+        """Return the orbit of repeating impacts, with multipliers if Newton's method converges."""
+        n = cycle.releases
+        if 0 < n < len(self._returns):
+            found = self._attempted(Repetition(returns=n, change=0.0))
+            if found is not None:
+                return found
+        fate = Fate.NO_ZENO
+        if cycle.zeno_points and n:
+            fate = Fate.ZENO if self._dynamics.restitution > 0.0 else Fate.SIMPLE
+        state = self._returns[-1].state if n and self._returns else cycle.state
+        return Attractor(
+            fate=fate,
+            returns=n,
+            period=cycle.period,
+            margins={} if n else {"first_impact_speed": cycle.slowest},
+            state=self._named(state),
+        )
+
+    def _returned(self, time: float, state: Vector) -> Attractor | None:
+        """Compare a new release with earlier releases."""
         self._strikes.clear()
         self._returns.append(SectionReturn(time=time, state=state))
         self._times[RELEASES].append(time)
         del self._returns[:-_REMEMBERED]
+        recognized = self._recognized(RELEASES, state)
+        if recognized is not None:
+            return recognized
         if self._unit is None:
             self._unit = scale_of([state], self._units, self._usual)
         self._amplitudes.append(float(np.max(np.abs(state) / self._unit)))
@@ -117,13 +171,15 @@ class Point:
         settling = self._outcome()
         if settling.outcome is AttractorKind.DIES_OUT:
             return Attractor(fate=Fate.REST, trend=settling.trend)
+        if self._may_recognize(RELEASES):
+            return None
         for repeated in settling.repetitions:
             if self._is_worth_it(repeated):
-                return self._begin_attempt(repeated)
+                return self._attempted(repeated)
         return None
 
     def _outcome(self, *, gone: str = "", still: bool = False, held: bool = False) -> Settling:
-        """Return what the releases so far and the end of the motion tell."""
+        """Classify the motion from the releases so far and from its end."""
         motion = Motion(
             units=self._units,
             usual=self._usual,
@@ -136,14 +192,14 @@ class Point:
         return outcome_of(motion, close=self._accuracy.near, apart=_APART)
 
     def _is_worth_it(self, repeated: Repetition) -> bool:
-        """Return True if Newton's method may reach an orbit, if it did not the last time."""
+        """Return True if Newton's method may converge, also after an earlier failure."""
         before, at = self._tried.get(repeated.returns, (np.inf, -np.inf))
-        # A motion that never settles comes near many orbits: it is looked at ever less often.
+        # A motion that never converges passes near many orbits. The attempts become less frequent.
         later = len(self._amplitudes) >= at + _LATER * 2 ** max(self._failures - 1, 0)
         return later or (repeated.change < _MUCH_NEARER * before and self._failures < _PATIENCE)
 
-    def _begin_attempt(self, repeated: Repetition) -> Request | None:
-        """Begin Newton's method from releases that nearly repeat."""
+    def _attempted(self, repeated: Repetition) -> Attractor | None:
+        """Return the orbit of Newton's method from releases that nearly repeat."""
         period = repeated.returns
         self._tried[period] = repeated.change, len(self._amplitudes)
         now, before = self._returns[-1], self._returns[-1 - period]
@@ -152,8 +208,8 @@ class Point:
         bundle = bundle_at(self._dynamics, RELEASES.rows, now.state, scale)
         if not np.all(np.isfinite(bundle.states)):
             return None
-        self._attempt = Attempt(
-            dynamics=self._dynamics,
+        attempt = Attempt(
+            follower=self._follower,
             accuracy=self._accuracy,
             span=now.time - before.time,
             period=period,
@@ -161,10 +217,21 @@ class Point:
             origin=now.state,
             earlier=before.state,
         )
-        return self._attempt.request(neighbours=True)
+        found = self._found_by(attempt)
+        self._failures += found is None
+        return found
+
+    def _found_by(self, attempt: Attempt) -> Attractor | None:
+        """Return the result of an attempt, and record the approach of the motion."""
+        found = attempt.run()
+        if isinstance(found, Lost):
+            return None
+        if found.state:
+            self._note_way(attempt, found)
+        return found
 
     def _note_way(self, attempt: Attempt, found: Attractor) -> None:
-        """Note how the motion came to what an attempt found."""
+        """Record the approach of the motion to the result of an attempt."""
         state = np.array([found.state[name] for name in self._dynamics.state_names])
         events = self._returns if attempt.crossing is RELEASES else self._strikes
         scale = attempt.bundle.section.scale
@@ -179,47 +246,56 @@ class Point:
         state: Vector,
         scale: Vector,
     ) -> Way:
-        """Return how the motion came to an orbit.
+        """Return the approach of the motion to an orbit.
 
         Args:
-            crossing: The events at which it came back.
-            events: The last of them.
-            period: How many of them make a period.
-            state: The orbit there, ``(n_x,)``.
+            crossing: The events at which it returned.
+            events: The last events.
+            period: Number of events per period.
+            state: State of the orbit on the section, ``(n_x,)``.
             scale: Size of each state, ``(n_x,)``.
         """
         times, passed = self._times[crossing], [one.state for one in events]
         on_the_way = steps_towards(passed[::-period], state, scale, self._accuracy.reached)
         return Way(times=tuple(times), captured=len(times) - 1 - period * on_the_way)
 
-    def _give_up(self, attempt: Attempt) -> Request:
-        """Return to the motion, from its last event on that section."""
-        self._attempt = None
-        if attempt.crossing is RELEASES:
-            self._failures += 1
-            return self._go_on_from(self._returns[-1])
-        return self._go_on_from(self._strikes[-1])
+    def _recognized(self, crossing: Crossing, state: Vector) -> Attractor | None:
+        """Return the known orbit to which the motion converges, and record its approach."""
+        for one in self._known:
+            if one.orbit.at_releases == (crossing is RELEASES) and one.sees(state):
+                times = self._times[crossing]
+                captured = max(len(times) - len(one.passed), 0)
+                self.way = Way(times=tuple(times), captured=captured)
+                return one.orbit.attractor
+        return None
 
-    def _go_on_from(self, last: SectionReturn | Struck) -> Request:
-        """Follow the motion from a state on the stop that leaves it."""
-        self._origin = last.time
-        return Request(last.state[None, :], self._tolerance, True, self._until - last.time)
+    def _may_recognize(self, crossing: Crossing) -> bool:
+        """Return True if the motion has recently come near a known orbit."""
+        sides = ((one.orbit.at_releases, one.may_see) for one in self._known)
+        return (crossing is RELEASES, True) in sides
 
     def _named(self, state: Vector) -> dict[str, float]:
         return dict(zip(self._dynamics.state_names, state.tolist(), strict=True))
 
-    def _struck(self, impact: Struck) -> Request | Attractor | None:
-        """Look back from the first impact of a sequence, where no release comes."""
+    def _struck(self, impact: Struck) -> Attractor | Struck | None:
+        """Compare the first impact of a sequence with earlier first impacts, without a release."""
         self._strikes.append(impact)
         self._times[IMPACTS].append(impact.time)
         del self._strikes[:-_REMEMBERED]
+        recognized = self._recognized(IMPACTS, impact.state)
+        if recognized is not None or self._may_recognize(IMPACTS):
+            return recognized
         if len(self._strikes) < LOOK_BACK:
             return None
         states = [one.state for one in self._strikes]
         scale = scale_of(states[-LOOK_BACK:], self._units, self._usual)
         repeats = self._accuracy.repeats
         for period, change in changes(states, scale).items():
-            earlier = changes(states[:-period], scale).get(period, np.inf)
+            if not change < max(_CLOSE, repeats, _DISTINCT):
+                continue
+            earlier = np.inf
+            if 2 * period < len(states):
+                earlier = np.max(np.abs(states[-1 - period] - states[-1 - 2 * period]) / scale)
             if change < _CLOSE and earlier < 10 * _CLOSE:
                 answer = self._look_around(period, change, scale)
                 if answer is not None:
@@ -227,12 +303,12 @@ class Point:
             if change < repeats and earlier < 10 * repeats:
                 return self._repeated(period, scale)
             if change < _DISTINCT:
-                # It is on its way to repeat after so many; more would repeat that.
+                # It converges to this period, and longer periods are multiples of it.
                 return None
         return None
 
-    def _repeated(self, period: int, scale: Vector) -> Request | Attractor:
-        """Go on more accurately from impacts that repeat, then conclude."""
+    def _repeated(self, period: int, scale: Vector) -> Struck | Attractor:
+        """Return the impact for a more accurate continuation, or afterwards the attractor."""
         last = self._strikes[-1]
         if not self._tolerance > self._accuracy.orbit:
             self.way = self.way or self._way(IMPACTS, self._strikes, period, last.state, scale)
@@ -240,10 +316,10 @@ class Point:
         self.way = self._way(IMPACTS, self._strikes, period, last.state, scale)
         self._tolerance = self._accuracy.orbit
         self._strikes.clear()
-        return self._go_on_from(last)
+        return last
 
-    def _look_around(self, period: int, change: float, scale: Vector) -> Request | None:
-        """Begin Newton's method from impacts that nearly repeat, if it has not failed there."""
+    def _look_around(self, period: int, change: float, scale: Vector) -> Attractor | None:
+        """Return the orbit of Newton's method from impacts that nearly repeat."""
         if not change < _MUCH_NEARER * self._looked.get(period, np.inf):
             return None
         self._looked[period] = change
@@ -254,8 +330,8 @@ class Point:
             return None
         if not np.all(np.isfinite(bundle.states)):
             return None
-        self._attempt = Attempt(
-            dynamics=self._dynamics,
+        attempt = Attempt(
+            follower=self._follower,
             accuracy=self._accuracy,
             crossing=IMPACTS,
             span=last.time - before.time,
@@ -265,7 +341,7 @@ class Point:
             origin=last.state,
             earlier=before.state,
         )
-        return self._attempt.request(neighbours=True)
+        return self._found_by(attempt)
 
     def _without_zeno(self, period: int) -> Attractor:
         last, first = self._strikes[-1], self._strikes[-1 - period]
@@ -276,9 +352,11 @@ class Point:
             state=self._named(last.state),
         )
 
-    def _ended(self, event: Ended) -> Attractor:
+    def _ended(self, event: MotionEnd) -> Attractor:
         if event.reason is Reason.FAILURE:
             return Attractor(fate=Fate.FAILED, detail=event.detail, state=self._named(event.state))
+        if event.reason is Reason.HORIZON:
+            return self._at_last(event.state)
         settling = self._outcome(
             gone=event.detail if event.reason is Reason.ESCAPE else "",
             still=event.reason is Reason.REST,
@@ -289,8 +367,26 @@ class Point:
                 return Attractor(fate=Fate.ESCAPE, escaped=settling.escaped)
             case AttractorKind.RESTS | AttractorKind.DIES_OUT:
                 return Attractor(fate=Fate.REST)
-            case AttractorKind.HELD:
-                return Attractor(fate=Fate.HELD)
             case _:
-                reason = "" if self._amplitudes else "no release comes"
-                return Attractor(fate=Fate.UNSETTLED, trend=settling.trend, detail=reason)
+                return Attractor(fate=Fate.HELD)
+
+    def _at_last(self, state: Vector) -> Attractor:
+        """Classify a motion that was simulated to its time limit."""
+        settling = self._outcome()
+        if settling.outcome is AttractorKind.DIES_OUT:
+            return Attractor(fate=Fate.REST)
+        found = verdict(self._dynamics, self._log, state, self._until, close=self._accuracy.repeats)
+        if found.cycle is not None:
+            return self._of_cycle(found.cycle)
+        if found.kind is AttractorKind.REPEATS:
+            turn = clock_turn(self._dynamics, state) or math.nan
+            return Attractor(fate=Fate.NO_ZENO, period=found.turns * turn, state=self._named(state))
+        exponent = found.exponent
+        return Attractor(
+            fate=Fate.UNSETTLED,
+            kind=found.kind,
+            trend=settling.trend,
+            detail=found.reason,
+            exponent=math.nan if exponent is None else exponent.value,
+            exponent_error=math.nan if exponent is None else exponent.error,
+        )

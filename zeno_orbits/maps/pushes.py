@@ -1,0 +1,545 @@
+r"""Largest pushes: impulses on an orbit after which the motion still returns to it.
+
+An impulse of size :math:`j` acts along the generalized force :math:`r` at one instant:
+
+.. math:: v^+ = v^- + W r\, j
+
+with :math:`W` the inverse mass on the holonomic constraints. In contact, an impulse away from the
+stop opens it. Towards the stop, the impulse of the stop keeps the gap rate at zero (theory (7) with
+a plastic impact at zero speed). Currents and other states do not change.
+
+Basins of attraction may be nonconvex. The impulses of a ray are therefore first scanned in equal
+steps, and the first loss is then located by bisection. A loss between two steps is not detected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, SimulationError, any_number, shown
+from zeno_orbits.kinds import require_kinds
+from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.classify import attractors_at, attractors_from, known_orbits, usual_time
+from zeno_orbits.maps.known import KnownOrbit, returns_to
+from zeno_orbits.maps.plane import OF_BASINS
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, ProblemFile, unknown
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.simulation import Mode, simulate, simulator_in_use
+from zeno_orbits.work import (
+    Columns,
+    Displayed,
+    LostPoint,
+    Plan,
+    Progress,
+    Workers,
+    silent,
+    spread,
+    tell_part,
+    versions,
+)
+
+_ORBITS = (Fate.ZENO, Fate.SIMPLE, Fate.NO_ZENO)
+"""Attractors that are periodic orbits."""
+_SAME_PERIOD = 1e-6
+"""Largest relative difference between the period of an orbit and of the motion from its start."""
+_HALVINGS = 60
+"""Halvings of a step after which doubles cannot resolve its ends."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PushSettings:
+    """Settings of a search for the largest pushes.
+
+    Attributes:
+        phases: Number of equidistant phases of the period.
+        steps: Number of impulses along a ray of the scan.
+        reach: Largest impulse, in units of the impulse that gives a resting mechanism the largest
+            kinetic energy of the orbit.
+        error: Largest relative error of a located impulse.
+        until: Longest simulated time of a motion [s], or ``None`` for the usual time of a map.
+    """
+
+    phases: int = 12
+    steps: int = 24
+    reach: float = 2.0
+    error: float = 1e-3
+    until: float | None = None
+
+    def __post_init__(self) -> None:
+        """Reject values that are not valid.
+
+        Raises:
+            InputError: If a value is not valid. The message names the field.
+        """
+        require_kinds(self)
+        for name in ("phases", "steps"):
+            count: object = getattr(self, name)
+            if type(count) is not int or not 1 <= count <= 100_000:
+                wanted = "must be a whole number from 1 to 100000"
+                raise InputError(f"Argument `{name}` {wanted}, but it is {shown(count)}.")
+        for name in ("reach", "error", "until"):
+            value: object = getattr(self, name)
+            if name == "until" and value is None:
+                continue
+            if not 0.0 < any_number(name, value) < math.inf:
+                raise InputError(f"Argument `{name}` must be positive, but it is {shown(value)}.")
+        if not 1e-12 <= self.error < 1.0:
+            wanted = "must lie in [1e-12, 1)"
+            raise InputError(f"Argument `error` {wanted}, but it is {self.error:g}.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Push:
+    """The largest push in one sense of a direction, at one phase of an orbit.
+
+    Attributes:
+        phase: Part of the period since the start of the orbit, in [0, 1).
+        direction: Coordinate to entry of the generalized force, with the sense of the push.
+        mode: Mode of the orbit at the phase, ``free`` or ``locked``.
+        largest: Largest impulse below which every scanned motion returns. NaN without a loss.
+        error: Difference between the smallest impulse with a loss and the largest impulse with a
+            return.
+        beyond: Motion after the smallest impulse with a loss, as text.
+        searched: End of the scan.
+        unit: Unit of the impulses.
+    """
+
+    phase: float
+    direction: Mapping[str, float]
+    mode: str
+    largest: float
+    error: float
+    beyond: str
+    searched: float
+    unit: str
+
+    @property
+    def name(self) -> str:
+        """The direction as text, such as ``+theta1``."""
+        parts = [(name, entry) for name, entry in self.direction.items() if entry]
+        if len(parts) == 1 and abs(parts[0][1]) == 1.0:
+            return f"{'+' if parts[0][1] > 0 else '-'}{parts[0][0]}"
+        return " ".join(f"{entry:+g}*{name}" for name, entry in parts)
+
+    @property
+    def is_positive(self) -> bool:
+        """True if the first entry of the direction is positive."""
+        return next(entry for entry in self.direction.values() if entry) > 0.0
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the push as plain data. Without a loss, ``largest`` and ``error`` are null."""
+        lost = math.isfinite(self.largest)
+        return {
+            "phase": self.phase,
+            "direction": dict(self.direction),
+            "mode": self.mode,
+            "largest": self.largest if lost else None,
+            "error": self.error if lost else None,
+            "beyond": self.beyond,
+            "searched": self.searched,
+            "unit": self.unit,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Pushes(Displayed):
+    """The largest pushes of an orbit over its phases.
+
+    Attributes:
+        problem: Name of the problem.
+        gains: Gains of the orbit.
+        parameters: Parameters of the orbit.
+        period: Period of the orbit [s].
+        spectral_radius: Spectral radius of the return map.
+        settings: Settings of the search.
+        until: Longest simulated time of a motion [s].
+        pushes: One push for each phase, direction and sense.
+        versions: Name to version of the programs that computed them.
+    """
+
+    problem: str
+    gains: Mapping[str, float]
+    parameters: Mapping[str, float]
+    period: float
+    spectral_radius: float
+    settings: PushSettings
+    until: float
+    pushes: tuple[Push, ...]
+    versions: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        """Return one line: the problem, the number of pushes, and the smallest push."""
+        least = self.least
+        said = "none lost" if least is None else f"least {least.largest:.6g} {least.unit}"
+        return f"<Pushes of {self.problem}: {len(self.pushes)} rays, {said}>"
+
+    @property
+    def least(self) -> Push | None:
+        """The smallest of the largest pushes, or ``None`` without a loss."""
+        lost = [push for push in self.pushes if math.isfinite(push.largest)]
+        return min(lost, key=lambda push: push.largest, default=None)
+
+    def _columns(self) -> Columns:
+        """Return one row for each push."""
+        return {
+            "phase": [push.phase for push in self.pushes],
+            "direction": [push.name for push in self.pushes],
+            "mode": [push.mode for push in self.pushes],
+            "largest": [push.largest for push in self.pushes],
+            "error": [push.error for push in self.pushes],
+            "unit": [push.unit for push in self.pushes],
+            "beyond": [push.beyond for push in self.pushes],
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the pushes as plain data."""
+        least = self.least
+        return {
+            "problem": self.problem,
+            "gains": dict(self.gains),
+            "parameters": dict(self.parameters),
+            "period": self.period,
+            "spectral_radius": self.spectral_radius,
+            "steps": self.settings.steps,
+            "until": self.until,
+            "pushes": [push.as_json() for push in self.pushes],
+            "least": None if least is None else least.as_json(),
+            "versions": dict(self.versions),
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Moment:
+    """The orbit at one phase.
+
+    Attributes:
+        phase: Part of the period.
+        state: State, ``(n_x,)``.
+        locked: True if the orbit is in contact.
+        mobility: Inverse mass on the constraints, ``(n_q, n_q)``.
+        largest_energy: Largest kinetic energy of the whole orbit [J].
+    """
+
+    phase: float
+    state: tuple[float, ...]
+    locked: bool
+    mobility: Vector
+    largest_energy: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rays:
+    """The task of a worker: the largest push along each of some rays."""
+
+    source: Problem | ProblemFile
+    gains: Mapping[str, float]
+    parameters: Mapping[str, float]
+    orbit: KnownOrbit
+    until: float
+    steps: int
+    error: float
+
+    def __call__(self, rays: Sequence[Any]) -> list[dict[str, Any]]:
+        """Return the largest impulse, its error and the motion beyond per ray, as plain data."""
+        found: list[dict[str, Any]] = []
+        for ray in rays:
+            found.append(self._along(ray))
+            tell_part(len(found) / len(rays))
+        return found
+
+    def _along(self, ray: Mapping[str, Any]) -> dict[str, Any]:
+        problem = self.source.load() if isinstance(self.source, ProblemFile) else self.source
+        values = problem.values(gains=self.gains, parameters=self.parameters)
+        dynamics = problem.dynamics(values)
+        state, change = np.array(ray["state"]), np.array(ray["change"])
+
+        def lost(impulse: float) -> Attractor | None:
+            """Return the attractor after an impulse, or None if it is the orbit."""
+            after = pushed(dynamics, state, change * impulse, locked=ray["locked"])
+            (reached,) = attractors_from(
+                problem,
+                [(values, after)],
+                until=self.until,
+                accuracy=OF_BASINS,
+                known=(self.orbit,),
+            )
+            return None if returns_to(self.orbit, reached, problem.state_names) else reached
+
+        kept, step = 0.0, ray["reach"] / self.steps
+        for k in range(1, self.steps + 1):
+            beyond = lost(k * step)
+            if beyond is not None:
+                return _located(lost, kept, k * step, beyond, self.error)
+            kept = k * step
+        return {"largest": None, "error": None, "beyond": ""}
+
+
+def _located(
+    lost: Callable[[float], Attractor | None],
+    kept: float,
+    gone: float,
+    beyond: Attractor,
+    error: float,
+) -> dict[str, Any]:
+    """Locate the smallest impulse with a loss by bisection."""
+    for _ in range(_HALVINGS):
+        middle = (kept + gone) / 2
+        if gone - kept <= error * gone or not kept < middle < gone:
+            break
+        reached = lost(middle)
+        if reached is None:
+            kept = middle
+        else:
+            gone, beyond = middle, reached
+    words = f"another {beyond.phrase}" if beyond.fate in _ORBITS else beyond.phrase
+    return {"largest": kept, "error": gone - kept, "beyond": words}
+
+
+def pushed(dynamics: HybridDynamics, state: Vector, change: Vector, *, locked: bool) -> Vector:
+    """Return the state after an impulse, ``(n_x,)``.
+
+    Args:
+        dynamics: The system.
+        state: State before the impulse, ``(n_x,)``.
+        change: Change of the velocities without a stop, ``(n_q,)``.
+        locked: True if the state is in contact.
+    """
+    after = state.copy()
+    after[dynamics.n_q : 2 * dynamics.n_q] += change
+    if locked and dynamics.gap_rate(after) <= 0.0:
+        return dynamics.on_stop(after)
+    return after
+
+
+def largest_pushes(
+    source: Problem | ProblemFile,
+    orbit: ZenoOrbit,
+    *,
+    directions: Sequence[Mapping[str, float]] = (),
+    settings: PushSettings | None = None,
+    plan: Plan | None = None,
+    on_progress: Progress = silent,
+) -> Pushes:
+    """Compute the largest pushes of an orbit, at equidistant phases, in both senses.
+
+    Args:
+        source: The problem of the orbit, or its file if other processes have to load it.
+        orbit: The orbit.
+        directions: Coordinate to entry of the generalized force of each direction. The default is
+            one unit along each movable coordinate.
+        settings: Settings of the search.
+        plan: Executor of the work and folder of finished parts. The default is this process.
+        on_progress: Called with the stage and its finished part.
+
+    Raises:
+        InputError: If a direction is unknown, of zero length, or moves nothing, or the orbit is
+            unstable.
+        SimulationError: If the problem does not follow the orbit.
+    """
+    settings = settings or PushSettings()
+    problem = source.load() if isinstance(source, ProblemFile) else source
+    values = orbit.values(problem)
+    known = _attracting(problem, values, orbit)
+    moments = _moments(problem, values, orbit, settings.phases)
+    until = settings.until
+    if until is None:
+        until = usual_time(problem, [values], np.array(moments[0].state))
+    asked = _rays_from(problem, moments, directions, settings.reach)
+    task = _Rays(
+        source=source,
+        gains=dict(orbit.gains),
+        parameters=dict(orbit.parameters),
+        orbit=known,
+        until=until,
+        steps=settings.steps,
+        error=settings.error,
+    )
+    found = _computed(task, [ray for _, ray in asked], plan, problem, on_progress)
+    pushes = [
+        replace(push, largest=one["largest"], error=one["error"], beyond=one["beyond"])
+        if one["beyond"]
+        else push
+        for (push, _), one in zip(asked, found, strict=True)
+    ]
+    return Pushes(
+        problem=problem.name,
+        gains=dict(orbit.gains),
+        parameters=dict(orbit.parameters),
+        period=orbit.period,
+        spectral_radius=known.rate,
+        settings=settings,
+        until=until,
+        pushes=tuple(pushes),
+        versions=versions(),
+    )
+
+
+def _rays_from(
+    problem: Problem,
+    moments: Sequence[_Moment],
+    directions: Sequence[Mapping[str, float]],
+    reach: float,
+) -> list[tuple[Push, dict[str, Any]]]:
+    """Return the pushes without results, each with the plain data of its ray."""
+    energy = max(moment.largest_energy for moment in moments)
+    rays: list[tuple[Push, dict[str, Any]]] = []
+    for direction in directions or _each_coordinate(problem, moments):
+        force, unit = _force(problem, direction, moments)
+        for moment in moments:
+            change = moment.mobility @ force
+            end = reach * math.sqrt(2.0 * energy / float(force @ change))
+            for sense in (1.0, -1.0):
+                push = Push(
+                    phase=moment.phase,
+                    direction={name: sense * entry for name, entry in direction.items()},
+                    mode=(Mode.LOCKED if moment.locked else Mode.FREE).value,
+                    largest=math.nan,
+                    error=math.nan,
+                    beyond="",
+                    searched=end,
+                    unit=unit,
+                )
+                ray = {
+                    "state": list(moment.state),
+                    "locked": moment.locked,
+                    "change": (sense * change).tolist(),
+                    "reach": end,
+                }
+                rays.append((push, ray))
+    return rays
+
+
+def _computed(
+    task: _Rays,
+    rays: Sequence[Mapping[str, Any]],
+    plan: Plan | None,
+    problem: Problem,
+    on_progress: Progress,
+) -> list[Any]:
+    """Return the results of the rays, computed in this process or by workers.
+
+    Raises:
+        SimulationError: If a ray crashes its worker.
+    """
+    if plan is None or not isinstance(task.source, ProblemFile):
+        if plan is not None and (plan.place != Workers(count=1) or plan.checkpoint is not None):
+            wanted = "must be a name or a file where workers or a checkpoint are used"
+            raise InputError(f"Argument `problem` {wanted}, but it is an object.")
+        results = list[Any]()
+        for ray in rays:
+            results += task([ray])
+            on_progress(f"{len(results)} of {len(rays)} pushes", len(results) / len(rays))
+        return results
+    identity = {
+        "work": "push",
+        "problem": problem.name,
+        "problem_digest": task.source.digest,
+        "gains": dict(task.gains),
+        "parameters": dict(task.parameters),
+        "until": task.until,
+        "steps": task.steps,
+        "error": task.error,
+        "simulator": simulator_in_use(),
+        "versions": versions(),
+        **plan.identity,
+    }
+    shared = Plan(
+        place=plan.place, chunk=1, checkpoint=plan.checkpoint, identity=identity, noun="pushes"
+    )
+    found = list(spread(task, rays, shared, on_progress=on_progress))
+    for one in found:
+        if isinstance(one, LostPoint):
+            raise SimulationError(one.reason, state=(), time=math.nan)
+    return found
+
+
+def _attracting(problem: Problem, values: ParameterValues, orbit: ZenoOrbit) -> KnownOrbit:
+    """Return the orbit as a known orbit for comparison with motions.
+
+    Raises:
+        InputError: If the motion from its start leaves the orbit, or the orbit is not stable.
+    """
+    (reached,) = attractors_at(problem, [values], start=orbit.start_state, accuracy=OF_BASINS)
+    same = reached.fate in _ORBITS and math.isclose(
+        reached.period, orbit.period, rel_tol=_SAME_PERIOD
+    )
+    if not same:
+        said = f"the motion that starts on it ends in: {reached.phrase}"
+        raise InputError(f"Argument `orbit` must attract, but {said}.")
+    known = known_orbits(problem, values, [reached], OF_BASINS)
+    if not known:
+        said = f"its spectral radius is {reached.spectral_radius:.6g}"
+        raise InputError(f"Argument `orbit` must attract, but {said}.")
+    # An unstable orbit may leave the motion on another orbit of the same period.
+    if not known[0].passes(np.array(problem.state_vector(orbit.start_state))):
+        said = "the motion that starts on it ends on another orbit"
+        raise InputError(f"Argument `orbit` must attract, but {said}.")
+    return known[0]
+
+
+def _moments(
+    problem: Problem, values: ParameterValues, orbit: ZenoOrbit, phases: int
+) -> list[_Moment]:
+    """Return the orbit at equidistant phases."""
+    dynamics = problem.dynamics(values)
+    start = np.array(problem.state_vector(orbit.start_state))
+    motion = simulate(dynamics, start, until=orbit.period)
+    times = [k / phases * orbit.period for k in range(phases)]
+    states = np.array([motion.state_at(time) for time in times])
+    mobilities, _ = problem.inverse_masses(values, states)
+    _, energies = problem.inverse_masses(values, motion.sampled(40)[1])
+    moments: list[_Moment] = []
+    for k, time in enumerate(times):
+        arc = next(arc for arc in motion.arcs if time < arc.end_time)
+        # At a release the state is on the stop, with gap rate zero.
+        locked = arc.mode is Mode.LOCKED or (k == 0 and orbit.shape.starts_at_release)
+        moments.append(
+            _Moment(
+                phase=k / phases,
+                state=tuple(states[k].tolist()),
+                locked=locked,
+                mobility=mobilities[k],
+                largest_energy=float(np.max(energies)),
+            )
+        )
+    return moments
+
+
+def _each_coordinate(problem: Problem, moments: Sequence[_Moment]) -> list[dict[str, float]]:
+    """Return a unit force along each movable coordinate."""
+    names = problem.state_names[: len(moments[0].mobility)]
+    return [
+        {name: 1.0}
+        for k, name in enumerate(names)
+        if all(one.mobility[k, k] > 0.0 for one in moments)
+    ]
+
+
+def _force(
+    problem: Problem, direction: Mapping[str, float], moments: Sequence[_Moment]
+) -> tuple[Vector, str]:
+    """Return a generalized force ``(n_q,)`` and the unit of its impulse.
+
+    Raises:
+        InputError: If a coordinate is unknown, or the force is zero or does not move the mechanism.
+    """
+    names = problem.state_names[: len(moments[0].mobility)]
+    force = np.zeros(len(names))
+    for name, entry in direction.items():
+        if name not in names:
+            raise InputError(unknown("direction", name, names))
+        force[names.index(name)] = any_number("direction", entry)
+    if not np.all(np.isfinite(force)) or not np.any(force):
+        wanted = "must have a finite length above zero"
+        raise InputError(f"Argument `direction` {wanted}, but it is {dict(direction)}.")
+    if not all(float(force @ one.mobility @ force) > 0.0 for one in moments):
+        wanted = "must move the mechanism at every phase"
+        raise InputError(f"Argument `direction` {wanted}, but {dict(direction)} does not.")
+    units = {problem.state_units[names.index(name)] for name, entry in direction.items() if entry}
+    return force, problem.impulse_unit(units.pop() if len(units) == 1 else "1")
