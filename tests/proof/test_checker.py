@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 import json
+import os
 import random
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +19,6 @@ import pytest
 from tests.support.certificates import (
     BITS,
     digest_of,
-    forced_oscillator,
-    impact_oscillator,
     mutate,
     text_of,
 )
@@ -32,16 +32,6 @@ Certificate = dict[str, Any]
 
 MULTIPLIER = -0.58429531434153 + 0.00560035149247j
 """As published of the impact oscillator, with its conjugate."""
-
-
-@pytest.fixture(scope="module")
-def zeno() -> Certificate:
-    return forced_oscillator(load_problem("forced_oscillator"))
-
-
-@pytest.fixture(scope="module")
-def impact() -> Certificate:
-    return impact_oscillator(load_problem("impact_oscillator"))
 
 
 def test_a_zeno_orbit_in_closed_form_is_proved(zeno: Certificate) -> None:
@@ -63,6 +53,68 @@ def test_what_is_proved_reads_from_a_file(tmp_path: Path, impact: Certificate) -
     path = tmp_path / "proof.json"
     path.write_text(json.dumps(impact))
     assert check_proof(path) == check_proof(impact)
+
+
+def test_inclusion_alone_proves_one_stable_orbit(zeno: Certificate, impact: Certificate) -> None:
+    for certificate in (zeno, impact):
+        alone = {**certificate, "claims": certificate["claims"][:1]}
+        assert alone["claims"][0]["by"] == "inclusion"
+        told = "\n".join(check_proof(alone).conclusions())
+        assert "exactly one fixed point in box 1" in told
+        assert "exactly one periodic orbit passes through box 1" in told
+        assert "The fixed point of the return map is exponentially stable." in told
+
+
+def test_a_norm_is_told_with_its_box_and_its_basis(impact: Certificate) -> None:
+    told = check_proof(impact).conclusions()
+    (line,) = (line for line in told if "norm of the return map's derivative" in line)
+    start = "On box 1, the norm of the return map's derivative in the basis of the certificate is"
+    norm = float(line.removeprefix(f"{start} at most ").removesuffix("."))
+    # The multipliers' size, as published: the basis makes the derivative diagonal.
+    assert abs(MULTIPLIER) <= norm < abs(MULTIPLIER) + 1e-2
+
+
+def test_multipliers_of_discs_that_meet_lie_in_their_union(impact: Certificate) -> None:
+    apart, meeting = "One multiplier lies in each of the discs", "lie in the union of the discs"
+    told = "\n".join(check_proof(impact).conclusions())
+    assert apart in told
+    assert meeting not in told
+    # In the basis of the states the discs are wide.
+    wide = copy.deepcopy(impact)
+    one, none = text_of(1), text_of(0)
+    basis = {"re": [[one, none], [none, one]], "im": [[none] * 2] * 2}
+    discs = [[none, none, text_of(9)]] * 2
+    _claim(wide, "multipliers").update(basis=basis, discs=discs)
+    told = "\n".join(check_proof(wide).conclusions())
+    assert meeting in told
+    assert apart not in told
+
+
+def test_the_numbers_of_a_theorem_are_exact(impact: Certificate) -> None:
+    verdict = check_proof(impact)
+    centre, radius = (impact["passes"][0]["box"][name] for name in ("centre", "radius"))
+    boxes = verdict.as_json()["box"].values()
+    for shown, exact in zip(boxes, zip(centre, radius, strict=True), strict=True):
+        for text, number in zip(shown, exact, strict=True):
+            assert _exactly(text) == Fraction(_units(number), 2**BITS)
+            assert text in "\n".join(verdict.lines())
+
+
+def _exactly(text: str) -> Fraction:
+    mantissa, _, exponent = text.partition("p")
+    if not exponent:
+        return Fraction(text)
+    return Fraction(int(mantissa, 16)) * Fraction(2) ** int(exponent)
+
+
+@pytest.mark.slow
+def test_a_theorem_over_a_range_is_about_each_value(zeno: Certificate) -> None:
+    theorem = check_proof(zeno).theorem
+    radius = Fraction(1, 2**300) + Fraction(1, 2**90)
+    verdict = replace(check_proof(zeno), theorem=replace(theorem, over={"omega": radius}))
+    (line,) = (line for line in verdict.lines() if line.startswith("Parameters that vary"))
+    assert _exactly(line.rpartition(" ")[2].removesuffix(".")) == radius
+    assert "for each value of omega there is a Zeno periodic orbit" in verdict.verdict()
 
 
 def _moved(text: str, by: float) -> str:
@@ -328,6 +380,26 @@ def test_a_zeno_motion_that_is_not_shown_is_refused_with_the_inequality(
     assert reason in check_proof(false).claims[0].evidence
 
 
+@pytest.mark.slow
+def test_a_tail_hardly_slower_than_its_bound_is_refused(zeno: Certificate) -> None:
+    # Cauchy's bound by the speed divides by the room between the bound and the speed: one unit,
+    # 2^-BITS, far below the rounding of a double. The honest room accepts the same sets.
+    false = copy.deepcopy(zeno)
+    records = false["passes"][0]["records"]
+    before = records[records.index(_tail(false)) - 1]["set"]
+    system, over, _ = judged.read_system(false, load_problem("forced_oscillator"))
+    section = judged.Section.of(system, false["section"])
+    box = judged.Box.of(system, section, false["passes"][0]["box"], over)
+    speed = system.gap_rate(judged._set(system, box, before).hull)
+    assert speed.r > 0
+    _tail(false)["speed"] = f"0x{2 * speed.high:x}p-{BITS}"
+    assert check_proof(false).ok
+    _tail(false)["speed"] = f"0x{speed.high + 1:x}p-{BITS}"
+    assert "(tail): r[" in check_proof(false).claims[0].evidence
+    _tail(false)["speed"] = f"0x{speed.high:x}p-{BITS}"
+    assert "(tail): the speed after the impact" in check_proof(false).claims[0].evidence
+
+
 def _another_digest(c: Certificate) -> None:
     c["digest"] = "0" * 64
 
@@ -345,7 +417,7 @@ def _a_double(c: Certificate) -> None:
 
 
 def _another_format(c: Certificate) -> None:
-    c["format"] = 2
+    c["format"] = 1
 
 
 def _an_unknown_entry(c: Certificate) -> None:
@@ -451,13 +523,35 @@ def test_what_is_no_certificate_is_refused_in_one_line(
     assert "\n" not in str(refusal.value)
 
 
+WRONG = (None, 224.0, 10**400, "0x1p+9999", [[]])
+
+
+@pytest.mark.parametrize("kind", WRONG, ids=lambda kind: repr(kind)[:9])
+def test_an_entry_of_another_kind_is_refused_in_words(impact: Certificate, kind: Any) -> None:
+    names = [name for name in impact if name != "versions"]
+    places = [(name,) for name in names]
+    places += [
+        (name, key) for name in names if isinstance(impact[name], dict) for key in impact[name]
+    ]
+    places += [("section", "places", 0), ("section", "conditions", 0), ("passes", 0)]
+    for *path, last in places:
+        changed = copy.deepcopy(impact)
+        place: Any = changed
+        for key in path:
+            place = place[key]
+        place[last] = kind
+        with pytest.raises(InputError, match="The certificate") as refused:
+            check_proof(changed)
+        assert "Error" not in str(refused.value)
+
+
 def test_a_record_of_another_shape_is_refused_by_whatever_process_meets_it(
     impact: Certificate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spoiled = copy.deepcopy(impact)
     _orders_that_are_none(spoiled)
     # All records are met by workers, as those of a long certificate are.
-    monkeypatch.setattr(judged, "_FEW", 0)
+    monkeypatch.setattr(judged, "_CHUNK", 5)
     with pytest.raises(InputError, match="does not fit together"):
         check_proof(spoiled)
 
@@ -480,7 +574,10 @@ def _restitution_of_the_phase(system: Any) -> Any:
 
 @pytest.mark.parametrize(
     ("change", "told"),
-    [(_twice_as_fast, "`gap_row`"), (_restitution_of_the_phase, "constant restitution")],
+    [
+        (_twice_as_fast, "is not a state"),
+        (_restitution_of_the_phase, "restitution is not constant"),
+    ],
 )
 def test_a_problem_that_the_lemmas_are_not_about_is_refused(
     impact: Certificate, change: Callable[[Any], Any], told: str
@@ -491,6 +588,14 @@ def test_a_problem_that_the_lemmas_are_not_about_is_refused(
         check_proof({**impact, "digest": digest_of(other)}, other)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
+def test_a_pipe_is_no_certificate(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path):
+        with pytest.raises(InputError, match="must hold a certificate"):
+            check_proof(path)
+
+
 def test_a_file_that_is_cut_short_is_refused(tmp_path: Path, impact: Certificate) -> None:
     path = tmp_path / "proof.json"
     path.write_text(json.dumps(impact)[:-1000])
@@ -498,6 +603,7 @@ def test_a_file_that_is_cut_short_is_refused(tmp_path: Path, impact: Certificate
         check_proof(path)
 
 
+@pytest.mark.slow
 def test_no_mutation_is_accepted_with_a_claim_that_is_false(impact: Certificate) -> None:
     _require_sound_under_mutations(impact, count=40, seed=1)
 

@@ -10,11 +10,11 @@ import pytest
 from flint import arb, ctx
 
 import zeno_orbits as zo
+from tests.reference.many_digits.execution import extended_execution
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.precision import extended_execution
 from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.section import section_places, start_on_section
-from zeno_orbits.proof.stage import BallTime, Departure, ProofStage
+from zeno_orbits.proof.sets import ProofStage
 from zeno_orbits.proof.walk import ProofPassage, WalkSettings, walk
 
 _BITS = 128
@@ -41,9 +41,7 @@ def _check(orbit: ZenoOrbit, radius: float, shares: list[float]) -> None:
         radii = [radius * max(abs(y[k]), 1e-3) for k in places]
         exact = [arb(value) for value in y]
         start = start_on_section(system, exact, places, others, radii)
-        begin = ProofStage(
-            at=start.at, departure=Departure.RELEASED, time=BallTime.start(len(places))
-        )
+        begin = ProofStage.released(start.at)
         passage = walk(system, begin, 1, WalkSettings(), lambda *_: None)
         offset = [arb(s) * r for s, r in zip(shares, radii, strict=False)]
         inside = list(exact)
@@ -76,13 +74,13 @@ def _compare(
 @pytest.mark.parametrize("name", ["vibrating_table", "forced_oscillator", "motor_valve"])
 def test_a_single_point_is_enclosed(name: str) -> None:
     gains = {gain.name: gain.default for gain in zo.load_problem(name).gains}
-    _check(zo.close_orbit(name, gains=gains).unwrap(), 1e-9, [])
+    _check(zo.find_orbit_by_shooting(name, gains=gains).unwrap(), 1e-9, [])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("radius", [1e-12, 1e-8])
 def test_points_anywhere_in_a_box_are_enclosed(radius: float) -> None:
-    orbit = zo.close_orbit("torque_pendulum").unwrap()
+    orbit = zo.find_orbit_by_shooting("torque_pendulum").unwrap()
     random = np.random.default_rng(1)
     corners = [[1.0, 1.0], [-1.0, 1.0]]
     for shares in (*corners, *random.uniform(-1.0, 1.0, (2, 2)).tolist()):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 import pytest
 from flint import arb, ctx
 
@@ -55,6 +56,6 @@ def test_halving_a_step_tightens_what_is_handed_on() -> None:
                 step = enclose(flow, flow.series(at.box, 10), size, (12, 10))
                 assert step is not None
                 image = step.point(flow.point_series(at.m, 12), size)
-                at = at.mapped(image, step.derivative(size), [[0, 1]])
+                at = at.mapped(image, step.derivative(size), [0, 1], np.ones(2))
             widths.append(max(one.rad() for one in at.derivative.entries()))
     assert widths[2] < widths[1] < widths[0]

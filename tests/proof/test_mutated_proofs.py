@@ -29,7 +29,7 @@ ROOM = 1e-12
 @pytest.fixture(scope="module", params=["curved_surface", "torque_pendulum"])
 def certificate(request: pytest.FixtureRequest) -> Certificate:
     """Return a proof of two passes and two coordinates, of a machine that is shaken once a turn."""
-    proof = zo.prove(zo.close_orbit(request.param).unwrap())
+    proof = zo.prove(zo.find_orbit_by_shooting(request.param).unwrap())
     return json.loads(json.dumps(proof.certificate))
 
 
@@ -41,6 +41,10 @@ def remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     def proved(system: Any, box: Any, tasks: Sequence[Any]) -> list[Any]:
         numbers = repr((system.constants, system.unit, system.stop, len(system.z), box))
         before = known.get(numbers, [])
+        if not before:
+            found = prove(system, box, tasks)
+            known[numbers] = list(zip(tasks, found, strict=True))
+            return found
         found: list[Any] = []
         for k, task in enumerate(tasks):
             # One record more or less moves those behind it by one.
@@ -53,7 +57,7 @@ def remembered(monkeypatch: pytest.MonkeyPatch) -> None:
         return [*found, *["not asked"] * (len(tasks) - len(found))]
 
     monkeypatch.setattr(judged, "_proved", proved)
-    monkeypatch.setattr(judged, "_FEW", 10**6)
+    monkeypatch.setattr(judged, "_CHUNK", 10**6)
 
 
 def test_none_of_300_mutations_is_accepted_with_a_claim_that_is_false(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import pytest
 import zeno_orbits as zo
 from tests.support.certificates import impact_oscillator
 from tests.support.commands import MISUSE, NO, YES, ask
+from zeno_orbits.errors import InputError
+from zeno_orbits.proof import check_proof_of
 
 pytest.importorskip("flint")
 
@@ -44,7 +47,10 @@ def test_verify_says_that_an_orbit_is_proved_if_its_certificate_is_accepted(
     orbit, proof = files
     answer = ask("verify", orbit, "--proof", proof)
     assert answer.code == YES
-    assert "Proved: a periodic orbit of `forced_oscillator` exists; period 6.2831853" in answer.out
+    assert (
+        "Proved: a Zeno periodic orbit of `forced_oscillator` exists; period 6.2831853"
+        in answer.out
+    )
     assert "Proved" not in ask("verify", orbit).out
 
 
@@ -65,6 +71,63 @@ def test_a_certificate_of_another_orbit_is_refused(files: tuple[Path, Path]) -> 
     assert "must be about `restitution` = 0.4, but it is about 0.5" in answer.err
 
 
+def _claim(data: Any, name: str) -> Any:
+    return next(claim for claim in data["claims"] if claim["name"] == name)
+
+
+def _wide_below(data: Any) -> None:
+    # An enclosure may be wider than what is proved.
+    _claim(data, "start_state")["low"][2] = "-0x1p+0"
+
+
+def _wide_above(data: Any) -> None:
+    _claim(data, "start_state")["high"][3] = "0x1p+1"
+
+
+def _wide_period(data: Any) -> None:
+    _claim(data, "period")["low"] = "0x0p+0"
+
+
+def _no_period(data: Any) -> None:
+    data["claims"].remove(_claim(data, "period"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (_wide_below, "at its start, but it encloses -1.0 to "),
+        (_wide_above, " to 2.0."),
+        (_wide_period, "but it encloses 0.0 to 6.28"),
+        (_no_period, "must claim a `period`"),
+    ],
+)
+def test_a_certificate_that_encloses_more_than_the_orbit_is_refused(
+    files: tuple[Path, Path], change: Any, told: str
+) -> None:
+    orbit, proof = files
+    wide = _changed(proof, "wide.json", change)
+    assert ask("prove", "--check", wide).code == YES
+    answer = ask("verify", orbit, "--proof", wide)
+    assert answer.code == MISUSE
+    assert told in answer.err
+    assert len(answer.err.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_an_orbit_beside_the_one_that_is_proved_is_refused(files: tuple[Path, Path]) -> None:
+    orbit, proof = (zo.read_orbit(files[0]), files[1])
+    problem = zo.load_problem("forced_oscillator")
+    assert check_proof_of(orbit, problem, proof).ok
+    name = list(orbit.start_state)[-1]
+    moved = {**orbit.start_state, name: orbit.start_state[name] + 1e-6}
+    phases = (replace(orbit.phases[0], start_state=moved), *orbit.phases[1:])
+    with pytest.raises(InputError, match="at its start, but it encloses"):
+        check_proof_of(replace(orbit, phases=phases), problem, proof)
+    with pytest.raises(InputError, match="must be about an orbit of period"):
+        check_proof_of(replace(orbit, period=orbit.period + 1e-6), problem, proof)
+
+
 def test_a_certificate_of_another_problem_is_refused(files: tuple[Path, Path]) -> None:
     orbit, proof = files
     foreign = proof.with_name("foreign.json")
@@ -72,12 +135,13 @@ def test_a_certificate_of_another_problem_is_refused(files: tuple[Path, Path]) -
     assert ask("verify", orbit, "--proof", foreign).code == MISUSE
 
 
+@pytest.mark.slow
 def test_the_report_shows_what_is_proved_and_only_that(files: tuple[Path, Path]) -> None:
     pytest.importorskip("jinja2")
     orbit, proof = files
     page = orbit.with_name("report.html")
     assert ask("report", orbit, "--proof", proof, "-o", page).code == YES
-    assert "Proved: a periodic orbit" in page.read_text()
+    assert "Proved: a Zeno periodic orbit" in page.read_text()
     false = _changed(proof, "longer.json", _longer)
     assert ask("report", orbit, "--proof", false, "-o", page).code == NO
     assert "roved: " not in page.read_text()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,19 +13,19 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import MISUSE, NO, YES, ask
-from zeno_orbits.model import load_problem
+from zeno_orbits.model import CompletedSystem, load_problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof import ProofSettings, check_proof, prove
 
 
 @pytest.fixture(scope="module")
 def table() -> ZenoOrbit:
-    return zo.close_orbit("vibrating_table").unwrap()
+    return zo.find_orbit_by_shooting("vibrating_table").unwrap()
 
 
 @pytest.fixture(scope="module")
 def surface() -> ZenoOrbit:
-    return zo.close_orbit("curved_surface").unwrap()
+    return zo.find_orbit_by_shooting("curved_surface").unwrap()
 
 
 def test_the_orbit_of_the_vibrating_table_is_proved_and_its_certificate_holds(
@@ -49,6 +50,25 @@ def test_a_gap_that_is_no_coordinate_is_carried_and_the_certificate_holds(
     assert proof.proved, proof.verdict()
     assert proof.stable
     assert check_proof(dict(proof.certificate)).ok
+
+
+@pytest.mark.parametrize("other", range(1, 7))
+def test_a_model_with_other_formulas_at_one_call_gets_no_theorem_about_them(
+    table: ZenoOrbit, other: int
+) -> None:
+    calls = list[int]()
+    published = load_problem("vibrating_table")
+
+    def model(p: Mapping[str, Any]) -> CompletedSystem:
+        calls.append(1)
+        factor = 1 + 1e-12 if len(calls) == other else 1.0
+        return published.model({**p, "A": factor * p["A"]})
+
+    proof = prove(table, replace(published, model=model))
+    if proof.proved:
+        assert check_proof(dict(proof.certificate), published).ok
+    else:
+        assert "other formulas" in proof.reason
 
 
 def _start(orbit: ZenoOrbit, **moves: float) -> ZenoOrbit:
@@ -122,7 +142,7 @@ def test_a_multiplier_that_is_not_the_stops_is_not_proved(table: ZenoOrbit) -> N
 def test_a_stop_that_pulls_for_a_moment_is_not_proved() -> None:
     # The table of two tones throws the ball twice a turn; an orbit that is held the second time
     # would have to be pulled.
-    orbit = zo.close_orbit("two_tone_table").unwrap()
+    orbit = zo.find_orbit_by_shooting("two_tone_table").unwrap()
     assert orbit.shape.text == "zeno*2"
     pulled = replace(orbit, phases=orbit.phases[:1])
     proof = zo.prove(pulled)
@@ -141,7 +161,7 @@ def test_an_orbit_is_proved_over_an_interval_of_any_number(table: ZenoOrbit, nam
 @pytest.mark.slow
 def test_an_orbit_is_proved_wherever_its_stop_is_within_an_interval() -> None:
     # Steps are long here: the checker must not find derivatives wider than the prover does.
-    proof = zo.prove(zo.close_orbit("forced_oscillator").unwrap(), over={"stop": 1e-9})
+    proof = zo.prove(zo.find_orbit_by_shooting("forced_oscillator").unwrap(), over={"stop": 1e-9})
     assert proof.proved, proof.verdict()
     assert check_proof(dict(proof.certificate)).ok
 
@@ -150,7 +170,9 @@ def test_the_enclosures_over_an_interval_hold_the_numbers_at_its_ends(table: Zen
     wide = zo.prove(table, over={"restitution": 1e-6})
     assert wide.bounds is not None
     for change in (-1e-6, 1e-6):
-        other = zo.close_orbit("vibrating_table", parameters={"restitution": 0.3 + change}).unwrap()
+        other = zo.find_orbit_by_shooting(
+            "vibrating_table", parameters={"restitution": 0.3 + change}
+        ).unwrap()
         one = zo.prove(other)
         assert one.bounds is not None
         for outer, inner in (
@@ -184,10 +206,10 @@ def test_the_command_proves_writes_and_checks(table: ZenoOrbit, tmp_path: Path) 
     [
         ((), "`--check`"),
         (("orbit.json", "--check", "proof.json"), "both"),
-        (("orbit.json", "--over", "A=0.5:1e-9"), "`A`"),
-        (("orbit.json", "--over", "nothing=1:1e-9"), "`nothing`"),
-        (("orbit.json", "--over", "A=0.015"), "NAME=VALUE:RADIUS"),
-        (("orbit.json", "--over", "A=0.015:-1"), "radius above 0"),
+        (("orbit.json", "--interval", "A=0.5:1e-9"), "`A`"),
+        (("orbit.json", "--interval", "nothing=1:1e-9"), "`nothing`"),
+        (("orbit.json", "--interval", "A=0.015"), "NAME=VALUE:RADIUS"),
+        (("orbit.json", "--interval", "A=0.015:-1"), "radius above 0"),
         (("orbit.json", "--radius", "2"), "(0, 1)"),
     ],
 )

@@ -1,15 +1,18 @@
 """Proof that a periodic orbit exists: a theorem with a certificate that can be checked.
 
-The motions from a box on the release section are followed once around in balls, numbers that are
-rounded outward, through every impact, the Zeno point and the locked arc; Krawczyk's operator then
-tells that one orbit passes through the box. In the order in which it runs: `expressions` and
-`program` (equations in balls), `flow` (one step), `sets`, `section`, `crossing`, `impacts` (with
-the Zeno tail), `walk` (once around), `fixed_point`, `claims`, `prover`. `checker` judges
-certificates and shares no module with what makes them; `replay` follows one with the problem's
-hand-written model.
+The motions from a box on the release section are enclosed over one period in balls (midpoint-radius
+intervals with outward rounding), through every impact, the Zeno point and the contact phase.
+Krawczyk's operator then shows that exactly one orbit passes through the box. The modules, in the
+order of the computation: `expressions` and `program` (equations in balls), `flow` (one step),
+`sets`, `section`, `events` (with the Zeno tail), `walk` (one period), `orbit_walk` (from an orbit
+file), `fixed_point`, `claims`, `prover`. `enclosure` encloses one period without a fixed point.
+`checker` checks certificates and shares no module with the prover. `replay` simulates a certificate
+with the problem's hand-written model.
 
-Offers: `prove`, `Proof`, `ProofSettings`, `write_proof`; `check_proof`, `check_proof_of`,
-`ProofVerdict`, `ClaimVerdict`; `replay_proof`, `Replay`.
+Offers: `prove`, `Proof`, `ProofSettings`, `write_proof`; `enclose_period`, `EnclosureSettings`,
+`PeriodEnclosure`, `EnclosedEvent`; `require_flint`, the refusal without the extra; `check_proof`,
+`check_proof_of`, `ProofVerdict`, `ClaimVerdict`; `replay_proof`, `Replay`; `equilibrium_report`,
+Theorem 1 at a state, with an `EquilibriumReport` and a `ZenoNeighbourhood`.
 
 Imports: orbits, model, work, arrays, errors. Balls are python-flint's (the extra `proof`). Never
 search, continuation, maps, experiment or precision; `checker` imports model, work and errors alone.

@@ -1,4 +1,4 @@
-"""A problem at fixed numbers in balls: flows of both modes, impact, section."""
+"""A problem at fixed parameter values in balls: flows of both modes, impact, section."""
 
 from __future__ import annotations
 
@@ -16,16 +16,19 @@ from zeno_orbits.proof.expressions import proof_expressions
 from zeno_orbits.proof.flow import BallFlow
 from zeno_orbits.proof.program import BallProgram
 
+_FAST = 1e-3
+"""Gap rate, in its unit, above which it shares the frame of the other states."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImpactValues:
     """The impulse direction and the coefficient of restitution at a state.
 
     Attributes:
-        direction: Change of the state by unit gap rate, ``(n,)``.
-        slopes: Its derivative, ``(n, n)``.
-        restitution: The coefficient.
-        restitution_slopes: Its derivative, ``(n,)``.
+        direction: Change of the state per unit change of the gap rate, ``(n,)``.
+        slopes: Derivative of the direction, ``(n, n)``.
+        restitution: Coefficient of restitution.
+        restitution_slopes: Derivative of the coefficient of restitution, ``(n,)``.
     """
 
     direction: list[Ball]
@@ -35,19 +38,19 @@ class ImpactValues:
 
 
 class BallSystem:
-    """A problem at fixed numbers, in balls, its states measured in units of their own size.
+    """A problem at fixed parameter values, in balls, with states in units of their size.
 
     Attributes:
-        expressions: Its equations.
+        expressions: Equations of the problem.
         n: Number of states of the prover.
-        gap: Place of the gap.
-        rate: Place of the gap rate.
-        plastic: Whether the stop takes all speed.
-        gap_offset: Gap where the coordinate that it is one of is zero.
+        gap: Index of the gap.
+        rate: Index of the gap rate.
+        plastic: True for a restitution of zero.
+        gap_offset: Gap at the zero of its coordinate.
         units: Units of the states, powers of two, ``(n,)``.
-        period: A time against which a duration is short [s].
-        free: The flow off the stop.
-        locked: The flow on the stop; its guard is the multiplier.
+        period: Time scale of the motion, for the sizes of steps [s].
+        free: Flow off the stop.
+        locked: Flow on the stop. Its guard is minus the gap acceleration of the free flow.
     """
 
     def __init__(
@@ -61,9 +64,9 @@ class BallSystem:
 
         Args:
             problem: The problem.
-            values: Its numbers, taken exactly.
+            values: Gains and parameters, taken exactly.
             over: Gains or parameters that become states of rate zero.
-            period: How long a motion takes, about [s].
+            period: Approximate duration of the motion [s].
 
         Raises:
             TranslationError: If an operation of the problem is not analytic.
@@ -90,23 +93,31 @@ class BallSystem:
         self.plastic = not varies and bool(self._law(centre)[0][0].is_zero())
         self.gap_offset = (self._program(offset)([ZERO] * self.n)[0] or [ZERO])[0]
         self.free = BallFlow(e.states, e.numbers, e.free, None, self.numbers)
-        self.locked = BallFlow(e.states, e.numbers, e.locked, e.multiplier, self.numbers)
+        self.locked = BallFlow(e.states, e.numbers, e.locked, e.pressure, self.numbers)
         self._slopes = ca.jacobian(e.direction, e.states)
         self._impact = self._program(e.direction, self._slopes)
         self._tail = self._program(e.free, e.direction, e.restitution)
+        self._defined = self._program(e.defined)
         gradient = ca.jacobian(e.constraints, e.states)
         self.constraints = self._program(e.constraints, gradient)
         self.constraint_places = list(zip(*gradient.sparsity().get_triplet(), strict=True))
 
+    def turning_rows(self, rate: Ball | None) -> list[int]:
+        """Return the rows of a set on the stop that share a frame.
+
+        The gap is zero. A small gap rate keeps a separate axis, and so its relative precision.
+
+        Args:
+            rate: The gap rate, or None on the stop, where it is zero.
+        """
+        slow = rate is None or not bool(abs(rate) > _FAST)
+        still = (self.gap, self.rate) if slow else (self.gap,)
+        return [k for k in self.moving_rows if k not in still]
+
     @property
-    def groups(self) -> dict[str, list[list[int]]]:
-        """Rows of a set that turn together: all, or those beside the gap and its rate."""
-        last = self.n - len(self.carried)
-        moving = list(range(last))
-        return {
-            "all": [moving],
-            "beside": [[k for k in moving if k not in (self.gap, self.rate)]],
-        }
+    def moving_rows(self) -> list[int]:
+        """Return the rows of a set in flight that share a frame: all except carried parameters."""
+        return list(range(self.n - len(self.carried)))
 
     def impact(self, y: Sequence[Ball]) -> ImpactValues:
         """Return the impulse direction and the restitution at a state, and their derivatives."""
@@ -123,8 +134,14 @@ class BallSystem:
             restitution_slopes=gradient,
         )
 
+    def undefined(self, y: Sequence[Ball]) -> str:
+        """Return why the gap or a constraint is not proved to be analytic, real or complex."""
+        if all(value.is_finite() for value in self._defined(y)[0]):
+            return ""
+        return "the gap or a constraint is not proved to be analytic along the motion"
+
     def free_values(self, y: Sequence[Ball]) -> tuple[list[Ball], list[Ball], Ball]:
-        """Return free flow, impulse direction and restitution at a state, of complex balls too."""
+        """Return free flow, impulse direction and restitution at a state, real or complex."""
         rate, direction, (restitution,) = self._tail(y)
         return rate, direction, restitution
 
@@ -145,7 +162,7 @@ class BallSystem:
         return matrix(rows, n)
 
     def reset(self, y: Sequence[Ball]) -> list[Ball]:
-        """Return the state after an impact, ``(n,)``; the gap is zero."""
+        """Return the state after an impact, ``(n,)``, with a gap of zero."""
         at = self.impact(y)
         push = (1 + at.restitution) * y[self.rate]
         after = [a - push * d for a, d in zip(y, at.direction, strict=True)]
@@ -160,7 +177,7 @@ class BallSystem:
 
 
 def power_of_two(size: float) -> float:
-    """Return the power of two next to a size, which is exact as a factor; 1 for nothing."""
+    """Return the power of two nearest to a size, an exact factor, or 1 for a size of 0."""
     return 2.0 ** round(math.log2(abs(size))) if size else 1.0
 
 
@@ -169,8 +186,8 @@ def require_proved(holds: bool, claim: str, reason: str) -> None:
 
     Args:
         holds: The condition.
-        claim: What it is needed for.
-        reason: What fails.
+        claim: Name of the claim that needs the condition.
+        reason: Description of the failure.
     """
     if not holds:
         raise ProofError(claim, reason)

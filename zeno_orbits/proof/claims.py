@@ -1,8 +1,9 @@
-"""Bounds of a proved orbit, the claims of its certificate, and whether they are the orbit's own."""
+"""Bounds of a proved orbit, the claims of its certificate, and their comparison with the orbit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any
 
 from flint import arb
@@ -10,69 +11,114 @@ from flint import arb
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof.ball_system import BallSystem, require_proved
-from zeno_orbits.proof.balls import Ball, exact_text, product
+from zeno_orbits.proof.balls import Ball, exact_fraction, fraction_text, product
 from zeno_orbits.proof.fixed_point import JudgedBox
-from zeno_orbits.proof.theorem import Bounds, MultiplierDisc, ProvedInterval
+from zeno_orbits.proof.theorem import (
+    Bounds,
+    MultiplierDisc,
+    ProvedBox,
+    ProvedInterval,
+    double_above,
+)
 
 CLOSE = 1e-8
-"""How far numbers of the orbit may be from those that are proved, per size."""
+"""Largest distance between values of the orbit and proved values, relative to their size."""
 _DISCS_WIDER = 1.25
 _TIMES_WIDER = 1.5
-"""How much wider a claimed time is than found, so that another arithmetic finds it, too."""
+"""Factor by which a claimed time is widened, so that the checker's arithmetic also confirms it."""
 
 
-def proof_bounds(problem: Problem, system: BallSystem, found: JudgedBox) -> Bounds:
-    """Return what is enclosed of the orbit that passes through a box.
+def proof_bounds(problem: Problem, system: BallSystem, found: JudgedBox, bits: int) -> Bounds:
+    """Return the enclosures of the fixed point in a box.
 
     Args:
         problem: The problem.
         system: The problem in balls.
-        found: The box, judged.
+        found: The evaluated box.
+        bits: The ends of intervals are integer multiples of ``2^-bits``.
     """
     offset, passage = found.orbit, found.passage
     start = found.start.at
     moved = product(start.derivative, offset) if offset else [arb(0)] * system.n
     state = [a + b for a, b in zip(start.middle_box, moved, strict=True)]
-    coordinate = system.expressions.coordinate
-    state = [value * unit for value, unit in zip(state, system.units, strict=True)]
-    if coordinate is not None:
-        state[system.gap] = (state[system.gap] - system.gap_offset) * coordinate.sign
+    state = own_state(system, state)
     return Bounds(
-        period=_claimed(passage.release_times[-1].at(offset)),
-        zeno_times=tuple(_claimed(one.at(offset)) for one in passage.zeno_times),
-        impact_times=tuple(_claimed(one.at(offset)) for one in passage.impact_times),
+        period=_claimed(passage.release_times[-1].at(offset), bits),
+        zeno_times=tuple(_claimed(one.at(offset), bits) for one in passage.zeno_times),
+        impact_times=tuple(_claimed(one.at(offset), bits) for one in passage.impact_times),
         start_state={
-            name: _claimed(value) for name, value in zip(problem.state_names, state, strict=False)
+            name: _claimed(value, bits)
+            for name, value in zip(problem.state_names, state, strict=False)
         },
         multipliers=tuple(
             MultiplierDisc(centre=c, radius=float(r) * _DISCS_WIDER + 1e-15)
             for c, r in zip(found.discs.centres, found.discs.radii, strict=True)
         ),
-        norm=float(found.discs.norm.upper()),
+        norm=double_above(exact_fraction(found.discs.norm.upper().mid())),
     )
 
 
-def _claimed(x: Ball) -> ProvedInterval:
-    """Return the ends of an enclosure that is somewhat wider than a ball."""
+def own_state(system: BallSystem, y: Sequence[Ball]) -> list[Ball]:
+    """Convert a state of the prover to the states and units of the problem.
+
+    Args:
+        system: The problem in balls.
+        y: The state, in balls, ``(n,)``.
+    """
+    coordinate = system.expressions.coordinate
+    state = [value * unit for value, unit in zip(y, system.units, strict=True)]
+    if coordinate is not None:
+        state[system.gap] = (state[system.gap] - system.gap_offset) * coordinate.sign
+    return state
+
+
+def _claimed(x: Ball, bits: int) -> ProvedInterval:
+    """Return an enclosure that is slightly wider than a ball."""
     if x.is_zero():
-        return ProvedInterval(low=x, high=x)
+        return ProvedInterval(low=Fraction(0), high=Fraction(0))
     wide = x + arb(0, x.rad() * (_TIMES_WIDER - 1) + abs(x).upper() * arb(2) ** -85)
-    return ProvedInterval(low=wide.lower().mid(), high=wide.upper().mid())
+    unit = Fraction(2) ** -bits
+    low = exact_fraction(wide.lower().mid()) // unit
+    high = -(-exact_fraction(wide.upper().mid()) // unit)
+    return ProvedInterval(low=low * unit, high=high * unit)
+
+
+def proved_box(problem: Problem, units: Sequence[float], found: JudgedBox) -> ProvedBox:
+    """Return a box in the states of the problem.
+
+    Args:
+        problem: The problem.
+        units: Units of the prover's states.
+        found: The evaluated box.
+    """
+    coordinates: dict[str, ProvedInterval] = {}
+    places = zip(found.start.places, found.start.centre, found.start.at.U, strict=False)
+    for k, centre, offset in places:
+        middle, radius = exact_fraction(centre), exact_fraction(offset.rad())
+        unit = Fraction(units[k])
+        coordinates[problem.state_names[k]] = ProvedInterval(
+            low=unit * (middle - radius), high=unit * (middle + radius)
+        )
+    return ProvedBox(
+        coordinates=coordinates,
+        included=found.returned.included,
+        norm=double_above(exact_fraction(found.discs.norm.upper().mid())),
+    )
 
 
 def require_numbers(orbit: ZenoOrbit, bounds: Bounds, sizes: Sequence[float]) -> None:
-    """Refuse an orbit whose other numbers are not those of the orbit that is proved.
+    """Raise an error if the remaining values of an orbit differ from the proved orbit.
 
     Args:
         orbit: The orbit.
-        bounds: What is enclosed of the orbit that is proved.
-        sizes: Of the states of the problem.
+        bounds: Enclosures of the proved orbit.
+        sizes: Sizes of the states of the problem.
     """
     allowed = CLOSE * orbit.period
 
     def check(name: str, enclosed: ProvedInterval, value: float, most: float) -> None:
         off = enclosed.misses(value)
-        reason = f"the orbit says {value:.12g}, but {enclosed.text} is proved"
+        reason = f"the orbit file has {value!r}, but {enclosed.text} is proved"
         require_proved(off <= most, name, reason)
 
     check("period", bounds.period, orbit.period, allowed)
@@ -89,25 +135,38 @@ def require_numbers(orbit: ZenoOrbit, bounds: Bounds, sizes: Sequence[float]) ->
         check("start_state", enclosed, value, CLOSE * max(size, abs(value)))
 
 
-def claims_of(passes: list[JudgedBox], bounds: Bounds) -> list[dict[str, Any]]:
-    """Return the claims of the certificate."""
+def claims_of(
+    passes: list[JudgedBox], bounds: Bounds, units: Sequence[float]
+) -> list[dict[str, Any]]:
+    """Return the claims of the certificate, all about the same fixed point.
+
+    The first box contains exactly one fixed point, which lies in every later box. Enclosures and
+    stability are taken from the last box.
+
+    Args:
+        passes: The evaluated boxes.
+        bounds: Enclosures of the orbit.
+        units: Units of the prover's states.
+    """
     last = len(passes) - 1
     claims: list[dict[str, Any]] = []
 
     def claim(name: str, number: int = last, **fields: Any) -> None:
         claims.append({"name": name, "pass": number, **fields})
 
-    for number, one in enumerate(passes):
-        if one.start.places:
+    first = passes[0]
+    if first.by_krawczyk:
+        for number in range(len(passes)):
             claim("exists", number, by="krawczyk")
-        if one.returned.included:
-            claim("exists", number, by="inclusion")
-    if passes[0].start.places:
         claim("unique", 0)
-        discs = passes[-1].discs
+    if first.returned.included:
+        claim("exists", 0, by="inclusion")
+    if first.start.places:
+        discs, places = passes[-1].discs, first.start.places
+        rows = [[x * units[k] for x in row] for k, row in zip(places, discs.basis, strict=True)]
         basis = {
-            "re": [_exact(*(x.real for x in row)) for row in discs.basis],
-            "im": [_exact(*(x.imag for x in row)) for row in discs.basis],
+            "re": [_exact(*(x.real for x in row)) for row in rows],
+            "im": [_exact(*(x.imag for x in row)) for row in rows],
         }
         if discs.stable:
             claim("stable", basis=basis)
@@ -121,14 +180,14 @@ def claims_of(passes: list[JudgedBox], bounds: Bounds) -> list[dict[str, Any]]:
     for which, one in enumerate(bounds.impact_times):
         claim("impact_time", last, which=which, **_ends(one))
     state = list(bounds.start_state.values())
-    low, high = [exact_text(x.low) for x in state], [exact_text(x.high) for x in state]
+    low, high = [fraction_text(x.low) for x in state], [fraction_text(x.high) for x in state]
     claim("start_state", low=low, high=high)
     return claims
 
 
 def _ends(one: ProvedInterval) -> dict[str, str]:
-    return {"low": exact_text(one.low), "high": exact_text(one.high)}
+    return {"low": fraction_text(one.low), "high": fraction_text(one.high)}
 
 
 def _exact(*numbers: float) -> list[str]:
-    return [exact_text(arb(x)) for x in numbers]
+    return [fraction_text(Fraction(x)) for x in numbers]

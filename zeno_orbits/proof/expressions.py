@@ -1,19 +1,22 @@
-r"""The equations of a problem as the prover takes them: one state vector, no folded constants.
+r"""The equations of a problem for the prover: one state vector, without folded constants.
 
-CasADi folds constants in double arithmetic when it differentiates: :math:`1/3` of :math:`x/3`. So
-every constant but the powers of two becomes a symbol first, and gets its number back, exactly, when
-a program is bound. The gap and its rate are states of their own: two coordinates where the gap is
-plus or minus one of them, else two more.
+CasADi folds constants in double arithmetic when it differentiates: :math:`1/3` of :math:`x/3`, and
+1 of :math:`x + 2^{-54} x`. So every constant except powers of two first becomes a symbol, which
+receives its exact value when a program is bound. Each state and parameter is multiplied by a symbol
+for 1, so that derivatives are not sums of numbers. The gap and its rate are also states. If the
+gap equals a coordinate up to its sign and a constant, they replace existing states. Otherwise they
+are two additional states.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 
@@ -26,9 +29,9 @@ class GapCoordinate:
     """A configuration coordinate that the gap is affine in: ``gap = sign * q + offset``.
 
     Attributes:
-        place: Its place in the state.
+        place: Index of the coordinate in the state.
         sign: 1 or -1.
-        offset: Gap where the coordinate is zero, of the parameters.
+        offset: Gap at the zero of the coordinate, a function of the parameters.
     """
 
     place: int
@@ -38,25 +41,32 @@ class GapCoordinate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProofExpressions:
-    """The equations in the prover's states ``y`` and numbers ``(p, constants)``.
+    r"""The equations in the prover's states ``y`` and numbers ``(p, constants)``.
 
     Attributes:
-        states: ``y``, ``(N,)``: the problem's states, of which two may be the gap and its rate;
-            gap and rate if they are none of them; parameters that are carried as states; each in
-            its own unit.
-        numbers: Gains and parameters, then the constants, symbols.
+        digest: SHA-256 of the instructions of the formulas from which the other entries are
+            derived.
+        states: ``y``, ``(N,)``: the problem's states, of which two may be the gap and its rate,
+            otherwise followed by gap and rate, then the parameters that are carried as states.
+            Each state has its own unit.
+        numbers: Symbols of gains and parameters, then of the constants.
         constants: Values of the constants.
-        gap_place: Place of the gap in ``y``.
-        rate_place: Place of its rate.
-        coordinate: What the gap is a coordinate of; None if it is not.
-        free: Free flow, ``(N,)``.
-        locked: Locked flow, its rows of gap and rate zero, ``(N,)``.
-        multiplier: On the stop.
-        direction: Change of ``y`` at an impact by unit gap rate, ``(N,)``.
+        gap_place: Index of the gap in ``y``.
+        rate_place: Index of the gap rate in ``y``.
+        coordinate: Coordinate that determines the gap, or None if the gap is an additional state.
+        free: Free flow `f`, ``(N,)``.
+        locked: Locked flow :math:`f - \ddot h\, D`, with zero rows for gap and rate, ``(N,)``.
+        pressure: Minus the gap acceleration of the free flow at states on the stop. Contact ends
+            when it vanishes.
+        direction: Impulse direction `D`, scaled to unit gap rate, ``(N,)``.
         restitution: Coefficient of restitution.
-        constraints: What is zero on the release section besides gap and rate, the multiplier first.
+        constraints: Expressions that vanish on the release section in addition to gap and rate, the
+            pressure first.
+        defined: The gap and the holonomic constraints as the problem states them. The proof needs
+            that they are analytic along the motion.
     """
 
+    digest: str
     states: ca.SX
     numbers: ca.SX
     constants: tuple[float, ...]
@@ -65,10 +75,11 @@ class ProofExpressions:
     coordinate: GapCoordinate | None
     free: ca.SX
     locked: ca.SX
-    multiplier: ca.SX
+    pressure: ca.SX
     direction: ca.SX
     restitution: ca.SX
     constraints: ca.SX
+    defined: ca.SX
 
 
 def proof_expressions(
@@ -79,8 +90,8 @@ def proof_expressions(
     Args:
         problem: The problem.
         carried: Gains or parameters that become states of rate zero.
-        sizes: Units of the prover's states, powers of two: those of the problem's states, of gap
-            and rate, and of the carried parameters; by default all are 1.
+        sizes: Units of the prover's states, powers of two: for the problem's states, gap and rate,
+            and the carried parameters. The default is 1 for all units.
 
     Raises:
         TranslationError: If an operation is not analytic.
@@ -90,11 +101,7 @@ def proof_expressions(
     x, p = system.state, ca.vertcat(*symbols.values())
     given = [
         system.free_flow,
-        system.locked_flow,
         system.gap,
-        system.gap_rate,
-        system.gap_acceleration,
-        system.multiplier,
         system.impulse_direction,
         system.restitution,
         system.holonomic,
@@ -102,19 +109,23 @@ def proof_expressions(
     function = ca.Function(
         "given", [x, p], [ca.densify(ca.SX(one)) for one in given], {"cse": True}
     )
-    outputs, names, values = _without_constants(function, x, p)
-    free, locked, gap, rate, acceleration, multiplier, direction, restitution, holonomic = outputs
+    one = ca.SX.sym("one")
+    outputs, names, values = _without_constants(function, one * x, one * p)
+    free, gap, direction, restitution, holonomic = outputs
     over = [symbols[name] for name in carried]
-    coordinate = _coordinate(system, gap, over)
+    coordinate = _coordinate(system.n_q, x, one, gap, free, over)
     still = ca.SX.zeros(len(over))
     if coordinate is None:
         ends = ca.SX.sym("gap", 2)
         states = ca.vertcat(x, ends, *over)
         places = (x.numel(), x.numel() + 1)
+        rate = ca.jtimes(gap, x, free)
+        acceleration = ca.jtimes(rate, x, free)
+        direction = direction / ca.jtimes(rate, x, direction)
         free = ca.vertcat(free, ends[1], acceleration, still)
-        locked = ca.vertcat(locked, 0, 0, still)
         direction = ca.vertcat(direction, 0, 1, still)
-        constraints = ca.vertcat(multiplier, gap, rate, holonomic)
+        constraints = ca.vertcat(-acceleration, gap, rate, holonomic)
+        defined = ca.vertcat(gap, holonomic)
     else:
         g, sign = coordinate.place, coordinate.sign
         places = (g, system.n_q + g)
@@ -122,112 +133,148 @@ def proof_expressions(
         moved = ca.SX(x)
         moved[g] = sign * (x[g] - coordinate.offset)
         moved[places[1]] = sign * x[places[1]]
-        for expression in (free, locked, direction):
-            expression[g] *= sign
+        for expression in (free, direction):
             expression[places[1]] *= sign
-        locked[g], locked[places[1]] = 0, 0
-        direction[g], direction[places[1]] = 0, 1
-        free, locked, direction, multiplier, holonomic = ca.substitute(
-            [free, locked, direction, multiplier, holonomic], [x], [moved]
+        free, direction, restitution, holonomic, gap = ca.substitute(
+            [free, direction, restitution, holonomic, gap], [x], [moved]
         )
-        free[g] = x[places[1]]
-        free, locked, direction = (ca.vertcat(e, still) for e in (free, locked, direction))
-        constraints = ca.vertcat(multiplier, holonomic)
-    on_stop = ca.SX(states)
-    on_stop[list(places)] = 0
-    locked, multiplier, constraints = ca.substitute(
-        [locked, multiplier, constraints], [states], [on_stop]
+        free[g], acceleration = x[places[1]], free[places[1]]
+        direction = direction / direction[places[1]]
+        direction[g], direction[places[1]] = 0, 1
+        free, direction = ca.vertcat(free, still), ca.vertcat(direction, still)
+        constraints = ca.vertcat(-acceleration, holonomic)
+        defined = ca.vertcat(gap, holonomic)
+    locked = free - acceleration * direction
+    locked[list(places)] = 0
+    # A symbol is used because CasADi would round the value of a function at the number 0.
+    zero, on_stop = ca.SX.sym("zero"), ca.SX(states)
+    on_stop[list(places)] = zero
+    locked, pressure, constraints = ca.substitute(
+        [locked, -acceleration, constraints], [states], [on_stop]
     )
     if sizes:
         n_x = x.numel()
         kept = sizes if coordinate is None else [*sizes[:n_x], *sizes[n_x + 2 :]]
         unit = ca.SX(list(kept))
-        parts = [free, locked, direction, multiplier, restitution, constraints]
-        free, locked, direction, multiplier, restitution, constraints = ca.substitute(
+        parts = [free, locked, direction, pressure, restitution, constraints, defined]
+        free, locked, direction, pressure, restitution, constraints, defined = ca.substitute(
             parts, [states], [unit * states]
         )
         free, locked = free / unit, locked / unit
         direction = direction * unit[places[1]] / unit
     left = [symbols[name] for name in problem.names if name not in carried]
     return ProofExpressions(
+        digest=_digest(system, p),
         states=states,
-        numbers=ca.vertcat(*left, *names),
-        constants=tuple(values),
+        numbers=ca.vertcat(*left, *names, zero, one),
+        constants=(*values, 0.0, 1.0),
         gap_place=places[0],
         rate_place=places[1],
         coordinate=coordinate,
         free=free,
         locked=locked,
-        multiplier=multiplier,
+        pressure=pressure,
         direction=direction,
         restitution=restitution,
         constraints=constraints,
+        defined=defined,
     )
 
 
-def stop_identities(problem: Problem, own: OwnScale) -> tuple[ca.Function, dict[str, float]]:
-    """Return what vanishes identically in a problem whose stop obeys the laws.
+def _digest(system: CompletedSystem, numbers: ca.SX) -> str:
+    """Return the SHA-256 of the instructions of a system's formulas, as in the checker."""
+    given: list[Any] = [
+        system.free_flow,
+        system.locked_flow,
+        ca.vertcat(*system.contact),
+        system.impulse_direction,
+        system.law_numbers,
+        system.holonomic,
+    ]
+    outputs = [ca.densify(ca.SX(one)) for one in given]
+    f = ca.Function("system", [system.state, numbers], outputs)
+    lines = [f"{system.state.numel()} {numbers.numel()} {system.n_q}"]
+    for k in range(f.n_instructions()):
+        code = f.instruction_id(k)
+        takes, gives = f.instruction_input(k), f.instruction_output(k)
+        words = [operation_name(code).upper(), ",".join(map(str, takes)), ",".join(map(str, gives))]
+        if code == ca.OP_CONST:
+            words.append(float(f.instruction_constant(k)).hex())
+        lines.append(" ".join(words))
+    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
 
-    The prover takes these identities for granted: in balls they would only hold to their width.
+
+def stop_identities(problem: Problem, own: OwnScale) -> tuple[ca.Function, dict[str, float]]:
+    """Return expressions that vanish if the other formulas agree with the formulas of the proof.
+
+    The proof uses free flow, gap, impulse direction, restitution and constraints. Simulations use
+    further formulas of the problem. If these differ, an orbit file describes another system.
 
     Args:
         problem: The problem.
-        own: Sizes of its numbers.
+        own: Characteristic sizes of the problem's quantities.
 
     Returns:
-        A function of state and numbers with a column of terms for each identity, their sum zero;
-        and what each says, to the size of its numbers.
+        A function of state and parameters with a column of terms for each identity, whose sum is
+        zero, and the description of each identity, mapped to the size of its terms.
     """
     symbols = problem.symbols()
     s = problem.model(symbols)
     gap, rate = (ca.jacobian(one, s.state).T for one in (s.gap, s.gap_rate))
-    columns = [
+    columns: list[Any] = [
         (gap * s.free_flow, -s.gap_rate),
         (rate * s.free_flow, -s.gap_acceleration),
-        (gap * s.impulse_direction, 0),
         (rate * s.impulse_direction, -1),
-        (rate * s.locked_flow, 0),
         (s.multiplier, s.gap_acceleration * s.normal_inertia),
     ]
     sizes = {
         "gap_rate is the rate of gap": own.gap_rate,
         "gap_acceleration is the rate of gap_rate": own.gap_acceleration,
-        "an impact leaves the gap": own.gap / own.gap_rate,
         "an impact turns the gap rate round": 1.0,
-        "a stop that holds keeps the gap rate": own.gap_acceleration,
-        "multiplier is what keeps the gap rate": own.multiplier,
+        "multiplier is minus gap_acceleration times normal_inertia": own.multiplier,
     }
-    outputs = [ca.densify(ca.vertcat(*column)) for column in columns]
+    per_time = own.gap_rate / own.gap
+    for k, size in enumerate(own.states(s.state.numel())):
+        pushed = s.gap_acceleration * s.impulse_direction[k]
+        columns.append((s.locked_flow[k], -s.free_flow[k], pushed))
+        name = problem.state_names[k] if k < len(problem.state_names) else str(k)
+        what = "locked_flow is free_flow minus gap_acceleration times impulse_direction"
+        sizes[f"{what} in the row of {name}"] = size * per_time
+    outputs: list[ca.SX] = [ca.densify(cast("ca.SX", ca.vertcat(*column))) for column in columns]
     return ca.Function("identities", [s.state, ca.vertcat(*symbols.values())], outputs), sizes
 
 
 def _coordinate(
-    system: CompletedSystem, gap: ca.SX, carried: Sequence[ca.SX]
+    n_q: int, x: ca.SX, one: ca.SX, gap: ca.SX, free: ca.SX, carried: Sequence[ca.SX]
 ) -> GapCoordinate | None:
-    """Return the coordinate that the gap is plus or minus, and a number; None if there is none.
+    """Return the coordinate with gap = plus or minus coordinate + constant, or None if none exists.
 
     Args:
-        system: The problem.
-        gap: Its gap.
-        carried: Parameters that vary; the place of the stop must be none of theirs.
+        n_q: Number of coordinates.
+        x: The problem's state.
+        one: Symbols that multiply each state in the formulas.
+        gap: The gap of the problem.
+        free: The free flow of the problem. The rate of the coordinate must be a velocity state.
+        carried: Parameters that vary. The position of the stop must not depend on them.
     """
-    if any(ca.depends_on(gap, one) for one in carried):
+    if any(ca.depends_on(gap, parameter) for parameter in carried):
         return None
-    slopes = ca.jacobian(gap, system.state)
-    places = [k for k in range(system.state.numel()) if not slopes[k].is_zero()]
-    if len(places) != 1 or places[0] >= system.n_q or not slopes[places[0]].is_constant():
+    slopes = ca.jacobian(gap, x)
+    places = [k for k in range(x.numel()) if not slopes[k].is_zero()]
+    if len(places) != 1 or places[0] >= n_q:
         return None
-    slope = float(ca.DM(slopes[places[0]]))
-    if abs(slope) != 1.0:
+    (place,) = places
+    signs = [sign for sign in (1, -1) if ca.is_equal(slopes[place], sign * one, 1)]
+    if not signs or not ca.is_equal(free[place], one * x[n_q + place], 1):
         return None
-    offset = ca.substitute(gap, system.state[places[0]], ca.SX(0))
-    return GapCoordinate(place=places[0], sign=int(slope), offset=offset)
+    offset = ca.substitute(gap, x[place], ca.SX(0))
+    return GapCoordinate(place=place, sign=signs[0], offset=offset)
 
 
 def _without_constants(
     function: ca.Function, x: ca.SX, p: ca.SX
 ) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
-    """Return the outputs with symbols for constants, the symbols, and their values."""
+    """Return the outputs with symbols in place of constants, the symbols, and their values."""
     inputs = (x, p)
     outputs = [ca.SX.zeros(*function.size_out(k)) for k in range(function.n_out())]
     symbols: dict[float, ca.SX] = {}
@@ -241,31 +288,37 @@ def _without_constants(
             outputs[gives[0]][gives[1]] = work[takes[0]]
             continue
         place = gives[0]
-        fixed.pop(place, None)
         if code == ca.OP_INPUT:
             work[place] = inputs[takes[0]][takes[1]]
         elif code == ca.OP_CONST:
             value = float(function.instruction_constant(k))
             fixed[place] = value
             work[place] = _constant(value, symbols)
+            continue
         elif code in (ca.OP_POW, ca.OP_CONSTPOW):
-            work[place] = _power(work[takes[0]], work[takes[1]], fixed.get(takes[1]))
+            base = work[takes[0]]
+            if takes[0] in fixed:
+                # CasADi would compute the logarithm of a number in double arithmetic.
+                base = symbols.setdefault(fixed[takes[0]], ca.SX.sym(f"constant{len(symbols)}"))
+            work[place] = _power(base, work[takes[1]], fixed.get(takes[1]))
         elif code in table:
             work[place] = table[code](*(work[one] for one in takes))
         else:
-            raise TranslationError(operation_name(code), "which the prover does not know")
+            raise TranslationError(operation_name(code))
+        # The index may have held an operand.
+        fixed.pop(place, None)
     return outputs, list(symbols.values()), list(symbols)
 
 
 def _constant(value: float, symbols: dict[float, ca.SX]) -> ca.SX:
-    """Return a power of two, or zero, as it is, and a symbol for any other constant."""
+    """Return a power of two or zero unchanged, and a symbol for any other constant."""
     if value == 0.0 or math.frexp(abs(value))[0] == 0.5:
         return ca.SX(value)
     return symbols.setdefault(value, ca.SX.sym(f"constant{len(symbols)}"))
 
 
 def _power(base: ca.SX, exponent: ca.SX, value: float | None) -> ca.SX:
-    """Return a power: of whole exponents as it is, of others by exponential and logarithm."""
+    """Return a power: unchanged for integer exponents, otherwise by exponential and logarithm."""
     if value is not None and value == round(value) and abs(value) < 64:
         return base ** int(value)
     if value is not None and 2 * value == round(2 * value) and abs(value) < 32:
@@ -274,7 +327,7 @@ def _power(base: ca.SX, exponent: ca.SX, value: float | None) -> ca.SX:
 
 
 def _operations() -> Mapping[int, Callable[..., Any]]:
-    """Return CasADi's operations by their code, each as a function of its arguments."""
+    """Return CasADi's operations as functions of their arguments, keyed by code."""
 
     def quotient(a: ca.SX, b: ca.SX) -> ca.SX:
         return a / b
@@ -288,6 +341,9 @@ def _operations() -> Mapping[int, Callable[..., Any]]:
     def hypotenuse(a: ca.SX, b: ca.SX) -> ca.SX:
         return ca.sqrt(a * a + b * b)
 
+    def angle(y: ca.SX, x: ca.SX) -> ca.SX:
+        return 2 * ca.atan(y / (x + hypotenuse(x, y)))
+
     table: dict[int, Callable[..., Any]] = {
         ca.OP_ASSIGN: operator.pos,
         ca.OP_ADD: operator.add,
@@ -299,11 +355,12 @@ def _operations() -> Mapping[int, Callable[..., Any]]:
         ca.OP_SQ: square,
         ca.OP_INV: inverse,
         ca.OP_HYPOT: hypotenuse,
+        ca.OP_ATAN2: angle,
         **{
             getattr(ca, f"OP_{name.upper()}"): getattr(ca, name)
             for name in (
                 *("sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos"),
-                *("atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf"),
+                *("atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
             )
         },
     }

@@ -4,12 +4,14 @@ Krawczyk's operator, with :math:`Y \approx (1 - DP)^{-1}`,
 
 .. math:: K = u_c - Y (u_c - P(u_c)) + (1 - Y (1 - DP(U)))(U - u_c)
 
-holds every fixed point in `U`; if it lies inside `U` there is one, and no other [Krawczyk1969]_.
-All boxes here are less :math:`u_c`.
+contains every fixed point in `U`. If it lies inside `U`, exactly one fixed point exists in `U`
+[Krawczyk1969]_. If `P(U)`, enclosed in mean value form, lies inside `U`, then `P` contracts `U`,
+and exactly one fixed point exists as well. All boxes in this module are relative to :math:`u_c`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,9 +25,14 @@ from zeno_orbits.proof.section import SectionStart
 from zeno_orbits.proof.walk import ProofPassage
 
 _SPARE = 1.5
-"""How much larger than what it becomes a box is taken."""
+"""Factor by which a box is taken larger than its image."""
 _LARGEST = 1e-3
-"""Radius of a box beyond which none is tried, per size of a state."""
+"""Largest trial radius of a box, relative to the size of each state."""
+_CONTRACTION = 0.25
+"""Target for the spectral radius of the bounds of Krawczyk's operator on a smaller box."""
+_BASIS_UNIT = 2.0**60
+_NOISE = 3.0
+"""Smallest radius of a box as a multiple of the rounding of Newton's step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +57,7 @@ class ReturnBox:
 
     @property
     def included(self) -> bool:
-        """True if the image lies in the interior of the box."""
+        """True if the image lies in the interior of the box: the return map contracts the box."""
         return _inside(self.image, self.box)
 
     def krawczyk(self, box: Sequence[Ball]) -> list[Ball]:
@@ -59,18 +66,23 @@ class ReturnBox:
         Raises:
             ProofError: If `1 - DP` is not invertible.
         """
-        d = len(self.box)
-        if not d:
+        if not self.box:
             return []
-        eye = identity(d)
+        rest, moved = self.newton()
+        return [a + b for a, b in zip(moved, product(rest, box), strict=True)]
+
+    def newton(self) -> tuple[Matrix, list[Ball]]:
+        """Return `1 - Y (1 - DP)`, and the step of Newton's method from the middle, ``(d,)``.
+
+        Raises:
+            ProofError: If `1 - DP` is not invertible.
+        """
+        eye = identity(len(self.box))
         try:
             inverse = mapped((eye - mapped(self.slopes, middle)).inv(), middle)
         except ZeroDivisionError as error:
             raise ProofError("exists", "the orbit has a multiplier of 1") from error
-        rest = eye - inverse * (eye - self.slopes)
-        return [
-            a + b for a, b in zip(product(inverse, self.shift), product(rest, box), strict=True)
-        ]
+        return eye - inverse * (eye - self.slopes), product(inverse, self.shift)
 
     def encloses(self, found: Sequence[Ball]) -> bool:
         """Return True if a box lies in the interior of `U`."""
@@ -83,13 +95,15 @@ def _inside(inner: Sequence[Ball], outer: Sequence[Ball]) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MultiplierDiscs:
-    """Discs that hold the multipliers: each group of discs apart from the rest holds its number.
+    """Discs whose union contains the multipliers.
+
+    A group of k discs that is separate from the other discs contains exactly k multipliers.
 
     Attributes:
         basis: Approximate eigenvectors as columns, exact, ``(d, d)``.
-        centres: Of the discs, exact.
-        radii: Of the discs.
-        norm: Largest sum of the sizes in a row of `DP` in the basis.
+        centres: Centres of the discs, exact.
+        radii: Radii of the discs.
+        norm: Largest sum of absolute values in a row of `DP` in the basis.
     """
 
     basis: list[list[complex]]
@@ -104,7 +118,7 @@ class MultiplierDiscs:
 
     @property
     def repelling(self) -> bool:
-        """True if a disc apart from the others lies outside the unit circle."""
+        """True if a disc separate from the others lies outside the unit circle."""
         for k, (centre, radius) in enumerate(zip(self.centres, self.radii, strict=True)):
             apart = all(
                 bool(_distance(centre, other) > radius + wide)
@@ -121,7 +135,7 @@ def _distance(a: complex, b: complex) -> Ball:
 
 
 def multiplier_discs(slopes: Matrix) -> MultiplierDiscs:
-    """Return discs that hold the eigenvalues of all matrices in a box (Gershgorin).
+    """Return discs that contain the eigenvalues of all matrices in a box (Gershgorin).
 
     Args:
         slopes: The matrices, ``(d, d)``.
@@ -132,14 +146,15 @@ def multiplier_discs(slopes: Matrix) -> MultiplierDiscs:
     if d > 1:
         _, vectors = np.linalg.eig(floats)
         if np.linalg.cond(vectors) < 1e8:
-            basis = vectors.astype(np.complex128)
+            # Numbers of a certificate have a fixed unit.
+            basis = np.rint(vectors * _BASIS_UNIT) / _BASIS_UNIT
     T = acb_mat(d, d, [acb(complex(x)) for x in basis.ravel()])
     turned = T.inv() * acb_mat(slopes) * T
     centres: list[complex] = []
     radii: list[Ball] = []
     norm = arb(0)
     for k in range(d):
-        centre = complex(turned[k, k].mid())
+        centre = complex(np.rint(complex(turned[k, k].mid()) * _BASIS_UNIT) / _BASIS_UNIT)
         others = sum((turned[k, j].abs_upper() for j in range(d) if j != k), arb(0))
         centres.append(centre)
         radii.append((others + (turned[k, k] - acb(centre)).abs_upper()).upper())
@@ -154,43 +169,46 @@ def multiplier_discs(slopes: Matrix) -> MultiplierDiscs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JudgedBox:
-    """A box once around, with what follows.
+    """A box with exactly one fixed point of the return map, and the consequences.
 
     Attributes:
         start: The start.
-        passage: Its way.
+        passage: Enclosure of one period from the start.
         returned: The return map.
-        orbit: Start coordinates of the periodic orbit less those of the middle, and carried
-            parameters, ``(d + n_over,)``.
-        discs: Of the multipliers.
+        by_krawczyk: True if Krawczyk's operator maps the box into its interior. If False, the
+            return map does.
+        orbit: Start coordinates of the fixed point minus the coordinates of the middle, then
+            carried parameters, ``(d + n_over,)``.
+        discs: Discs of the multipliers.
     """
 
     start: SectionStart
     passage: ProofPassage
     returned: ReturnBox
+    by_krawczyk: bool
     orbit: list[Ball]
     discs: MultiplierDiscs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReturnAttempt:
-    """A box once around, judged.
+    """Evaluation of a box after one period.
 
     Attributes:
-        judged: What follows, if the orbit exists.
-        defect: Where the middle returns, less the middle, ``(d,)``.
-        reason: What is missing.
-        needed: Radii of boxes that may do.
+        judged: The consequences, if a fixed point exists.
+        defect: Image of the middle minus the middle, ``(d,)``.
+        reason: Reason of the failure.
+        next: Promising boxes to try next: shifts of the middle and radii, ``(d,)`` each.
     """
 
     judged: JudgedBox | None
     defect: list[Ball]
     reason: str = ""
-    needed: list[list[float]]
+    next: list[tuple[list[Ball], list[float]]]
 
 
 def judge(start: SectionStart, passage: ProofPassage) -> ReturnAttempt:
-    """Judge the return of a box."""
+    """Evaluate the return of a box."""
     places, end, d = start.places, passage.end.at, len(start.places)
     box = end.box
     slopes = end.derivative
@@ -208,23 +226,49 @@ def judge(start: SectionStart, passage: ProofPassage) -> ReturnAttempt:
         slopes=matrix(rows, d),
     )
     if not all(a.contains(box[k]) for k, a in zip(start.others, start.around, strict=True)):
-        reason = "the box does not come back to the part of the section that it started on"
-        return ReturnAttempt(judged=None, defect=defect, reason=reason, needed=[])
+        reason = "the box does not return to the part of the section on which it started"
+        return ReturnAttempt(judged=None, defect=defect, reason=reason, next=[])
     found = returned.krawczyk(returned.box)
-    if not returned.encloses(found):
-        wide = [_SPARE * float(one.abs_upper()) for one in found]
+    by_krawczyk = returned.encloses(found)
+    if not (by_krawczyk or returned.included):
         reason = "the return map is not proved to have a fixed point in the box"
-        small = all(w < _LARGEST for w in wide)
-        asked = [float(u.rad()) for u in returned.box]
-        # A box that holds the one that was asked for is better than a smaller one.
-        needed = [[max(w, u) for w, u in zip(wide, asked, strict=True)], wide] if small else []
-        return ReturnAttempt(judged=None, defect=defect, reason=reason, needed=needed)
-    orbit = [*returned.krawczyk(found), *parameters]
+        return ReturnAttempt(judged=None, defect=defect, reason=reason, next=_next(returned, found))
+    near = returned.krawczyk(found) if by_krawczyk else returned.image
     judged = JudgedBox(
         start=start,
         passage=passage,
         returned=returned,
-        orbit=orbit,
+        by_krawczyk=by_krawczyk,
+        orbit=[*near, *parameters],
         discs=multiplier_discs(returned.slopes),
     )
-    return ReturnAttempt(judged=judged, defect=defect, needed=[])
+    return ReturnAttempt(judged=judged, defect=defect, next=[])
+
+
+def _next(returned: ReturnBox, found: Sequence[Ball]) -> list[tuple[list[Ball], list[float]]]:
+    r"""Return promising boxes after a box has failed.
+
+    The first box is at least as large as the image of the failed box under Krawczyk's operator. The
+    second box is centred at the next iterate of Newton's method. Let `W` be the bounds of
+    :math:`1 - Y(1 - DP)` on the failed box. The sides of the second box are
+    :math:`(1 - W / (2 \rho(W)))^{-1} u`. `W` shrinks this vector in all coordinates if the box is
+    small enough, since `W` shrinks with the box.
+    """
+    d = len(returned.box)
+    wide = [_SPARE * float(one.abs_upper()) for one in found]
+    asked = [float(u.rad()) for u in returned.box]
+    rest, moved = returned.newton()
+    bounds = np.array([[float(rest[i, j].abs_upper()) for j in range(d)] for i in range(d)])
+    noise = [float(one.rad()) for one in moved]
+    if not (np.all(np.isfinite(bounds)) and all(map(math.isfinite, (*wide, *noise)))):
+        return []
+    boxes: list[tuple[list[Ball], list[float]]] = []
+    if all(w < _LARGEST for w in wide):
+        still: list[Ball] = [arb(0)] * d
+        boxes.append((still, [max(w, u) for w, u in zip(wide, asked, strict=True)]))
+    radius = max(float(np.max(np.abs(np.linalg.eigvals(bounds)))), 1e-300)
+    sides = np.linalg.solve(np.eye(d) - bounds / (2 * radius), np.array(asked))
+    sides = sides * np.min(np.array(asked) / sides) * min(1.0, _CONTRACTION / radius)
+    narrow = [max(float(s), _NOISE * n) for s, n in zip(sides, noise, strict=True)]
+    boxes.append(([one.mid() for one in moved], narrow))
+    return boxes

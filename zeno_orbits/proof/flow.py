@@ -1,9 +1,10 @@
 r"""One step of a flow in balls: Taylor's method with a proved remainder, and its derivative.
 
-With :math:`c_j` the Taylor coefficients over a box `X` and `B` a box that holds the motions from it
-over the whole step, :math:`\varphi_s(X) \subset \sum_{j \le k} c_j(X) s^j + c_{k+1}(B) s^{k+1}`;
-`B` is such a box if that expression over all `s` in ``[0, h]`` lies inside it, stiff or not. The
-derivative `V` with respect to the start goes along with it [NedialkovJacksonCorliss1999]_.
+Let :math:`c_j` be the Taylor coefficients over a box `X`, and `B` a box that contains the motions
+from `X` over the whole step. Then
+:math:`\varphi_s(X) \subset \sum_{j \le k} c_j(X) s^j + c_{k+1}(B) s^{k+1}`. `B` is such a box if
+this expression over all `s` in ``[0, h]`` lies inside `B`, for stiff flows as well. The derivative
+`V` with respect to the start is enclosed in the same way [NedialkovJacksonCorliss1999]_.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ from zeno_orbits.proof.program import BallProgram
 from zeno_orbits.proof.recurrences import Series
 
 _WIDER = 1 + 1 / 16
-"""How much wider the box of a step is taken than what its series alone fills."""
+"""Factor by which the box of a step is wider than the range of its series."""
 
 _SPARE_BITS = 6
 
 
 class BallFlow:
-    """A flow ``y' = f(y)`` with its derivative, and a guard if it has one, in balls."""
+    """A flow ``y' = f(y)`` in balls, with its derivative and an optional guard."""
 
     def __init__(
         self, states: ca.SX, numbers: ca.SX, rate: ca.SX, guard: ca.SX | None, values: list[Ball]
@@ -44,10 +45,10 @@ class BallFlow:
 
         Args:
             states: ``y``, ``(n,)``, symbols.
-            numbers: Symbols of the numbers in it.
+            numbers: Symbols of the parameters and constants in the flow.
             rate: ``f``, ``(n,)``.
-            guard: A function of the states that is asked for along it.
-            values: The numbers.
+            guard: A function of the states that is evaluated along the flow.
+            values: Values of these symbols.
         """
         self.n = states.numel()
         slopes = ca.jacobian(rate, states)
@@ -68,8 +69,8 @@ class BallFlow:
 
         Args:
             y: A box of states, ``(n,)``.
-            order: Of the last coefficient of both.
-            longer: Of the last coefficient of the motion, if that is more.
+            order: Order of the last coefficient of both.
+            longer: Order of the last coefficient of the motion, if it is higher.
         """
         series = self._program.flow_series(y, max(order, longer))
         slopes = self._program.follow(series, order - 1)[1]
@@ -106,8 +107,9 @@ class FlowSeries:
     """Taylor coefficients over a box.
 
     Attributes:
-        states: Of the states, ``(n, order + 1)`` or longer.
-        derivative: Of the derivative with respect to the start, matrices, ``order + 1``.
+        states: Coefficients of the states, ``(n, order + 1)`` or longer.
+        derivative: Coefficients of the derivative with respect to the start, ``order + 1``
+            matrices.
     """
 
     states: list[Series]
@@ -119,12 +121,12 @@ class FlowStep:
     """A step with its proved remainders.
 
     Attributes:
-        size: Its length, exact.
-        orders: Of the last coefficient for a point, and for the derivative.
-        box: Holds all motions over the step, ``(n,)``.
+        size: Length of the step, exact.
+        orders: Order of the last coefficient for a point, and for the derivative.
+        box: Box that contains all motions over the step, ``(n,)``.
         series: Over the start.
-        rest: Coefficient of the point's remainder, ``(n,)``.
-        derivative_rest: Coefficient of the derivative's remainder.
+        rest: Coefficient of the remainder for a point, ``(n,)``.
+        derivative_rest: Coefficient of the remainder for the derivative.
     """
 
     size: Ball
@@ -135,7 +137,7 @@ class FlowStep:
     derivative_rest: Matrix
 
     def point(self, series: list[Series], time: Ball) -> list[Ball]:
-        """Return where a point is at times of the step, from its own coefficients, ``(n,)``."""
+        """Return the states of a point at times of the step, from its coefficients, ``(n,)``."""
         found: list[Ball] = []
         for coefficients, value in zip(series, self.rest, strict=True):
             for one in coefficients[self.orders[0] :: -1]:
@@ -154,13 +156,14 @@ class FlowStep:
 def enclose(
     flow: BallFlow, series: FlowSeries, size: Ball, orders: tuple[int, int]
 ) -> FlowStep | None:
-    """Return a step of a length; None if no box is found for it.
+    """Return a step of a given length, or None if no enclosing box is found.
 
     Args:
         flow: The flow.
-        series: Over the start, to the second order at least.
+        series: Coefficients over the start, to the second order at least.
         size: Length, exact.
-        orders: Of the last coefficient for a point, not below the other, and for the derivative.
+        orders: Order of the last coefficient for a point, and a lower or equal order for the
+            derivative.
     """
     n, (order, order_v) = flow.n, orders
     filled, filled_v = _filled(series, size, order_v)
@@ -193,7 +196,7 @@ def enclose(
 
 
 def _filled(series: FlowSeries, size: Ball, order: int) -> tuple[list[Ball], Matrix]:
-    """Return the sums of the hulls of zero and each term but the first, over a whole step."""
+    """Return the sums of the hulls of zero and each term except the first, over a whole step."""
     filled: list[Ball] = []
     powers = [size**j for j in range(order + 1)]
     for coefficients in series.states:
@@ -208,6 +211,6 @@ def _filled(series: FlowSeries, size: Ball, order: int) -> tuple[list[Ball], Mat
 def _wider(x: Ball) -> Ball:
     if x.is_exact():
         return x
-    # A short step moves a number by less than its rounding; the box must hold both.
+    # A short step moves a state by less than its rounding error. The box must contain both.
     rounding = x.abs_upper() * arb(2) ** (_SPARE_BITS - ctx.prec)
     return scaled(x, _WIDER) + arb(0, rounding)

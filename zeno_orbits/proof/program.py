@@ -1,7 +1,7 @@
 r"""A CasADi function as a program of operations on balls, and on Taylor series of balls.
 
-What a flow needs is found coefficient by coefficient, by the rules of `recurrences`; what only
-depends on a flow, such as its derivatives, by products of whole series.
+Operations of a flow are computed coefficient by coefficient, with the rules of `recurrences`.
+Operations that only depend on a flow, such as its derivatives, use products of whole series.
 """
 
 from __future__ import annotations
@@ -25,19 +25,20 @@ from zeno_orbits.proof.recurrences import (
 
 
 class BallProgram:
-    """The outputs of a CasADi function of two inputs, the second fixed, as operations on balls."""
+    """A CasADi function as operations on balls, with its second input fixed."""
 
     def __init__(self, function: ca.Function, numbers: Sequence[Ball], *, n_flow: int = 0) -> None:
         """Translate a function.
 
         Args:
-            function: Of states and numbers, with any outputs; of type SX.
+            function: Function of states and parameters, of type SX, with any outputs.
             numbers: The second input.
-            n_flow: How many entries of the first output are rates of the states, whose series
-                `flow_series` finds; the others are evaluated on series that are known.
+            n_flow: Number of entries of the first output that are rates of the states.
+                `flow_series` computes their series. The other entries are evaluated on known
+                series.
 
         Raises:
-            TranslationError: If an operation has no translation.
+            TranslationError: If an operation cannot be translated.
         """
         self.n = function.numel_in(0)
         self.fixed: list[Ball | None] = [None] * self.n
@@ -70,7 +71,7 @@ class BallProgram:
         self._offline = [k for k in self._needed(every) if k not in online]
 
     def __call__(self, x: Sequence[Ball]) -> list[list[Ball]]:
-        """Return the nonzero entries of every output at a state, of real or complex balls."""
+        """Return the nonzero entries of every output at a state of real or complex balls."""
         values = list(x)
         for k in range(self.n, len(self.operations)):
             fixed = self.fixed[k]
@@ -79,15 +80,15 @@ class BallProgram:
         return [[values[place] for place in output] for output in self.outputs]
 
     def flow_series(self, x: Sequence[Ball], order: int) -> list[Series]:
-        """Return the series of the flow from a state, and of all operations that it needs.
+        """Return the series of the flow from a state, and of all operations in the flow.
 
         Args:
             x: State, ``(n,)``.
-            order: Of the last coefficient of the states.
+            order: Order of the last coefficient of the states.
 
         Returns:
-            One series for each operation, empty where it is none of the flow's: first the states
-            to ``order``, then the others to one below.
+            One series for each operation, empty for operations outside the flow: first the states
+            to ``order``, then the other operations to ``order - 1``.
         """
         series: list[Series] = [[] for _ in self.operations]
         for k in range(self.n):
@@ -110,8 +111,8 @@ class BallProgram:
         """Return the series of all outputs along a flow, to an order.
 
         Args:
-            series: As `flow_series` returns it; what is missing there is filled in.
-            order: Of the last coefficient, at most that of the flow's rates.
+            series: Result of `flow_series`. Missing series are filled in.
+            order: Order of the last coefficient, at most the order of the flow's rates.
         """
         n = order + 1
         ctx.cap = n
@@ -148,7 +149,7 @@ class BallProgram:
         ]
 
     def _needed(self, places: Sequence[int]) -> list[int]:
-        """Return the operations that some outputs are made of, in order, inputs left out."""
+        """Return the operations in given outputs, in order, without the inputs."""
         needed: set[int] = set()
         left = list(places)
         while left:
@@ -165,15 +166,18 @@ class BallProgram:
         return len(self.fixed) - 1
 
     def _add(self, name: str, a: int, b: int | None = None) -> int:
-        """Return the place of an operation; of constants it is a constant."""
+        """Return the index of an operation, which is folded if all arguments are constants."""
         b = a if b is None else b
         left, right = self.fixed[a], self.fixed[b]
         if left is not None and right is not None:
             return self._constant(_VALUES[name](left, right))
+        if name == "mul" and ONE in (left, right):
+            return b if left == ONE else a
         key = (name, a, b)
         if key not in self._known:
             if name in ("sin", "cos"):
-                # The two are found together, cosine next to sine: each recurrence needs the other.
+                # Sine and cosine are computed together, since each recurrence needs the other
+                # function.
                 sine = self._append("sin", a, a)
                 self._known["sin", a, b] = sine
                 self._known["cos", a, b] = self._append("cos", a, sine)
@@ -187,7 +191,7 @@ class BallProgram:
         return len(self.fixed) - 1
 
     def _power(self, base: int, exponent: int, values: dict[int, float]) -> int:
-        """Return a power: whole exponents by products, others by exponential and logarithm."""
+        """Return a power: products for integer exponents, otherwise exponential and logarithm."""
         value = values.get(exponent)
         if value is None or value != round(value) or abs(value) > 64:
             return self._add("exp", self._add("mul", exponent, self._add("log", base)))
@@ -197,7 +201,7 @@ class BallProgram:
         return result if value >= 0 else self._add("div", self._constant(ONE), result)
 
     def _translated(self, code: int, takes: list[int]) -> int:
-        """Return the place of CasADi's operation, made of the few that have a recurrence."""
+        """Return the index of a CasADi operation, composed of operations with a recurrence."""
         name = operation_name(code)
         if name in OPERATIONS:
             return self._add(name, *takes)
@@ -217,16 +221,27 @@ class BallProgram:
             return add("log", add("add", one, a))
         if name == "hypot":
             return add("sqrt", add("add", add("sq", a), add("sq", b)))
+        if name == "atan2":
+            # Off the negative axis, half the angle of (x, y) is the angle of (x + |(x, y)|, y).
+            length = add("sqrt", add("add", add("sq", a), add("sq", b)))
+            half = self._translated(ca.OP_ATAN, [add("div", a, add("add", b, length))])
+            return add("mul", self._constant(arb(2)), half)
         if name in ("sinh", "cosh", "tanh"):
             return self._hyperbolic(name, a)
+        if name in ("asinh", "acosh"):
+            beside = add("add" if name == "asinh" else "sub", add("sq", a), one)
+            return add("log", add("add", a, add("sqrt", beside)))
+        if name == "atanh":
+            ratio = add("div", add("add", one, a), add("sub", one, a))
+            return add("div", add("log", ratio), self._constant(arb(2)))
         if name in SLOPES:
             square, scale = add("sq", a), self._constant(arb(SLOPES[name][0]))
             root = add("add", self._constant(arb(SLOPES[name][1])), add("mul", scale, square))
-            if name not in ("atan", "atanh"):
+            if name != "atan":
                 root = add("sqrt", root)
             sign = self._constant(arb(-1 if name == "acos" else 1))
             return add(name, a, add("div", sign, root))
-        raise TranslationError(name, "which is not analytic, or has no rule for balls")
+        raise TranslationError(name)
 
     def _hyperbolic(self, name: str, a: int) -> int:
         add = self._add
@@ -238,7 +253,7 @@ class BallProgram:
         return add("div", low if name == "sinh" else high, self._constant(arb(2)))
 
     def _stepper(self, k: int, series: list[Series]) -> Callable[[int], None]:
-        """Return what appends the next coefficient of an operation."""
+        """Return the function that appends the next coefficient of an operation."""
         name, a, b = self.operations[k]
         if name == "sin":
             return sine_and_cosine(series[a], series[k], series[k + 1])

@@ -1,8 +1,7 @@
-"""The certificate of a proof as plain data: exact numbers, one inclusion a record."""
+"""The certificate of a proof as plain data: exact numbers, one inclusion per record."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import platform
@@ -10,64 +9,37 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import casadi as ca
 import flint
 
-from zeno_orbits.errors import ProofError
+from zeno_orbits.errors import InputError, ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.balls import ZERO, Ball, Matrix, exact_text, half_width, mapped
-from zeno_orbits.proof.expressions import operation_name
+from zeno_orbits.proof.checker.balls import NotProved
+from zeno_orbits.proof.checker.certificate import read_system
 from zeno_orbits.proof.section import SectionStart
-from zeno_orbits.proof.sets import BallSet
-from zeno_orbits.proof.stage import ProofRecord
+from zeno_orbits.proof.sets import BallSet, ProofRecord
 from zeno_orbits.proof.walk import ProofPassage
-from zeno_orbits.work import versions
+from zeno_orbits.work import versions, write_whole
 
-FORMAT = 1
+FORMAT = 2
 _CHECK_BITS = 224
-"""Bits after the point for numbers of everyday size."""
+"""Bits after the binary point for numbers of ordinary size."""
 _EVERYDAY = 1e-3
-"""Period for which that is enough [s]."""
+"""Shortest period for which these bits are enough [s]."""
 _OWN_BITS = 180
-"""Bits after the point beyond the first of the smallest parameter."""
-
-
-def system_digest(problem: Problem) -> str:
-    """Return the SHA-256 of the instructions of a problem's equations."""
-    symbols = problem.symbols()
-    system = problem.model(symbols)
-    numbers = ca.vertcat(*symbols.values())
-    given: list[Any] = [
-        system.free_flow,
-        system.locked_flow,
-        ca.vertcat(*system.contact),
-        system.impulse_direction,
-        system.law_numbers,
-        system.holonomic,
-    ]
-    outputs = [ca.densify(ca.SX(one)) for one in given]
-    f = ca.Function("system", [system.state, numbers], outputs)
-    lines = [f"{system.state.numel()} {numbers.numel()} {system.n_q}"]
-    for k in range(f.n_instructions()):
-        code = f.instruction_id(k)
-        takes, gives = f.instruction_input(k), f.instruction_output(k)
-        words = [operation_name(code).upper(), ",".join(map(str, takes)), ",".join(map(str, gives))]
-        if code == ca.OP_CONST:
-            words.append(float(f.instruction_constant(k)).hex())
-        lines.append(" ".join(words))
-    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
+"""Bits after the leading bit of the smallest parameter."""
 
 
 class CertificateWriter:
-    """Turn sets and records of the prover into those of the file, in the problem's own states."""
+    """Converter of the prover's sets and records to file data in the states of the problem."""
 
     def __init__(self, system: BallSystem, places: Sequence[int]) -> None:
-        """Find out how the prover's states are those of the problem.
+        """Set up the conversion from the prover's states to the problem's states.
 
         Args:
             system: The problem in balls.
-            places: Places of the section's coordinates.
+            places: Indices of the section's coordinates.
         """
         self._system, self._units = system, list(system.units)
         self._shift = [ZERO] * system.n
@@ -81,8 +53,10 @@ class CertificateWriter:
             self._shift[system.gap] = -coordinate.sign * system.gap_offset
 
     def set_of(self, one: BallSet) -> dict[str, Any]:
-        """Return a set."""
-        m = [x * u + shift for x, u, shift in zip(one.m, self._units, self._shift, strict=True)]
+        """Return a set as data."""
+        # The position of the stop needs additional bits.
+        with flint.ctx.workprec(2 * flint.ctx.prec + _OWN_BITS):
+            m = [x * u + shift for x, u, shift in zip(one.m, self._units, self._shift, strict=True)]
         if not m[self._system.gap].is_exact():
             raise ProofError("certificate", "the stop is at no exact number")
         ones = [1.0] * self._system.n
@@ -95,7 +69,7 @@ class CertificateWriter:
         }
 
     def record(self, one: ProofRecord) -> dict[str, Any]:
-        """Return a record."""
+        """Return a record as data."""
         numbers = {name: _texts(value) for name, value in one.numbers.items()}
         if one.kind == "tail":
             radius, units = one.numbers["radius"], self._system.units
@@ -105,7 +79,7 @@ class CertificateWriter:
         return {"kind": one.kind, **numbers, **orders, "set": self.set_of(one.result)}
 
     def passage(self, start: SectionStart, passage: ProofPassage) -> dict[str, Any]:
-        """Return a set once around."""
+        """Return the enclosure of one period as data."""
         d, units = len(start.places), self._system.units
         radii = [u.rad() * unit for u, unit in zip(start.at.U[:d], self._inputs, strict=False)]
         centre = [x * unit for x, unit in zip(start.centre, self._inputs, strict=False)]
@@ -121,14 +95,14 @@ class CertificateWriter:
         }
 
     def _tail_places(self) -> list[int]:
-        """Return the states that a polydisc has radii for: all but a gap that is carried."""
+        """Return the states with a radius in a polydisc: all except an additional gap state."""
         if self.gap_row is not None:
             return list(range(self._system.n))
         return [k for k in range(self._system.n) if k not in (self._system.gap, self._system.rate)]
 
 
 def _texts_by(m: Matrix, rows: Sequence[float], columns: Sequence[float]) -> list[list[str]]:
-    """Return the numbers of an exact matrix from units of rows by units of columns."""
+    """Return the entries of an exact matrix in units of rows divided by units of columns."""
     return [
         [exact_text(x * unit / by) for x, by in zip(row, columns, strict=True)]
         for row, unit in zip(m.table(), rows, strict=True)
@@ -154,22 +128,16 @@ def certificate(
     Args:
         problem: The problem.
         values: Its numbers.
-        over: Radii of the parameters for all of whose values it holds.
+        over: Radii of the intervals of parameters that the proof covers.
         system: The problem in balls.
-        passes: Sets once around, with their starts.
-        claims: What is claimed, its numbers as texts.
+        passes: Enclosures of one period, with their starts.
+        claims: The claims, with numbers as texts.
     """
     writer = CertificateWriter(system, passes[0][0].places)
-    named = dict(zip(problem.names, values.vector, strict=True))
     return {
         "format": FORMAT,
         "kind": "zeno_orbits proof",
-        "problem": problem.name,
-        "digest": system_digest(problem),
-        "parameters": {name: exact_text(flint.arb(float(x))) for name, x in named.items()},
-        "over": {name: exact_text(flint.arb(radius)) for name, radius in over.items()},
-        "gap_row": writer.gap_row,
-        "bits": _check_bits(system, list(named.values())),
+        **_system_data(problem, values, over, system),
         "section": {
             "conditions": ["gap", "gap_rate", "multiplier"],
             "places": list(passes[0][0].places),
@@ -180,8 +148,49 @@ def certificate(
     }
 
 
-def _check_bits(system: BallSystem, numbers: Sequence[float]) -> int:
-    """Return how many bits after the point the checker needs: more where numbers are small."""
+def _system_data(
+    problem: Problem, values: ParameterValues, over: Mapping[str, float], system: BallSystem
+) -> dict[str, Any]:
+    """Return the system data of a certificate."""
+    named = dict(zip(problem.names, map(float, values.vector), strict=True))
+    coordinate = system.expressions.coordinate
+    return {
+        "problem": problem.name,
+        "digest": system.expressions.digest,
+        "parameters": {name: exact_text(flint.arb(x)) for name, x in named.items()},
+        "over": {name: exact_text(flint.arb(radius)) for name, radius in over.items()},
+        "gap_row": None if coordinate is None else coordinate.place,
+        "bits": check_bits(system, [*named.values()]),
+    }
+
+
+def require_hypotheses(
+    problem: Problem, values: ParameterValues, over: Mapping[str, float], system: BallSystem
+) -> None:
+    """Raise an error if the checker cannot show the hypotheses of the theorem for a problem.
+
+    Args:
+        problem: The problem.
+        values: Its numbers.
+        over: Radii of the parameters that vary.
+        system: The problem in balls.
+
+    Raises:
+        ProofError: If a hypothesis is not shown.
+    """
+    try:
+        read_system(_system_data(problem, values, over, system), problem)
+    except (NotProved, InputError) as error:
+        raise ProofError("hypotheses", str(error).removesuffix(".")) from error
+
+
+def check_bits(system: BallSystem, numbers: Sequence[float]) -> int:
+    """Return the number of bits after the binary point for the checker: more for small parameters.
+
+    Args:
+        system: The problem in balls.
+        numbers: All gains and parameters.
+    """
     small = min(*system.units, system.period / _EVERYDAY, 1.0)
     least = min((abs(x) for x in numbers if x), default=1.0)
     needed = max(_CHECK_BITS - 2 * math.log2(small), _OWN_BITS - math.log2(least))
@@ -189,7 +198,7 @@ def _check_bits(system: BallSystem, numbers: Sequence[float]) -> int:
 
 
 def proof_versions() -> dict[str, str]:
-    """Return what a proof stands on: name to version."""
+    """Return the versions of the software that a proof depends on, keyed by name."""
     known = versions()
     return {
         "zeno_orbits": known["zeno_orbits"],
@@ -207,4 +216,4 @@ def write_proof(data: Mapping[str, Any], path: Path) -> None:
         data: The certificate.
         path: The file.
     """
-    path.write_text(json.dumps(data, separators=(",", ":")) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(data, separators=(",", ":")) + "\n")

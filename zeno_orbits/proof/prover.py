@@ -1,53 +1,52 @@
-"""Prove that a periodic orbit exists: find a box around it, follow it, judge its return."""
+"""Proof that a periodic orbit exists: choose a box, enclose one period, evaluate the return."""
 
 from __future__ import annotations
 
-import math
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from flint import arb, ctx
 
-from zeno_orbits.errors import InputError, ProofError
+from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import ZenoOrbit, digest_of, same_equations
-from zeno_orbits.proof.ball_system import BallSystem, require_proved
-from zeno_orbits.proof.claims import CLOSE, claims_of, proof_bounds, require_numbers
-from zeno_orbits.proof.expressions import stop_identities
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.proof.ball_system import BallSystem
+from zeno_orbits.proof.balls import Ball
+from zeno_orbits.proof.claims import (
+    CLOSE,
+    claims_of,
+    proof_bounds,
+    proved_box,
+    require_numbers,
+)
 from zeno_orbits.proof.fixed_point import JudgedBox, judge
-from zeno_orbits.proof.program import BallProgram
-from zeno_orbits.proof.proof_file import certificate, proof_versions
+from zeno_orbits.proof.orbit_walk import LEAST_SIZE, prover_state, require_fit, walked
+from zeno_orbits.proof.proof_file import certificate, check_bits, proof_versions, require_hypotheses
 from zeno_orbits.proof.section import SectionStart, section_places, start_on_section
-from zeno_orbits.proof.stage import BallTime, Departure, ProofStage
 from zeno_orbits.proof.theorem import Proof
-from zeno_orbits.proof.walk import ProofPassage, WalkSettings, walk
+from zeno_orbits.proof.walk import WalkSettings
 from zeno_orbits.work import Progress, silent
 
-_RADII = (1e-9, 1e-12)
-"""Radii of the box that are tried, per size of a coordinate."""
+_RADII = (1e-9, 1e-12, 1e-14)
+"""Trial radii of the box, relative to the size of each coordinate."""
 _ATTEMPTS = 3
-"""How often other boxes are tried that a failure suggests."""
+"""Largest number of further boxes that are tried after failures."""
 _REFINEMENTS = 8
 _FINE = 4e-15
-"""Radius of the box from which the digits are taken, per size of a coordinate."""
+"""Radius of the box that determines the digits, relative to the size of each coordinate."""
 _BITS = 96
-_PATIENCE = 1.5
-"""Periods that the motion may take to return."""
-_TRIALS = 3
-_ROUNDING = 1e-8
-"""Rounding of an identity of the stop, made of numbers of some size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProofSettings:
-    """How a proof is tried.
+    """Settings of a proof.
 
     Attributes:
-        radius: Radius of the box per size of a coordinate, and then of one box alone; None to
-            find one, and a far smaller one in it for the digits.
-        bits: Length of the numbers.
-        walk: How a period is followed.
+        radius: Radius of a single box, relative to the size of each coordinate. None chooses a box
+            automatically, and a much smaller box in it for the digits.
+        bits: Precision of the ball arithmetic [bits].
+        walk: Settings of the steps.
     """
 
     radius: float | None = None
@@ -63,17 +62,17 @@ def prove(
     settings: ProofSettings | None = None,
     on_progress: Progress = silent,
 ) -> Proof:
-    """Prove that an orbit exists, is the only one near, and attracts or repels.
+    """Prove that a return map has exactly one fixed point near an orbit, stable or unstable.
 
     Args:
-        orbit: The orbit; only its numbers count.
+        orbit: The orbit. Only its values are used.
         problem: Its problem.
-        over: Gain or parameter to the radius of its interval, for all of which it is to hold.
-        settings: How.
-        on_progress: Called with what is being done and the part of it that is done.
+        over: Gain or parameter to the radius of its interval. The proof covers the whole interval.
+        settings: Settings of the proof.
+        on_progress: Called with the stage and the part of it that is done.
 
     Returns:
-        The theorem with its certificate, or which claim could not be proved.
+        The theorem with its certificate, or the claim that could not be proved.
 
     Raises:
         InputError: If the orbit or a name does not fit the problem.
@@ -84,60 +83,29 @@ def prove(
     values = orbit.values(problem)
     for name in over:
         problem.place(name, argument="over")
+    over = {name: over[name] for name in problem.names if name in over}
     try:
         with ctx.workprec(settings.bits):
-            _require_fit(orbit, problem, values)
+            require_fit(orbit, problem, values)
             system = BallSystem(problem, values, over, orbit.period)
+            require_hypotheses(problem, values, over, system)
             found = _found(orbit, problem, system, over, settings, on_progress)
             passes = [found]
-            if found.start.places and not over and settings.radius is None:
-                passes.append(_refined(orbit, system, found, settings, on_progress))
+            if found.by_krawczyk and found.start.places and not over and settings.radius is None:
+                passes += _refined(orbit, system, found, settings, on_progress)
             proof = _proof(orbit, problem, values, over, system, passes)
     except ProofError as error:
         proof = Proof(
             problem=problem.name,
             claim=error.claim,
             reason=error.reason,
-            box={},
+            values={},
             over={},
             certificate={},
             wall_time=0.0,
             versions=proof_versions(),
         )
     return replace(proof, wall_time=clock.perf_counter() - started)
-
-
-def _require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> None:
-    """Refuse orbits that are none of the problem's, or of a kind that is not proved."""
-    digest = orbit.problem_digest
-    if digest and not same_equations(digest, digest_of(problem)):
-        raise ProofError("problem", "the orbit was computed from other equations")
-    _require_stop(orbit, problem, values)
-    if not orbit.shape.starts_at_release:
-        reason = f"the period starts at no release (shape `{orbit.shape.text}`)"
-        raise ProofError("shape", reason)
-    if not 0.0 <= values.parameters.get("restitution", 0.0) < 1.0:
-        raise InputError("Argument `restitution` must lie in [0, 1), but it does not.")
-
-
-def _require_stop(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> None:
-    """Refuse equations that break an identity of the stop, at a few states around the orbit's."""
-    own = problem.dynamics(values).own
-    function, sizes = stop_identities(problem, own)
-    program = BallProgram(function, [arb(float(value)) for value in values.vector])
-    state = problem.state_vector(orbit.start_state)
-    usual = own.states(len(state))
-    for k in range(_TRIALS):
-        # Irrational multiples spread the states evenly; any state will do.
-        moves = [math.sin(3.0 * (k + 1) * (j + 1)) for j in range(len(state))]
-        near = [
-            arb(x + (size + abs(x)) * move / 4)
-            for x, size, move in zip(state, usual, moves, strict=True)
-        ]
-        for (name, size), terms in zip(sizes.items(), program(near), strict=True):
-            # Constants that CasADi has folded leave rounding.
-            off, allowed = sum(terms), _ROUNDING * sum((abs(x) for x in terms), arb(size))
-            require_proved(bool(abs(off) < allowed), "model", f"it is not so that {name} ({off})")
 
 
 def _found(
@@ -148,38 +116,50 @@ def _found(
     settings: ProofSettings,
     on_progress: Progress,
 ) -> JudgedBox:
-    """Return a box for which the proof succeeds, the largest that is tried first."""
-    y = _prover_state(system, problem, orbit)
+    """Return a box for which the proof succeeds. Larger boxes are tried first."""
+    y = prover_state(system, problem, orbit)
     places, others = section_places(system, y)
-    sizes = [max(abs(y[k]), 1e-3) for k in places]
+    sizes = [max(abs(y[k]), LEAST_SIZE) for k in places]
     tried = _RADII if settings.radius is None else (settings.radius,)
-    radii = [[share * size for size in sizes] for share in tried]
+    middle = [arb(value) for value in y]
+    boxes = [(middle, [share * size for size in sizes]) for share in tried]
+    units = system.units[system.n - len(over) :]
+    varied = [over[name] / unit for name, unit in zip(system.carried, units, strict=True)]
     failure, attempts = ProofError("exists", "no box was tried"), _ATTEMPTS
-    centre = [arb(value) for value in y]
-    while radii:
-        box = radii.pop(0)
-        units = system.units[system.n - len(over) :]
-        widths = [*box, *(over[name] / u for name, u in zip(system.carried, units, strict=True))]
+    while boxes:
+        middle, radii = boxes.pop(0)
         try:
-            start = start_on_section(system, centre, places, others, widths)
-            passage = _walked(orbit, system, start, settings, on_progress)
-            judged = judge(start, passage)
+            start = start_on_section(system, middle, places, others, [*radii, *varied])
+            judged = judge(start, walked(orbit, system, start, settings.walk, on_progress))
         except ProofError as error:
             failure = error
             continue
-        defect = max(
-            (abs(float(one.mid())) / size for one, size in zip(judged.defect, sizes, strict=True)),
-            default=0.0,
-        )
-        if defect > CLOSE:
-            reason = "the motion from the orbit's start does not come back to it"
-            raise ProofError("closure", f"{reason}: off by {defect:.1e} of its size")
+        _require_closed(judged.defect, sizes)
         if judged.judged is not None:
             return judged.judged
         failure = ProofError("exists", judged.reason)
-        if judged.needed and attempts:
-            radii, attempts = judged.needed, attempts - 1
+        if judged.next and attempts:
+            boxes, attempts = [(_moved(start, step), r) for step, r in judged.next], attempts - 1
     raise failure
+
+
+def _require_closed(defect: Sequence[Ball], sizes: Sequence[float]) -> None:
+    """Raise an error for an orbit whose start does not return to itself."""
+    off = max(
+        (abs(float(one.mid())) / size for one, size in zip(defect, sizes, strict=True)),
+        default=0.0,
+    )
+    if off > CLOSE:
+        reason = "the motion from the orbit's start does not return to it"
+        raise ProofError("closure", f"{reason}: the defect is {off:.1e} of its size")
+
+
+def _moved(start: SectionStart, step: Sequence[Ball]) -> list[Ball]:
+    """Return the middle of a start after a step in the coordinates of the section, ``(n,)``."""
+    y = list(start.at.m)
+    for k, change in zip(start.places, step, strict=True):
+        y[k] = (y[k] + change).mid()
+    return y
 
 
 def _refined(
@@ -188,56 +168,27 @@ def _refined(
     found: JudgedBox,
     settings: ProofSettings,
     on_progress: Progress,
-) -> JudgedBox:
-    """Return a far smaller box around the orbit inside a box in which it is the only one."""
+) -> list[JudgedBox]:
+    """Return a much smaller box around the orbit inside a box that contains only this orbit.
+
+    The list is empty if rounding makes the smaller box too imprecise.
+    """
     places, start = found.start.places, found.start
-    y = list(start.at.m)
     near = found.orbit
     for _ in range(_REFINEMENTS):
         near = found.returned.krawczyk(near)
-    for k, change in zip(places, near, strict=True):
-        y[k] = (y[k] + change).mid()
+    y = _moved(start, near)
     noise = [10 * float(one.rad()) for one in found.returned.shift]
-    radii = [max(_FINE * abs(float(y[k].mid())), n) for k, n in zip(places, noise, strict=True)]
-    fine = start_on_section(system, y, places, start.others, radii)
-    for k, inner, outer in zip(start.others, fine.around, start.around, strict=True):
-        require_proved(bool(outer.contains(inner)), "exists", f"state {k} leaves the first box")
-    attempt = judge(fine, _walked(orbit, system, fine, settings, on_progress))
-    if attempt.judged is None:
-        raise ProofError("exists", attempt.reason)
-    return attempt.judged
-
-
-def _walked(
-    orbit: ZenoOrbit,
-    system: BallSystem,
-    start: SectionStart,
-    settings: ProofSettings,
-    on_progress: Progress,
-) -> ProofPassage:
-    stage = ProofStage(
-        at=start.at, departure=Departure.RELEASED, time=BallTime.start(len(start.at.U))
-    )
-    radius = max((float(u.rad()) for u in start.at.U), default=0.0)
-    what = f"follow a box of radius {radius:.0e}" if radius else "follow the orbit"
-
-    def tell(doing: str, time: float) -> None:
-        late = time > _PATIENCE * orbit.period
-        require_proved(not late, "period", f"the motion does not return within {time:.6g} s")
-        on_progress(f"{what}, {doing}", min(time / orbit.period, 1.0))
-
-    return walk(system, stage, orbit.shape.n_releases, settings.walk, tell)
-
-
-def _prover_state(system: BallSystem, problem: Problem, orbit: ZenoOrbit) -> list[float]:
-    """Return the orbit's start in the prover's states, ``(n,)``."""
-    own = problem.state_vector(orbit.start_state)
-    x = [float(value) / unit for value, unit in zip(own, system.units, strict=False)]
-    if system.expressions.coordinate is None:
-        x += [0.0, 0.0]
-    x += [float(value.mid()) for value in system.carried.values()]
-    x[system.gap] = x[system.rate] = 0.0
-    return x
+    sizes = [max(abs(float(y[k].mid())), LEAST_SIZE) for k in places]
+    radii = [max(_FINE * size, n) for size, n in zip(sizes, noise, strict=True)]
+    try:
+        fine = start_on_section(system, y, places, start.others, radii, start.around)
+        judged = judge(fine, walked(orbit, system, fine, settings.walk, on_progress)).judged
+    except ProofError:
+        return []
+    outer = zip(start.centre, start.at.U, fine.centre, fine.at.U, strict=False)
+    inside = all(bool((a + u).contains(b + v)) for a, u, b, v in outer)
+    return [judged] if judged is not None and judged.by_krawczyk and inside else []
 
 
 def _proof(
@@ -248,23 +199,21 @@ def _proof(
     system: BallSystem,
     passes: list[JudgedBox],
 ) -> Proof:
-    """Return the theorem of a box, and of a finer one from which its digits are."""
-    found, fine = passes[0], passes[-1]
-    bounds = proof_bounds(problem, system, fine)
+    """Return the theorem of a box, with digits from a smaller box."""
+    fine, numbers = passes[-1], [float(x) for x in values.vector]
+    bits = check_bits(system, numbers)
+    bounds = proof_bounds(problem, system, fine, bits)
     require_numbers(orbit, bounds, system.units)
-    names, units = problem.state_names, system.units
-    box = zip(found.start.places, found.start.centre, found.start.at.U, strict=False)
-    claims = claims_of(passes, bounds)
+    claims = claims_of(passes, bounds, system.units)
     ways = [(one.start, one.passage) for one in passes]
     return Proof(
         problem=problem.name,
-        box={
-            names[k]: (float(centre) * units[k], float(u.rad()) * units[k]) for k, centre, u in box
-        },
+        boxes=tuple(proved_box(problem, system.units, one) for one in passes),
+        values=dict(zip(problem.names, numbers, strict=True)),
         over={n: (values.number(n), radius) for n, radius in over.items()},
+        held=tuple(problem.derived_from(over, values.parameters)) if over else (),
         plastic=system.plastic,
-        inside=found.returned.included,
-        stable=bool(found.start.places) and fine.discs.stable,
+        stable=bool(fine.start.places) and (fine.discs.stable or passes[0].returned.included),
         repelling=fine.discs.repelling,
         bounds=bounds,
         certificate=certificate(problem, values, over, system, ways, claims),

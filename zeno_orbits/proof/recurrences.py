@@ -1,8 +1,9 @@
-r"""Taylor coefficients of operations, one after the other, from those of their arguments.
+r"""Taylor coefficients of operations, computed in order from the coefficients of their arguments.
 
-With :math:`c = a b`, :math:`c_k = \sum_j a_j b_{k-j}`; a function :math:`y(x)` follows from its
-derivative, :math:`k y_k = \sum_j j x_j g_{k-j}` with `g` its slope [JorbaZou2005]_. Division and
-sine of whole series by Newton's method would be faster, and blow up on wide balls.
+For :math:`c = a b`, :math:`c_k = \sum_j a_j b_{k-j}`. A function :math:`y(x)` follows from its
+derivative: :math:`k y_k = \sum_j j x_j g_{k-j}` with `g` its slope [JorbaZou2005]_. Newton's method
+for division and sine of whole series would be faster, but its results grow without bound on wide
+balls.
 """
 
 from __future__ import annotations
@@ -16,20 +17,20 @@ from zeno_orbits.proof.balls import ZERO, Ball
 Series = list[Any]
 """Coefficients of a series, lowest power first."""
 Constant = Ball | None
-"""An argument that does not change along the series; None for one that does."""
+"""An argument that is constant along the series, or None for an argument that varies."""
 
 
 def recurrence(
     name: str, x: Series, y: Series, constants: tuple[Constant, Constant], out: Series
 ) -> Callable[[int], None]:
-    """Return what appends coefficient `k` of an operation, the earlier ones being there.
+    """Return the function that appends coefficient `k` of an operation to its series.
 
     Args:
         name: The operation.
-        x: Its first argument.
-        y: Its second; of a function that is found by its slope, the slope.
+        x: Coefficients of its first argument.
+        y: Coefficients of its second argument, or of the slope for a function with a slope rule.
         constants: The arguments that are constants.
-        out: Its own coefficients.
+        out: Coefficients of the operation.
     """
     if name == "cos":
         return _nothing
@@ -39,7 +40,7 @@ def recurrence(
 
 
 def _nothing(k: int) -> None:
-    """Append nothing: the cosine comes with the sine."""
+    """Append nothing, since the sine also appends the cosine."""
 
 
 def _dot(x: Series, y: Series) -> Ball:
@@ -92,10 +93,10 @@ def _exp(x: Series, _: Series, out: Series) -> Callable[[int], None]:
 
 
 def sine_and_cosine(x: Series, sine: Series, cosine: Series) -> Callable[[int], None]:
-    """Return what appends coefficient `k` of sine and cosine; each needs the other.
+    """Return the function that appends coefficient `k` of sine and cosine, which need each other.
 
     Args:
-        x: Their argument.
+        x: Coefficients of their argument.
         sine: Coefficients of the sine.
         cosine: Coefficients of the cosine.
     """
@@ -138,7 +139,7 @@ def _sqrt(x: Series, _: Series, out: Series) -> Callable[[int], None]:
 
 
 def _integral(name: str, x: Series, g: Series, out: Series) -> Callable[[int], None]:
-    """Return the rule of a function by its derivative: ``y' = x' g``, ``g`` a series."""
+    """Return the rule of a function from its derivative ``y' = x' g``, with a series ``g``."""
     slopes: Series = []
 
     def step(k: int) -> None:
@@ -199,13 +200,10 @@ _CONSTANT_RULES = {
     "div": _div_constant,
 }
 OPERATIONS = {*_RULES, "sin", "cos"}
-"""Operations with a rule of their own."""
+"""Operations with a specific rule."""
 SLOPES = {
     "asin": (-1, 1),
     "acos": (-1, 1),
     "atan": (1, 1),
-    "asinh": (1, 1),
-    "acosh": (1, -1),
-    "atanh": (-1, 1),
 }
-"""Factor of the square and offset of what the slope divides by, under a root or not."""
+"""Factor of the square and offset in the denominator of the slope, which may be under a root."""

@@ -1,38 +1,46 @@
-"""A certificate replayed with its problem's hand-written model: evidence beside the proof.
+"""Replay of a certificate with its problem's hand-written model: evidence in addition to the proof.
 
-An inclusion proves what the problem's formulas imply. That these are the machine's is another
-question, and the hand-written model is another answer: from the middle of each set its equations
-are integrated in doubles over the record, and have to arrive at the middle of the next.
+An inclusion proves a consequence of the problem's formulas. Whether the formulas describe the
+machine is a separate question, for which the hand-written model gives independent evidence. Its
+equations are integrated in doubles from the middle of each set over the record, and must arrive at
+the middle of the next set. This module also checks whether a certificate belongs to the orbit of a
+file.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, load_reference
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof.checker.balls import number
+from zeno_orbits.proof.checker.certificate import check_proof
+from zeno_orbits.proof.checker.verdict import ProofVerdict
 
 _SAME = 1e-9
-"""How far the two models may come apart over one record, per size of a state."""
+"""Largest difference of the two models over one record, relative to the size of each state."""
 _LOCAL = 1e-13
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
-    """What a replay found.
+    """Result of a replay.
 
     Attributes:
-        n_records: Records that were replayed.
-        largest: Largest difference at the end of a record, per size of a state.
-        where: That record, as in ``pass 0, record 17 (step)``.
+        n_records: Number of replayed records.
+        largest: Largest difference at the end of a record, relative to the size of each state.
+        where: Record of the largest difference, such as ``pass 0, record 17 (step)``.
     """
 
     n_records: int
@@ -45,7 +53,7 @@ class Replay:
         return self.largest <= _SAME
 
     def verdict(self) -> str:
-        """Return one sentence."""
+        """Return the verdict as one sentence."""
         told = f"{self.n_records} records replayed with the hand-written model"
         if self.ok:
             return f"{told} agree within {self.largest:.1e} of each state."
@@ -53,10 +61,10 @@ class Replay:
 
 
 def replay_proof(certificate: Mapping[str, Any], problem: Problem) -> Replay | None:
-    """Replay a certificate that fits its problem; None if the problem has no hand-written model.
+    """Replay a certificate of a problem, or return None without a hand-written model.
 
     Args:
-        certificate: What is in its file.
+        certificate: Content of the certificate file, which fits the problem.
         problem: Its problem.
     """
     if problem.reference is None:
@@ -72,8 +80,7 @@ def replay_proof(certificate: Mapping[str, Any], problem: Problem) -> Replay | N
     largest, where, n_records = 0.0, "", 0
     for k, one in enumerate(certificate["passes"]):
         x = np.array(doubles(one["start"]["m"], bits)[: len(usual)])
-        conditions = set(certificate["section"]["conditions"])
-        locked = conditions == {"gap", "gap_rate"}
+        locked = False
         for place, record in enumerate(one["records"]):
             after = np.array(doubles(record["set"]["m"], bits)[: len(usual)])
             found = _replayed(machine, x, record, bits, locked=locked)
@@ -94,11 +101,11 @@ def replay_proof(certificate: Mapping[str, Any], problem: Problem) -> Replay | N
 def _replayed(
     machine: HybridDynamics, x: Vector, record: Mapping[str, Any], bits: int, *, locked: bool
 ) -> Vector:
-    """Return where the hand-written model is after a record."""
+    """Return the state of the hand-written model after a record."""
     if record["kind"] == "impact":
         return machine.reset_map(x, machine.gap_rate(x))
     if record["kind"] == "tail":
-        # What is left of the impacts moves no state by more than their speed; the stop takes that.
+        # The remaining impacts move each state by at most their speed. Contact removes this speed.
         rest = machine.impulse_direction(x) * machine.gap_rate(x)
         return x - rest if machine.gap_acceleration(x) < 0.0 else np.full_like(x, np.nan)
     flow = machine.locked if locked else machine.free
@@ -111,10 +118,70 @@ def _replayed(
 
 
 def doubles(texts: Iterable[Any], bits: int) -> list[float]:
-    """Return numbers of a certificate, rounded.
+    """Return numbers of a certificate, rounded to doubles.
 
     Args:
         texts: The numbers.
-        bits: Of the certificate.
+        bits: Number of bits of the certificate's unit.
     """
     return [float(Fraction(number(text, bits, exact=False).m, 1 << bits)) for text in texts]
+
+
+_CLOSE = 1e-8
+"""Largest distance of an orbit's values from both ends of a proved interval, relative to size."""
+
+
+def check_proof_of(orbit: ZenoOrbit, problem: Problem, path: Path) -> ProofVerdict:
+    """Check a certificate, and that it belongs to a given orbit.
+
+    Parameters must be equal. For the smallest box, both ends of the enclosures of the start and of
+    the period must lie within 1e-8 of the orbit's values, relative to their size. So a wide
+    enclosure, which contains many orbits, is rejected.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        path: The certificate.
+
+    Raises:
+        InputError: If the file is not a certificate, or belongs to another orbit.
+    """
+    verdict = check_proof(path, problem)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    bits = data["bits"]
+    proved = dict(zip(data["parameters"], doubles(data["parameters"].values(), bits), strict=True))
+    own_values = orbit.values(problem)
+    for name, known in zip(problem.names, own_values.vector, strict=True):
+        if proved[name] != known:
+            wanted = f"must be about `{name}` = {known!r}, but it is about {proved[name]!r}"
+            raise InputError(f"Argument `proof` {wanted}.")
+    state = problem.state_vector(dict(orbit.start_state))
+    sizes = problem.dynamics(own_values).own.states(len(state))
+    low, high = _last_claim(data, "start_state")
+    for name, *ends, y, size in zip(problem.state_names, low, high, state, sizes, strict=True):
+        _require_close(f"with `{name}` = {y!r} at its start", ends, y, size)
+    (low,), (high,) = _last_claim(data, "period")
+    _require_close(f"of period {orbit.period!r} s", (low, high), orbit.period, 0.0)
+    return verdict
+
+
+def _last_claim(data: Mapping[str, Any], name: str) -> tuple[list[float], list[float]]:
+    """Return the ends of an enclosure of the last pass, whose box is the smallest."""
+    claims = [claim for claim in data["claims"] if claim["name"] == name]
+    if not claims:
+        raise InputError(f"Argument `proof` must claim a `{name}`, but it does not.")
+    claim = max(claims, key=lambda one: one["pass"])
+    low, high = (
+        doubles([end] if isinstance(end, str) else end, data["bits"])
+        for end in (claim["low"], claim["high"])
+    )
+    return low, high
+
+
+def _require_close(orbit: str, ends: Sequence[float], value: float, size: float) -> None:
+    """Raise an error for an enclosure with an end that is far from a value of the orbit."""
+    for end in ends:
+        if not abs(end - value) <= _CLOSE * max(size, abs(value)):
+            wanted = f"must be about an orbit {orbit}"
+            found = f"it encloses {ends[0]!r} to {ends[1]!r}"
+            raise InputError(f"Argument `proof` {wanted}, but {found}.")

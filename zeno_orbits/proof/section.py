@@ -1,7 +1,7 @@
-"""The release section: its points as a function of some of their states, in balls.
+"""The release section in balls: its points as functions of some of the states.
 
-On it gap, gap rate and multiplier are zero, and the constraints of the problem hold, the clock's
-circle among them. The states that these leave free are the section's coordinates.
+On the section, gap, gap rate and contact force are zero, and the constraints of the problem hold,
+including the circle of the clock. The remaining free states are the section's coordinates.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from scipy.linalg import qr
 
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import ZERO, Ball, Matrix, column, matrix, product
+from zeno_orbits.proof.balls import ZERO, Ball, Matrix, column, matrix, on_grid, product
 from zeno_orbits.proof.sets import BallSet, start_set
 
 _NEWTON_STEPS = 8
-_REACHES = (1e4, 1e3, 100.0, 10.0, 2.0)
-"""Radii tried for the other states, as multiples of what the coordinates move them by."""
+_REACHES = (1e9, 1e8, 1e7, 1e6, 1e5, 1e4, 1e3, 100.0, 10.0, 2.0)
+"""Trial radii for the other states, as multiples of their change with the coordinates."""
 _LEAST_REACH = 1e-12
 
 
@@ -32,9 +32,9 @@ class SectionStart:
         places: Places of the section's coordinates in the state.
         others: Places of the states that the section gives.
         centre: Coordinates of the middle, exact, ``(d,)``.
-        around: Box around the other states, as balls; the section has one point over each of the
-            coordinates with its others there.
-        at: The set of the points over the box of coordinates, and of carried parameters.
+        around: Box around the other states, as balls. For each value of the coordinates, the
+            section has one point with its other states in this box.
+        at: Set of the section's points over the box of coordinates and carried parameters.
     """
 
     places: list[int]
@@ -45,7 +45,7 @@ class SectionStart:
 
 
 def section_places(system: BallSystem, y: Sequence[float]) -> tuple[list[int], list[int]]:
-    """Return the places of the section's coordinates, and of the states that it gives.
+    """Return the indices of the section's coordinates, and of the states that follow from them.
 
     Args:
         system: The problem.
@@ -67,26 +67,31 @@ def start_on_section(
     places: list[int],
     others: list[int],
     radii: Sequence[float],
+    within: Sequence[Ball] | None = None,
 ) -> SectionStart:
     """Return the set of the section's points over a box of coordinates.
 
     Args:
         system: The problem.
-        y: A state near the middle, exact in the coordinates, ``(n,)``.
-        places: Places of the coordinates.
+        y: A state near the middle, ``(n,)``. The middle is the nearest point of the grid.
+        places: Indices of the coordinates.
         others: Places of the states that the section gives.
-        radii: Of the coordinates, then of carried parameters.
+        radii: Radii of the coordinates, then of the carried parameters.
+        within: Box that must contain the box around the other states. None allows any box.
 
     Raises:
-        ProofError: If the section is not proved to have one point over each of them.
+        ProofError: If the section is not proved to have one point over each value of the
+            coordinates.
     """
     carried = list(range(system.n - len(system.carried), system.n))
     inputs, n = [*places, *carried], system.n
-    middle = [ZERO if k in (system.gap, system.rate) else value for k, value in enumerate(y)]
+    middle = [
+        ZERO if k in (system.gap, system.rate) else on_grid(value) for k, value in enumerate(y)
+    ]
     for _ in range(_NEWTON_STEPS):
         step = _newton(system, middle, middle, others)
         for k, change in zip(others, step, strict=True):
-            middle[k] = (middle[k] - change).mid()
+            middle[k] = on_grid(middle[k] - change)
     box = list(middle)
     deviations = [arb(0, radius) for radius in radii]
     for k, change in zip(inputs, deviations, strict=True):
@@ -97,7 +102,10 @@ def start_on_section(
         for k, change in zip(others, moved, strict=True):
             radius = reach * (change.abs_upper() + _LEAST_REACH * (1 + middle[k].abs_upper()))
             box[k] = middle[k] + arb(0, arb(float(radius)))
-        found = _newton_box(system, box, middle, others)
+        inside = within is None or all(
+            bool(outer.contains(box[k])) for k, outer in zip(others, within, strict=True)
+        )
+        found = _newton_box(system, box, middle, others) if inside else None
         if found is not None:
             break
     else:
@@ -125,7 +133,7 @@ def start_on_section(
 
 
 def _around(box: list[Ball], middle: list[Ball], others: list[int]) -> list[Ball]:
-    """Return the box with nothing but the other states wide."""
+    """Return the box with only the other states wide."""
     return [box[k] if k in others else value for k, value in enumerate(middle)]
 
 
@@ -172,7 +180,7 @@ def _newton(
 def _newton_box(
     system: BallSystem, box: Sequence[Ball], middle: Sequence[Ball], others: list[int]
 ) -> list[Ball] | None:
-    """Return where the other states are over a box by interval Newton; None if it fails."""
+    """Enclose the other states over a box with the interval Newton method, or return None."""
     at = [middle[k] if k in others else value for k, value in enumerate(box)]
     try:
         steps = _newton(system, at, box, others)

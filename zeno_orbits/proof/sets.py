@@ -1,16 +1,20 @@
-r"""Sets of states handed on from step to step, with their derivatives.
+r"""Sets of states that are propagated from step to step, with their derivatives.
 
-A set is what the motions from all start coordinates `u` in a box `U` around :math:`u_c` have come
-to: :math:`z(u_c) \in m + Q r` and :math:`\partial z / \partial u \in C + Q R`, so by the mean value
-theorem :math:`z(u) \in m + Q r + (C + Q R)(u - u_c)`. The frame `Q` turns with the flow, or boxes
-would grow from step to step [Lohner1987]_.
+A set encloses the motions from all start coordinates `u` in a box `U` around :math:`u_c`:
+:math:`z(u_c) \in m + Q r` and :math:`\partial z / \partial u \in C + Q R`. By the mean value
+theorem :math:`z(u) \in m + Q r + (C + Q R)(u - u_c)`. The frame `Q` turns with the flow, since
+otherwise boxes would grow from step to step [Lohner1987]_. Its directions are orthogonal in units
+in which the flow is balanced. A stage is a set with its mode, the times of its motions and the
+units of the next record.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any
 
 import numpy as np
 from flint import arb, ctx
@@ -19,6 +23,7 @@ from scipy.linalg import qr
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.balls import (
+    ZERO,
     Ball,
     Matrix,
     identity,
@@ -30,8 +35,11 @@ from zeno_orbits.proof.balls import (
     symmetric,
 )
 
-_SLACK = 1e-6
-"""How much more than needed a set is given, so that another arithmetic finds it large enough."""
+_SWEEPS = 20
+_FARTHEST = 12
+"""Largest exponent of a unit, a power of two, in which a flow is balanced."""
+_SLACK = 1e-4
+"""Relative enlargement of a set, so that it is also large enough in the checker's arithmetic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,12 +47,12 @@ class BallSet:
     """States and derivatives over a box of start coordinates.
 
     Attributes:
-        m: Near the motion from the middle of the box, exact, ``(n,)``.
+        m: Point near the motion from the middle of the box, exact, ``(n,)``.
         frame: `Q`, exact, ``(n, n)``.
-        r: How far the motion from the middle is from ``m`` in the frame, around zero, ``(n,)``.
-        C: Near the derivative, exact, ``(n, d)``.
-        R: How far the derivative is from it in the frame, around zero, ``(n, d)``.
-        U: Start coordinates less those of the middle, around zero, ``(d,)``.
+        r: Deviation of the motion from the middle from ``m``, in the frame, around zero, ``(n,)``.
+        C: Matrix near the derivative, exact, ``(n, d)``.
+        R: Deviation of the derivative from ``C``, in the frame, around zero, ``(n, d)``.
+        U: Start coordinates minus the coordinates of the middle, around zero, ``(d,)``.
     """
 
     m: list[Ball]
@@ -56,7 +64,7 @@ class BallSet:
 
     @property
     def noise(self) -> list[Ball]:
-        """The motion from the middle less ``m``, ``(n,)``."""
+        """The motion from the middle minus ``m``, ``(n,)``."""
         return product(self.frame, self.r)
 
     @property
@@ -66,7 +74,7 @@ class BallSet:
 
     @property
     def deviation(self) -> list[Ball]:
-        """All states less ``m``, ``(n,)``."""
+        """All states minus ``m``, ``(n,)``."""
         spread = product(self.derivative, self.U)
         return [a + b for a, b in zip(self.noise, spread, strict=True)]
 
@@ -81,40 +89,60 @@ class BallSet:
         return [a + b for a, b in zip(self.m, self.noise, strict=True)]
 
     def mapped(
-        self, image: Sequence[Ball], derivative: Matrix, groups: Sequence[Sequence[int]]
+        self,
+        image: Sequence[Ball],
+        derivative: Matrix,
+        rows: Sequence[int],
+        metric: Vector,
+        *,
+        fine: bool = False,
     ) -> BallSet:
         """Return the set after a map.
 
         Args:
-            image: Of ``m``, ``(n,)``.
-            derivative: Of the map over the whole set, ``(n, n)``.
-            groups: Rows that get a frame of their own; the other rows keep their axes.
+            image: Image of ``m``, ``(n,)``.
+            derivative: Derivative of the map over the whole set, ``(n, n)``.
+            rows: Rows that share a frame. The other rows keep their axes.
+            metric: Unit of each state in which directions are orthogonal, powers of two, ``(n,)``.
+            fine: True if a state of the shared frame must keep its relative precision near zero.
         """
-        # What is new is given wider: what is handed on from before hardly needs any slack.
+        # Only the new terms are widened. The propagated terms hardly need any slack.
         derivative = mapped(derivative, _given_wide)
         moved, spread = derivative * self.frame, derivative * self.C
-        frame = self._frame(moved, groups)
+        frame = self._frame(moved, list(rows), metric)
         try:
             back = frame.inv()
         except ZeroDivisionError as error:
             raise ProofError("set", "the frame of the set is singular") from error
-        m = [one.mid() for one in image]
+        m, spare = [one.mid() for one in image], (0.0, 0.0) if fine else _SPARE
         C = mapped(spread, middle)
         turned = back * moved
-        off = [_given_wide(one) - exact for one, exact in zip(image, m, strict=True)]
+        off = [scaled(one, _POINT_WIDER) - exact for one, exact in zip(image, m, strict=True)]
         r = [a + b for a, b in zip(product(turned, self.r), product(back, off), strict=True)]
-        R = turned * self.R + back * (spread - C)
+        spread_in_frame = turned * self.R + back * (spread - C)
+        # The checker computes derivatives in hardware numbers, in which terms cancel less exactly.
+        terms = mapped(back, _size) * mapped(derivative, _size)
+        framed, reach = terms * mapped(self.frame, _size), mapped(self.R, _size)
+        R = spread_in_frame + mapped(terms * mapped(self.C, _size) + framed * reach, _rounded)
+        rounding = product(framed, [_size(one) for one in self.r])
+        r = [one + _rounded(more) for one, more in zip(r, rounding, strict=True)]
         return BallSet(
             m=m,
             frame=frame,
-            r=[_with_slack(one) for one in r],
+            r=[_with_slack(one, spare[0] if k in rows else 0.0) for k, one in enumerate(r)],
             C=C,
-            R=mapped(R, _with_slack),
+            R=matrix(
+                [
+                    [_with_slack(one, spare[1] if k in rows else 0.0) for one in row]
+                    for k, row in enumerate(R.table())
+                ],
+                R.ncols(),
+            ),
             U=self.U,
         )
 
-    def _frame(self, moved: Matrix, groups: Sequence[Sequence[int]]) -> Matrix:
-        """Return a frame along the directions in which the set is longest."""
+    def _frame(self, moved: Matrix, rows: list[int], metric: Vector) -> Matrix:
+        """Return a frame along the longest directions of the set."""
         n = len(self.m)
         frame = np.eye(n)
         lengths = np.array(
@@ -125,18 +153,17 @@ class BallSet:
             ]
         )
         directions = np.array([[float(moved[i, k].mid()) for k in range(n)] for i in range(n)])
-        directions = directions * lengths
-        for group in groups:
-            rows = list(group)
-            frame[np.ix_(rows, rows)] = _orthogonal(directions[rows])
+        directions = directions * lengths / metric[:, None]
+        frame[np.ix_(rows, rows)] = metric[rows, None] * _orthogonal(directions[rows])
         return matrix([[arb(float(x)) for x in row] for row in frame], n)
 
 
 def _orthogonal(directions: Vector) -> Vector:
-    """Return an orthogonal matrix: at each turn the direction with most left beside the others.
+    """Return an orthogonal matrix by QR decomposition with column pivoting.
 
-    Where a stiff flow has made directions nearly parallel, the order of their whole lengths would
-    leave rounding for the second, and boxes would grow by a third from step to step.
+    Each column is the direction with the longest component orthogonal to the previous columns. If a
+    stiff flow makes directions nearly parallel, an order by their whole lengths would leave only
+    rounding errors for the second column, and boxes would grow by a third from step to step.
     """
     largest = float(np.max(np.abs(directions), initial=0.0))
     if not 0.0 < largest < math.inf:
@@ -144,25 +171,42 @@ def _orthogonal(directions: Vector) -> Vector:
     return np.asarray(qr(directions / largest, pivoting=True)[0], dtype=np.float64)
 
 
-_NEW_WIDER = 1.25
-"""How much wider than found a derivative is given, so that another arithmetic finds it, too."""
+_POINT_WIDER = 16.0
+"""Factor by which the error of a point is widened: another a-priori box has other remainders."""
+_NEW_WIDER = 1.5
+"""Factor by which a derivative is widened, so that the checker's arithmetic also confirms it."""
 
 
 def _given_wide(x: Ball) -> Ball:
     return scaled(x, _NEW_WIDER)
 
 
-def _with_slack(x: Ball) -> Ball:
-    """Return a somewhat larger interval around zero; nothing but zero stays zero."""
+def _size(x: Ball) -> Ball:
+    return abs(x).upper()
+
+
+def _rounded(size: Ball) -> Ball:
+    return arb(0, size * _DOUBLES)
+
+
+def _with_slack(x: Ball, spare: float = 0.0) -> Ball:
+    """Return a slightly larger interval around zero. Only zero stays zero."""
     if x.is_zero():
         return x
-    return scaled(symmetric(x), 1 + _SLACK) + arb(0, arb(2) ** (_LEAST - ctx.prec))
+    return scaled(symmetric(x), 1 + _SLACK) + arb(0, arb(2) ** (_LEAST - ctx.prec) + spare)
 
 
+_SPARE = (2.0**-72, 2.0**-44)
+"""Smallest nonzero interval of a state in the shared frame, and of a derivative.
+
+It is below the remainders of steps, which differ between the two arithmetics.
+"""
+_DOUBLES = 2.0**-44
+"""Allowance for rounding of a derivative in hardware numbers, relative to its terms."""
 _GIVEN_WIDER = 4.0
-"""How much wider a computed row of a start is given, for another way to compute it."""
+"""Factor by which a computed row of a start is widened: the checker computes it differently."""
 _LEAST = -20
-"""Smallest interval of a set, as a power of two below one unit of the last place of 1."""
+"""Smallest interval of a set, as a power of two relative to one unit in the last place of 1."""
 
 
 def start_set(
@@ -172,9 +216,9 @@ def start_set(
 
     Args:
         m: The state at the middle of the box, ``(n,)``.
-        derivative: Of the state with respect to the start coordinates, ``(n, d)``.
-        box: Start coordinates less those of the middle, around zero, ``(d,)``.
-        given: Rows that are computed; another arithmetic may find no exact zeros there.
+        derivative: Derivative of the state with respect to the start coordinates, ``(n, d)``.
+        box: Start coordinates minus the coordinates of the middle, around zero, ``(d,)``.
+        given: Computed rows, which may not be exact zeros in another arithmetic.
     """
     n = len(m)
     exact, C = [one.mid() for one in m], mapped(derivative, middle)
@@ -192,3 +236,127 @@ def start_set(
         R=mapped(matrix(rows, len(box)), _with_slack),
         U=list(box),
     )
+
+
+def balanced(slopes: Matrix) -> Vector:
+    """Return units of the states in which a matrix is balanced [Osborne1960]_, powers of two.
+
+    With a stiff spring, displacement and rate of a mass follow an elongated ellipse. Frames that
+    are orthogonal in units of its axes turn with the motion. Other frames widen the set at every
+    turn.
+
+    Args:
+        slopes: Derivative of a flow, ``(n, n)``.
+    """
+    n = slopes.nrows()
+    sizes = np.array([[abs(float(slopes[i, j].mid())) for j in range(n)] for i in range(n)])
+    np.fill_diagonal(sizes, 0.0)
+    units = np.ones(n)
+    for _ in range(_SWEEPS):
+        before = units.copy()
+        for k in range(n):
+            given, taken = sizes[:, k] @ (units[k] / units), sizes[k] @ (units / units[k])
+            if 0.0 < given < math.inf and 0.0 < taken < math.inf:
+                exponent = round(math.log2(units[k]) + math.log2(taken / given) / 2)
+                units[k] = 2.0 ** max(-_FARTHEST, min(_FARTHEST, exponent))
+        if np.array_equal(units, before):
+            break
+    return units
+
+
+class Departure(Enum):
+    """Mode in which the motions of a set continue, and their position relative to the stop."""
+
+    FLYING = "flying"
+    RELEASED = "released"
+    STRUCK = "struck"
+    LOCKED = "locked"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BallTime:
+    """Times of the motions of a set: the time of the middle motion, and the derivative.
+
+    Attributes:
+        middle: Time of the motion from the middle of the start box [s].
+        slopes: Derivative with respect to the start coordinates, over the whole box, ``(d,)``.
+    """
+
+    middle: Ball
+    slopes: tuple[Ball, ...]
+
+    @classmethod
+    def start(cls, d: int) -> BallTime:
+        """Return time zero, with ``d`` start coordinates."""
+        return cls(middle=ZERO, slopes=(ZERO,) * d)
+
+    def later(self, duration: Ball, slopes: Sequence[Ball] = ()) -> BallTime:
+        """Return the times after a duration, which may change with the start coordinates."""
+        added = slopes or (ZERO,) * len(self.slopes)
+        return BallTime(
+            middle=self.middle + duration,
+            slopes=tuple(a + b for a, b in zip(self.slopes, added, strict=True)),
+        )
+
+    def at(self, offset: Sequence[Ball]) -> Ball:
+        """Return the time at start coordinates, given as offsets from the middle."""
+        return sum((a * b for a, b in zip(self.slopes, offset, strict=True)), self.middle)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProofRecord:
+    """One inclusion, from a set to the next set.
+
+    Attributes:
+        kind: ``step``, ``cross``, ``impact`` or ``tail``.
+        numbers: The numbers of the record, exact.
+        orders: Orders of a Taylor step, empty for other records.
+        result: The propagated set.
+    """
+
+    kind: str
+    numbers: dict[str, Any]
+    orders: tuple[int, ...]
+    result: BallSet
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProofStage:
+    """A set at a stage of its period.
+
+    Attributes:
+        at: The set.
+        departure: Mode in which the set continues.
+        time: Time since the start.
+        metric: Units of the states in which the flow is balanced, powers of two, ``(n,)``.
+    """
+
+    at: BallSet
+    departure: Departure
+    time: BallTime
+    metric: Vector
+
+    @classmethod
+    def released(cls, at: BallSet) -> ProofStage:
+        """Return the stage of a set on the release section at time zero."""
+        return cls(
+            at=at,
+            departure=Departure.RELEASED,
+            time=BallTime.start(len(at.U)),
+            metric=np.ones(len(at.m)),
+        )
+
+    def timed(self, duration: Ball, row: Matrix) -> BallTime:
+        """Return the times after an event.
+
+        Args:
+            duration: Duration to the event, for ``m``.
+            row: Derivative of the duration with respect to the state, ``(1, n)``.
+        """
+        slopes: list[Ball] = (row * self.at.derivative).entries() if self.at.U else []
+        (noise,) = product(row, self.at.noise)
+        return self.time.later(duration + noise, slopes)
+
+    def next(self, result: BallSet, departure: Departure, time: BallTime) -> ProofStage:
+        """Return the stage after a record."""
+        return replace(self, at=result, departure=departure, time=time)

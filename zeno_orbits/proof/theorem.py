@@ -1,77 +1,94 @@
-"""What a proof says: the bounds, and the theorem on one page."""
+"""The theorem that a certificate proves: its boxes, its enclosures and its sentences.
+
+`docs/proof.md` contains each sentence in the same words. Printed conclusions contain the proved
+conclusions: intervals and discs are rounded outward, bounds upward. Printed hypotheses are
+contained in the proved hypotheses: values and ranges are exact, and a box inside a box is rounded
+inward.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
-from flint import ctx
+from zeno_orbits.work import decimal_above, enclosed_decimal, enclosing_decimal, enclosing_disc
 
-from zeno_orbits.proof.balls import Ball, size
-
-_BITS = 256
-"""Length of numbers here: enough for the ends of an enclosure."""
-_DIGITS = 30
+_NORM_DIGITS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProvedInterval:
-    """A number that is enclosed.
+    """An enclosed number.
 
     Attributes:
-        low: Exact lower end, a ball of radius zero.
-        high: Exact upper end.
+        low: Lower end, exactly.
+        high: Upper end, exactly.
     """
 
-    low: Ball
-    high: Ball
+    low: Fraction
+    high: Fraction
 
     @property
     def text(self) -> str:
-        """Midpoint to the digits that are certain, and the half width."""
-        with ctx.workprec(_BITS):
-            return self.low.union(self.high).str(_DIGITS)
+        """Decimal midpoint and radius of an interval that contains this interval."""
+        return enclosing_decimal(self.low, self.high)
+
+    @property
+    def inner_text(self) -> str:
+        """Decimal midpoint and radius of an interval that lies in this interval."""
+        return enclosed_decimal(self.low, self.high)
 
     @property
     def width(self) -> float:
         """Width, rounded up."""
-        with ctx.workprec(_BITS):
-            return size(self.high - self.low)
+        return double_above(self.high - self.low)
 
     def holds(self, value: float) -> bool:
-        """Return True if a number lies in it."""
-        return bool(self.low <= value) and bool(self.high >= value)
+        """Return True if a number lies in the interval."""
+        return self.low <= Fraction(value) <= self.high
 
     def misses(self, value: float) -> float:
-        """Return how far a number is outside; 0 inside."""
-        with ctx.workprec(_BITS):
-            return max(0.0, float(self.low - value), float(value - self.high))
+        """Return the distance of a number from the interval, 0 for a number inside."""
+        return float(max(Fraction(0), self.low - Fraction(value), Fraction(value) - self.high))
+
+    def reaches(self, value: float) -> Fraction:
+        """Return the largest distance of a number from any number of the interval."""
+        return max(self.high - Fraction(value), Fraction(value) - self.low)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MultiplierDisc:
-    """A disc of the complex plane that holds a multiplier.
+    """A disc of the complex plane. The union of all discs contains the multipliers.
 
     Attributes:
-        centre: Its middle.
+        centre: Centre of the disc.
         radius: Its radius.
     """
 
     centre: complex
     radius: float
 
+    @property
+    def text(self) -> str:
+        """Decimal centre and radius of a disc that contains this disc."""
+        parts = (self.centre.real, self.centre.imag, self.radius)
+        return enclosing_disc(*(Fraction(part) for part in parts))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """What is enclosed of a periodic orbit.
+    """Enclosures of a periodic orbit.
 
     Attributes:
-        period: [s].
-        zeno_times: Of each Zeno point, since the start [s].
-        impact_times: Of the impacts that were resolved one by one, since the start [s].
-        start_state: State name to value where the period starts.
-        multipliers: Discs; those apart from the others hold one multiplier each.
+        period: Period [s].
+        zeno_times: Time of each Zeno point since the start [s].
+        impact_times: Times of the individually resolved impacts since the start [s].
+        start_state: State name to value at the start of the period.
+        multipliers: Discs whose union contains all multipliers. Each disc that is separate from the
+            others contains one multiplier.
         norm: Bound of the norm of the return map's derivative in the basis of the discs.
     """
 
@@ -84,33 +101,53 @@ class Bounds:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ProvedBox:
+    """A box of the release section with exactly one fixed point of the return map.
+
+    Attributes:
+        coordinates: Coordinate of the section to the interval of the box, empty if the section is a
+            single point.
+        included: True if the return map maps the box into its interior, and so contracts it.
+        norm: Bound of the norm of the return map's derivative on the box, in the basis of the
+            certificate.
+    """
+
+    coordinates: Mapping[str, ProvedInterval]
+    included: bool
+    norm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Proof:
-    """The answer to whether an orbit exists: a theorem with its certificate, or why there is none.
+    """Result of a proof that an orbit exists: a theorem with its certificate, or the failed claim.
 
     Attributes:
         problem: Name of the problem.
-        claim: Name of the first claim that could not be proved; empty if all were.
-        reason: Why not.
-        box: Coordinate of the section to its middle and radius.
+        claim: Name of the first claim that could not be proved, empty if all claims were proved.
+        reason: Reason of the failure.
+        boxes: The box of the theorem, then optionally a smaller box in it, from which enclosures
+            and stability are taken.
+        values: Gain or parameter to value.
         over: Gain or parameter to the middle and radius of its interval.
-        plastic: Whether the stop takes all speed, so that a single impact holds.
-        inside: Whether the return map takes the box into itself.
-        stable: Whether the orbit is proved to attract.
-        repelling: Whether a multiplier is proved to lie outside the unit circle.
-        bounds: What is enclosed; None without a proof.
-        certificate: Plain data from which everything can be checked; empty without a proof.
-        n_records: Inclusions in it.
-        wall_time: What it took [s].
-        versions: What the prover stands on.
+        held: Derived parameters that depend on one of `over` by default, and keep their values.
+        plastic: True if the restitution is zero, so that a single impact starts the contact.
+        stable: True if the fixed point of the return map is proved to be stable.
+        repelling: True if a multiplier is proved to lie outside the unit circle.
+        bounds: Enclosures of the orbit, None without a proof.
+        certificate: Plain data for the complete check of the proof, empty without a proof.
+        n_records: Number of inclusions in the certificate.
+        wall_time: Time for the search of the proof [s].
+        versions: Software that the prover uses.
     """
 
     problem: str
     claim: str = ""
     reason: str = ""
-    box: Mapping[str, tuple[float, float]]
+    boxes: tuple[ProvedBox, ...] = ()
+    values: Mapping[str, float]
     over: Mapping[str, tuple[float, float]]
+    held: tuple[str, ...] = ()
     plastic: bool = False
-    inside: bool = False
     stable: bool = False
     repelling: bool = False
     bounds: Bounds | None = None
@@ -119,16 +156,40 @@ class Proof:
     wall_time: float
     versions: Mapping[str, str]
 
+    def __repr__(self) -> str:
+        """Return one line: the verdict and the number of inclusions."""
+        return f"<Proof of {self.problem}: {self.verdict()} inclusions={self.n_records}>"
+
     @property
     def proved(self) -> bool:
         """True if the orbit is proved to exist."""
         return not self.claim
 
+    @property
+    def box(self) -> dict[str, tuple[float, float]]:
+        """Coordinate of the section to middle and radius of an interval that contains the box."""
+        return {
+            name: _middle_and_radius(one.low, one.high)
+            for box in self.boxes[:1]
+            for name, one in box.coordinates.items()
+        }
+
+    @property
+    def inside(self) -> bool:
+        """True if the return map contracts the box into its interior.
+
+        Then exactly one periodic orbit passes through the box.
+        """
+        return bool(self.boxes) and self.boxes[0].included
+
     def verdict(self) -> str:
-        """Return one sentence."""
+        """Return the verdict as one sentence."""
         if not self.proved:
             return f"Not proved: `{self.claim}`: {self.reason}."
-        return f"Proved by inclusions: {self._kind()} of `{self.problem}` exists."
+        how = ", which is exponentially stable" if self.stable else ""
+        how = ", which is unstable" if self.repelling else how
+        found = f"the return map of `{self.problem}` has exactly one fixed point in the box"
+        return f"Proved by inclusions: {found}{how}."
 
     def as_json(self) -> dict[str, Any]:
         """Return the theorem as plain data, without its certificate."""
@@ -144,7 +205,18 @@ class Proof:
             return found
         bounds = self.bounds
         return found | {
+            "statements": self.statements(),
             "box": {name: list(ends) for name, ends in self.box.items()},
+            "boxes": [
+                {
+                    "coordinates": {name: x.text for name, x in box.coordinates.items()},
+                    "contains": {name: x.inner_text for name, x in box.coordinates.items()},
+                    "inclusion": box.included,
+                    "norm": double_above(box.norm),
+                }
+                for box in self.boxes
+            ],
+            "parameters": dict(self.values),
             "over": {name: list(ends) for name, ends in self.over.items()},
             "inside": self.inside,
             "stable": self.stable,
@@ -152,64 +224,129 @@ class Proof:
             "period": bounds.period.text,
             "zeno_times": [one.text for one in bounds.zeno_times],
             "start_state": {name: one.text for name, one in bounds.start_state.items()},
-            "multipliers": [
-                [one.centre.real, one.centre.imag, one.radius] for one in bounds.multipliers
-            ],
-            "norm": bounds.norm,
+            "multipliers": [_disc_of_doubles(one) for one in bounds.multipliers],
+            "norm": double_above(bounds.norm),
             "inclusions": self.n_records,
         }
-
-    def _kind(self) -> str:
-        kind = "a stable" if self.stable else "a repelling" if self.repelling else "a"
-        return f"{kind} Zeno periodic orbit"
 
     def lines(self) -> list[str]:
         """Return the theorem on one page, line by line."""
         if self.bounds is None:
             return [self.verdict()]
-        lines = [f"Theorem. Problem `{self.problem}`, its parameters exactly the stored doubles."]
-        if self.over:
-            ranges = ", ".join(f"{name} in {m!r} +- {r:g}" for name, (m, r) in self.over.items())
-            lines.append(f"For every value of {ranges} at once:")
-        lines += self._statement(self.bounds)
-        lines += ["", "Enclosed:"]
+        returns = len(self.bounds.zeno_times)
+        which = "the next" if returns == 1 else f"release {returns} after it"
+        lines = [
+            f"Theorem. Problem `{self.problem}`. P is the return map, from a release to {which}."
+        ]
+        lines += self._hypotheses()
+        lines += self.statements()
+        lines += ["", "Enclosures, for the fixed point of P:"]
         lines.append(f"  period      {self.bounds.period.text} s")
         lines += [f"  Zeno point  {one.text} s" for one in self.bounds.zeno_times]
         lines += [f"  {name:<11} {one.text}" for name, one in self.bounds.start_state.items()]
-        for disc in self.bounds.multipliers:
-            middle = f"{disc.centre.real:.10g}"
-            if disc.centre.imag:
-                middle += f" {disc.centre.imag:+.10g}i"
-            lines.append(f"  multiplier  {middle} +- {disc.radius:.1e}")
+        if self.bounds.multipliers:
+            lines.append(
+                "The multipliers lie in the union of the discs, one in each separate disc:"
+            )
+        lines += [f"  disc        {disc.text}" for disc in self.bounds.multipliers]
         known = ", ".join(f"{name} {version}" for name, version in self.versions.items())
         lines += [
             "",
-            f"Proof: {self.n_records} inclusions in balls, found in {self.wall_time:.0f} s.",
-            f"Trusted: the problem's CasADi expressions; {known}; this program.",
-            "Not claimed: anything of motions outside the box, or of the machine itself.",
+            f"Proof: {self.n_records} inclusions in ball arithmetic, found in"
+            f" {self.wall_time:.0f} s.",
+            f"Trusted: the formulas of the problem; {known}; this program.",
+            "Not claimed: motions that start outside box 1; that the real machine has this orbit.",
         ]
         return lines
 
-    def _statement(self, bounds: Bounds) -> list[str]:
-        places = ", ".join(f"{name} = {m:.10g} +- {r:.1e}" for name, (m, r) in self.box.items())
-        points = len(bounds.zeno_times)
-        again = "" if points == 1 else f"; so {points} times, the last time on the section"
-        strikes = "once, plastically," if self.plastic else "infinitely often up to a Zeno point,"
-        lines = [
-            f"(1) From every point of the release section with {places}"
-            if places
-            else "(1) From the release section, here a single point,",
-            f"    the motion leaves the stop, strikes it {strikes} is held by it and",
-            f"    released{again}. In between it touches nothing.",
+    def statements(self) -> list[str]:
+        """Return the numbered statements, one per entry."""
+        if self.bounds is None:
+            return []
+        first, last = self.boxes[0], len(self.boxes)
+        into = " P maps box 1 into its interior." if first.included else ""
+        found = [
+            f"(1) {self._motion(len(self.bounds.zeno_times))}",
+            f"(2) P is analytic on box 1.{into}",
+            "(3) P has exactly one fixed point in box 1.",
         ]
-        if not self.box:
-            return [*lines, "(2) The motion returns to that point: it is periodic."]
-        onto = "takes the box into its interior" if self.inside else "need not stay in the box"
-        lines.append(f"(2) The return map is analytic on the box, and {onto}.")
-        lines.append("(3) Exactly one periodic orbit passes through the box.")
+        if last > 1:
+            found[-1] += f" It lies in box {last}."
+        if self.inside:
+            found.append("(4) Exactly one periodic orbit passes through box 1.")
         if self.stable:
-            norm = f"{bounds.norm:.6g}"
-            lines.append(f"(4) It is exponentially stable: norm of the map's derivative {norm}.")
+            found.append(
+                f"(5) The fixed point of P is exponentially stable: {self._contraction()}."
+            )
         elif self.repelling:
-            lines.append("(4) It repels: a multiplier lies outside the unit circle.")
+            where = "one multiplier lies outside the unit circle"
+            found.append(f"(5) The fixed point of P is unstable ({where}).")
+        return found
+
+    def _hypotheses(self) -> list[str]:
+        values = ", ".join(f"{name} = {value!r}" for name, value in self.values.items())
+        lines = [f"Values, each the double next to its decimal: {values}."]
+        if self.over:
+            ranges = ", ".join(f"{name} = {m!r} +- {r!r}" for name, (m, r) in self.over.items())
+            lines.append(
+                f"The statements hold for each {ranges}, with all other values held fixed."
+            )
+            lines.append(
+                "Middles and radii of these ranges are the doubles next to their decimals."
+            )
+            if self.held:
+                lines.append(f"Held fixed, though derived by default: {', '.join(self.held)}.")
+        for number, box in enumerate(self.boxes, start=1):
+            pairs = box.coordinates.items()
+            around = ", ".join(f"{name} = {one.text}" for name, one in pairs)
+            within = ", ".join(f"{name} = {one.inner_text}" for name, one in pairs)
+            if box.coordinates:
+                lines.append(f"Box {number} lies in {around}.")
+                lines.append(f"Box {number} contains {within}.")
+            else:
+                lines.append(f"Box {number} is a single point of the section.")
         return lines
+
+    def _contraction(self) -> str:
+        """Return the reason of stability: a norm below 1, or the inclusion of box 1."""
+        norm = Fraction(self.bounds.norm) if self.bounds else Fraction(1)
+        if norm >= 1:
+            return "P contracts box 1"
+        told = decimal_above(norm, _NORM_DIGITS)
+        where = f"on box {len(self.boxes)}"
+        return f"{where} the norm of DP in the basis of the certificate is at most {told}"
+
+    def _motion(self, n_phases: int) -> str:
+        impacts = (
+            "has one impact, which is plastic"
+            if self.plastic
+            else "has infinitely many impacts that accumulate at a Zeno point"
+        )
+        times = f" This happens {n_phases} times in turn." if n_phases > 1 else ""
+        return (
+            "From every point of box 1 the completed execution leaves the stop at once,"
+            f" {impacts}, stays in contact under pressure, and is released transversally on the"
+            f" section.{times}"
+        )
+
+
+def double_above(x: Fraction | float) -> float:
+    """Return a double whose printed decimal is an upper bound of a number."""
+    found = float(x)
+    while math.isfinite(found) and Fraction(repr(found)) < x:
+        found = math.nextafter(found, math.inf)
+    return found
+
+
+def _middle_and_radius(low: Fraction, high: Fraction) -> tuple[float, float]:
+    """Return doubles whose printed decimals are middle and radius of an enclosing interval."""
+    middle = float((low + high) / 2)
+    printed = Fraction(repr(middle))
+    return middle, double_above(max(high - printed, printed - low))
+
+
+def _disc_of_doubles(disc: MultiplierDisc) -> list[float]:
+    """Return doubles whose printed decimals are centre and radius of an enclosing disc."""
+    re, im = disc.centre.real, disc.centre.imag
+    off = abs(Fraction(repr(re)) - Fraction(re)) + abs(Fraction(repr(im)) - Fraction(im))
+    return [re, im, double_above(Fraction(disc.radius) + off)]

@@ -1,44 +1,56 @@
-"""From a set on the release section once around the period, record by record.
+"""Enclosure of one period from a set on the release section, record by record.
 
-Steps are as long as their remainders allow. On each it is proved that the motions touch the stop
-where they should and nowhere else.
+Steps are as long as their remainders allow. On each step, the motions are proved to touch the stop
+only at the expected events.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 
 from flint import arb
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.balls import ZERO, Ball, product
-from zeno_orbits.proof.crossing import cross, meeting_guess
+from zeno_orbits.proof.events import cross, meeting_guess, settle_impacts, strike
 from zeno_orbits.proof.flow import BallFlow, FlowStep, enclose
-from zeno_orbits.proof.impacts import settle_impacts, strike
-from zeno_orbits.proof.stage import BallTime, Departure, ProofRecord, ProofStage
+from zeno_orbits.proof.sets import BallTime, Departure, ProofRecord, ProofStage, balanced
 
+_NEAR = 1e-3
+"""Gap rate, in its unit, below which flights are short and their rows must keep their precision."""
 _SHORTEST = 1e-5
-"""Least step in flight off the stop and on it, as a part of the longest, before it is given up."""
+"""Smallest step in flight and in contact, as a part of the longest step."""
 _JUST_BEYOND = 1 + 2.0**-6
+_CLEAR = 1.5
+"""Smallest distance from zero of an interval on the box of a step, as a multiple of its radius.
+
+The box of the checker's arithmetic is another box.
+"""
 _BEYOND = 1 + 2.0**-3
-"""How far beyond a crossing its step reaches, as a multiple of its time."""
+"""Length of the step of a crossing, as a multiple of the time of the crossing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WalkSettings:
-    """How a period is followed.
+    """Settings of the enclosure of a period, step by step.
 
     Attributes:
-        orders: Of Taylor's method for a point, and for the derivative.
-        rest: Largest remainder of a step for a point, per size of a state.
-        derivative_rest: Largest remainder of its derivative.
-        first: First step that is tried, per period.
-        longest: Longest step, per period.
-        slowest: Gap rate below which impacts are summed up, per that of the fastest impact.
-        most_impacts: Impacts in a flight phase beyond which it is given up.
+        orders: Orders of Taylor's method for a point, and for the derivative.
+        rest: Largest remainder of a step for a point, relative to the size of each state.
+        derivative_rest: Largest remainder of a step for the derivative, in units in which the flow
+            is balanced.
+        first: First trial step, relative to the period.
+        longest: Longest step, relative to the period.
+        slow: Gap rate below which the Zeno tail replaces the remaining impacts if a flight cannot
+            be resolved, relative to the fastest impact.
+        slowest: Gap rate below which the Zeno tail always replaces the remaining impacts, relative
+            to the fastest impact.
+        most_impacts: Largest number of impacts in a flight phase.
     """
 
     orders: tuple[int, int] = (34, 28)
@@ -46,32 +58,68 @@ class WalkSettings:
     derivative_rest: float = 3e-13
     first: float = 1e-3
     longest: float = 0.125
+    slow: float = 1e-2
     slowest: float = 1e-19
     most_impacts: int = 5000
 
 
+class PassageKind(Enum):
+    """Kind of an event in a period."""
+
+    IMPACT = "impact"
+    ZENO_POINT = "zeno_point"
+    RELEASE = "release"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ProofPassage:
-    """A set once around.
+class PassageEvent:
+    """An event in a period.
 
     Attributes:
-        records: What led from set to set.
-        impact_times: Of the impacts that were resolved one by one.
-        zeno_times: Of the Zeno points, or plastic impacts that held.
-        release_times: Of the releases, the last of which ends the period.
+        kind: Kind of the event. A plastic impact that starts contact is an impact and a Zeno point.
+        stage: The set at the event, or just before it for an impact.
+    """
+
+    kind: PassageKind
+    stage: ProofStage
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProofPassage:
+    """The enclosure of one period of a set.
+
+    Attributes:
+        records: Inclusions from set to set.
+        events: Impacts that were resolved one by one, Zeno points and releases, in order.
         end: The set at the end.
     """
 
     records: tuple[ProofRecord, ...]
-    impact_times: tuple[BallTime, ...]
-    zeno_times: tuple[BallTime, ...]
-    release_times: tuple[BallTime, ...]
+    events: tuple[PassageEvent, ...]
     end: ProofStage
+
+    @property
+    def impact_times(self) -> tuple[BallTime, ...]:
+        """Times of the individually resolved impacts."""
+        return self._times(PassageKind.IMPACT)
+
+    @property
+    def zeno_times(self) -> tuple[BallTime, ...]:
+        """Times of the Zeno points, or of plastic impacts that start contact."""
+        return self._times(PassageKind.ZENO_POINT)
+
+    @property
+    def release_times(self) -> tuple[BallTime, ...]:
+        """Times of the releases, the last of which ends the period."""
+        return self._times(PassageKind.RELEASE)
+
+    def _times(self, kind: PassageKind) -> tuple[BallTime, ...]:
+        return tuple(one.stage.time for one in self.events if one.kind is kind)
 
 
 @dataclass(slots=True, kw_only=True)
 class _Pace:
-    """The next step's length, from the remainders of the last."""
+    """Length of the next step, from the remainders of the last step."""
 
     size: float
     most: float
@@ -83,55 +131,108 @@ Tell = Callable[[str, float], None]
 def walk(
     system: BallSystem, start: ProofStage, releases: int, settings: WalkSettings, tell: Tell
 ) -> ProofPassage:
-    """Follow a set once around.
+    """Enclose one period from a set.
 
     Args:
         system: The problem.
-        start: Where it is released.
-        releases: How many releases end the period.
-        settings: How.
-        tell: Called with what is being done and the time that was reached [s].
+        start: The set at its release.
+        releases: Number of releases in the period.
+        settings: Settings of the enclosure.
+        tell: Called with the stage and the time reached [s].
 
     Raises:
-        ProofError: If something is not proved; its claim says what.
+        ProofError: If a condition is not proved. The error names the claim.
     """
-    records: list[ProofRecord] = []
-    impacts: list[BallTime] = []
-    zenos: list[BallTime] = []
-    ends: list[BallTime] = []
-    first, fastest = settings.first * system.period, ZERO
-    stage, pace = start, _Pace(size=first, most=settings.longest * system.period)
-    while len(ends) < releases:
-        locked = stage.departure is Departure.LOCKED
-        flow, least = system.locked if locked else system.free, pace.size * _SHORTEST
-        met = False
-        while not met:
-            record, stage, met = _move(system, flow, stage, pace, settings, least)
-            records.append(record)
-            tell(stage.departure.value, float(stage.time.middle.mid()))
-        if stage.departure is Departure.RELEASED:
-            ends.append(stage.time)
-            continue
-        impacts.append(stage.time)
-        fastest = fastest.max(stage.at.box[system.rate].abs_upper())
-        record, stage = strike(system, stage)
-        records.append(record)
-        slow = bool(stage.at.box[system.rate] < settings.slowest * fastest)
-        if stage.departure is Departure.STRUCK and slow:
-            record, stage = settle_impacts(system, stage)
-            records.append(record)
-        if stage.departure is Departure.LOCKED:
-            zenos.append(stage.time)
-            pace.size = first
-        elif len(impacts) > settings.most_impacts:
-            raise ProofError("zeno_point", f"impacts do not accumulate in {len(impacts)} of them")
+    way = _Way(system=system, settings=settings, tell=tell, stage=start)
+    while way.n_releases < releases:
+        try:
+            way.follow()
+        except ProofError as error:
+            # If a flight cannot be resolved, a Zeno tail from the last impact may still succeed.
+            try:
+                summed = way.sum_up()
+            except ProofError:
+                summed = False
+            if not summed:
+                raise error from None
     return ProofPassage(
-        records=tuple(records),
-        impact_times=tuple(impacts),
-        zeno_times=tuple(zenos),
-        release_times=tuple(ends),
-        end=stage,
+        records=tuple(way.records),
+        events=tuple(way.events),
+        end=way.stage,
     )
+
+
+class _Way:
+    """A set within its period, with the records that led to it."""
+
+    def __init__(
+        self, *, system: BallSystem, settings: WalkSettings, tell: Tell, stage: ProofStage
+    ) -> None:
+        self.records: list[ProofRecord] = []
+        self.events: list[PassageEvent] = []
+        self.n_releases = 0
+        self.stage = stage
+        self._n_impacts = 0
+        self._system, self._settings, self._tell = system, settings, tell
+        self._pace = _Pace(
+            size=settings.first * system.period, most=settings.longest * system.period
+        )
+        self._fastest = ZERO
+        self._slow: tuple[ProofStage, int] | None = None
+
+    def follow(self) -> None:
+        """Propagate the set to its next event, and through the event."""
+        locked = self.stage.departure is Departure.LOCKED
+        flow = self._system.locked if locked else self._system.free
+        least, met = self._pace.size * _SHORTEST, False
+        while not met:
+            record, self.stage, met = _move(
+                self._system, flow, self.stage, self._pace, self._settings, least
+            )
+            self.records.append(record)
+            self._tell(self.stage.departure.value, float(self.stage.time.middle.mid()))
+        if locked:
+            self._note(PassageKind.RELEASE)
+            self.n_releases += 1
+        else:
+            self._strike()
+
+    def _strike(self) -> None:
+        settings, rate = self._settings, self._system.rate
+        self._note(PassageKind.IMPACT)
+        self._n_impacts += 1
+        self._fastest = self._fastest.max(self.stage.at.box[rate].abs_upper())
+        record, self.stage = strike(self._system, self.stage)
+        self.records.append(record)
+        self._slow = None
+        if self.stage.departure is Departure.STRUCK:
+            speed = self.stage.at.box[rate]
+            if bool(speed < settings.slow * self._fastest):
+                self._slow = self.stage, len(self.records)
+            if bool(speed < settings.slowest * self._fastest) and self.sum_up():
+                return
+        if self.stage.departure is Departure.LOCKED:
+            self._hold()
+        elif self._n_impacts > settings.most_impacts:
+            count = self._n_impacts
+            raise ProofError("zeno_point", f"impacts do not accumulate in {count} of them")
+
+    def sum_up(self) -> bool:
+        """Replace all impacts after a slow last impact by a Zeno tail. Return True on success."""
+        if self._slow is None:
+            return False
+        (stage, n_records), self._slow = self._slow, None
+        record, self.stage = settle_impacts(self._system, stage)
+        self.records[n_records:] = [record]
+        self._hold()
+        return True
+
+    def _hold(self) -> None:
+        self._note(PassageKind.ZENO_POINT)
+        self._pace.size = self._settings.first * self._system.period
+
+    def _note(self, kind: PassageKind) -> None:
+        self.events.append(PassageEvent(kind=kind, stage=self.stage))
 
 
 def _move(
@@ -142,16 +243,17 @@ def _move(
     settings: WalkSettings,
     least: float,
 ) -> tuple[ProofRecord, ProofStage, bool]:
-    """Return one record, a step or a crossing, the stage after it, and whether it is the latter."""
+    """Return a record (step or crossing), the stage after it, and True for a crossing."""
     size, orders = min(pace.size, pace.most), settings.orders
     points = flow.point_series(stage.at.m, orders[0])
     guess = meeting_guess(system, stage, points, 1.5 * size)
     if guess is not None:
-        size = guess * _BEYOND if guess * _JUST_BEYOND <= size else guess / 2
+        size = _aimed(guess, size)
         orders = _orders(size, pace.size, settings, flow.n)
         least = min(least, guess / 64)
     shortened = guess is not None
     over = flow.series(stage.at.box, orders[1])
+    stage = replace(stage, metric=balanced(over.derivative[1]))
     reason = "no box holds the motions over a step"
     while size >= least:
         exact = _dyadic(size)
@@ -160,16 +262,28 @@ def _move(
         if step is None:
             size = size / 2
             continue
-        excess = _excess(step, settings)
+        excess = _excess(step, settings, stage.metric)
         if excess > 1.0 and size > least:
             size = max(least, size * max(0.25, 0.9 * excess ** (-1 / (orders[1] + 1))))
             continue
         image, derivative = step.point(points, exact), step.derivative(exact)
         end = image[system.gap] + product(derivative, stage.at.deviation)[system.gap]
         reason = _contact(system, flow, stage, step, None if meets else end)
+        reason = reason or system.undefined(step.box)
         if reason:
             shortened = True
-            size = guess / 2 if meets and guess is not None else size / 2
+            if meets and guess is not None:
+                size = guess / 2
+                continue
+            # A guard that is below zero only briefly is detected only by a sufficiently fine
+            # search.
+            dip = meeting_guess(system, stage, points, size)
+            if dip is None or (guess is not None and dip >= guess):
+                size = size / 2
+                continue
+            # Only the first guess may lower the smallest step, so that the search ends.
+            least = least if guess is not None else min(least, dip / 64)
+            guess, size = dip, _aimed(dip, size)
             continue
         if meets and guess is not None:
             record, after = cross(system, stage, step, points, arb(guess))
@@ -177,12 +291,18 @@ def _move(
         if not shortened:
             pace.size = size * max(0.5, min(4.0, 0.9 * excess ** (-1 / (orders[1] + 1))))
         locked = stage.departure is Departure.LOCKED
-        groups = system.groups["beside" if locked else "all"]
-        result = stage.at.mapped(image, derivative, groups)
+        rows = system.turning_rows(None) if locked else system.moving_rows
+        near = bool(stage.at.box[system.rate].abs_upper() < _NEAR)
+        result = stage.at.mapped(image, derivative, rows, stage.metric, fine=not locked and near)
         record = ProofRecord(kind="step", numbers={"h": exact}, orders=orders, result=result)
         departure = Departure.LOCKED if locked else Departure.FLYING
         return record, stage.next(result, departure, stage.time.later(exact)), False
     raise ProofError(_CLAIMS[stage.departure], reason)
+
+
+def _aimed(guess: float, size: float) -> float:
+    """Return the size of a step beyond a crossing, or half the time to it for too long a step."""
+    return guess * _BEYOND if guess * _JUST_BEYOND <= size else guess / 2
 
 
 _CLAIMS = {
@@ -191,17 +311,17 @@ _CLAIMS = {
     Departure.STRUCK: "flight",
     Departure.LOCKED: "locked",
 }
-"""Name of the claim that a step serves."""
+"""Name of the claim that a step contributes to."""
 
 
 def _dyadic(size: float) -> Ball:
-    """Return a number of few bits just below a size."""
+    """Return a number with few bits just below a size."""
     mantissa, exponent = math.frexp(size)
     return arb(math.ldexp(math.floor(mantissa * 4096), exponent - 12))
 
 
-def _excess(step: FlowStep, settings: WalkSettings) -> float:
-    """Return the largest remainder of a step as a multiple of what is allowed."""
+def _excess(step: FlowStep, settings: WalkSettings, metric: Vector) -> float:
+    """Return the largest remainder of a step as a multiple of the allowed remainder."""
     order, order_v = step.orders
     far, near = step.size ** (order + 1), step.size ** (order_v + 1)
     worst = 1e-12
@@ -209,19 +329,18 @@ def _excess(step: FlowStep, settings: WalkSettings) -> float:
         allowed = settings.rest * (1e-3 + float(x.abs_upper()))
         worst = max(worst, float((one * far).abs_upper()) / allowed)
     entries = step.derivative_rest.entries()
-    scale = [1e-3 + float(x.abs_upper()) for x in step.box]
-    n = len(scale)
+    n = len(metric)
     for k, one in enumerate(entries):
-        allowed = settings.derivative_rest * scale[k // n] / scale[k % n]
+        allowed = settings.derivative_rest * metric[k // n] / metric[k % n]
         worst = max(worst, float((one * near).abs_upper()) / allowed)
     return worst
 
 
 def _orders(size: float, usual: float, settings: WalkSettings, n: int) -> tuple[int, int]:
-    """Return the orders that are enough for a short step, where the usual step has the usual.
+    """Return the orders that are enough for a step that is shorter than the usual step.
 
-    None is below the number of states: what a state comes to depend on through the others only
-    must show in the series, or the box of the step has no room for it.
+    Orders are at least the number of states. The series must include dependences of a state that
+    arise only through other states, since otherwise the box of the step is too small for them.
     """
     reach = 4.0 * size / usual
 
@@ -238,37 +357,42 @@ def _orders(size: float, usual: float, settings: WalkSettings, n: int) -> tuple[
 def _contact(
     system: BallSystem, flow: BallFlow, stage: ProofStage, step: FlowStep, end: Ball | None
 ) -> str:
-    """Return what is not proved of the stop on a step, or nothing.
+    """Return the contact condition that is not proved on a step, or an empty text.
 
     Args:
         system: The problem.
         flow: The flow of the mode.
-        stage: Where the step starts.
+        stage: The set at the start of the step.
         step: The step.
-        end: Gap at its end; None if the guard is to be met in it.
+        end: Gap at the end of the step, or None if the step must cross the guard.
     """
     if stage.departure is Departure.LOCKED:
         multiplier, gradient, speeds = flow.guard(step.box)
         slope = sum((g * f for g, f in zip(gradient, speeds, strict=True)), ZERO)
         if end is None:
-            holds, what = bool(slope < 0), f"to fall at the release ({slope})"
+            holds, what = _is_clear(-slope), f"to fall at the release ({slope})"
         else:
-            holds, what = bool(multiplier > 0), f"positive on the stop ({multiplier})"
+            holds, what = _is_clear(multiplier), f"positive on the stop ({multiplier})"
         return "" if holds else f"`multiplier` is not proved {what}"
     if stage.departure is Departure.RELEASED:
         jerk = _jerk(flow, step.box, system.rate)
-        left = bool(jerk > 0) and end is not None
+        left = _is_clear(jerk) and end is not None
         return "" if left else f"`d3h/dt3` is not proved positive at the release ({jerk})"
     gap, rate = step.box[system.gap], step.box[system.rate]
     struck, start = stage.departure is Departure.STRUCK, stage.at.box
     away = bool(start[system.rate if struck else system.gap] > 0)
-    hump = away and bool(flow.rate(step.box)[system.rate] < 0)
+    hump = away and _is_clear(-flow.rate(step.box)[system.rate])
     if end is None:
         once = hump or (away and not struck and bool(rate < 0))
         return "" if once else "`gap` is not proved to fall once only before an impact"
     clear = bool(rate > 0) if struck else bool(gap > 0)
     over = hump and bool(end > 0)
     return "" if clear or over else "`gap` is not proved positive in flight"
+
+
+def _is_clear(x: Ball) -> bool:
+    """Return True if an interval is positive even after a widening by `_CLEAR`."""
+    return bool(x.mid() > _CLEAR * x.rad())
 
 
 def _jerk(flow: BallFlow, box: list[Ball], rate: int) -> Ball:

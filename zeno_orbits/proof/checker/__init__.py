@@ -1,6 +1,7 @@
-"""Check certificates of Zeno periodic orbits, without the prover and in another arithmetic.
+"""Checker for certificates of Zeno periodic orbits, independent of the prover and its arithmetic.
 
-A certificate is proved in exact integers: one inclusion a record, in any order. Nothing of the
-prover is imported; what both share is the problem, whose CasADi instructions are walked here anew.
+A certificate is proved in exact integers: one inclusion per record, in any order. The checker
+imports nothing from the prover. Both share only the problem, whose CasADi instructions are
+translated here again.
 Format: `docs/proof_file.md`. Offers: `check_proof`. May import: `model`, `work`, `errors`.
 """

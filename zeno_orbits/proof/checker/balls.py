@@ -7,25 +7,32 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, cast
 
 import numpy as np
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.work import enclosing_decimal
 
 Array = Any
 """Balls in a NumPy array."""
 
-_NUMBER = re.compile(r"(-?)0x([0-9a-f]+)p([+-]?[0-9]{1,5})")
+_NUMBER = re.compile(r"(-?)0x([0-9a-f]{1,1000})p([+-]?[0-9]{1,4})")
+_LARGEST = 512
+"""Largest number of bits before the binary point of a number in a certificate."""
 
 
 class NotProved(Exception):  # noqa: N818
-    """An inequality or an inclusion that was to be shown does not hold in balls."""
+    """A required inequality or inclusion does not hold in balls."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ball:
-    """All reals within ``r`` of ``m``, both in units of ``2^-bits``; whole numbers mix with it."""
+    """All real numbers within ``r`` of ``m``, in units of ``2^-bits``.
+
+    The operands of its operations may also be integers.
+    """
 
     m: int
     r: int
@@ -81,19 +88,17 @@ class Ball:
         """Return the hull of the ball and zero."""
         return between(min(0, self.low), max(0, self.high), self.bits)
 
+    def ends(self) -> tuple[Fraction, Fraction]:
+        """Return the ends as exact numbers."""
+        return Fraction(self.low, 1 << self.bits), Fraction(self.high, 1 << self.bits)
+
     def shown(self) -> str:
-        """Return the ball as text."""
-        m, r = (_about(units, self.bits) for units in (self.m, self.r))
-        return f"{m:.17g} +- {r:.2g}"
-
-
-def _about(units: int, bits: int) -> float:
-    excess = max(0, units.bit_length() - 64)
-    return float(units >> excess) * 2.0 ** (excess - bits)
+        """Return a decimal interval that contains the ball."""
+        return enclosing_decimal(*self.ends())
 
 
 def between(low: int, high: int, bits: int) -> Ball:
-    """Return a ball that holds all between two ends.
+    """Return a ball that contains the interval between two ends.
 
     Args:
         low: Lower end, in units.
@@ -131,7 +136,7 @@ def quotient(m: int, r: int, by: Ball) -> tuple[int, int]:
 
 
 def require(holds: bool, failure: str) -> None:
-    """Refuse what does not hold."""
+    """Raise `NotProved` unless a condition holds."""
     if not holds:
         raise NotProved(failure)
 
@@ -140,14 +145,14 @@ sizes: Any = np.frompyfunc(lambda x: x.size, 1, 1)
 """Upper bounds of absolute values, in units."""
 middles: Any = np.frompyfunc(lambda x: Ball(x.m, 0, x.bits), 1, 1)
 around_zero: Any = np.frompyfunc(lambda x: Ball(0, x.size, x.bits), 1, 1)
-"""All reals of at most that size."""
+"""Balls around zero with given bounds of the absolute value."""
 with_zero: Any = np.frompyfunc(Ball.with_zero, 1, 1)
 """Hulls of balls and zero."""
 exactly: Any = np.frompyfunc(lambda x, bits: Ball(int(x) << bits, 0, bits), 2, 1)
 
 
 def solved(matrix: Array, right: Array) -> Array:
-    """Return a set that holds all solutions of ``matrix X = right``; it proves there is one."""
+    """Return an enclosure of all solutions of ``matrix X = right``, which also proves existence."""
     rows = np.concatenate([matrix, right], axis=1)
     for k in range(len(rows)):
         best = max(range(k, len(rows)), key=lambda i: abs(rows[i, k].m) - rows[i, k].r)
@@ -165,13 +170,15 @@ def number(text: Any, bits: int, *, exact: bool = True) -> Ball:
     Args:
         text: The number as text.
         bits: The unit is ``2^-bits``.
-        exact: Refuse a number that is no whole of units; else it is rounded down to one, which is
-            sound where the rounded number takes the place of the number everywhere.
+        exact: True rejects a number that is not an integer multiple of the unit. False rounds it
+            down, which is sound if the rounded number replaces the number everywhere.
     """
     found = _NUMBER.fullmatch(text) if isinstance(text, str) else None
     if found is None:
         raise InputError(f"The certificate has {str(text)[:40]!r} where a number must be.")
     mantissa, shift = int(found[1] + found[2], 16), int(found[3]) + bits
+    if mantissa.bit_length() + int(found[3]) > _LARGEST:
+        raise InputError(f"The certificate's numbers must be below 2^{_LARGEST}, but one is not.")
     units = mantissa << shift if shift >= 0 else mantissa >> -shift
     if exact and shift < 0 and units << -shift != mantissa:
         raise InputError(f"The certificate's {text[:40]!r} must be a multiple of 2^-{bits}.")
@@ -179,11 +186,11 @@ def number(text: Any, bits: int, *, exact: bool = True) -> Ball:
 
 
 def numbers(data: Any, shape: tuple[int, ...], bits: int, *, exact: bool = True) -> Array:
-    """Return a list of numbers, or of lists of them, of a certificate.
+    """Return a list of numbers, or a nested list, of a certificate.
 
     Args:
         data: The list.
-        shape: Its length, and those of the lists in it.
+        shape: Length of the list, then of the lists in it.
         bits: The unit is ``2^-bits``.
         exact: As for one number.
     """
@@ -200,7 +207,7 @@ def radii(data: Any, shape: tuple[int, ...], bits: int, *, exact: bool = True) -
 
     Args:
         data: The radii.
-        shape: Length of the list of them, and of the lists in it.
+        shape: Length of the list, then of the lists in it.
         bits: The unit is ``2^-bits``.
         exact: As for one number.
     """
@@ -211,7 +218,7 @@ def radii(data: Any, shape: tuple[int, ...], bits: int, *, exact: bool = True) -
 
 
 def entries(data: Any, *names: str) -> list[Any]:
-    """Return the entries of an object of a certificate, which has these and no others."""
+    """Return the entries of an object of a certificate, which must have exactly these names."""
     if not isinstance(data, dict) or set(cast("dict[str, Any]", data)) != set(names):
         raise InputError(f"The certificate must have an object with {', '.join(names)} here.")
     return [cast("dict[str, Any]", data)[name] for name in names]

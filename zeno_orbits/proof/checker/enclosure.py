@@ -1,4 +1,4 @@
-"""A set of a certificate: a point and a derivative enclosed, and what a record makes of them."""
+"""A set of a certificate: enclosures of a point and a derivative, and its image under a record."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import numpy as np
 from zeno_orbits.proof.checker.balls import (
     Array,
     Ball,
+    NotProved,
     entries,
     exactly,
     numbers,
     radii,
-    require,
     solved,
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Enclosure:
-    """A set handed on: ``(z(u_c), dz/du)`` in ``Z + Q E``, over a box of u.
+    """A propagated set: ``(z(u_c), dz/du)`` in ``Z + Q E``, over a box of u.
 
     Attributes:
         Z: The matrix ``(m, C)`` of a certificate, ``(N, 1 + D)``.
-        Q: Directions of what is uncertain, ``(N, N)``.
+        Q: Directions of the uncertainty, ``(N, N)``.
         E: Balls around zero with the radii ``(r, R)``, ``(N, 1 + D)``.
         spread: The box of ``u - u_c``, ``(D,)``.
     """
@@ -37,7 +37,7 @@ class Enclosure:
 
     @classmethod
     def of(cls, data: Any, spread: Array, n: int, bits: int) -> Enclosure:
-        """Return a set of a certificate: its numbers rounded down to units, wherever it is used."""
+        """Return a set of a certificate, whose numbers are rounded down to units for every use."""
         m, C, Q, r, R = entries(data, "m", "C", "Q", "r", "R")
         D = len(spread)
         Z = numbers(m, (n,), bits, exact=False), numbers(C, (n, D), bits, exact=False)
@@ -51,26 +51,26 @@ class Enclosure:
 
     @property
     def m(self) -> Array:
-        """A point near that of the centre, ``(N,)``."""
+        """A point near the image of the centre, ``(N,)``."""
         return self.Z[:, 0]
 
     @property
     def whole(self) -> Array:
-        """A set that holds ``(z(u_c), dz/du)``, ``(N, 1 + D)``."""
+        """A set that contains ``(z(u_c), dz/du)``, ``(N, 1 + D)``."""
         return self.Z + self.Q @ self.E
 
     @property
     def hull(self) -> Array:
-        """A box that holds all states, ``(N,)``."""
+        """A box that contains all states, ``(N,)``."""
         return self.m + self.moved(exactly(np.eye(len(self.Q), dtype=int), self.m[0].bits))
 
     def moved(self, slope: Array) -> Array:
-        """Return what a linear map, ``(..., N)``, makes of all states less m."""
+        """Return the image of all states minus m under a linear map, ``(..., N)``."""
         return slope @ self.Q @ self.E[:, 0] + slope @ self.whole[:, 1:] @ self.spread
 
 
 class Mapped(NamedTuple):
-    """What a record makes of a set: of its point m, of its neighbours, and the time it takes."""
+    """Image of a set under a record: of its point m, the derivative, and the duration."""
 
     point: Array
     slope: Array
@@ -79,18 +79,19 @@ class Mapped(NamedTuple):
 
 
 def require_enclosed(old: Enclosure, mapped: Mapped, new: Enclosure) -> None:
-    """Check that a set holds what a record makes of the one before it.
+    """Check that a set contains the image of the set before a record.
 
     Args:
         old: The set before the record.
-        mapped: What the record makes of it.
+        mapped: The image of this set under the record.
         new: The set after the record.
     """
     n = len(old.Z)
     image = np.concatenate([mapped.point[:, None], mapped.slope @ old.Z[:, 1:]], axis=1) - new.Z
-    # Elimination on intervals would wrap them at every row: it is done on numbers alone.
+    # Elimination uses numbers only, since intervals would widen at every row.
     inverse = solved(new.Q, exactly(np.eye(n, dtype=int), new.m[0].bits))
     found = inverse @ image + inverse @ (mapped.slope @ old.Q) @ old.E
     for (i, j), x in np.ndenumerate(found):
-        failure = f"{'R' if j else 'r'}[{i}] must hold {x.shown()}, but is {new.E[i, j].shown()}"
-        require(x.size <= new.E[i, j].r, failure)
+        if x.size > new.E[i, j].r:
+            what = f"{'R' if j else 'r'}[{i}] must hold {x.shown()}"
+            raise NotProved(f"{what}, but is {new.E[i, j].shown()}")

@@ -1,59 +1,60 @@
 """A problem's CasADi instructions as a graph of few operations, with its tangents and a digest.
 
-A node is ``(operation, *arguments)``, its arguments other nodes. A function is the integral of its
-derivative: ``("function", name, u, integrand)`` with ``integrand = f'(u) u'``.
+A node is ``(operation, *arguments)``, whose arguments are other nodes. A function is the integral
+of its derivative: ``("function", name, u, f'(u))``.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple, cast
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.proof.checker.balls import NotProved
 
+Row = list[int | None]
+
 
 class Graph:
-    """Operations in the order in which a coefficient of each can be computed."""
+    """Operations in the order in which they can be evaluated."""
 
     def __init__(self) -> None:
         self.nodes: list[tuple[Any, ...]] = []
-        self.order: list[int] = []
-        self._functions: dict[tuple[str, int], int] = {}
         self._places: dict[tuple[Any, ...], int] = {}
+        self.one, self.zero = self.put("constant", 1.0), self.put("constant", 0.0)
 
     def put(self, *node: Any) -> int:
-        """Return the place of a node, which is appended if it is a new one."""
+        """Return the index of a node, which is appended if it is new."""
         if node == ("input",) or node not in self._places:
-            self._places[node] = self._place(*node)
-            self.order.append(self._places[node])
+            self._places[node] = len(self.nodes)
+            self.nodes.append(node)
         return self._places[node]
 
-    def _place(self, *node: Any) -> int:
-        self.nodes.append(node)
-        return len(self.nodes) - 1
+    def factors(self, place: int) -> list[int]:
+        """Return the factors of a node. Factors of a long product may be products themselves."""
+        found, waiting = list[int](), [place]
+        while waiting:
+            name, *given = self.nodes[waiting[-1]]
+            if name == "mul" and len(found) + len(waiting) < _HIGHEST:
+                waiting[-1:] = reversed(given)
+            else:
+                found.append(waiting.pop())
+        return found
 
     def function(self, name: str, u: int) -> int:
         """Return the node of an analytic function of a node."""
-        if (name, u) not in self._functions:
-            place, at = self._place(), len(self.order)
-            self._functions[name, u] = place
-            self.order.append(place)
-            slope = self._place("slope", u)
-            integrand = self._place("mul", self.derivative(name, u), slope)
-            self.nodes[place] = ("function", name, u, integrand)
-            # One order behind, it is asked for by the function, and needs what comes after that.
-            self.order[at:at] = [slope, integrand]
-        return self._functions[name, u]
+        if (name, u) not in self._places:
+            place = self._places[name, u] = len(self.nodes)
+            self.nodes.append(())
+            self.nodes[place] = ("function", name, u, self._derivative(name, u))
+        return self._places[name, u]
 
-    def derivative(self, name: str, u: int) -> int:
-        """Return a node of the derivative of a function."""
-        f, one = self._functions[name, u], self.put("constant", 1.0)
+    def _derivative(self, name: str, u: int) -> int:
+        f = self._places[name, u]
         if name in ("sin", "cos"):
             other = self.function("cos" if name == "sin" else "sin", u)
             return other if name == "sin" else self.put("neg", other)
@@ -61,80 +62,86 @@ class Graph:
             return f
         if name == "sqrt":
             return self.put("div", self.put("constant", 0.5), f)
-        if name == "log":
-            return self.put("div", one, u)
         if name == "tanh":
-            return self.put("sub", one, self.put("mul", f, f))
-        return self.put("div", one, self.put("add", one, self.put("mul", u, u)))
+            return self.put("sub", self.one, self.put("mul", f, f))
+        square = self.put("mul", u, u)
+        return self.put("div", self.one, u if name == "log" else self.put("add", self.one, square))
 
-    def needed(self, outputs: Iterable[int | None]) -> list[int]:
-        """Return the nodes that outputs need, in order."""
+    def needed(self, outputs: Iterable[int | None], *, at_rest: bool = False) -> list[int]:
+        """Return the nodes that outputs depend on, in order, for values only or for series."""
         found, waiting = set[int](), [place for place in outputs if place is not None]
         while waiting:
             place = waiting.pop()
             if place not in found:
                 found.add(place)
-                waiting += [a for a in self.nodes[place][1:] if isinstance(a, int)]
-        return [place for place in self.order if place in found]
+                node = self.nodes[place]
+                given = node[2:3] if at_rest and node[0] == "function" else node[1:]
+                waiting += [a for a in given if isinstance(a, int)]
+        return sorted(found)
 
-    def tangents(
-        self, outputs: Sequence[int], seeds: Mapping[int, Sequence[int]]
-    ) -> list[list[int | None]]:
-        """Return the tangents of outputs, a row each, from those of the inputs; zeros are None."""
-        known: dict[int, list[int | None]] = {}
-        size = len(next(iter(seeds.values())))
-        for place in self.needed(outputs):
-            node = self.nodes[place]
-            if node[0] == "input":
-                known[place] = list(seeds.get(place, [None] * size))
-            elif node[0] in ("constant", "slope"):
-                known[place] = [None] * size
-            elif node[0] == "function":
-                outer = self.derivative(node[1], node[2])
-                known[place] = [self._mul(outer, inner) for inner in known[node[2]]]
+    def tangents(self, outputs: Sequence[int], seeds: Mapping[int, Row]) -> list[Row]:
+        """Return the tangents of outputs, one row each, from the inputs' tangents. None is zero."""
+        none: Row = [None] * len(next(iter(seeds.values())))
+        known: dict[int, Row] = {}
+        for place in self.needed(outputs, at_rest=True):
+            name, *given = self.nodes[place]
+            if name in ("input", "constant"):
+                known[place] = list(seeds.get(place, none))
+            elif name == "function":
+                known[place] = [self.product(given[2], inner) for inner in known[given[1]]]
             else:
-                inner = [known.get(a, [None] * size) for a in node[1:]]
+                inner = [known[a] for a in given]
                 known[place] = [self._tangent(place, *parts) for parts in zip(*inner, strict=True)]
         return [known[place] for place in outputs]
 
     def _tangent(self, place: int, x: int | None, y: int | None = None) -> int | None:
-        """Return the tangent of an arithmetic node from those of its arguments."""
+        """Return the tangent of an arithmetic node from the tangents of its arguments."""
         name, a, *b = self.nodes[place]
         if name == "mul":
-            return self._add(self._mul(b[0], x), self._mul(a, y))
+            return self.total(self.product(b[0], x), self.product(a, y))
         if name == "div":
-            whole = self._add(x, self._neg(self._mul(place, y)))
+            whole = self.total(x, self._neg(self.product(place, y)))
             return None if whole is None else self.put("div", whole, b[0])
-        return self._neg(x) if name == "neg" else self._add(x, self._neg(y) if name == "sub" else y)
+        return (
+            self._neg(x) if name == "neg" else self.total(x, self._neg(y) if name == "sub" else y)
+        )
 
-    def _mul(self, a: int, b: int | None) -> int | None:
-        return None if b is None else self.put("mul", a, b)
+    def product(self, a: int | None, b: int | None) -> int | None:
+        """Return the node of a product."""
+        if None in (a, b) or self.zero in (a, b):
+            return None
+        return b if a == self.one else a if b == self.one else self.put("mul", a, b)
 
     def _neg(self, a: int | None) -> int | None:
         return None if a is None else self.put("neg", a)
 
-    def _add(self, a: int | None, b: int | None) -> int | None:
-        return (a if b is None else b) if a is None or b is None else self.put("add", a, b)
+    def total(self, *parts: int | None) -> int | None:
+        """Return the node of a sum."""
+        found: int | None = None
+        for part in parts:
+            if part not in (None, self.zero):
+                found = part if found is None else self.put("add", found, part)
+        return found
 
 
 class Formulas(NamedTuple):
-    """All formulas that a certificate rests on as one function, its digest, and ``n_q``."""
+    """All formulas of a problem as functions, their digest, and ``n_q``."""
 
     function: ca.Function
+    law: ca.Function
     digest: str
     n_q: int
 
 
 def formulas_of(problem: Problem) -> Formulas:
-    """Return the formulas of a problem; the digest is of CasADi's instructions.
+    """Return the formulas of a problem, which is evaluated once.
 
-    Raises:
-        InputError: If its impacts obey another law than that of one constant.
+    The digest belongs to CasADi's instructions. The impact law is evaluated for one impact: from
+    the speed of approach and the parameters, it gives the drop of the gap rate and the gap rate
+    after the impact.
     """
     symbols = problem.symbols()
     system = problem.model(symbols)
-    if system.law_numbers.numel() != 1 or ca.depends_on(system.law_numbers, system.state):
-        raise InputError("A certificate must be about impacts with a constant restitution.")
     parts: tuple[Any, ...] = (
         system.free_flow,
         system.locked_flow,
@@ -144,18 +151,20 @@ def formulas_of(problem: Problem) -> Formulas:
         system.holonomic,
     )
     inputs = [system.state, ca.vertcat(*symbols.values())]
-    outputs = [ca.densify(ca.SX(part)) for part in parts]
-    function = ca.Function("system", inputs, outputs)
+    function = ca.Function("system", inputs, [ca.densify(ca.SX(part)) for part in parts])
     lines = [f"{function.numel_in(0)} {function.numel_in(1)} {system.n_q}"]
     for name, takes, gives, number in _instructions(function):
         words = [name, ",".join(map(str, takes)), ",".join(map(str, gives))]
         lines.append(" ".join(words if number is None else [*words, number.hex()]))
     text = "".join(line + "\n" for line in lines)
-    return Formulas(function, hashlib.sha256(text.encode()).hexdigest(), system.n_q)
+    speed = ca.SX.sym("speed")
+    law = [system.law.rate_drop(speed), system.law.speed_after(speed)]
+    struck = ca.Function("law", [*inputs, speed], [ca.densify(ca.SX(part)) for part in law])
+    return Formulas(function, struck, hashlib.sha256(text.encode()).hexdigest(), system.n_q)
 
 
 def _instructions(function: ca.Function) -> Iterator[tuple[str, list[int], list[int], Any]]:
-    """Give name, arguments and results of each instruction, and the number of a constant."""
+    """Yield name, arguments and results of each instruction, and the value of a constant."""
     names = {getattr(ca, name): name for name in sorted(dir(ca), reverse=True) if name[:3] == "OP_"}
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
@@ -168,8 +177,8 @@ def walked(function: ca.Function, graph: Graph, inputs: Sequence[Sequence[int]])
 
     Args:
         function: The function.
-        graph: The nodes are put there.
-        inputs: Nodes of each of its inputs.
+        graph: Graph that receives the nodes. A non-analytic operation becomes a node that fails.
+        inputs: Nodes of each input of the function.
     """
     outputs = [[-1] * function.numel_out(k) for k in range(function.n_out())]
     work: dict[int, int] = {}
@@ -184,38 +193,101 @@ def walked(function: ca.Function, graph: Graph, inputs: Sequence[Sequence[int]])
         elif name in table:
             work[gives[0]] = table[name](*(work[place] for place in takes))
         else:
-            raise NotProved(f"the formulas hold the operation {name.lower()}")
+            work[gives[0]] = graph.put("unknown", name.lower(), *(work[place] for place in takes))
     return outputs
 
 
+def require_analytic(graph: Graph, outputs: Iterable[int]) -> None:
+    """Raise an error for formulas with a non-analytic operation, or with an invalid constant.
+
+    Raises:
+        NotProved: If such an operation or constant exists. The reason names it.
+    """
+    for place in graph.needed(outputs):
+        name, *given = graph.nodes[place]
+        if name == "unknown":
+            raise NotProved(f"the operation `{given[0]}` is not known to be analytic")
+        if name == "constant" and not abs(given[0]) < float("inf"):
+            raise NotProved(f"the number {given[0]} stands in a formula that must be analytic")
+
+
 def _operations(graph: Graph) -> dict[str, Callable[..., int]]:
-    """Return what makes a node of an operation of CasADi, by its name."""
-    put, function = graph.put, graph.function
+    """Return the functions that make a node from an operation of CasADi, keyed by name."""
+    put, function, one, two = graph.put, graph.function, graph.one, graph.put("constant", 2.0)
+    add, sub, mul, div = (partial(put, name) for name in ("add", "sub", "mul", "div"))
+    exp, log, sqrt, atan = (partial(function, name) for name in ("exp", "log", "sqrt", "atan"))
 
     def power(a: int, b: int) -> int:
-        exponent = graph.nodes[b][1] if graph.nodes[b][0] == "constant" else None
-        if exponent in (2.0, 3.0, 4.0):
-            square = put("mul", a, a)
-            return square if exponent == 2.0 else put("mul", square, square if exponent > 3 else a)
-        log = function("log", a)
-        return function("sqrt", a) if exponent == 0.5 else function("exp", put("mul", b, log))
-
-    def twice(a: int) -> int:
-        return put("add", a, a)
-
-    def square(a: int) -> int:
-        return put("mul", a, a)
+        exponent = graph.nodes[b][1] if graph.nodes[b][0] == "constant" else 0.25
+        if exponent % 0.5 == 0.0 and exponent % 1 and abs(exponent) <= _HIGHEST / 2:
+            a, exponent = sqrt(a), 2 * exponent
+        if exponent % 1 or not abs(exponent) <= _HIGHEST:
+            return exp(mul(b, log(a)))
+        found = one
+        for _ in range(int(abs(exponent))):
+            found = a if found == one else mul(found, a)
+        return inverse(found) if exponent < 0 else found
 
     def inverse(a: int) -> int:
-        return put("div", put("constant", 1.0), a)
+        return div(one, a)
 
-    def tangent(a: int) -> int:
-        return put("div", function("sin", a), function("cos", a))
+    def quotient(a: int, b: int) -> int:
+        kind, *number = graph.nodes[b]
+        if kind == "constant" and abs(number[0]) == float("inf"):
+            # A finite number divided by infinity is zero. The product checks that it is finite.
+            return mul(a, graph.zero)
+        left, divisors, common = graph.factors(a), graph.factors(b), list[int]()
+        for factor in graph.factors(a):
+            if factor in divisors:
+                common.append(factor)
+                left.remove(factor)
+                divisors.remove(factor)
+        if not common:
+            return div(a, b)
+        # Cancelled factors do not widen intervals. The sum checks that they are nonzero.
+        whole = div(reduce(mul, left, one), reduce(mul, divisors, one))
+        return add(whole, mul(reduce(add, map(inverse, common)), graph.zero))
 
-    own = {"TWICE": twice, "SQ": square, "INV": inverse, "TAN": tangent, "POW": power}
-    plain = {name.upper(): partial(put, name) for name in ("add", "sub", "mul", "div", "neg")}
+    def twice(a: int) -> int:
+        return add(a, a)
+
+    def square(a: int) -> int:
+        return mul(a, a)
+
+    def hypotenuse(a: int, b: int) -> int:
+        return sqrt(add(square(a), square(b)))
+
+    def arcsine(a: int) -> int:
+        return atan(div(a, sqrt(sub(one, square(a)))))
+
+    unary: dict[str, Callable[[int], int]] = {
+        "TWICE": twice,
+        "SQ": square,
+        "INV": inverse,
+        "TAN": lambda a: div(function("sin", a), function("cos", a)),
+        "SINH": lambda a: div(sub(exp(a), inverse(exp(a))), two),
+        "COSH": lambda a: div(add(exp(a), inverse(exp(a))), two),
+        "EXPM1": lambda a: sub(exp(a), one),
+        "LOG1P": lambda a: log(add(one, a)),
+        "ASIN": arcsine,
+        "ACOS": lambda a: sub(twice(atan(one)), arcsine(a)),
+        "ASINH": lambda a: log(add(a, sqrt(add(square(a), one)))),
+        "ACOSH": lambda a: log(add(a, sqrt(sub(square(a), one)))),
+        "ATANH": lambda a: div(log(div(add(one, a), sub(one, a))), two),
+    }
+    binary: dict[str, Callable[[int, int], int]] = {
+        "DIV": quotient,
+        "POW": power,
+        "CONSTPOW": power,
+        "HYPOT": hypotenuse,
+        # Off the negative x axis, half the angle is the angle of (x + |(x, y)|, y).
+        "ATAN2": lambda y, x: twice(atan(div(y, add(x, hypotenuse(x, y))))),
+    }
+    plain = {name.upper(): partial(put, name) for name in ("add", "sub", "mul", "neg")}
     others = {name.upper(): partial(function, name) for name in _FUNCTIONS}
-    return {**own, **plain, **others, "CONSTPOW": power}
+    return {**plain, **others, **unary, **binary}
 
 
 _FUNCTIONS = ("sin", "cos", "exp", "log", "sqrt", "atan", "tanh")
+_HIGHEST = 64
+"""Highest integer power that is expanded into products."""

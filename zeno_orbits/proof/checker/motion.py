@@ -1,13 +1,12 @@
-"""One record of a certificate: what it maps a point and its neighbours to, proved in balls."""
+"""One record of a certificate: the image of a point and its neighbours, proved in balls."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, cast
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker.balls import (
     Array,
     Ball,
@@ -17,20 +16,25 @@ from zeno_orbits.proof.checker.balls import (
     number,
     numbers,
     require,
-    with_zero,
 )
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped
+from zeno_orbits.proof.checker.lanes import (
+    LaneFlow,
+    Lanes,
+    coefficients,
+    lanes_of,
+    matmul,
+    where,
+)
 from zeno_orbits.proof.checker.series import complex_values, interval, taylor, upper
-from zeno_orbits.proof.checker.system import CONTACT, FREE, IMPULSE, LAW, MULTIPLIER, System
+from zeno_orbits.proof.checker.system import System
 
-_HIGHEST = 200
-"""Order beyond which a certificate is refused before anything is computed."""
 _SWEEPS = 4
-"""How often an a-priori box is tried: rounding of a large number may move a small one."""
+"""Number of trials of an a-priori box."""
 
 
 class Place(NamedTuple):
-    """Where in the motion a record stands: its mode, and what its arc began with."""
+    """Position of a record in the motion: its mode, and the event at the start of its phase."""
 
     mode: str
     began: str
@@ -39,112 +43,141 @@ class Place(NamedTuple):
 class Flow:
     """One step of Taylor's method from a set, with its a-priori box."""
 
-    def __init__(
-        self, system: System, mode: str, old: Enclosure, record: Mapping[str, Any]
-    ) -> None:
-        graph, slow = system.graph, system.flow[mode]
-        self.old, self.h = old, number(record["h"], system.bits)
-        require(self.h.low > 0, "the step is not positive")
-        high, low = record["orders"]
-        if not (
-            type(high) is type(low) is int and 0 < min(low, high) <= max(low, high) <= _HIGHEST
-        ):
-            raise InputError(f"The certificate's orders must be from 1 to {_HIGHEST}.")
-        rates = slow | system.variational[mode]
-        moving = np.array([slow[v] is not None for v in system.z])
+    def __init__(self, old: Enclosure, h: Ball, point: Array, slope: Array, box: Array) -> None:
+        """Store the results of `flows`.
 
-        def terms(z: Array, order: int) -> Array:
-            """Return the coefficients of the states and of their derivative, ``(N, 1 + N, k)``."""
-            found = taylor(graph, rates, system.at(z), self.h, order)
-            places = zip(system.z, system.V, strict=True)
-            return np.array([[found[v] for v in (z, *row)] for z, row in places], dtype=object)
-
-        known = terms(old.hull, low)
-        reach = _hull(known)
-        for _ in range(_SWEEPS):
-            box = reach.copy()
-            box[moving] = _wider(reach[moving])
-            # A derivative's coefficient is that of the flow from there, times the derivative.
-            rest = terms(box[:, 0], low + 1)[..., -1:]
-            rest[:, 1:, 0] = rest[:, 1:, 0] @ box[:, 1:]
-            series = np.concatenate([known, rest], axis=2)
-            reach = _hull(series)
-            if np.all(_inside(reach[moving], box[moving])):
-                break
-        else:
-            raise NotProved("there is no a-priori box")
-        self.box, self._slope = reach[:, 0], series[:, 1:]
-        point = taylor(graph, slow, system.at(old.m), self.h, high)
-        ends = taylor(graph, slow, system.at(self.box), self.h, high + 1)
-        self._point = np.array([(*point[v], ends[v][-1]) for v in system.z])
+        Args:
+            old: The set.
+            h: The step.
+            point: Coefficients of the motion from its point, with remainder, ``(N, k + 1)``.
+            slope: Coefficients of the derivative over the whole set, ``(N, N, k + 1)``.
+            box: Box that contains all motions over the step.
+        """
+        self.old, self.h, self.box = old, h, box
+        self._point, self._slope = point, slope
 
     def at(self, time: Ball) -> tuple[Array, Array, Array]:
-        """Return point, derivative and box of the set at a time of the step."""
+        """Return point, derivative and box of the set at a time in the step."""
         part = time / self.h
         point, slope = (_horner(series, part) for series in (self._point, self._slope))
         return point, slope, point + self.old.moved(slope)
 
 
-def _hull(series: Array) -> Array:
-    """Return the sums of all terms over a step; orders are on the last axis."""
-    return series[..., 0] + with_zero(series[..., 1:]).sum(axis=-1)
+@np.errstate(all="ignore")  # Every inequality is false for overflow.
+def flows(
+    system: System,
+    mode: str,
+    orders: Sequence[int],
+    olds: Sequence[Enclosure],
+    steps: Array,
+    *,
+    whole: bool,
+) -> list[Flow | str]:
+    """Return steps of one mode and of the same orders, or the reason of a failure.
 
+    All results except the motions of points are computed over many sets together, in hardware
+    numbers. A candidate ``B`` contains all motions over a step if their Taylor sums over the set,
+    with the remainder over ``B``, lie inside ``B``. The derivative is enclosed in the same way. Its
+    remainder is the remainder of the flow from ``B`` times the box of the derivative.
 
-_wider: Any = np.frompyfunc(lambda x: Ball(x.m, x.r + x.r // 8 + (1 << 20), x.bits), 1, 1)
-"""Intervals that are wider by a part of themselves, and by some units."""
-_inside: Any = np.frompyfunc(lambda x, y: y.low < x.low and x.high < y.high, 2, 1)
+    Args:
+        system: The system of the certificate.
+        mode: The mode.
+        orders: Orders for a point and for the derivative.
+        olds: The sets.
+        steps: The steps.
+        whole: True if only the ends of the steps are needed.
+    """
+    rates, (high, low) = system.flow[mode], orders
+    flow, h = LaneFlow(system.graph, system.z, rates, system.slopes[mode]), lanes_of(steps)
+    moving = np.array([node is not None for node in rates])
+    fixed = {k: lanes_of([ball] * len(olds)) for k, ball in system.constants.items()}
+
+    def inputs(box: Lanes) -> dict[int, Lanes]:
+        return fixed | {place: box[:, k] for k, place in enumerate(system.z)}
+
+    x, V = coefficients(flow, inputs(lanes_of([old.hull for old in olds])), h, low, low)
+    reach, reach_V = x.hull(), V.hull()
+    found = np.zeros(len(olds), dtype=bool)
+    box, box_V, rest_V = reach, reach_V, reach_V
+    for _ in range(_SWEEPS):
+        wide = moving & ~found[:, None]
+        box = where(wide, reach.wider(), box)
+        box_V = where(~found[:, None, None], reach_V.wider(), box_V)
+        over, over_V = coefficients(flow, inputs(box), h, low + 1, low + 1)
+        rest_V = matmul(over_V[low + 1], box_V)
+        reach, reach_V = x.then(over[low + 1]).hull(), V.then(rest_V).hull()
+        inside = reach.inside(box) | ~moving
+        found = inside.all(axis=1) & reach_V.inside(box_V)[:, moving].all(axis=(1, 2))
+        if found.all():
+            break
+    over, _ = coefficients(flow, inputs(reach), h, 0, high + 1)
+    made = list[Flow | str]()
+    slopes = V.then(rest_V)
+    for k, (old, step) in enumerate(zip(olds, steps, strict=True)):
+        if not found[k]:
+            made.append("an a-priori box is missing")
+            continue
+        slope = (slopes[:, k].total()[None] if whole else slopes[:, k]).balls(system.bits)
+        slope[:, ~moving] = 0 * slope[:, ~moving]
+        slope[0, ~moving] = system.identity[~moving]
+        ends = over[high + 1, k].balls(system.bits)
+        ends[~moving] = system.nothing[~moving]
+        point = taylor(system.graph, system.z, rates, system.at(old.m), step, high)
+        series = np.concatenate([point, ends[:, None]], axis=1)
+        made.append(Flow(old, step, series, np.moveaxis(slope, 0, -1), reach[k].balls(system.bits)))
+    return made
 
 
 def _horner(series: Array, part: Ball) -> Array:
-    """Return the sum of all terms at a part of a step; orders are on the last axis."""
+    """Return the sum of all terms at a part of a step. Orders are on the last axis."""
     value = series[..., -1]
     for k in range(series.shape[-1] - 2, -1, -1):
         value = value * part + series[..., k]
     return value
 
 
-def stepped(system: System, place: Place, old: Enclosure, record: Mapping[str, Any]) -> Mapped:
+def stepped(system: System, place: Place, flow: Flow) -> Mapped:
     """Prove one whole step in one mode.
 
     Args:
-        system: What the certificate is about.
-        place: Where in the motion the record stands.
-        old: The set before it.
-        record: Its entries.
+        system: The system of the certificate.
+        place: Position of the record in the motion.
+        flow: The step.
     """
-    flow = Flow(system, place.mode, old, record)
     point, slope, box = flow.at(flow.h)
+    system.require_defined(flow.box)
     _require_apart(system, place, flow, box)
     return Mapped(point, slope, flow.h, system.nothing)
 
 
-def crossed(system: System, place: Place, old: Enclosure, record: Mapping[str, Any]) -> Mapped:
-    """Prove the crossing of the guard in a last step: the gap closes, or the multiplier vanishes.
+def crossed(system: System, place: Place, flow: Flow, record: Mapping[str, Any]) -> Mapped:
+    """Prove the crossing of the guard in a last step: the gap closes, or ``-a`` vanishes.
 
     With ``g`` the guard, the derivative is ``(1 - f grad g / (grad g . f)) D phi``.
 
     Args:
-        system: What the certificate is about.
-        place: Where in the motion the record stands.
-        old: The set before it.
+        system: The system of the certificate.
+        place: Position of the record in the motion.
+        flow: The step.
         record: Its entries.
     """
-    flow = Flow(system, place.mode, old, record)
     bits, free = system.bits, place.mode == "free"
+    system.require_defined(flow.box)
     a, b = numbers(record["window"], (2,), bits)
     first, last = numbers(record["centre"], (2,), bits)
     require(0 <= a.m <= first.m <= last.m <= b.m <= flow.h.m, "the windows are not nested")
     for time, whole, sign in ((a, True, 1), (b, True, -1), (first, False, 1), (last, False, -1)):
         value = _guard(system, flow, time, whole=whole, free=free)
-        failure = f"the guard may vanish outside its window: {value.shown()}"
-        require((value * sign).low > 0, failure)
+        if (value * sign).low <= 0:
+            raise NotProved(f"the guard may vanish outside its window: {value.shown()}")
     _, slope, box = flow.at(between(a.low, b.high, bits))
     if free:
         gradient, rate = system.identity[system.gap_row] * system.unit, system.gap_rate(box)
         _require_apart(system, place, flow, flow.at(a)[2], last=True)
     else:
-        gradient, rate = system.gradient(CONTACT, box)[MULTIPLIER], system.multiplier_rate(box)
-        falling = system.multiplier_rate(flow.box)
+        gradient = -system.gradient("acceleration", box)[0]
+        rate, falling = (-system.value("locked_jerk", where)[0] for where in (box, flow.box))
         require(falling.high < 0, f"the multiplier's rate may be {falling.shown()}")
     require(rate.high < 0, f"the guard's rate may be {rate.shown()}")
     delay = -(gradient @ slope) / rate
@@ -157,50 +190,56 @@ def crossed(system: System, place: Place, old: Enclosure, record: Mapping[str, A
 
 
 def _guard(system: System, flow: Flow, time: Ball, *, whole: bool, free: bool) -> Ball:
-    """Return the guard at a time of a step: of the point alone, or of the whole set."""
+    """Return the guard at a time in a step, for the point alone or for the whole set."""
     point, slope, box = flow.at(time)
     if free:
         return system.gap(box if whole else point)
-    value = system.value(CONTACT, point)[MULTIPLIER]
-    gradient = system.gradient(CONTACT, box)[MULTIPLIER]
+    value = -system.value("acceleration", point)[0]
+    gradient = -system.gradient("acceleration", box)[0]
     return value + flow.old.moved(gradient @ slope) if whole else value
 
 
 def _require_apart(
     system: System, place: Place, flow: Flow, end: Array, *, last: bool = False
 ) -> None:
-    """Check that nothing is touched: the gap stays open, or the stop presses."""
+    """Check that the gap (in flight) or the contact force (in contact) stays positive."""
     if place.mode == "locked":
-        multiplier = system.value(CONTACT, flow.box)[MULTIPLIER]
-        require(multiplier.low > 0, f"the multiplier may be {multiplier.shown()}")
+        pull = system.value("acceleration", flow.box)[0]
+        if pull.high >= 0:
+            raise NotProved(f"the multiplier may be {(-pull).shown()} times the normal inertia")
         return
     start, gap, rate = flow.old.hull, system.gap(flow.box), system.gap_rate(flow.box)
     thrown = place.began == "impact" and system.gap_rate(start).low > 0
     open_first, open_last = thrown or system.gap(start).low > 0, system.gap(end).low > 0
-    bent = open_first and open_last and system.gap_acceleration(flow.box).high < 0
-    falls, rises = rate.high < 0 and open_last, rate.low > 0 and open_first and not last
-    left = place.began == "release" and not last and system.gap_jerk(flow.box).low > 0
-    clear = gap.low > 0 and not last
-    require(bent or falls or rises or left or clear, f"the gap may close: it is {gap.shown()}")
+    if (
+        (gap.low > 0 and not last)
+        or (rate.high < 0 and open_last)
+        or (rate.low > 0 and open_first and not last)
+        or (open_first and open_last and system.value("acceleration", flow.box)[0].high < 0)
+        or (place.began == "release" and not last and system.value("jerk", flow.box)[0].low > 0)
+    ):
+        return
+    raise NotProved(f"the gap may close: it is {gap.shown()}")
 
 
-def struck(system: System, _: Place, old: Enclosure, __: Mapping[str, Any]) -> Mapped:
-    """Return the state after an impact: ``x - (1 + e) hdot d(x)``.
+def struck(system: System, old: Enclosure) -> Mapped:
+    """Return the state after an impact: ``x - (1 + e) hdot D(x)``.
 
     Args:
-        system: What the certificate is about.
-        _: An impact is the same everywhere.
+        system: The system of the certificate.
         old: The set before it.
-        __: It has no entries.
     """
     n_x, row, box = system.n_x, system.rate_row, old.hull
-    e, at_point = system.value(LAW, box)[0], system.value(LAW, old.m)[0]
-    e_slope, rate_slope = system.gradient(LAW, box)[0], system.identity[row] * system.unit
-    rate, along = system.gap_rate(box), system.value(IMPULSE, box)
-    drop = system.gradient(IMPULSE, box) * rate + np.outer(along, rate_slope)
+    e, at_point = system.value("law", box)[0], system.value("law", old.m)[0]
+    e_slope, rate_slope = system.gradient("law", box)[0], system.identity[row] * system.unit
+    rate, along = system.gap_rate(box), system.value("direction", box)
+    fall = (e + 1) * rate
+    fall = between(min(fall.low, 0), max(fall.high, 0), system.bits)
+    system.require_defined(np.concatenate([box[:n_x] - along * fall, box[n_x:]]))
+    drop = system.gradient("direction", box) * rate + np.outer(along, rate_slope)
     point, slope = old.m.copy(), system.identity
     speed = (at_point + 1) * system.gap_rate(old.m)
-    point[:n_x] = point[:n_x] - system.value(IMPULSE, old.m) * speed
+    point[:n_x] = point[:n_x] - system.value("direction", old.m) * speed
     slope[:n_x] = slope[:n_x] - drop * (e + 1) - np.outer(along, e_slope) * rate
     point[system.gap_row], slope[system.gap_row] = system.stop, system.nothing
     point[row], slope[row] = -(at_point * old.m[row]), e_slope * -box[row]
@@ -208,14 +247,14 @@ def struck(system: System, _: Place, old: Enclosure, __: Mapping[str, Any]) -> M
     return Mapped(point, slope, Ball(0, 0, system.bits), system.nothing)
 
 
-def accumulated(system: System, _: Place, old: Enclosure, record: Mapping[str, Any]) -> Mapped:
-    """Return the Zeno point of all impacts to come, by the lemma of the Zeno tail.
+def accumulated(system: System, old: Enclosure, record: Mapping[str, Any]) -> Mapped:
+    """Return the Zeno point of all remaining impacts, by the lemma of the Zeno tail.
 
-    All bounds are upper ends of intervals of mpmath, over the complex polydisc of the record.
+    All bounds are upper ends of intervals of mpmath, over the complex polydisc of the record. The
+    difference between the record's speed and the set's speed is formed exactly, in integer units.
 
     Args:
-        system: What the certificate is about.
-        _: A tail is the same everywhere.
+        system: The system of the certificate.
         old: The set before it.
         record: Its entries.
     """
@@ -225,11 +264,10 @@ def accumulated(system: System, _: Place, old: Enclosure, record: Mapping[str, A
     radius = numbers(record["radius"], (len(inner),), bits)
     discs = {place: (ball, Ball(0, 0, bits)) for place, ball in system.constants.items()}
     discs |= {system.z[k]: (box[k], r) for k, r in zip(inner, radius, strict=True)}
-    nodes = [node for k in (FREE, IMPULSE, LAW) for node in system.outputs[k]]
-    acceleration = cast("int", system.flow["free"][system.z[system.rate_row]])
-    *found, fall = complex_values(system.graph, discs, [*nodes, acceleration])
+    nodes = [node for k in ("free", "direction", "law", "acceleration") for node in system.nodes[k]]
+    complex_values(system.graph, discs, [*system.nodes["gap"], *system.nodes["constraints"]])
+    *found, fall = complex_values(system.graph, discs, nodes)
     *bound, e = (abs(z).b for z in found)
-    fall = fall * interval(system.unit)
     middle = fall.real.mid
     apart = abs(fall - middle).b
     least = -middle - apart
@@ -238,7 +276,8 @@ def accumulated(system: System, _: Place, old: Enclosure, record: Mapping[str, A
     kappa = 1 + 2 * apart * flight
     left = 1 - e * kappa
     require(bool(left > 0), f"the impacts may not decay: their ratio is {e * kappa}")
-    fast, w = interval(speed), interval(w).b
+    fast, room = interval(speed), interval(Ball(speed.m - w.high, 0, bits))
+    w = interval(w).b
     point, slope = old.m.copy(), system.identity
     c = [flight * bound[i] + (1 + e) * kappa * bound[n_x + i] for i in range(n_x)]
     reach = [fast * (flight * bound[i] + c[i] / left) for i in range(n_x)]
@@ -250,17 +289,9 @@ def accumulated(system: System, _: Place, old: Enclosure, record: Mapping[str, A
         point[i] = point[i] + around_zero(upper(moved, bits))
         for k, x in zip(inner, delta, strict=True):
             slope[i, k] = slope[i, k] + around_zero(upper(moved / x, bits))
-        by_speed = upper(c[i] * fast / (left * (fast - w)), bits) * system.unit
+        by_speed = upper(c[i] * fast / (left * room), bits) * system.unit
         slope[i, system.rate_row] = slope[i, system.rate_row] + around_zero(by_speed)
     for row, value in ((system.gap_row, system.stop), (system.rate_row, Ball(0, 0, bits))):
         point[row], slope[row] = value, system.nothing
     time = between(0, upper(flight * w / left, bits).m, bits)
     return Mapped(point, slope, time, system.nothing)
-
-
-KINDS: dict[str, Callable[..., Mapped]] = {
-    "step": stepped,
-    "cross": crossed,
-    "impact": struck,
-    "tail": accumulated,
-}

@@ -1,4 +1,4 @@
-"""The section that an orbit starts and ends on, as a graph over its coordinates."""
+"""The section at the start and end of an orbit, as a graph over its coordinates."""
 
 from __future__ import annotations
 
@@ -11,48 +11,47 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker.balls import (
     Array,
     Ball,
+    NotProved,
     around_zero,
     entries,
     exactly,
     middles,
     numbers,
     radii,
-    require,
     solved,
 )
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
-from zeno_orbits.proof.checker.system import (
-    CONTACT,
-    GAP,
-    GAP_RATE,
-    HOLONOMIC,
-    MULTIPLIER,
-    System,
-)
+from zeno_orbits.proof.checker.system import System
 
 _SWEEPS = 4
-"""How often an enclosure of the other states is made narrower."""
-_CONDITIONS = {"gap": GAP, "gap_rate": GAP_RATE, "multiplier": MULTIPLIER}
+"""Number of times that an enclosure of the other states is narrowed."""
+_CONDITIONS = {"gap": "gap", "gap_rate": "gap_rate", "multiplier": "acceleration"}
+
+
+_TEXTS = {
+    True: "the release, where the gap, its rate and its acceleration vanish",
+    False: "the states just after an impact, where the gap vanishes",
+}
 
 
 class Section(NamedTuple):
-    """Where some contact quantities vanish.
+    """The set of states at which some contact quantities vanish.
 
     Attributes:
-        places: States that are its coordinates.
-        others: States that follow from them.
-        equations: What must vanish, as output and row.
-        settled: Whether the gap rate vanishes on it.
-        mode: The mode that starts on it.
-        end: The kind of record that ends on it.
+        places: Indices of the states that are its coordinates.
+        others: Indices of the states that follow from the coordinates.
+        equations: Expressions that must vanish, by name and row.
+        settled: True if the gap rate vanishes on the section, as at a release.
+        end: Kind of the record that ends on the section.
+        text: Description of the section.
     """
 
     places: list[int]
     others: list[int]
-    equations: list[tuple[int, int]]
+    equations: list[tuple[str, int]]
     settled: bool
-    mode: str
     end: str
+    text: str
 
     @classmethod
     def of(cls, system: System, data: Any) -> Section:
@@ -61,24 +60,25 @@ class Section(NamedTuple):
         pinned = {"gap": system.gap_row, "gap_rate": system.rate_row} if system.is_pinned else {}
         fixed = {row for name, row in pinned.items() if name in conditions}
         others = [k for k in range(system.n_x) if k not in places and k not in fixed]
-        equations = [(CONTACT, _CONDITIONS[x]) for x in conditions if x not in pinned]
-        equations += [(HOLONOMIC, k) for k in range(len(system.outputs[HOLONOMIC]))]
+        equations = [(_CONDITIONS[x], 0) for x in conditions if x not in pinned]
+        equations += [("constraints", k) for k in range(len(system.nodes["constraints"]))]
         known = len(set(conditions)) == len(conditions) and set(conditions) <= set(_CONDITIONS)
-        sound = set(places) <= set(range(system.n_x)) - fixed and len(set(places)) == len(places)
+        sound = all(type(k) is int for k in places) and len(set(places)) == len(places)
+        sound = sound and set(places) <= set(range(system.n_x)) - fixed
         if not (known and sound and "gap" in conditions and len(others) == len(equations)):
             raise InputError(
                 "The certificate's `section` must have as many unknowns as conditions."
             )
         settled = "gap_rate" in conditions
         released = "multiplier" in conditions
-        if released and not settled:
-            raise InputError("The certificate's `section` must be of release, impact or rest.")
-        mode = "locked" if settled and not released else "free"
-        return cls(places, others, equations, settled, mode, "cross" if released else "impact")
+        if released != settled:
+            raise InputError("The certificate's `section` must be of release or of impact.")
+        end = "cross" if released else "impact"
+        return cls(places, others, equations, settled, end, _TEXTS[released])
 
 
 class Box(NamedTuple):
-    """A box of the section: its coordinates and parameters, and where the others are looked for."""
+    """A box of the section: coordinates and parameters, and the search box of the other states."""
 
     centre: Array
     spread: Array
@@ -89,7 +89,7 @@ class Box(NamedTuple):
     def of(
         cls, system: System, section: Section, data: Any, over: Sequence[tuple[Ball, Ball]]
     ) -> Box:
-        """Return the box of a certificate, its parameters appended."""
+        """Return the box of a certificate, followed by its parameters."""
         bits, d, n = system.bits, (len(section.places),), (len(section.others),)
         centre, radius, others = entries(data, "centre", "radius", "others")
         middle, reach = entries(others, "centre", "radius")
@@ -102,20 +102,20 @@ class Box(NamedTuple):
         )
 
     def holds(self, other: Box) -> bool:
-        """Return True if another box lies in this one."""
+        """Return True if another box lies in this box."""
         centres, spreads, others, reaches = zip(self, other, strict=True)
         pairs = [*zip(*centres, *spreads, strict=True), *zip(*others, *reaches, strict=True)]
         return all(abs(c.m - a.m) + d.r <= b.r for a, c, b, d in pairs)
 
 
 def require_start(system: System, section: Section, box: Box, start: Enclosure) -> None:
-    """Check that a set holds every point of the section whose coordinates are in a box.
+    """Check that a set contains every point of the section whose coordinates are in a box.
 
-    Newton's operator on the conditions, for all coordinates at once, proves that there is just
-    one such point with its other states where they are looked for.
+    Newton's operator on the conditions, for all coordinates together, proves that exactly one such
+    point has its other states in their search box.
 
     Args:
-        system: What the certificate is about.
+        system: The system of the certificate.
         section: Its section.
         box: The box.
         start: The set.
@@ -130,7 +130,7 @@ def require_start(system: System, section: Section, box: Box, start: Enclosure) 
         return z
 
     def newton(middle: Array, reach: Array, spread: Array) -> tuple[Array, Array]:
-        """Return the other states, less a middle, if within reach of it; and their derivative."""
+        """Return the other states minus a middle, if within reach of it, and their derivative."""
         around, at = state(box.centre + spread, middle + reach), state(box.centre, middle)
         rows = [system.gradient(k, around)[row] for k, row in section.equations]
         slopes = np.array(rows, dtype=object).reshape(n, len(around))
@@ -150,7 +150,8 @@ def require_start(system: System, section: Section, box: Box, start: Enclosure) 
 
     found, _ = newton(box.others, box.others_spread, box.spread)
     for k, x, y in zip(section.others, found, box.others_spread, strict=True):
-        require(x.size < y.r, f"state {k} of the section is not found: {x.shown()}")
+        if x.size >= y.r:
+            raise NotProved(f"state {k} of the section is not found: {x.shown()}")
     others, by_u = narrowed(box.spread)
     everywhere = state(box.centre + box.spread, others)
     slope = exactly(np.zeros((len(system.z), D), dtype=int), system.bits)
@@ -159,8 +160,8 @@ def require_start(system: System, section: Section, box: Box, start: Enclosure) 
     still = exactly(np.zeros(D, dtype=int), system.bits)
     point = state(box.centre, narrowed(still)[0])
     if not system.is_pinned and not section.settled:
-        point[system.rate_row] = system.value(CONTACT, point)[GAP_RATE]
-        slope[system.rate_row] = system.gradient(CONTACT, everywhere)[GAP_RATE] @ slope
+        point[system.rate_row] = system.value("gap_rate", point)[0]
+        slope[system.rate_row] = system.gradient("gap_rate", everywhere)[0] @ slope
     whole, one = np.concatenate([point[:, None], slope], axis=1), system.identity
     exact = Enclosure(whole, one, exactly(np.zeros(whole.shape, dtype=int), system.bits), still)
     require_enclosed(exact, Mapped(point, one, Ball(0, 0, system.bits), system.nothing), start)

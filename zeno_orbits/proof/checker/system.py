@@ -1,51 +1,53 @@
-"""What a certificate is about: a problem at its numbers, as nodes, and its values in balls."""
+"""The system of a certificate: a problem at fixed parameter values, as nodes, with values in balls.
+
+Only the free flow ``f``, the gap ``h(q)``, the impulse direction ``d``, the restitution ``e`` and
+the constraints are taken from the problem's formulas. The other quantities follow from the
+definition of a completed execution, with ``L`` for derivatives along a vector field. These are the
+gap rate ``L_f h``, its rate ``a = L_f L_f h``, and ``D = d / L_d L_f h``. An impact maps ``x`` to
+``x - (1 + e) (L_f h) D``, so that ``L_f h`` becomes ``-e L_f h`` (Newton's law). The locked flow is
+``f - a D``. Along it, ``h = L_f h = 0`` is invariant. It applies as long as ``a < 0``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 
 import numpy as np
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.proof.checker.balls import Array, Ball, exactly
-from zeno_orbits.proof.checker.formulas import Formulas, Graph, walked
-from zeno_orbits.proof.checker.series import taylor, values
-
-Rates = dict[int, int | None]
-Rows = list[list[int | None]]
-FREE, LOCKED, CONTACT, IMPULSE, LAW, HOLONOMIC = range(6)
-GAP, GAP_RATE, GAP_ACCELERATION, MULTIPLIER = range(4)
+from zeno_orbits.proof.checker.balls import Array, Ball, exactly, require
+from zeno_orbits.proof.checker.formulas import Formulas, Graph, Row, require_analytic, walked
+from zeno_orbits.proof.checker.identities import are_equal, require_impacts, require_kept
+from zeno_orbits.proof.checker.series import values
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class System:
-    """Nodes of a completed system; its states are ``z = (x, [h, hdot], [parameters])``.
+    """Nodes of a completed system with states ``z = (x, [h, hdot], [parameters])``.
 
     Attributes:
         z: Inputs of the states, ``(N,)``.
-        V: Inputs of the tangents, ``(N, N)``.
-        constants: Inputs that stay, the parameters, and their values.
-        flow: Rates of the states, by the mode.
-        variational: Rates of the tangents, by the mode.
-        outputs: Nodes of free flow, locked flow, contact, impulse direction, law and constraints.
-        tangents: Their tangents, a row each.
-        gap_row: Row of the states that tells the gap.
-        rate_row: Row of the states that tells the gap rate.
-        unit: By how much the gap changes with its row.
-        stop: Value of the gap's row on the stop.
+        constants: Constant inputs (the parameters), and their values.
+        flow: Mode to rates of the states, with None for a rate of zero.
+        slopes: Mode to derivatives of the rates with respect to the states, ``(N, N)``.
+        nodes: Nodes of `free` flow, `gap`, `gap_rate`, `acceleration` and its rates on and off the
+            stop (`locked_jerk` and `jerk`), `direction`, `law` and `constraints`.
+        tangents: Derivatives of nodes with respect to the states, one row per node.
+        gap_row: Index of the state that determines the gap.
+        rate_row: Index of the state that determines the gap rate.
+        unit: Derivative of the gap with respect to this state.
+        stop: Value of this state on the stop.
     """
 
     graph: Graph
     n_x: int
     z: list[int]
-    V: list[list[int]]
     constants: dict[int, Ball]
-    flow: dict[str, Rates]
-    variational: dict[str, Rates]
-    outputs: list[list[int]]
-    tangents: list[Rows]
+    flow: dict[str, Row]
+    slopes: dict[str, list[Row]]
+    nodes: dict[str, Row]
+    tangents: dict[int | None, Row]
     gap_row: int
     rate_row: int
     unit: Ball
@@ -58,12 +60,12 @@ class System:
 
     @property
     def is_pinned(self) -> bool:
-        """True if a coordinate tells the gap."""
+        """True if a coordinate determines the gap."""
         return self.gap_row < self.n_x
 
     @property
     def inner(self) -> list[int]:
-        """Rows of the states that formulas depend on: states of the problem, and parameters."""
+        """Indices of the states that formulas depend on: states of the problem, and parameters."""
         carried = () if self.is_pinned else (self.gap_row, self.rate_row)
         return [k for k in range(len(self.z)) if k not in carried]
 
@@ -78,23 +80,29 @@ class System:
         return exactly(np.eye(len(self.z), dtype=int), self.bits)
 
     def at(self, z: Array) -> dict[int, Ball]:
-        """Return all inputs at states, the tangents those of the states themselves."""
-        seeds = zip(np.ravel(self.V), self.identity.ravel(), strict=True)
-        return self.constants | dict(zip(self.z, z, strict=True)) | {int(v): x for v, x in seeds}
+        """Return all inputs at states."""
+        return self.constants | dict(zip(self.z, z, strict=True))
 
-    def value(self, output: int, z: Array) -> Array:
-        """Return one of the outputs over a box of states."""
-        return values(self.graph, self.at(z), self.outputs[output])
+    def value(self, name: str, z: Array) -> Array:
+        """Return nodes over a box of states."""
+        return values(self.graph, self.at(z), self.nodes[name])
 
-    def gradient(self, output: int, z: Array) -> Array:
-        """Return the derivative of one of the outputs over a box of states, ``(n, N)``."""
-        nodes = self.tangents[output]
-        found = values(self.graph, self.at(z), [node for row in nodes for node in row])
-        return found.reshape(len(nodes), len(self.z))
+    def gradient(self, name: str, z: Array) -> Array:
+        """Return the derivatives of nodes over a box of states, ``(n, N)``."""
+        nodes = [part for node in self.nodes[name] for part in self.tangents[node]]
+        return values(self.graph, self.at(z), nodes).reshape(-1, len(self.z))
+
+    def require_defined(self, box: Array) -> None:
+        """Check that the gap and the constraints are analytic on a box of states.
+
+        The identities about them hold along a motion only if they are.
+        """
+        for name in ("gap", "constraints"):
+            self.value(name, box)
 
     def rates(self, mode: str, z: Array) -> Array:
-        """Return the rates of the states over a box of them."""
-        return values(self.graph, self.at(z), [self.flow[mode][place] for place in self.z])
+        """Return the rates of the states over a box of states."""
+        return values(self.graph, self.at(z), self.flow[mode])
 
     def gap(self, z: Array) -> Ball:
         """Return the gap over a box of states."""
@@ -104,73 +112,98 @@ class System:
         """Return the gap rate over a box of states."""
         return self.unit * z[self.rate_row]
 
-    def gap_acceleration(self, z: Array) -> Ball:
-        """Return the second time derivative of the gap off the stop."""
-        return self.unit * self.rates("free", z)[self.rate_row]
-
-    def gap_jerk(self, z: Array) -> Ball:
-        """Return the third time derivative of the gap off the stop."""
-        one, row = Ball(1 << self.bits, 0, self.bits), self.z[self.rate_row]
-        return self.unit * taylor(self.graph, self.flow["free"], self.at(z), one, 2)[row][2] * 2
-
-    def multiplier_rate(self, z: Array) -> Ball:
-        """Return the time derivative of the multiplier on the stop."""
-        return self.gradient(CONTACT, z)[MULTIPLIER] @ self.rates("locked", z)
-
 
 def bound_system(
     formulas: Formulas, numbers: Mapping[str, Ball], over: Sequence[str], row: int | None
 ) -> System:
-    """Return the nodes of a problem at its numbers.
+    """Return the nodes of a problem at given parameter values.
 
     Args:
-        formulas: Its instructions.
+        formulas: Formulas of the problem.
         numbers: All gains and parameters.
-        over: Names of those that vary.
-        row: The coordinate that alone tells the gap; ``None`` if gap and rate are carried.
+        over: Names of the parameters that vary.
+        row: Index of the only coordinate in the gap, or ``None`` if gap and gap rate are additional
+            states.
+
+    Raises:
+        InputError: If the lemmas do not apply to the problem.
     """
     graph, n_x, n_q = Graph(), formulas.function.numel_in(0), formulas.n_q
     bits = next(iter(numbers.values())).bits
     x = [graph.put("input") for _ in range(n_x)]
     p = {name: graph.put("input") for name in numbers}
-    carried = [graph.put("input") for _ in range(2 if row is None else 0)]
-    outputs = walked(formulas.function, graph, [x, list(p.values())])
-    moving = [p[name] for name in over]
-    z = [*x, *carried, *moving]
-    V = [[graph.put("input") for _ in z] for _ in z]
-    seeds, none = dict(zip(z, V, strict=True)), [None] * len(z)
-    pinned = () if row is None else (row, n_q + row)
-    acceleration = outputs[CONTACT][GAP_ACCELERATION]
-    rates: dict[str, list[int | None]] = {
-        "free": [*outputs[FREE], *([carried[1], acceleration] if carried else [])],
-        "locked": [None if k in pinned else node for k, node in enumerate(outputs[LOCKED])],
-    }
-    flow = {mode: dict(zip_longest(z, nodes)) for mode, nodes in rates.items()}
-    every = [*carried, *(node for nodes in outputs for node in nodes)]
-    rows: dict[int | None, list[int | None]] = dict(
-        zip(every, graph.tangents(every, seeds), strict=True)
+    free, _, contact, along, (law, *_), rows = walked(
+        formulas.function, graph, [x, list(p.values())]
     )
-    # What moves the tangents is the derivative of the flow.
-    slopes = {
-        m: [v for n in nodes.values() for v in rows.get(n, none)] for m, nodes in flow.items()
+    gap = contact[0]
+    require_analytic(graph, [*free, gap, *along, law, *rows])
+    constant = set(x).isdisjoint(graph.needed([law]))
+    require(constant, "its restitution is not constant")
+
+    def derivative(node: int, field: Sequence[int | None]) -> int:
+        found = graph.tangents([node], dict(zip(x, ([k] for k in field), strict=True)))[0][0]
+        return graph.zero if found is None else found
+
+    nothing: Row = [None if node == graph.zero else node for node in free]
+    rate = derivative(gap, nothing)
+    acceleration = derivative(rate, nothing)
+    along = [None if node == graph.zero else node for node in along]
+    response = derivative(rate, along)
+    # Most directions are already normalised. A division would then only widen the intervals.
+    if not are_equal(graph, [response], [graph.one]):
+        along = [None if node is None else graph.put("div", node, response) for node in along]
+    D = along
+    force = graph.put("neg", acceleration)
+    # If coordinates determine gap and gap rate, the locked flow keeps them constant.
+    pinned = () if row is None else (row, n_q + row)
+    locked = [
+        None if k in pinned else graph.total(f, graph.product(force, D[k]))
+        for k, f in enumerate(free)
+    ]
+    _require_newton(formulas, graph, x, list(p.values()), law)
+    rates = [derivative(node, nothing) for node in rows]
+    require_impacts(graph, x, D, gap=gap, rate=rate, rows=rows)
+    require_kept(graph, rows, rates)
+    nodes: dict[str, Row] = {
+        "free": [*nothing],
+        "gap": [gap],
+        "gap_rate": [rate],
+        "acceleration": [acceleration],
+        "jerk": [derivative(acceleration, nothing)],
+        "locked_jerk": [derivative(acceleration, locked)],
+        "direction": [*D],
+        "law": [law],
+        "constraints": [*rows],
     }
-    variational = {m: dict(zip(np.ravel(V).tolist(), slopes[m], strict=True)) for m in flow}
+    carried = [graph.put("input") for _ in range(2 if row is None else 0)]
+    z = [*x, *carried, *(p[name] for name in over)]
+    rest: Row = [None] * (len(z) - n_x)
+    flow: dict[str, Row] = {
+        "free": [*nothing, *([carried[1], acceleration] if carried else []), *rest][: len(z)],
+        "locked": [*locked, *rest],
+    }
+    one_hot = {place: [graph.one if k == place else None for k in z] for place in z}
+    every = [
+        node for part in (*flow.values(), *nodes.values()) for node in part if node is not None
+    ]
+    none: Row = [None] * len(z)
+    tangents: dict[int | None, Row] = dict[int | None, Row](
+        zip(every, graph.tangents(every, one_hot), strict=True)
+    ) | {None: none}
     unit, stop = Ball(1 << bits, 0, bits), Ball(0, 0, bits)
     constants = {p[name]: ball for name, ball in numbers.items() if name not in over}
     if row is not None:
-        unit, stop = _coordinate(graph, outputs[CONTACT][GAP], x[row], constants, bits)
-        if outputs[FREE][row] != x[n_q + row]:
-            raise InputError("The certificate's `gap_row` must move by a state of its own.")
+        require(free[row] == x[n_q + row], "the rate of the gap's coordinate is not a state")
+        unit, stop = _coordinate(graph, gap, x[row], constants, bits)
     return System(
         graph=graph,
         n_x=n_x,
         z=z,
-        V=V,
         constants=constants,
         flow=flow,
-        variational=variational,
-        outputs=outputs,
-        tangents=[[rows[node] for node in nodes] for nodes in outputs],
+        slopes={mode: [tangents[node] for node in nodes] for mode, nodes in flow.items()},
+        nodes=nodes,
+        tangents=tangents,
         gap_row=n_x if row is None else row,
         rate_row=n_x + 1 if row is None else n_q + row,
         unit=unit,
@@ -178,16 +211,26 @@ def bound_system(
     )
 
 
+def _require_newton(
+    formulas: Formulas, graph: Graph, x: Sequence[int], p: Sequence[int], law: int
+) -> None:
+    """Check that an impact drops the gap rate ``s`` by ``(1 + e) s``, to ``-e s``."""
+    s = graph.put("input")
+    (drop,), (after,) = walked(formulas.law, graph, [x, p, [s]])
+    require_analytic(graph, [drop, after])
+    wanted = [graph.put("mul", graph.put("add", graph.one, law), s)]
+    wanted.append(graph.put("neg", graph.put("mul", law, s)))
+    require(are_equal(graph, [drop, after], wanted), "its impacts obey another law than Newton's")
+
+
 def _coordinate(
     graph: Graph, gap: int, x: int, constants: Mapping[int, Ball], bits: int
 ) -> tuple[Ball, Ball]:
-    """Return slope and root of the gap in its coordinate, if it is affine in that one alone."""
-    one = graph.put("input")
-    slope = graph.tangents([gap], {x: [one]})[0][0]
+    """Return slope and root of the gap in its coordinate, if the gap is affine in it alone."""
+    slope = graph.tangents([gap], {x: [graph.one]})[0][0]
     given = {place for place in graph.needed([gap]) if graph.nodes[place] == ("input",)}
     turned = {place for place in graph.needed([slope]) if graph.nodes[place] == ("input",)}
-    if slope is None or not given <= {x, *constants} or not turned <= {one, *constants}:
+    if slope is None or not given <= {x, *constants} or not turned <= {*constants}:
         raise InputError("The certificate's `gap_row` must be the one coordinate of the gap.")
-    inputs = {**constants, x: Ball(0, 0, bits), one: Ball(1 << bits, 0, bits)}
-    unit, origin = values(graph, inputs, [slope, gap])
+    unit, origin = values(graph, {**constants, x: Ball(0, 0, bits)}, [slope, gap])
     return unit, -(origin / unit)
