@@ -18,8 +18,7 @@ from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import Comparison, RecordedSignal, Recording, compare
 from zeno_orbits.experiment.comparison.deviations import N_BINS, Deviations, between
-from zeno_orbits.experiment.comparison.signal_metrics import apex, greatest
-from zeno_orbits.experiment.comparison.stop_level import stop_level
+from zeno_orbits.experiment.comparison.signal_metrics import greatest
 from zeno_orbits.experiment.orbit_table import OrbitTable, gap_coordinates, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model.library import load_problem
@@ -213,7 +212,7 @@ FALSE: dict[str, tuple[Change, str]] = {
             t,
             y + [[0.0], [0.15], [0.0]] * (1 + np.sin(6 * math.pi * t / 1.81371293903)),
         ),
-        "no locked phase is seen",
+        "no contact phase is seen",
     ),
 }
 
@@ -251,23 +250,6 @@ def deviating(sums: np.ndarray, counts: np.ndarray, table: OrbitTable) -> Deviat
         counts=counts[:, :, None],
         by_cycles=True,
     )
-
-
-def test_an_extreme_that_no_sample_falls_on_is_the_orbits_there_with_the_deviation_beside_it(
-    table: OrbitTable,
-) -> None:
-    own = deviating(np.zeros((6, N_BINS)), np.ones((6, N_BINS)), table)
-    values = own.fine[:, :, 0].max(axis=1)
-    at, highest = int(np.argmax(values)), float(values.max())
-    counts = np.zeros((6, N_BINS))
-    # The same phases in every cycle, the top between two; they deviate by less than it bends.
-    counts[:, (at - 3) % 6 :: 6] = 1.0
-    sums = np.zeros_like(counts)
-    deviation = 0.1 * (highest - float(max(values[at - 3], values[(at + 3) % N_BINS])))
-    sums[:, (at - 3) % N_BINS], sums[:, (at + 3) % N_BINS] = deviation, 3 * deviation
-    found = apex(deviating(sums, counts, table), 0, 1.0)
-    assert found.value == pytest.approx(highest + 2 * deviation, abs=0.5 * deviation)
-    assert found.error >= 2 * deviation
 
 
 def test_the_greatest_deviation_is_one_that_several_cycles_show(table: OrbitTable) -> None:
@@ -469,20 +451,6 @@ def forced() -> tuple[Problem, ZenoOrbit, OrbitTable]:
     problem = load_problem("forced_oscillator")
     orbit = close_orbit(problem, problem.values()).unwrap()
     return problem, orbit, tabulate_orbit(orbit, problem, ("distance", "speed"))
-
-
-@pytest.mark.parametrize("resting", [0.1, 0.3, 0.6, 0.9])
-def test_the_noise_of_a_stop_is_seen_whole_however_long_the_gap_rests(resting: float) -> None:
-    # The narrowest twentieth of the samples is a slice of the noise where more than that rest.
-    n = 50_000
-    phase = np.mod(np.arange(n) / 5_000, 1.0)
-    flight = np.sin(np.pi * np.clip((phase - resting) / (1 - resting), 0.0, 1.0))
-    stop = stop_level(300.0 * flight + np.random.default_rng(0).normal(size=n))
-    assert stop is not None
-    # Medians of thousands of second differences: 2 %; what is cut off beyond five: nothing.
-    assert stop.noise == pytest.approx(1.0, rel=0.1)
-    assert stop.level == pytest.approx(0.0, abs=0.1)
-    assert stop.band == pytest.approx(5 * stop.noise)
 
 
 @pytest.mark.parametrize("seed", [0, 9, 13, 27])

@@ -12,7 +12,7 @@ import pytest
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import Identification, Recording, UnfittableError, Unknown, identify
-from zeno_orbits.experiment.identification.folding import folded
+from zeno_orbits.experiment.comparison.folding import folded
 from zeno_orbits.experiment.identification.orbit_sensitivity import orbit_slope
 from zeno_orbits.experiment.identification.uncertainty import unseen_combinations
 from zeno_orbits.experiment.orbit_table import tabulate_orbit
@@ -60,6 +60,7 @@ def test_the_true_parameters_are_found(fitted: Identification) -> None:
     assert fitted.misfit < 1.5
 
 
+@pytest.mark.slow
 def test_what_is_fitted_can_be_passed_on(fitted: Identification, problem: Problem) -> None:
     data = json.loads(json.dumps(fitted.as_json(), allow_nan=False))
     again = problem.values(gains=data["gains"], parameters=data["parameters"])
@@ -189,7 +190,7 @@ def test_a_recording_that_shows_no_such_orbit_gives_no_parameters(
 
 def test_a_start_without_an_orbit_is_told(other: ZenoOrbit, problem: Problem) -> None:
     nowhere = problem.values(gains={"Kp": 2.5, "Kd": 5.0})
-    with pytest.raises(UnfittableError, match="at the start there is no orbit to fit"):
+    with pytest.raises(UnfittableError, match="an orbit to fit is missing at the start"):
         identify(problem, nowhere, record(other, problem, 0), SOUGHT)
 
 

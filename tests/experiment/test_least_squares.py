@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.recordings_of import recorded
 from zeno_orbits.experiment.comparison.alignment import aligned
-from zeno_orbits.experiment.identification.folding import MOST, Folded, folded
+from zeno_orbits.experiment.comparison.folding import MOST, Folded, folded
 from zeno_orbits.experiment.identification.least_squares import Fit, fit, weighed
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.unknowns import Unknown, unknowns_of
@@ -55,7 +55,7 @@ def whole(table: OrbitTable, problem: Problem) -> tuple[Folded, Periodicity]:
 
 @pytest.fixture(scope="module")
 def done(orbits: Predictions, whole: tuple[Folded, Periodicity]) -> Fit:
-    return fit(orbits, *whole, lambda _what, _part: None)
+    return fit(orbits, *whole, orbits.unknowns.first, lambda _what, _part: None)
 
 
 def bend(orbits: Predictions, whole: tuple[Folded, Periodicity], done: Fit) -> np.ndarray:

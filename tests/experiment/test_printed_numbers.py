@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from zeno_orbits.experiment import Metric, Unknown
+from zeno_orbits.experiment import Metric, Unknown, Verdict
 from zeno_orbits.experiment.identification.identification import Fitted
 from zeno_orbits.experiment.rig.cycle_comparison import CycleNumbers
 from zeno_orbits.report import terminal
@@ -29,32 +29,41 @@ def test_a_comparison_prints_each_number_in_its_column(capsys: pytest.CaptureFix
     metrics = (
         Metric(name="period", unit="s", orbit=1.25, data=1.375, error=0.0625),
         Metric(name="restitution seen", unit="1", orbit=0.5, data=math.nan, error=math.nan),
-        Metric(name="delay of current", unit="ms", orbit=0.0, data=-0.03, error=math.nan),
+        Metric(name="first impact time", unit="s", orbit=16e-6, data=16.0625e-6, error=3.9e-9),
     )
     found: Any = SimpleNamespace(
-        metrics=metrics, recording=recording(), remarks=("rough",), agrees=True, reasons=()
+        metrics=metrics,
+        recording=recording(),
+        remarks=("rough",),
+        verdict=Verdict.OTHER_VALUES,
+        differences=metrics[:1],
     )
     terminal.print_comparison(found)
     printed = capsys.readouterr().out
-    assert table_of(printed) == [
+    verdict, _, table = printed.partition("quantity")
+    assert table_of("quantity" + table) == [
         ["quantity", "orbit", "recording, measured", "difference", "standard error", "unit"],
         ["period", "1.25", "1.375", "+0.125", "0.062", "s"],
-        ["restitution seen", "0.5", "not observed", "-", "-", "1"],
-        ["delay of current", "0", "-0.03", "-0.03", "-", "ms"],
+        ["restitution seen", "0.5", "not resolved", "-", "-", "1"],
+        ["first impact time", "16", "16.0625", "+0.0625", "0.0039", "us"],
     ]
     assert "Note: one gap in time." in printed
     assert "Note: rough." in printed
-    assert "The recording shows such an orbit." in printed
+    assert "a Zeno orbit of this machine with other values:" in verdict
+    assert "  period 1.375 s instead of 1.25 s" in verdict
 
 
 def test_a_comparison_that_is_a_no_says_why(capsys: pytest.CaptureFixture[str]) -> None:
     found: Any = SimpleNamespace(
-        metrics=(), recording=recording(), remarks=(), agrees=False, reasons=("no impact is seen",)
+        metrics=(),
+        recording=recording(),
+        remarks=(),
+        verdict=Verdict.NO_ORBIT,
+        reasons=("no impact is seen",),
     )
     terminal.print_comparison(found)
     printed = capsys.readouterr().out
-    assert "shows no such orbit:\n  no impact is seen." in printed
-    assert "shows such" not in printed
+    assert "does not show a Zeno orbit of this machine:\n  no impact is seen." in printed
 
 
 def test_fitted_numbers_stand_with_their_errors_and_intervals(
@@ -102,9 +111,9 @@ def test_cycles_of_a_machine_stand_beside_the_orbit(capsys: pytest.CaptureFixtur
 
     found: Any = SimpleNamespace(
         cycles=4,
-        orbit=numbers(1.0, -2.0, 3.0, 4.0, 5.0),
-        mean=numbers(1.5, -2.25, 3.125, 4.0625, 5.5),
-        spread=numbers(0.1, 0.2, 0.3, 0.4, 0.5),
+        orbit=numbers(1.0, -2e-6, 3.0, 4.0, 5.0),
+        mean=numbers(1.5, -2.25e-6, 3.125, 4.0625, 5.5),
+        spread=numbers(0.1, 0.2e-6, 0.3, 0.4, 0.5),
         units={
             **dict.fromkeys(("impact_time", "lock_time", "period"), "s"),
             "impact_rate": "m/s",
@@ -113,17 +122,20 @@ def test_cycles_of_a_machine_stand_beside_the_orbit(capsys: pytest.CaptureFixtur
         drifting=("period",),
         portrait=0.25,
         portrait_at=0.5,
+        warnings=("the stop gives way",),
+        unlike=(),
     )
     terminal.print_rig(found, "theta2")
     printed = capsys.readouterr().out
     assert table_of(printed) == [
         ["quantity", "unit", "orbit", "machine, mean", "standard deviation", "difference"],
-        ["first impact", "s", "1.000000", "1.500000", "1.0e-01", "+5.0e-01"],
-        ["gap rate at the first impact", "m/s", "-2.000000", "-2.250000", "2.0e-01", "-2.5e-01"],
-        ["Zeno point, or end of chatter", "s", "3.000000", "3.125000", "3.0e-01", "+1.2e-01"],
-        ["theta2 at that time", "rad", "4.000000", "4.062500", "4.0e-01", "+6.2e-02"],
-        ["period", "s", "5.000000", "5.500000", "5.0e-01", "+5.0e-01"],
+        ["first impact", "s", "1", "1.5", "0.1", "+0.5"],
+        ["gap rate at the first impact", "um/s", "-2", "-2.25", "0.2", "-0.25"],
+        ["Zeno point, or end of chatter", "s", "3", "3.125", "0.3", "+0.12"],
+        ["theta2 at that time", "rad", "4", "4.0625", "0.4", "+0.062"],
+        ["period", "s", "5", "5.5", "0.5", "+0.5"],
     ]
     words = " ".join(printed.split())
+    assert "Warning: the stop gives way." in words
     assert "has not settled: period still changes in one direction" in words
     assert "at most 25 % of the orbit's size away from it, at 50 % of the cycle" in words

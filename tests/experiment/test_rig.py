@@ -665,7 +665,9 @@ def test_a_part_that_the_problem_has_no_place_for_is_refused_by_name(problem: Pr
 def test_a_plastic_impact_a_wrong_state_and_a_wrong_time_are_refused(problem: Problem) -> None:
     start, values = problem.state_vector({}), problem.values()
     plastic = problem.values(parameters={"restitution": 0.0})
-    with pytest.raises(InputError, match="`restitution` must be greater than 0 for a contact"):
+    with pytest.raises(
+        InputError, match="`restitution` must be greater than 0 for a compliant contact"
+    ):
         simulate_rig(problem, plastic, Rig(), start, 1.0)
     with pytest.raises(InputError, match="`start` must be of shape"):
         simulate_rig(problem, values, Rig(), start[:4], 1.0)

@@ -80,6 +80,7 @@ def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
         identify(problem, problem.values(parameters=TRUTH), drifting, SOUGHT)
 
 
+@pytest.mark.slow
 def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, problem: Problem) -> None:
     second = close_orbit(problem, problem.values(parameters={**TRUTH, "R": 3.16})).unwrap()
     tables = [tabulate_orbit(orbit, problem, SIGNALS) for orbit in (other, second)]

@@ -125,7 +125,7 @@ ODD = np.arange(CYCLES) % 2.0
 @pytest.mark.parametrize(
     ("change", "reason", "skip", "size"),
     [
-        (1.3 * FIRST, "first cycle differs from the later ones", 1, 1.3),
+        (1.3 * FIRST, "first cycle differs from the later cycles", 1, 1.3),
         (0.8 * HALF, "two halves give different parameters", CYCLES // 2, 0.8),
         (0.8 * ODD, "every other cycle gives different parameters", 0, 0.8),
     ],

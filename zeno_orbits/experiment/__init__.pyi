@@ -1,4 +1,5 @@
 from .comparison.comparison import Comparison as Comparison
+from .comparison.verdict import Verdict as Verdict
 from .comparison.comparison import compare as compare
 from .comparison.counterpart import Counterpart as Counterpart
 from .comparison.counterpart import recording_counterpart as recording_counterpart
@@ -24,8 +25,10 @@ from .recordings.sampling import Sampling as Sampling
 from .recordings.sampling import sampled as sampled
 from .rig.cycle_comparison import RigComparison as RigComparison
 from .rig.cycle_comparison import compare_cycles as compare_cycles
+from .rig.cycles import SettledRig as SettledRig
 from .rig.cycles import rig_cycles as rig_cycles
-from .rig.cycles import default_rig as default_rig
+from .rig.default_stop import default_rig as default_rig
+from .rig.cycle_comparison import penetration_warnings as penetration_warnings
 from .rig.run import RigSettings as RigSettings
 from .rig.run import recording_of as recording_of
 from .rig.run import RigRun as RigRun

@@ -1,14 +1,17 @@
-r"""A period of an orbit as a table: signals at any of very many times, at once.
+r"""Table of one orbit period, which evaluates the signals at very many times at once.
 
-Between the nodes of an arc a signal is the cubic with the values and slopes at both (Hermite); at
-an impact there are two nodes with one time. With nodes at most ``d`` apart a cubic errs by
-:math:`d^4 \max|y^{(4)}| / 384`; nodes stand where the integrator stepped and several in between.
+Between the nodes of an arc a signal is the cubic that matches the values and slopes at both nodes
+(Hermite). An impact has two nodes at the same time. With nodes at most ``d`` apart the error of a
+cubic is :math:`d^4 \max|y^{(4)}| / 384`. The nodes are the steps of the integrator and several
+points between them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -29,18 +32,18 @@ from zeno_orbits.simulation import (
 )
 
 GAP = "gap"
-"""Name of the signal that every problem has beside its own."""
+"""Name of the gap signal, which every problem has in addition to its own signals."""
 
 _BETWEEN = 6
-"""CubicColumns between two steps of the integrator."""
+"""Nodes between two steps of the integrator."""
 _AT_ONCE = 1 << 16
-"""States that are evaluated at a time, each beside its own copy of the parameters."""
+"""Number of states per evaluation. Each state needs its own copy of the parameters."""
 _JUMP = 1e-6
 """A step of this part of a signal's range is a jump: a table is as exact as that."""
 _LAYER = 0.005
 """How far a signal goes in a layer, in parts of its range, at least."""
 ROUGHLY = 0.01
-"""Part of a period beside a jump that does not count while phases are known roughly; at most."""
+"""Largest part of a period next to a jump that is ignored while the phases are roughly known."""
 _BESIDE = 1e-4
 """The same at least, however well phases are known."""
 _SURE = 4.0
@@ -51,13 +54,14 @@ _LEAST = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measurement:
-    """Signals that instruments see of a state.
+    """Signals measured in a state.
 
     Attributes:
-        names: Of the signals.
-        units: Their units; the gap has none of its own.
+        names: Names of the signals.
+        units: Units of the signals, an empty string for the gap.
         function: ``(x, p) -> signals``, ``(n_s,)``.
-        slopes: ``(x, p) -> derivative of the signals by the state, then by p``, by columns.
+        slopes: ``(x, p) -> derivative of the signals with respect to the state, then to p``, by
+            columns.
     """
 
     names: tuple[str, ...]
@@ -74,7 +78,7 @@ class Measurement:
         return found
 
     def derivatives(self, states: Vector, p: Vector) -> Vector:
-        """Return the derivatives by the state, then by `p`, ``(n, n_s, n_x + n_p)``."""
+        """Return the derivatives with respect to the state and to `p`, ``(n, n_s, n_x + n_p)``."""
         flat = self.slopes(states, _rows(p, states))[0]
         return flat.reshape(len(states), -1, len(self.names)).transpose(0, 2, 1)
 
@@ -100,7 +104,7 @@ def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
 
 
 def measurable(problem: Problem) -> dict[str, str]:
-    """Return name to unit of what may be measured of a problem: states, motors, outputs."""
+    """Return the units of all measurable signals by name: states, motors, outputs."""
     compiled = problem.compiled()
     units = dict(zip(problem.state_names, problem.state_units, strict=True))
     for name in signal_names(compiled):
@@ -134,50 +138,50 @@ def _formula(problem: Problem, compiled: CompiledSystem, name: str, x: ca.SX, p:
     return ca.substitute([formula], [system.state, ca.vertcat(*symbols.values())], [x, p])[0]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class CubicColumns:
     """Columns over time, cubic between the nodes.
 
     Attributes:
-        times: Not decreasing; twice the same where the columns jump, ``(n,)`` [s].
-        values: ``(n, m)``.
-        slopes: Their time derivatives, ``(n, m)``.
+        times: Nondecreasing times, repeated at a jump of the columns, ``(n,)`` [s].
+        values: Values of the columns, ``(n, m)``.
+        slopes: Time derivatives of the columns, ``(n, m)``.
     """
 
     times: Vector
     values: Vector
     slopes: Vector
 
+    @cached_property
+    def _pieces(self) -> Any:
+        """The cubics of the intervals that have a length."""
+        from scipy.interpolate import PPoly
+
+        own = np.flatnonzero(np.diff(self.times) > 0.0)
+        size = (self.times[own + 1] - self.times[own])[:, None]
+        mean = (self.values[own + 1] - self.values[own]) / size
+        first, last = self.slopes[own], self.slopes[own + 1]
+        third, second = (first + last - 2 * mean) / size**2, (3 * mean - 2 * first - last) / size
+        times = np.append(self.times[own], self.times[-1])
+        return PPoly(np.stack([third, second, first, self.values[own]]), times)
+
     def at(self, times: Vector) -> Vector:
-        """Return the columns at times, the later one where they jump, ``(n, m)``."""
-        return self.with_slopes(times)[0]
+        """Return the columns at times, or after a jump at its time, ``(n, m)``."""
+        return np.asarray(self._pieces(times), dtype=np.float64)
 
     def with_slopes(self, times: Vector) -> tuple[Vector, Vector]:
         """Return the columns and their time derivatives at times, each ``(n, m)``."""
-        last = len(self.times) - 2
-        k = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, last)
-        size = self.times[k + 1] - self.times[k]
-        size = np.where(size > 0.0, size, 1.0)
-        s = ((times - self.times[k]) / size)[:, None]
-        y0, y1 = self.values[k], self.values[k + 1]
-        d = size[:, None]
-        f0, f1 = self.slopes[k] * d, self.slopes[k + 1] * d
-        rise = y1 - y0
-        # y0 + s f0 + s^2 (3 rise - 2 f0 - f1) + s^3 (f0 + f1 - 2 rise)
-        second, third = 3 * rise - 2 * f0 - f1, f0 + f1 - 2 * rise
-        value = y0 + s * (f0 + s * (second + s * third))
-        slope = (f0 + s * (2 * second + 3 * s * third)) / d
-        return value, slope
+        return self.at(times), np.asarray(self._pieces(times, nu=1), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OrbitTable:
-    """A period of an orbit, from release to release; times count from the first.
+    """One period of an orbit, from release to release, with times since the first release.
 
     Attributes:
         cycle: The period.
         measured: The signals.
-        nodes: Their values.
+        nodes: Values of the signals.
         states: The states.
         p: Gains, then parameters.
     """
@@ -213,7 +217,7 @@ class OrbitTable:
 
 
 def jump_width(error: float) -> float:
-    """Return how near to a jump a sample may lie on either side of it, in periods.
+    """Return the distance from a jump within which samples are ignored, in periods.
 
     Args:
         error: Standard error of the phases of samples [periods].
@@ -222,33 +226,45 @@ def jump_width(error: float) -> float:
 
 
 def beside_jumps(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
-    """Return which samples lie beside a jump of their signal, ``(n, n_s)``.
+    """Return the mask of samples near a jump of their signal, ``(n, n_s)``.
 
     Such a sample shows on which side of the jump it was taken, and nothing else. It does not count
     in a fit, in a test or in a printed figure.
 
     Args:
         table: The orbit.
-        phases: Of the samples since the release, ``(n,)`` [periods].
-        width: How near to the jump, by `jump_width`, or `ROUGHLY` [periods].
+        phases: Phases of the samples since the release, ``(n,)`` [periods].
+        width: Distance from the jump, from `jump_width` or `ROUGHLY` [periods].
     """
+    return _beside(phases, *_jumps(table), width)
+
+
+def jump_bins(table: OrbitTable, n: int) -> NDArray[np.bool_]:
+    """Return the bins of the phase in which a signal of an orbit jumps, ``(n, n_s)``."""
+    places, jumps = _jumps(table)
+    found = np.zeros((n, jumps.shape[1]), dtype=np.bool_)
+    np.logical_or.at(found, np.minimum((places * n).astype(np.int64), n - 1), jumps)
+    return found
+
+
+def _jumps(table: OrbitTable) -> tuple[Vector, NDArray[np.bool_]]:
+    """Return the phases of impacts and the release, and which signals jump there."""
     nodes = table.nodes
     before = np.flatnonzero(np.diff(nodes.times) <= 0.0)
     steps = np.abs(nodes.values[before + 1] - nodes.values[before])
-    jumps = steps > _JUMP * np.ptp(nodes.values, axis=0)
-    return _beside(phases, nodes.times[before] / table.period, jumps, width)
+    return nodes.times[before] / table.period, steps > _JUMP * np.ptp(nodes.values, axis=0)
 
 
 def in_layers(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
-    """Return which samples lie in a layer behind an impact, where their signal is steep.
+    """Return the mask of samples in a boundary layer after an impact, where their signal is steep.
 
     A current follows a jump of the velocity through a layer of width `L/R`. It is a layer if, at
     the impact, the signal is not yet on the line that it follows a little later.
 
     Args:
         table: The orbit.
-        phases: Of the samples since the release, ``(n,)`` [periods].
-        width: More than that of a layer [periods].
+        phases: Phases of the samples since the release, ``(n,)`` [periods].
+        width: A distance larger than the width of a layer [periods].
     """
     nodes, span = table.nodes, width * table.period
     after = np.flatnonzero(np.diff(nodes.times) <= 0.0) + 1
@@ -262,19 +278,19 @@ def in_layers(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.boo
 def _beside(
     phases: Vector, places: Vector, chosen: NDArray[np.bool_], width: float
 ) -> NDArray[np.bool_]:
-    """Return which phases are near a chosen place, signal by signal, ``(n, n_s)``.
+    """Return the mask of phases near a chosen point for each signal, ``(n, n_s)``.
 
     Args:
-        phases: ``(n,)`` [periods].
-        places: Increasing, in [0, 1], ``(m,)`` [periods].
-        chosen: Which places count for which signal, ``(m, n_s)``.
-        width: How near [periods].
+        phases: Phases, ``(n,)`` [periods].
+        places: Points in increasing order, in [0, 1], ``(m,)`` [periods].
+        chosen: Mask of the points that count for each signal, ``(m, n_s)``.
+        width: Largest distance [periods].
     """
     inside = np.mod(phases, 1.0)
     near = np.zeros((len(phases), chosen.shape[1]), dtype=np.bool_)
     for k in np.flatnonzero(chosen.any(axis=0)):
         own = places[chosen[:, k]]
-        # A place near the release is near the end of the cycle before it, too.
+        # A point near the release is also near the end of the previous cycle.
         around = np.concatenate([own - 1.0, own, own + 1.0])
         after = np.clip(np.searchsorted(around, inside), 1, len(around) - 1)
         near[:, k] = np.minimum(inside - around[after - 1], around[after] - inside) < width
@@ -336,7 +352,8 @@ def _arc_nodes(dynamics: HybridDynamics, arc: Arc) -> tuple[Vector, Vector, Vect
     times = _node_times(arc)
     states = np.array([arc.state_at(time) for time in times])
     if arc.ending is Ending.ZENO:
-        # The tail of the impacts is no solution of the flow: it jumps without end.
+        # The tail of the impacts is not a solution of the flow because it has infinitely many
+        # jumps.
         return times, states, np.gradient(states, times, axis=0)
     flow = dynamics.locked if arc.mode is Mode.LOCKED else dynamics.free
     return times, states, np.array([flow.rate(x).copy() for x in states])

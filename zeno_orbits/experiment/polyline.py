@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+import math
 from typing import Any
 
 import numpy as np
@@ -12,64 +11,42 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 
 SIDE = 3e-4
-"""Length between the posts of a line whose size is about one."""
-_POSTS = 8
-"""Places on the line whose sides are tried for a point."""
+"""Longest side of a line whose size is about one."""
+_NEAREST = 8
+"""Corners whose sides are tried for a point."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Polyline:
-    """A line of straight sides.
+def line_distances(corners: Vector, points: Vector) -> Vector:
+    """Return the distance of points from a line, ``(k,)``.
 
-    Attributes:
-        corners: ``(n, m)``, in units in which its size is about one; see `telling_corners`.
+    Sides are cut into pieces, and corners nearer to each other than ``SIDE`` are left out. So the
+    nearest corners lie on the nearest side.
+
+    Args:
+        corners: ``(n, m)``, in units in which the size of the line is about one.
+        points: ``(k, m)``.
     """
+    # SciPy's trees take longer to import than most of the package, and few callers need a distance.
+    from scipy.spatial import cKDTree
 
-    corners: Vector
-
-    def distances(self, points: Vector) -> Vector:
-        """Return the distance of points from the line, ``(k,)``.
-
-        Args:
-            points: ``(k, m)``.
-        """
-        sides = np.diff(self.corners, axis=0)
-        owner, posts = self._posts
-        _, nearest = posts.query(points, k=min(_POSTS, posts.n))
-        squared = np.full(len(points), np.inf)
-        for column in owner[nearest].reshape(len(points), -1).T:
-            start, side = self.corners[column], sides[column]
+    sides = np.sqrt(np.sum(np.diff(corners, axis=0) ** 2, axis=1))
+    lengths: Vector = np.concatenate([[0.0], np.cumsum(sides)])
+    long = np.flatnonzero(sides > SIDE)
+    ends = np.unique(np.concatenate([long, long + 1, [0, len(corners) - 1]]))
+    even: Vector = SIDE * np.arange(math.ceil(float(lengths[-1]) / SIDE)).astype(np.float64)
+    # An evenly spaced point next to an end of a long side would cut the corner off.
+    places = np.unique(np.concatenate([even, lengths[ends]]))
+    line: Vector = np.empty((len(places), corners.shape[1]), dtype=np.float64)
+    for k in range(corners.shape[1]):
+        line[:, k] = np.interp(places, lengths, corners[:, k])
+    found: Any = cKDTree(line).query(points, k=min(_NEAREST, len(line)))[1]
+    nearest: NDArray[np.int64] = np.asarray(found, dtype=np.int64)
+    squared = np.full(len(points), np.inf)
+    for column in nearest.reshape(len(points), -1).T:
+        for first in (column - 1, column):
+            start = line[np.clip(first, 0, len(line) - 1)]
+            side = line[np.clip(first + 1, 0, len(line) - 1)] - start
             length = np.maximum(np.sum(side**2, axis=1), 1e-300)
             part = np.clip(np.sum((points - start) * side, axis=1) / length, 0.0, 1.0)
-            rest = points - start - part[:, None] * side
-            squared = np.minimum(squared, np.sum(rest**2, axis=1))
-        return np.sqrt(squared)
-
-    @cached_property
-    def _posts(self) -> tuple[NDArray[np.intp], Any]:
-        """Number of the side of each post, and the posts as a tree.
-
-        Posts stand as closely on long sides, the resets, as on short ones, so that the nearest
-        posts stand on the nearest side, up to a part of the square of their spacing.
-        """
-        # SciPy's trees take longer to import than most of the package, and few ask for a distance.
-        from scipy.spatial import cKDTree
-
-        sides = np.diff(self.corners, axis=0)
-        counts = np.ceil(np.sqrt(np.sum(sides**2, axis=1)) / SIDE).astype(np.intp).clip(1)
-        owner = np.repeat(np.arange(len(sides)), counts)
-        step = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-        places = self.corners[owner] + sides[owner] * ((step + 0.5) / counts[owner])[:, None]
-        return owner, cKDTree(places)
-
-
-def telling_corners(corners: Vector) -> NDArray[np.intp]:
-    """Return which corners tell a line: ends of long sides, and others at even lengths.
-
-    Where many stand in one place, as of a motion at rest, their posts would hide all others.
-    """
-    sides = np.sqrt(np.sum(np.diff(corners, axis=0) ** 2, axis=1))
-    lengths = np.concatenate([[0.0], np.cumsum(sides)])
-    _, even = np.unique(np.floor(lengths / SIDE), return_index=True)
-    long = np.flatnonzero(sides > SIDE)
-    return np.unique(np.concatenate([even, long, long + 1, [len(corners) - 1]]))
+            squared = np.minimum(squared, np.sum((points - start - part[:, None] * side) ** 2, 1))
+    return np.sqrt(squared)

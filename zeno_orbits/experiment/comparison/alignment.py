@@ -1,9 +1,10 @@
 r"""Alignment of an orbit with a recording, and a check that both show the same motion.
 
-The first value of the shift is where all signals together correlate best, each in units of its own
-spread, so that a false unit does not hide it; the last is the least-squares shift of the record
-against the orbit (theory (55)). Then every signal is held against the orbit's own: what turns its
-sign or multiplies it by the factor of a unit is not a deviation but a mistake in the file.
+The first estimate of the shift maximises the correlation of all signals together. Each signal is in
+units of its own spread, so that a wrong unit does not hide the maximum. The final value is the
+least-squares shift of the record against the orbit (theory (55)). Then every signal is compared
+with the orbit's signal. A reversed sign or a factor equal to the factor of a unit is a mistake in
+the file and not a deviation.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ _PHASES = 720
 _MOST_ROWS = 60_000
 _STEPS = 6
 _TELLING = 4
-"""Cycles from which on their scatter tells an error."""
+"""Smallest number of cycles from which their scatter gives an error estimate."""
 _BINS = 240
 """Bins of the phase at most, over which repeating residuals are averaged."""
 _TURNED = 0.95
 """All signs as they are count as best from this part of the best with signs turned on."""
 _OPPOSED = -0.4
-"""A correlation below this is that of a signal with its sign reversed."""
+"""A correlation below this value indicates a signal with its sign reversed."""
 
 _FACTORS: tuple[tuple[float, str], ...] = (
     (180.0 / math.pi, "degrees labelled as radians"),
@@ -54,8 +55,14 @@ _TIME_FACTORS: tuple[tuple[float, str], ...] = (
     (60.0, "seconds labelled as minutes"),
     (1.0 / 60.0, "minutes labelled as seconds"),
 )
-_LIKE = 0.25
-"""A factor is like that of a unit if it is as near, relative."""
+_LIKE, _ALIKE = 0.25, 0.05
+"""Largest relative distance to a unit's factor at which a large or a smaller factor is suspect."""
+_LARGE = 20.0
+"""A smaller factor may as well come from another machine."""
+_SAME = 0.9
+"""A signal in another unit correlates at least so with the orbit's."""
+_BACKWARD = 1e-3
+"""Correlation by which a recording must be more like the orbit reversed in time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,17 +70,16 @@ class Likeness:
     """Likeness of a recorded signal to the orbit's.
 
     Attributes:
-        name: Of the signal.
-        correlation: Of its average over a cycle with the orbit's, 1 for the same shape.
-        gain: Factor by which it is larger.
-        offset: How far its mean is from the orbit's.
-        suspicion: What mistake in the file it looks like; empty if none.
+        name: Name of the signal.
+        correlation: Correlation of its average over a cycle with the orbit's signal, 1 for the same
+            shape.
+        gain: Ratio of the recorded signal to the orbit's signal.
+        suspicion: Probable mistake in the file, or an empty string.
     """
 
     name: str
     correlation: float
     gain: float
-    offset: float
     suspicion: str
 
 
@@ -83,12 +89,14 @@ class Alignment:
 
     Attributes:
         release: A time at which the orbit's release falls, near the middle of the record [s].
-        error: Standard error of it [s].
-        period: Of the record, as the orbit's own shape tells it [s].
-        period_error: Standard error of it; infinite if there are not two periods [s].
+        error: Standard error of the release time [s].
+        period: Period of the record, from a fit of the orbit's shape [s].
+        period_error: Standard error of the period [s]. It is infinite for a record shorter than two
+            periods.
         phase_error: Standard error of the phases at both ends of the record [periods].
-        likeness: Of each signal.
-        time_suspicion: What mistake the unit of time looks like; empty if none.
+        likeness: Likeness of each signal.
+        time_suspicion: Probable mistake in the unit of time, or an empty string.
+        backward: Whether the signals correlate better with the orbit reversed in time.
     """
 
     release: float
@@ -98,6 +106,7 @@ class Alignment:
     phase_error: float
     likeness: tuple[Likeness, ...]
     time_suspicion: str
+    backward: bool
 
     def phases(self, time: Vector) -> Vector:
         """Return times in periods since the release."""
@@ -119,7 +128,7 @@ def aligned(
     grid = np.arange(_PHASES) / _PHASES
     data = found.average(grid)
     model = table.at(grid)[:, : data.shape[1]]
-    shift, signs = _coarse(model, data)
+    shift, signs, alike = _coarse(model, data)
     likeness = [
         _likeness(name, model[:, k], np.roll(data[:, k], shift), bool(signs[k] < 0))
         for k, name in enumerate(names)
@@ -143,11 +152,12 @@ def aligned(
         phase_error=(fine.error + half * fine.period_error) / fine.period,
         likeness=tuple(likeness),
         time_suspicion=_like_factor(ratio, _TIME_FACTORS),
+        backward=_coarse(model[::-1], data)[2] > alike + _BACKWARD,
     )
 
 
-def _coarse(model: Vector, data: Vector) -> tuple[int, Vector]:
-    """Return by how many grid points the data must be rolled, and the sign of each signal."""
+def _coarse(model: Vector, data: Vector) -> tuple[int, Vector, float]:
+    """Return the grid points to roll the data by, the signals' signs, and their correlation."""
     a = model - model.mean(axis=0)
     b = data - data.mean(axis=0)
     size = np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
@@ -157,12 +167,12 @@ def _coarse(model: Vector, data: Vector) -> tuple[int, Vector]:
     plain, turned = together.sum(axis=1), np.abs(together).sum(axis=1)
     best, other = int(np.argmax(plain)), int(np.argmax(turned))
     if plain[best] >= _TURNED * turned[other]:
-        return best, np.ones(len(model[0]))
+        return best, np.ones(len(model[0])), float(plain[best]) / len(model[0])
     signs: Vector = np.ones(len(model[0]))
     for k in range(len(signs)):
         if float(together[other, k]) < _OPPOSED:
             signs[k] = -1.0
-    return other, signs
+    return other, signs, float(turned[other]) / len(model[0])
 
 
 def _likeness(name: str, model: Vector, data: Vector, opposed: bool) -> Likeness:
@@ -171,25 +181,25 @@ def _likeness(name: str, model: Vector, data: Vector, opposed: bool) -> Likeness
     gain = float(a @ b) / own if own > 0.0 else 0.0
     size = math.sqrt(own * float(b @ b))
     correlation = float(a @ b) / size if size > 0.0 else 0.0
-    suspicion = _like_factor(abs(gain), _FACTORS) if abs(correlation) > -_OPPOSED else ""
+    suspicion = _like_factor(abs(gain), _FACTORS) if abs(correlation) > _SAME else ""
     if opposed:
         suspicion = " and ".join(filter(None, ("its sign reversed", suspicion)))
     return Likeness(
         name=name,
         correlation=correlation,
         gain=gain,
-        offset=float(data.mean() - model.mean()),
         suspicion=suspicion,
     )
 
 
 def _like_factor(factor: float, known: Sequence[tuple[float, str]]) -> str:
-    """Return the mistake of a unit that a factor looks like; empty near one."""
+    """Return the unit mistake that matches a factor, or an empty string for a factor near one."""
     if not 0.0 < factor < math.inf or 0.5 < factor < 2.0:
         return ""
     distances = [abs(math.log(factor / one)) for one, _ in known]
     nearest = int(np.argmin(distances))
-    return known[nearest][1] if distances[nearest] < _LIKE else ""
+    large = abs(math.log(known[nearest][0])) > math.log(_LARGE)
+    return known[nearest][1] if distances[nearest] < (_LIKE if large else _ALIKE) else ""
 
 
 class _Place(NamedTuple):
@@ -202,21 +212,21 @@ class _Place(NamedTuple):
 
 
 def _fine(table: OrbitTable, time: Vector, values: Vector, scale: Vector, at: _Place) -> _Place:
-    """Return the least-squares place of the orbit, near a first one."""
+    """Return the least-squares position of the orbit, near a first estimate."""
     rows = np.unique(np.linspace(0, len(time) - 1, min(len(time), _MOST_ROWS)).astype(np.int64))
     t, y, n_s = time[rows], values[:, rows].T, len(values)
-    # Thinned rows tell less than all of them do.
+    # Thinned rows contain less information than all rows.
     thinned = math.sqrt(len(t) / len(time))
     release, error, period, unsure = at
     for _ in range(_STEPS):
         turns, stretch = (t - release) / period, table.period / period
         nodes = table.nodes.with_slopes(np.mod(turns, 1.0) * table.period)
         model, slope = (columns[:, :n_s] for columns in nodes)
-        # A slope does not know of a jump: samples beside one would push the wrong way.
+        # A slope does not include a jump, so samples near a jump would shift the fit the wrong way.
         seen = np.isfinite(y) & ~beside_jumps(table, turns, ROUGHLY)[:, :n_s]
         count = np.maximum(seen.sum(axis=0), 1)
         rest = np.where(seen, y - model, 0.0)
-        # An offset of an encoder is no shift in time.
+        # An offset of an encoder does not shift the time.
         rest = np.where(seen, rest - rest.sum(axis=0) / count, 0.0) / scale
         moved = np.where(seen, -slope * stretch, 0.0) / scale
         below = float(np.sum(moved**2))
@@ -230,18 +240,20 @@ def _fine(table: OrbitTable, time: Vector, values: Vector, scale: Vector, at: _P
         scatter = delays_of(numbers, moved.ravel(), rest.ravel()).scatter
         error = max(thinned * math.sqrt(white / below), scatter)
         release += float(np.clip(late, -0.1 * period, 0.1 * period))
-        # What repeats is alike in all cycles, but not where the record cuts one.
-        within = _Within.of(turns, seen, int(cycles[-1]) + 1)
-        whole = within.less_means(moved)
+        # The periodic part is equal in all cycles, except at an incomplete cycle.
+        n_bins = int(np.clip(len(turns) / (cycles[-1] + 1) / 2, 1, _BINS))
+        bins = np.minimum((np.mod(turns, 1.0) * n_bins).astype(np.int64), n_bins - 1)
+        freedom = max(int(seen.sum()) - n_bins * n_s, 1)
+        whole = _less_means(moved, bins, seen)
         left, longer = (
-            _without(within.less_means(row), whole)
+            _without(_less_means(row, bins, seen), whole)
             for row in (rest, moved * (cycles - cycles.mean())[:, None])
         )
         below = float(np.sum(longer**2))
         if below > 0.0:
             change = float(np.sum(longer * left)) / below
             left = left - longer * change
-            variance = thinned**2 * float(np.sum(left**2)) / within.freedom * below
+            variance = thinned**2 * float(np.sum(left**2)) / freedom * below
             if cycles[-1] >= _TELLING:
                 each = np.bincount(numbers, weights=(longer * left).ravel())
                 variance = max(variance, float(np.sum(each**2)))
@@ -251,35 +263,16 @@ def _fine(table: OrbitTable, time: Vector, values: Vector, scale: Vector, at: _P
 
 
 def _without(values: Vector, direction: Vector) -> Vector:
-    """Return what is at right angles to a direction of values."""
+    """Return the component of values orthogonal to a direction."""
     length = float(np.sum(direction**2))
     return values - direction * (float(np.sum(values * direction)) / length if length else 0.0)
 
 
-class _Within(NamedTuple):
-    """Samples in bins of the phase, to be held against their own kind in other cycles."""
-
-    bins: NDArray[np.int64]
-    n_bins: int
-    seen: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, turns: Vector, seen: NDArray[np.bool_], n_cycles: int) -> _Within:
-        """Return the samples in bins that several of each cycle share."""
-        n_bins = int(np.clip(len(turns) / n_cycles / 2, 1, _BINS))
-        bins = (np.mod(turns, 1.0) * n_bins).astype(np.int64)
-        return cls(np.minimum(bins, n_bins - 1), n_bins, seen)
-
-    @property
-    def freedom(self) -> int:
-        """Number of samples less that of means."""
-        return max(int(self.seen.sum()) - self.n_bins * self.seen.shape[1], 1)
-
-    def less_means(self, values: Vector) -> Vector:
-        """Return values less their mean over the cycles, bin by bin, ``(n, n_s)``."""
-        found = np.zeros_like(values)
-        for k, (here, row) in enumerate(zip(self.seen.T, values.T, strict=True)):
-            count = np.maximum(np.bincount(self.bins[here], minlength=self.n_bins), 1)
-            sums = np.bincount(self.bins[here], weights=row[here], minlength=self.n_bins)
-            found[:, k] = np.where(here, row - (sums / count)[self.bins], 0.0)
-        return found
+def _less_means(values: Vector, bins: NDArray[np.int64], seen: NDArray[np.bool_]) -> Vector:
+    """Return values less their mean over the cycles, bin by bin, ``(n, n_s)``."""
+    found = np.zeros_like(values)
+    for k, (here, row) in enumerate(zip(seen.T, values.T, strict=True)):
+        count = np.maximum(np.bincount(bins[here], minlength=int(bins.max()) + 1), 1)
+        sums = np.bincount(bins[here], weights=row[here], minlength=len(count))
+        found[:, k] = np.where(here, row - (sums / count)[bins], 0.0)
+    return found

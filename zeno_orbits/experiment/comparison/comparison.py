@@ -1,4 +1,4 @@
-"""A recording beside an orbit: is it such an orbit, and by how much do they differ.
+"""Comparison of a recording with an orbit: whether both show the same motion, and the deviations.
 
 Source: theory (54) to (57).
 """
@@ -14,20 +14,21 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, counted
+from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment
-from zeno_orbits.experiment.comparison.contact_events import CycleEvents, cycle_events
+from zeno_orbits.experiment.comparison.contact_fit import ContactFit, fit_contacts
 from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
 from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
+from zeno_orbits.experiment.comparison.gap_samples import stop_level
 from zeno_orbits.experiment.comparison.metrics import Metric, contact_metrics, metric
-from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
+from zeno_orbits.experiment.comparison.overlay import RELATED, Overlay, lay_over, shared_signals
 from zeno_orbits.experiment.comparison.signal_metrics import (
     portrait_metrics,
     recorded_portraits_of,
     signal_metrics,
 )
-from zeno_orbits.experiment.comparison.stop_level import Stop, refined_stop, stop_level
+from zeno_orbits.experiment.comparison.verdict import Verdict, contact_finding, differing
 from zeno_orbits.experiment.orbit_table import GAP
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
@@ -35,48 +36,35 @@ from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.work import Columns, Displayed
 
-__all__ = ["Comparison", "Metric", "compare"]
+__all__ = ["Comparison", "Metric", "Verdict", "compare"]
 
 
-_SEEN = 0.5
-"""Part of the cycles that must show a locked phase and an impact."""
-_LOCKED_SAMPLES = 12
-"""Samples of the orbit's locked phase from which on one must be seen."""
 _FEWEST_CYCLES = 6
 _STRAY = 0.1
-"""Part of the variance that does not repeat and is not said: harmonics leave some of jumps."""
+"""Part of the variance that may be nonperiodic without a remark: harmonics do not fit jumps."""
 _SETTLING = 3.0
-"""Cycles whose deviation is larger by this factor than that of later ones have not settled."""
+"""Factor over the deviation of later cycles above which a cycle counts as transient."""
 _CLIPPED = 0.01
 """Part of the samples that sit at an extreme in a signal that is cut off there."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Contacts:
-    """Contacts as a recorded gap shows them.
-
-    Attributes:
-        stop: The stop.
-        events: Of each cycle.
-    """
-
-    stop: Stop
-    events: tuple[CycleEvents, ...]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Comparison(Displayed):
-    """A recording beside an orbit.
+    """Comparison of a recording with an orbit.
 
     Attributes:
         orbit: The orbit.
         problem: Its problem.
         recording: The recording, whole.
-        signals: Names of the signals that both have.
-        overlay: The orbit laid over the recording, if that repeats.
-        contacts: The stop and what each cycle shows of it, if the gap rests on a stop.
-        deviations: By phase, if both are of one kind.
-        reasons: Why the recording shows no such orbit; empty if it does.
+        signals: Names of the signals that the orbit and the recording share.
+        overlay: The orbit aligned with the recording, if the recording is periodic.
+        contacts: Contacts with the stop, if the recorded gap shows a resting level.
+        deviations: Deviations by phase, if the recording and the orbit show the same kind of
+            motion.
+        reasons: Reasons why the recording shows no Zeno orbit of the machine, most serious first.
+            It is empty if the recording shows such an orbit.
+        unresolved: Reasons why the recording is inconclusive. It is empty for a conclusive
+            recording.
         remarks: Further findings.
     """
 
@@ -85,20 +73,21 @@ class Comparison(Displayed):
     recording: Recording
     signals: tuple[str, ...]
     overlay: Overlay | None = None
-    contacts: Contacts | None = None
+    contacts: ContactFit | None = None
     deviations: Deviations | None = None
     reasons: tuple[str, ...] = ()
+    unresolved: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        """Return one line: whether the recording shows the orbit, and why not."""
-        found = f"agrees={self.agrees}, signals={', '.join(self.signals)}"
+        """Return one line: the verdict, the signals, and the reasons."""
+        found = f"verdict={self.verdict.value}, signals={', '.join(self.signals)}"
         return (
             f"<Comparison with {self.orbit.problem}: {found} {' '.join(self.reasons)}".strip() + ">"
         )
 
     def _columns(self) -> Columns:
-        """Return the numbers of the recording beside those of the orbit."""
+        """Return the values of the recording next to the values of the orbit."""
         names = ("name", "unit", "orbit", "data", "error")
         return {name: [getattr(metric, name) for metric in self.metrics] for name in names}
 
@@ -114,7 +103,7 @@ class Comparison(Displayed):
 
     @cached_property
     def metrics(self) -> tuple[Metric, ...]:
-        """The numbers of the recording beside those of the orbit."""
+        """Values of the recording and the orbit."""
         if self.overlay is None:
             return ()
         found, table = self.overlay.found, self.overlay.table
@@ -123,20 +112,35 @@ class Comparison(Displayed):
             where = self.overlay.where
             period = Estimate(value=where.period, error=where.period_error)
         metrics = [metric("period", "s", table.period, period)]
-        if self.contacts is not None and self.contacts.events:
-            stop, events = self.contacts.stop, self.contacts.events
+        if self.contacts is not None:
             unit = self.problem.gap_unit
-            metrics += contact_metrics(table, events, self.overlay.where, stop, unit)
+            metrics += contact_metrics(table, self.contacts, self.overlay.where, unit)
         if self.deviations is not None:
             metrics += signal_metrics(self.problem, self.deviations, self.signals)
             portraits = recorded_portraits_of(self.problem, self.signals)
             metrics += portrait_metrics(self.deviations, portraits)
         return tuple(metrics)
 
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Verdict on the recording."""
+        if self.reasons:
+            return Verdict.NO_ORBIT
+        if not self.differences and (self.contacts is None or not self.unresolved):
+            return Verdict.THIS_ORBIT
+        return Verdict.UNDECIDED if self.unresolved else Verdict.OTHER_VALUES
+
+    @cached_property
+    def differences(self) -> tuple[Metric, ...]:
+        """The quantities that differ from the orbit's by more than their errors."""
+        if self.overlay is None:
+            return ()
+        return differing(self.metrics, self.overlay.table, self.signals)
+
     @property
     def agrees(self) -> bool:
-        """True if the recording shows such an orbit, however far its numbers are off."""
-        return not self.reasons
+        """True if the recording shows this orbit, or one of the machine with other values."""
+        return self.verdict in {Verdict.THIS_ORBIT, Verdict.OTHER_VALUES}
 
     def metric(self, name: str) -> Metric:
         """Return a number by its name.
@@ -151,11 +155,14 @@ class Comparison(Displayed):
         raise InputError(f"Argument `metric` must be one of {known}, but it is `{name}`.")
 
     def as_json(self) -> dict[str, Any]:
-        """Return the comparison as plain data; what is not known is null."""
+        """Return the comparison as plain data, with null for unknown values."""
         source = self.recording.source
         return {
             "agrees": self.agrees,
+            "verdict": self.verdict.value,
             "reasons": list(self.reasons),
+            "unresolved": list(self.unresolved),
+            "differences": [one.name for one in self.differences],
             "remarks": list(self.remarks),
             "problem": self.orbit.problem,
             "source": None if source is None else source.value,
@@ -176,24 +183,29 @@ class Comparison(Displayed):
 
 
 def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Comparison:
-    """Return a recording beside an orbit.
+    """Compare a recording with an orbit.
 
     Args:
         orbit: The orbit.
         problem: Its problem.
-        recording: The recording; signals named like states, motors or outputs of the problem count.
+        recording: The recording. Signals with the name of a state, a motor or an output of the
+            problem count.
 
     Raises:
-        InputError: If no signal is the problem's, or one has a unit of another kind.
-        SimulationError: If the orbit does not return.
+        InputError: If no signal is known to the problem, or the unit of a signal measures another
+            quantity.
+        SimulationError: If the orbit is not periodic in simulation.
     """
     names = shared_signals(problem, recording)
     remarks = _oddities(recording, problem, names)
     begun = Comparison(orbit=orbit, problem=problem, recording=recording, signals=names)
-    overlay = lay_over(orbit, problem, recording, names, (*_more_signals(problem, names), GAP))
+    # Portraits need rates in addition to the recorded signals.
+    seconds = [one.signals[1] for one in recorded_portraits_of(problem, names)]
+    more = dict.fromkeys([*(name for name in seconds if name not in names), GAP])
+    overlay = lay_over(orbit, problem, recording, names, tuple(more))
     if overlay is None:
         whole = recording.time[-1] - recording.time[0]
-        reason = f"no period is seen in {whole:.4g} s; the orbit's is {orbit.period:.4g} s"
+        reason = f"no period is seen in {whole:.4g} s, and the orbit's is {orbit.period:.4g} s"
         return replace(begun, reasons=(reason,), remarks=tuple(remarks))
     found, reasons = overlay.found, overlay.reasons()
     if found.n_cycles < 3.0:
@@ -204,12 +216,9 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
         return replace(begun, overlay=overlay, reasons=why, remarks=said)
     gap = recorded_gap(overlay.table, problem, recording)
     contacts = None if gap is None else _contacts(overlay, problem, gap)
-    if gap is None:
-        missing = "coordinates that the gap depends on were not recorded"
-        remarks.append(f"impacts, locked phase and release cannot be determined: {missing}")
-    else:
-        unlike, unresolved = _contact_findings(contacts, overlay)
-        reasons, remarks = reasons + unlike, remarks + unresolved
+    seen = contact_finding(contacts, overlay, recorded=gap is not None)
+    if contacts is not None and not (seen.reasons or seen.unresolved):
+        reasons = overlay.reasons(alike=RELATED)
     if found.repeats < 1.0 - _STRAY:
         remarks.append(
             f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
@@ -219,30 +228,22 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
     return replace(
         begun,
         overlay=overlay,
-        contacts=contacts,
+        # Values of a contact fit without contacts would be meaningless.
+        contacts=None if seen.reasons else contacts,
         deviations=deviation,
-        reasons=tuple(reasons),
+        reasons=(*reasons, *seen.reasons),
+        unresolved=seen.unresolved,
         remarks=tuple(remarks),
     )
 
 
-def _more_signals(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
-    """Return what portraits need beside the recorded signals."""
-    seconds = [one.signals[1] for one in recorded_portraits_of(problem, names)]
-    return tuple(dict.fromkeys(second for second in seconds if second not in names))
-
-
-def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> Contacts | None:
-    """Return the stop and what each cycle shows of it, or nothing if the gap is never at rest."""
-    stop = stop_level(gap)
-    if stop is None:
+def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> ContactFit | None:
+    """Return the contacts of a gap, or ``None`` if the gap lacks a resting level."""
+    level, where = stop_level(gap), overlay.where
+    if level is None:
         return None
-    time, where = overlay.time, overlay.where
     model = gap_model(overlay.table, problem, where.period)
-    events = cycle_events(time, gap, stop, model, where.release)
-    rests = [one.rest for one in events if one.rested]
-    stop = refined_stop(time, gap, stop, rests, where)
-    return Contacts(stop=stop, events=cycle_events(time, gap, stop, model, where.release))
+    return fit_contacts(overlay.time, gap, model, where, level)
 
 
 def _oddities(recording: Recording, problem: Problem, names: Sequence[str]) -> list[str]:
@@ -278,40 +279,7 @@ def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
         return []
     begin = where.release + where.period * math.floor((time[0] - where.release) / where.period)
     until = begin + (int(strange[-1]) + 1) * where.period
-    return [f"the motion is still settling at first; skip that part with --from {until:.4g}"]
-
-
-def _contact_findings(contacts: Contacts | None, overlay: Overlay) -> tuple[list[str], list[str]]:
-    """Return why the contacts are not the orbit's, and what the samples are too few to tell."""
-    table = overlay.table
-    step = float(np.median(np.diff(overlay.time)))
-    resolved = table.period - table.zeno_time > _LOCKED_SAMPLES * step
-    if contacts is None:
-        if resolved:
-            return ["no locked phase is seen: the gap is never at rest"], []
-        return [], ["locked phases are too short for the sampling: not resolved"]
-    events, reasons, remarks = contacts.events, list[str](), list[str]()
-    rested, closed = sum(one.rested for one in events), sum(one.closed for one in events)
-    if rested < _SEEN * len(events):
-        unseen = f"in {len(events) - rested} of {counted(len(events), 'cycle')}"
-        if resolved:
-            reasons.append(f"no locked phase is seen {unseen}")
-        else:
-            remarks.append(f"locked phases are too short for the sampling {unseen}: not resolved")
-    if closed < _SEEN * len(events):
-        cycles = counted(len(events), "cycle")
-        reasons.append(f"no impact is seen in {len(events) - closed} of {cycles}")
-    struck = [one for one in events if one.closed]
-    for what, numbers in (
-        ("impacts", [one.first_impact for one in struck]),
-        ("flights between impacts", [one.restitution for one in struck]),
-    ):
-        unknown = sum(not number.known for number in numbers)
-        if struck and unknown > (1.0 - _SEEN) * len(struck):
-            cycles = counted(unknown, "cycle")
-            remarks.append(f"{what} are too short for the sampling in {cycles}: not resolved")
-            break
-    return reasons, remarks
+    return [f"the motion is still settling at first: skip that part with --from {until:.4g}"]
 
 
 def _plain(value: float) -> float | None:

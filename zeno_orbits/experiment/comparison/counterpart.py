@@ -1,7 +1,7 @@
-"""Another motion to lay beside that of the model: a virtual rig's, or a recording's.
+"""A second motion for comparison with the model's motion: from a virtual rig or a recording.
 
-Values only: states over time, counted from a release, and a word for what they are. What a rig
-gave is always called simulated.
+It holds only values: states over time since a release, and a label. The motion of a rig is always
+labelled as simulated.
 """
 
 from __future__ import annotations
@@ -23,25 +23,26 @@ from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.work import Progress, silent
 
 RIG = "virtual rig, simulated"
-"""What a rig's motion is called, wherever it is shown."""
+"""Label of a rig's motion in all outputs."""
 
 _BASE = 1.0 / 500.0
 """Part of the period to either side over which missing velocities are differences."""
 _LATE = 2
-"""Times the cycles that are asked for, and one: so much of a recording's end tells its phase."""
+"""Factor of the requested cycles plus one: length of a recording's end that determines its
+phase."""
 _SLACK = 0.01
 """Part of a period that a recording may begin after a release, or end before one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counterpart:
-    """A motion beside the model's.
+    """A motion for comparison with the model's motion.
 
     Attributes:
-        label: What it is, for a legend.
-        times: Since a release, increasing, ``(n,)`` [s].
-        states: States of the problem, ``(n, n_x)``; NaN where they are not known.
-        period: Its own [s].
+        label: Label for a legend.
+        times: Times since a release, increasing, ``(n,)`` [s].
+        states: States of the problem, ``(n, n_x)``. Unknown values are NaN.
+        period: Period of the motion [s].
     """
 
     label: str
@@ -59,16 +60,16 @@ def counterpart_of(
     *,
     base: float = 0.0,
 ) -> Counterpart:
-    """Return a motion from its signals; velocities that are missing are differences.
+    """Return a motion from its signals. Missing velocities are computed as differences.
 
     Args:
-        label: What it is.
+        label: Label for a legend.
         problem: The problem.
-        times: Increasing, ``(n,)`` [s].
-        signals: State name to values, ``(n,)``; what is no state of the problem is left out.
-        period: Its own [s].
-        base: How far to either side a difference reaches, a sample at least [s]. Over a single
-            step an encoder's own steps are all that is seen.
+        times: Increasing times, ``(n,)`` [s].
+        signals: Values by state name, ``(n,)``. Signals with other names are ignored.
+        period: Period of the motion [s].
+        base: Half width of a difference, at least a sample [s]. A difference over a single step
+            would show only the resolution of an encoder.
 
     Raises:
         InputError: If a coordinate is missing.
@@ -118,19 +119,21 @@ def rig_counterpart(
 def recording_counterpart(
     recording: Recording, orbit: ZenoOrbit, problem: Problem, n_periods: int
 ) -> Counterpart:
-    """Return the last whole cycles of a recording, from the release that its alignment tells.
+    """Return the last whole cycles of a recording, from the release found by the alignment.
 
-    Its time is moved and not stretched. Only its end is looked at, for it may settle before.
+    The time is shifted and not scaled. Only the end of the recording is used, because the machine
+    may settle before.
 
     Args:
         recording: The recording.
-        orbit: The orbit that it is laid over.
+        orbit: The orbit to align with.
         problem: Its problem.
-        n_periods: How many cycles to keep at most.
+        n_periods: Largest number of cycles to keep.
 
     Raises:
-        InputError: If it lacks a coordinate, is too short, or cannot be laid over the orbit.
-        SimulationError: If the orbit does not return.
+        InputError: If the recording lacks a coordinate, is too short, or cannot be aligned with the
+            orbit.
+        SimulationError: If the orbit is not periodic in simulation.
     """
     whole = float(recording.time[-1] - recording.time[0])
     if whole < 2 * orbit.period:
@@ -140,11 +143,11 @@ def recording_counterpart(
     end, names = cut(recording, late, None), shared_signals(problem, recording)
     overlay = lay_over(orbit, problem, end, names)
     if overlay is None:
-        # Time in another unit makes the end too short, and the whole tells so.
+        # A wrong unit of time makes the end too short, and the whole recording reveals the mistake.
         end, overlay = recording, lay_over(orbit, problem, recording, names)
     if overlay is None or not overlay.holds:
         why = overlay.reasons()[0] if overlay else "no period is seen in it"
-        raise InputError(f"Argument `data` must show such an orbit, but {why}; see `compare`.")
+        raise InputError(f"Argument `data` must show such an orbit, but {why}. See `compare`.")
     where = overlay.where
     kept, start = _last_cycles(end.time, where, n_periods)
     signals = {signal.name: signal.values for signal in end.signals}

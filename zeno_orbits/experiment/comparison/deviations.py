@@ -1,10 +1,11 @@
 r"""Deviations of a recorded cycle from an orbit's, phase by phase, with their errors.
 
-What is averaged over the cycles are the deviations :math:`r = y - Y(\varphi)`, in bins of the
-phase, not the signals: they vary little within a bin, so a bin blurs nothing. Errors are those of
-the jackknife over groups of cycles, or of samples where there are few cycles: a number computed
-with each group left out, :math:`u^2 = \frac{G-1}{G} \sum_g (\theta_g - \bar\theta)^2`
-(theory (57)).
+The average over the cycles is taken of the deviations :math:`r = y - Y(\varphi)`, in bins of the
+phase, and not of the signals. Deviations vary little within a bin, so a bin blurs nothing. Errors
+are jackknife estimates over groups of cycles, or over groups of samples if the cycles are few. A
+value is computed with each group left out, and
+:math:`u^2 = \frac{G-1}{G} \sum_g (\theta_g - \bar\theta)^2` is multiplied by Student's factor for
+`G` groups (theory (57)).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.alignment import Alignment
@@ -24,7 +26,7 @@ from zeno_orbits.experiment.orbit_table import OrbitTable, beside_jumps, jump_wi
 
 N_BINS = 240
 """Bins of the phase."""
-_FINE = 12
+FINE = 12
 """Points of the orbit in a bin."""
 _MOST_GROUPS = 40
 _FEW_CYCLES = 4
@@ -32,8 +34,10 @@ _WHOLE = 0.5
 """Part of its bins that a cycle shows at least, to be held against the others."""
 _PIECE = 1 << 20
 """Samples that are folded at a time."""
+_INSIDE = 0.975
+"""Probability below the upper end of an interval of 95 %."""
 _SLOPE = 2
-"""Bins on either side that tell the slope of a deviation."""
+"""Number of bins on either side that determine the slope of a deviation."""
 LEVER = math.sqrt(sum(2.0 * k * k for k in range(1, _SLOPE + 1)))
 """Noise of such a slope, in noises of a bin over its length, inverted."""
 
@@ -43,9 +47,9 @@ class Portrait:
     """A plane in which a recorded cycle can be drawn.
 
     Attributes:
-        signals: Names on both axes.
-        rate_of: The recorded signal whose slope stands for the second one; empty if that was
-            recorded itself.
+        signals: Names of the signals on both axes.
+        rate_of: The recorded signal whose slope replaces the second signal, or an empty string if
+            the second signal was recorded.
     """
 
     signals: tuple[str, str]
@@ -79,9 +83,9 @@ class Deviations:
 
     @cached_property
     def fine(self) -> Vector:
-        """The orbit's signals in each bin, ``(N_BINS, _FINE + 1, n_s)``."""
-        places = (np.arange(N_BINS)[:, None] + np.linspace(0, 1 - 1e-9, _FINE + 1)) / N_BINS
-        return self.table.at(places.ravel()).reshape(N_BINS, _FINE + 1, -1)
+        """The orbit's signals in each bin, ``(N_BINS, FINE + 1, n_s)``."""
+        places = (np.arange(N_BINS)[:, None] + np.linspace(0, 1 - 1e-9, FINE + 1)) / N_BINS
+        return self.table.at(places.ravel()).reshape(N_BINS, FINE + 1, -1)
 
     @cached_property
     def orbit(self) -> Vector:
@@ -109,10 +113,22 @@ class Deviations:
         mean = np.nanmean(np.where(known, square, 0.0), axis=0)
         return np.where(known, np.sqrt(mean), 0.0)
 
-    def sizes_in_turn(self) -> Vector:
-        """Return how far each cycle is from the middle one of all, if each is a group.
+    @cached_property
+    def noises(self) -> Vector:
+        """Standard error of the mean deviation of each bin, ``(N_BINS, n_s)``.
 
-        Cycles of which less than half was recorded are NaN: a few bins tell noise alone.
+        The variance of a sample is estimated from all bins together. A bin without samples counts
+        as a bin with a single sample.
+        """
+        counts = self.counts.sum(axis=0)
+        seen = np.where(counts > 0.5, self.spread, 0.0)
+        free = np.maximum(np.sum(np.maximum(counts - 1.0, 0.0), axis=0), 1.0)
+        return np.sqrt(np.sum(counts * seen**2, axis=0) / free / np.maximum(counts, 1.0))
+
+    def sizes_in_turn(self) -> Vector:
+        """Return the distance of each cycle from the median cycle, if each cycle is a group.
+
+        Cycles with less than half of their samples are NaN, because a few bins show noise alone.
         """
         if not self.by_cycles or len(self.sums) >= _MOST_GROUPS:
             return np.zeros(0)
@@ -144,14 +160,18 @@ class Deviations:
             [numbers(self._mean(sums - self.sums[g], counts - self.counts[g])) for g in range(n)]
         )
         around = np.sum((left - left.mean(axis=0)) ** 2, axis=0)
-        errors = np.sqrt((n - 1) / n * around) if n > 1 else np.full(len(values), np.nan)
+        errors = np.full(len(values), np.nan)
+        if n > 1:
+            # Few groups give a poor error estimate. Student's factor keeps 95 % within two errors.
+            student = float(stdtrit(n - 1, _INSIDE) / ndtri(_INSIDE))
+            errors = student * np.sqrt((n - 1) / n * around)
         return tuple(
             Estimate(value=float(value), error=float(error))
             for value, error in zip(values, errors, strict=True)
         )
 
     def columns(self, portrait: Portrait) -> tuple[list[int], int | None]:
-        """Return the numbers of the signals on a portrait's axes, and of the one with the slope."""
+        """Return the indices of the signals on a portrait's axes and of the slope."""
         number = self.table.measured.names.index
         axes = [number(name) for name in portrait.signals]
         return axes, number(portrait.rate_of) if portrait.rate_of else None
@@ -161,7 +181,7 @@ class Deviations:
 
         Args:
             portrait: The portrait.
-            average: Mean deviations of the cycle; by default those of all cycles.
+            average: Mean deviations of the cycle, by default the mean over all cycles.
         """
         mean = self.average if average is None else average
         axes, rate_of = self.columns(portrait)
@@ -180,13 +200,13 @@ class Deviations:
 
 
 def deviations(table: OrbitTable, time: Vector, values: Vector, where: Alignment) -> Deviations:
-    """Return how a record deviates from an orbit.
+    """Return the deviations of a record from an orbit.
 
     Args:
         table: The orbit, its first signals in the order of the rows.
-        time: Increasing, ``(n_t,)`` [s].
-        values: One row a signal, ``(n_s, n_t)``, NaN where one was not taken.
-        where: Where the orbit is in the record.
+        time: Increasing times, ``(n_t,)`` [s].
+        values: One row per signal, ``(n_s, n_t)``. A missing sample is NaN.
+        where: Alignment of the orbit with the record.
     """
     width = jump_width(where.phase_error)
     first = math.floor((time[0] - where.release) / where.period)
@@ -223,16 +243,29 @@ def deviations(table: OrbitTable, time: Vector, values: Vector, where: Alignment
 
 
 def between(row: Vector) -> tuple[Vector, Vector]:
-    """Return a periodic row without gaps, and by how much its ends differ in each gap.
+    """Return a periodic row without gaps, and the difference of the values at each gap's ends.
 
     Args:
-        row: Numbers, NaN where nothing was recorded, ``(n,)``; at least one is known.
+        row: Values, NaN where nothing was recorded, ``(n,)``. At least one value is known.
     """
     places, known = np.arange(len(row)), np.flatnonzero(np.isfinite(row))
     filled = np.interp(places, known, row[known], period=len(row))
     after = np.searchsorted(known, places) % len(known)
     apart = np.abs(row[known[after]] - row[known[after - 1]])
     return filled, np.where(np.isfinite(row), 0.0, apart)
+
+
+def slope_noises(noises: Vector, step: float) -> Vector:
+    """Return the standard errors of slopes of a row of bins, ``(N_BINS,)``.
+
+    Args:
+        noises: Standard error of each bin, ``(N_BINS,)``.
+        step: Length of a bin.
+    """
+    square = np.zeros_like(noises)
+    for k in range(1, _SLOPE + 1):
+        square += k**2 * (np.roll(noises, -k) ** 2 + np.roll(noises, k) ** 2)
+    return np.sqrt(square) / (LEVER**2 * step)
 
 
 def _slopes(row: Vector, step: float) -> Vector:

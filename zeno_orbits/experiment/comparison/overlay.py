@@ -25,25 +25,27 @@ _REPEATS = 0.4
 """Part of the variance that repeats in a record that shows an orbit, at least."""
 _LIKE = 0.6
 """Correlation of a signal with the orbit's, at least."""
+RELATED = 0.2
+"""Least correlation of other signals if the contacts match a Zeno orbit."""
 _ALTERNATES = 0.02
 """Cycles that differ in turn by this part of the signals' size are of twice the period."""
 _SURE = 4.0
-"""So many standard errors are no accident."""
+"""Number of standard errors above which a difference is significant."""
 _LARGEST = 1e100
-"""Squares of larger values, summed, are no numbers."""
+"""The sum of squares of larger values would overflow."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Overlay:
-    """An orbit laid over a recording.
+    """An orbit aligned with a recording.
 
     Attributes:
-        names: Of the signals that both have.
-        time: Of the recording, ``(n_t,)`` [s].
-        values: Its signals, one row each, ``(n_s, n_t)``.
-        found: How they repeat.
-        table: The orbit; its first signals are those.
-        where: Where it is in the recording.
+        names: Names of the signals that the orbit and the recording share.
+        time: Times of the recording, ``(n_t,)`` [s].
+        values: Signals of the recording, one row each, ``(n_s, n_t)``.
+        found: Periodicity of the signals.
+        table: The orbit, whose first signals are the shared signals.
+        where: Alignment of the orbit with the recording.
     """
 
     names: tuple[str, ...]
@@ -59,8 +61,14 @@ class Overlay:
         mistaken = any(one.suspicion for one in self.where.likeness)
         return self.found.repeats >= _REPEATS and not (self.where.time_suspicion or mistaken)
 
-    def reasons(self) -> list[str]:
-        """Return why the recording shows no such orbit, the gravest first; none if it may."""
+    def reasons(self, *, alike: float = _LIKE) -> list[str]:
+        """Return the reasons why the recording shows no such orbit, most serious first.
+
+        Args:
+            alike: Least correlation of a signal with the orbit's signal. A value below the default
+                is used if the contacts identify the kind of motion. They identify the direction of
+                time as well. The result is empty if the recording may show such an orbit.
+        """
         found, ratio = self.found, self.found.period / self.table.period
         reasons: list[str] = []
         if found.repeats < _REPEATS:
@@ -68,11 +76,13 @@ class Overlay:
         if self.where.time_suspicion:
             asked = f"{self.where.time_suspicion}?"
             reasons.append(f"the period is {ratio:.6g} times the orbit's: {asked}")
+        if self.where.backward and alike >= _LIKE:
+            reasons.append("it runs backward: the orbit reversed in time is more like it")
         for one in self.where.likeness:
             if one.suspicion:
                 numbers = f"correlation {one.correlation:.2f}, {abs(one.gain):.4g} times as large"
                 reasons.append(f"`{one.name}` looks like {one.suspicion} ({numbers})")
-            elif one.correlation < _LIKE:
+            elif one.correlation < alike:
                 reasons.append(
                     f"`{one.name}` moves differently: its correlation with the orbit is "
                     f"{one.correlation:.2f}"
@@ -146,7 +156,9 @@ def shared_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
             raise InputError(f"Argument `recording` {wanted}, but it has {signal.unit}.")
         values = signal.values[np.isfinite(signal.values)]
         if not len(values):
-            raise InputError(f"Argument `recording` must have values of `{name}`, but it has none.")
+            raise InputError(
+                f"Argument `recording` must have values of `{name}`, but it lacks them."
+            )
         largest = float(np.max(np.abs(values)))
         if largest > _LARGEST:
             wanted = f"must have values of `{name}` up to {_LARGEST:g}"

@@ -1,26 +1,34 @@
-"""The numbers of recorded signals and portraits beside an orbit's (theory (57))."""
+"""Quantities of recorded signals and portraits next to the orbit's quantities (theory (57))."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri, ndtr, ndtri
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.deviations import (
-    LEVER,
+    FINE,
     N_BINS,
     Deviations,
     Portrait,
     between,
+    slope_noises,
 )
 from zeno_orbits.experiment.comparison.estimate import UNKNOWN, Estimate
 from zeno_orbits.experiment.comparison.metrics import Metric, metric
-from zeno_orbits.experiment.orbit_table import measurable
-from zeno_orbits.experiment.polyline import Polyline, telling_corners
+from zeno_orbits.experiment.orbit_table import jump_bins, measurable
+from zeno_orbits.experiment.polyline import line_distances
 from zeno_orbits.model import Problem
+
+_ASIDE = 3
+"""Number of bins on either side of an extreme that determine the deviation there."""
+_RARE = 0.05
+"""Probability at which noise alone exceeds a bound: once in twenty times."""
 
 
 def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) -> Iterator[Metric]:
@@ -78,40 +86,45 @@ def portrait_metrics(found: Deviations, portraits: Sequence[Portrait]) -> Iterat
 
 
 def root_mean_square(found: Deviations, signal: int, chosen: NDArray[np.bool_]) -> Estimate:
-    """Return the size of a signal's deviation over chosen bins, that of the noise taken away.
+    """Return the root mean square of a signal's deviation over chosen bins, without the noise.
 
     Args:
         found: The deviations.
-        signal: Its number.
-        chosen: Which bins count, ``(N_BINS,)``.
+        signal: Index of the signal.
+        chosen: Mask of the bins that count, ``(N_BINS,)``.
     """
     counts: Vector = found.counts.sum(axis=0)[chosen, signal]
-    white = 0.0
-    if float(np.max(counts)) > 1.0:
-        noise = found.spread[chosen, signal] ** 2 / np.maximum(counts - 1.0, 1.0)
-        white = float(np.nanmean(noise))
+    seen = counts > 0.5
+    # Sums of squares over bins, with their degrees of freedom, determine the variance.
+    parts = 1.0 / counts[seen]
+    freedom = float(np.sum(counts[seen] - 1.0))
+    white = limit = 0.0
+    if freedom > 0.0:
+        squares = counts[seen] * found.spread[chosen, signal][seen] ** 2
+        white = float(np.sum(squares)) / freedom * float(np.mean(parts))
+        n = 1.0 / (float(np.sum(parts**2)) / float(np.sum(parts)) ** 2 + 1.0 / freedom)
+        # Noise alone leaves less than this limit in 95 % of the recordings.
+        limit = math.sqrt(white * max(float(chdtri(n, _RARE)) / n - 1.0, 0.0))
 
     def size(average: Vector) -> float:
         square = float(np.nanmean(average[chosen, signal] ** 2))
         return math.sqrt(max(square - white, 0.0))
 
     one = found.estimate(size)
-    # Near zero the root hides what the square does: noise of this size is not told from nothing.
-    floor = math.sqrt(white) * (2.0 / max(len(counts), 1)) ** 0.25
-    return _at_least(one, floor) if one.value < 2 * floor else one
+    return _at_least(one, limit / 2.0) if one.value < 2.0 * limit else one
 
 
 def greatest(found: Deviations, signal: int) -> Estimate:
     """Return the greatest mean deviation of a signal, with its sign.
 
-    A bin that one group alone has seen tells no error and does not count.
+    A bin with samples of a single group is excluded because its error is unknown.
     """
     seen = np.sum(found.counts[:, :, signal] > 0.0, axis=0) > 1
     if not seen.any():
         return UNKNOWN
     at = int(np.argmax(np.where(seen, np.abs(found.average[:, signal]), -1.0)))
     one = found.estimate(lambda average: float(average[at, signal]))
-    return _at_least(one, _of_many(found.noise[signal], N_BINS))
+    return _at_least(one, _of_many(found.noises[seen, signal]))
 
 
 def _at_least(one: Estimate, error: float) -> Estimate:
@@ -121,41 +134,150 @@ def _at_least(one: Estimate, error: float) -> Estimate:
 def apex(found: Deviations, signal: int, sign: float) -> Estimate:
     """Return the highest or lowest value of a signal over the cycle.
 
+    It is the orbit's own with the deviation there, a straight line through the bins around it: the
+    largest of all bins would be raised by noise. Only if another bin is higher beyond chance, the
+    extreme is looked for around that one.
+
     Args:
         found: The deviations.
         signal: Its number.
         sign: 1 for the highest, -1 for the lowest.
     """
-    values: Vector = sign * found.fine[:, :, signal]
-    mean: Vector = values.mean(axis=1)
-    own: Vector = values.max(axis=1)
-
-    def rows(average: Vector) -> Vector:
-        row = sign * between(average[:, signal])[0]
-        # How the orbit rises within a bin tells of the recording only while both are alike there.
-        return np.where(own - mean > np.abs(row), own, mean) + row
-
-    one = found.estimate(lambda average: float(sign * np.max(rows(average))))
+    fine: Vector = sign * found.fine[:, :, signal]
+    own: Vector = fine.max(axis=1)
     noise = float(found.noise[signal])
-    # Of many bins that are as high as each other, noise lifts the highest.
-    rivals = int(np.sum(own > np.max(own) - 3 * noise))
-    # Where no sample falls, the deviation is anything from that before to that after.
-    unseen = float(between(found.average[:, signal])[1][np.argmax(rows(found.average))])
-    return _at_least(one, math.hypot(_of_many(noise, rivals), unseen))
+    row, apart = between(found.average[:, signal])
+    centre = _middle(own, noise)
+    chosen = _around(found, signal, centre, fine)
+    places = (chosen[:, None] - centre + (np.arange(FINE + 1) / FINE - 0.5)).ravel()
+    curve: Vector = fine[chosen % N_BINS].ravel()
+    # A bin is as high as its highest point: impacts touch the stop from which they rise.
+    flat = float(np.ptp(own[chosen % N_BINS])) < 4.0 * noise or centre not in chosen
+
+    def value(average: Vector) -> float:
+        known = chosen[np.isfinite(average[chosen % N_BINS, signal])]
+        if not len(known):
+            return float(own[centre] + sign * row[centre])
+        x: Vector = (known - centre).astype(np.float64)
+        y: Vector = sign * average[known % N_BINS, signal]
+        sloped = len(x) > 2 and (not flat or centre not in chosen)
+        level, slope = _line(x, y) if sloped else (float(np.mean(y)), 0.0)
+        if flat:
+            return float(own[centre]) + level
+        return float(np.max(curve + level + slope * places))
+
+    def signed(average: Vector) -> float:
+        return sign * value(average)
+
+    # The jackknife may include few of the samples near a jump. White noise gives a lower bound.
+    one = found.estimate(signed)
+    one = _at_least(one, _white_error(found, signal, signed, chosen % N_BINS))
+    heights: Vector = (
+        np.where(own - fine.mean(axis=1) > np.abs(row), own, fine.mean(axis=1)) + sign * row
+    )
+    noises: Vector = found.noises[:, signal]
+    beyond = heights - 4.0 * noises
+    highest = int(np.argmax(beyond))
+    if beyond[highest] > sign * one.value + _of_many(noises):
+        # If the shape differs from the orbit's shape, use its own highest bin and the difference of
+        # the neighbours.
+        beside = float(heights[(highest - 1) % N_BINS] + heights[(highest + 1) % N_BINS]) / 2.0
+        bend = (float(heights[highest]) - beside) / 2.0
+        error = math.hypot(float(noises[highest]), bend)
+        return Estimate(value=sign * float(heights[highest]), error=error)
+    # If no sample falls at the extreme, the deviation lies between the deviations before and after
+    # it. An extrapolated deviation from samples near the extreme is not reliable.
+    seen = np.isfinite(found.average[centre, signal])
+    unseen = 0.0 if seen else abs(one.value - sign * float(own[centre]))
+    return _at_least(one, max(float(apart[centre]), unseen))
 
 
-def _of_many(noise: float, n: int) -> float:
-    """Return how far the greatest of many numbers is from zero by noise alone."""
-    return float(noise) * math.sqrt(2.0 * math.log(max(n, 2)))
+def _line(x: Vector, y: Vector) -> tuple[float, float]:
+    """Return value at zero and slope of the straight line through points."""
+    centred = x - np.mean(x)
+    slope = float(centred @ y) / float(centred @ centred)
+    return float(np.mean(y)) - slope * float(np.mean(x)), slope
+
+
+def _white_error(
+    found: Deviations,
+    signal: int,
+    number: Callable[[Vector], float],
+    bins: NDArray[np.int64],
+) -> float:
+    """Return the error of a number by the noise of some bins alone, to first order."""
+    average, usual = found.average, number(found.average)
+    square = 0.0
+    for k in bins[np.isfinite(average[bins, signal])]:
+        moved = average.copy()
+        moved[k, signal] += found.noises[k, signal]
+        square += (number(moved) - usual) ** 2
+    return math.sqrt(square)
+
+
+def _middle(own: Vector, noise: float) -> int:
+    """Return the middle of the bins around the highest one that are as high as it."""
+    top = int(np.argmax(own))
+    alike = np.roll(own > own[top] - max(1e-9 * float(np.ptp(own)), 0.1 * noise), -top)
+    if alike.all():
+        return top
+    after, before = int(np.argmin(alike)) - 1, int(np.argmin(alike[::-1]))
+    return (top + (after - before) // 2) % N_BINS
+
+
+def _around(found: Deviations, signal: int, centre: int, fine: Vector) -> NDArray[np.int64]:
+    """Return the bins around an extreme up to the next jumps. Indices continue beyond the cycle.
+
+    If the extreme is at a jump, its own bin contains both sides of the jump and does not count.
+    """
+    stops = jump_bins(found.table, N_BINS)[:, signal]
+    sides = [-1, 1]
+    chosen = [centre]
+    if stops[centre]:
+        chosen, sides = [], [-1 if fine[centre, 0] > fine[centre, -1] else 1]
+    own = fine.max(axis=1)
+    high = own > own[centre] - float(found.noise[signal])
+    for step in sides:
+        for k in range(1, N_BINS // 2):
+            at = centre + step * k
+            if stops[at % N_BINS] or not (k <= _ASIDE or high[at % N_BINS]):
+                break
+            chosen.append(at)
+    return np.array(sorted(chosen), dtype=np.int64)
+
+
+def _of_many(noises: Vector) -> float:
+    """Return half of the 95 % bound for the largest of many values that contain only noise.
+
+    Args:
+        noises: Standard error of each value.
+    """
+    errors = noises[noises > 0.0]
+    if not len(errors):
+        return 0.0
+    # Between the limits of the least sure number alone and of as many alike.
+    low = float(np.max(errors)) * float(ndtri(1.0 - _RARE / 2.0))
+    high = float(np.max(errors)) * float(ndtri(1.0 - _RARE / 2.0 / len(errors)))
+
+    def excess(limit: float) -> float:
+        return float(np.sum(np.log1p(-2.0 * ndtr(-limit / errors)))) - math.log1p(-_RARE)
+
+    from scipy.optimize import brentq
+
+    # Bonferroni's limit is above the true one, unless there is one number.
+    found: Any = brentq(excess, low, 1.01 * high)
+    return float(found) / 2.0
 
 
 def delay(found: Deviations, signal: int) -> Estimate:
-    """Return by how much later than all signals together one of them comes [s]."""
+    """Return the delay of a signal relative to all signals together [s]."""
     table = found.table
     stretch = found.period / table.period
+    # At a jump of the signal a small delay causes a large deviation or no deviation.
+    smooth = ~jump_bins(table, N_BINS)[:, signal]
 
     def shift(average: Vector) -> float:
-        seen = np.isfinite(average[:, signal])
+        seen = np.isfinite(average[:, signal]) & smooth
         data = (found.orbit[:, signal] + average[:, signal])[seen]
         times = found.phases[seen] * table.period
         late = 0.0
@@ -186,18 +308,22 @@ def portrait_distance(found: Deviations, portrait: Portrait) -> tuple[Estimate, 
     own = found.fine[:, :, axes].reshape(-1, 2)
     size = np.ptp(own, axis=0)
     size = np.where(size > 0.0, size, 1.0)
-    closed = np.concatenate([own, own[:1]]) / size
-    line = Polyline(corners=closed[telling_corners(closed)])
+    line = np.concatenate([own, own[:1]]) / size
 
     def both(average: Vector) -> tuple[float, float]:
         points = found.curve(portrait, average)
-        apart = line.distances(points[np.all(np.isfinite(points), axis=1)] / size)
+        points = points[np.all(np.isfinite(points), axis=1)] / size
+        if not len(points):
+            return math.nan, math.nan
+        apart = line_distances(line, points)
         return float(np.mean(apart)), float(np.max(apart))
 
     mean, largest = found.estimates(both)
-    noises = found.noise[[axes[0], axes[1] if rate_of is None else rate_of]]
-    if rate_of is not None:
-        noises[1] /= LEVER * found.period / N_BINS
-    # A distance is never negative: noise alone gives some.
-    floor = float(np.linalg.norm(noises / size)) / math.sqrt(2.0)
-    return _at_least(mean, floor), _at_least(largest, _of_many(floor, N_BINS))
+    across: Vector = found.noises[:, axes[0]] / size[0]
+    if rate_of is None:
+        upwards: Vector = found.noises[:, axes[1]] / size[1]
+    else:
+        upwards = slope_noises(found.noises[:, rate_of], found.period / N_BINS) / size[1]
+    # A distance is never negative: noise alone gives some. Its direction in the plane is any.
+    floor = math.sqrt(float(np.mean(across**2 + upwards**2)) / 2.0)
+    return _at_least(mean, floor), _at_least(largest, _of_many(np.maximum(across, upwards)))

@@ -1,31 +1,36 @@
-r"""Parameters of a machine from a recording of it, through the closed orbit and its derivatives.
+r"""Parameters of a machine from a recording, by the periodic orbit and its derivatives.
 
-A machine that has settled shows the periodic orbit of its parameters, whatever it started from. So
-the prediction is the orbit itself, :math:`Y(\varphi; p)`, and its period: no initial state has to
-be fitted, a recording of hours is folded into one cycle before the first iteration, and
-derivatives come from the implicit function theorem on the return map (theory (58)). Fitting the
-recorded time instead would need the state at its beginning, and would carry every impact of it.
+A settled machine shows the periodic orbit of its parameters for any initial state. So the
+prediction is the orbit itself, :math:`Y(\varphi; p)`, and its period. No initial state has to be
+fitted, and a recording of hours is folded into one cycle before the first iteration. Derivatives
+follow from the implicit function theorem for the return map (theory (58)). A fit of the recorded
+time series would need the initial state and would propagate derivatives through every impact.
 
-The residuals are the samples in units of their noise, and the period in units of its own error.
-What remains after the fit is correlated, by noise of the machine and by what the model does not
-know, and intervals take that into account (theory (59)).
+The residuals are the samples in units of their noise, and the period in units of its standard
+error. The final residuals are correlated by noise of the machine and by unmodelled effects, and the
+intervals take this correlation into account (theory (59)).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.experiment.comparison.comparison import compare
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.experiment.comparison.comparison import Comparison, compare
+from zeno_orbits.experiment.comparison.folding import folded
 from zeno_orbits.experiment.comparison.overlay import Overlay
-from zeno_orbits.experiment.identification.folding import folded
-from zeno_orbits.experiment.identification.least_squares import Fit, fit
+from zeno_orbits.experiment.identification.least_squares import Fit
+from zeno_orbits.experiment.identification.optima import (
+    global_fit,
+    profile_interval,
+    starts_of,
+)
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.stationarity import unsteady
 from zeno_orbits.experiment.identification.uncertainty import Unseen, unseen_combinations
@@ -40,16 +45,17 @@ from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import close_orbit, orbit_of
-from zeno_orbits.work import Progress, silent
+from zeno_orbits.work import ByValue, Progress, silent
 
 __all__ = ["Fitted", "Identification", "UnfittableError", "identify"]
 
 _LEAST_CYCLES = 2.0
 _MISFIT = 2.0
-"""What repeats of the residuals, over what noise makes repeat, where the model falls short."""
+"""Ratio of the periodic part of the residuals to its expected size from noise, above which the
+model is reported as inadequate."""
 _ALIEN = 0.05
-"""What all cycles have in common of the deviations, in parts of the ranges, in a machine that is
-the problem's, at most."""
+"""Largest common deviation of all cycles, relative to the ranges, at which the machine is accepted
+as the problem's machine."""
 _MOVED = 5e-3
 """Relative change of a number between cycles up to which it is given, with a word of that."""
 _WORTH = 1e-6
@@ -63,13 +69,14 @@ _PART = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fitted:
-    """A number that was found.
+    """A fitted value.
 
     Attributes:
-        unknown: The parameter, or parameters, that it is the value of.
-        start: Where the fit began.
-        value: The number.
-        error: Its standard error; infinite if the recording does not tell it.
+        unknown: The fitted parameter, or several tied parameters.
+        start: Initial value of the fit.
+        value: The fitted value.
+        error: Standard error of the value. It is infinite if the recording does not determine the
+            value.
         low: Lower end of its 95 % interval.
         high: Upper end.
     """
@@ -82,22 +89,24 @@ class Fitted:
     high: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Identification:
-    """Parameters from a recording.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Identification(ByValue):
+    """Result of an identification: parameter values from a recording.
 
     Attributes:
         problem: Name of the problem.
-        values: All numbers, the fitted ones among them.
-        fitted: The fitted ones.
-        correlation: Between them, ``(k, k)``.
-        unseen: Combinations of them that the recording does not tell.
-        orbit: The orbit at these numbers.
+        values: All parameter values, including the fitted values.
+        fitted: The fitted values.
+        correlation: Correlation matrix of the fitted values, ``(k, k)``.
+        unseen: Combinations of parameters that the recording does not determine.
+        orbit: The orbit at these parameter values.
         before: Root mean square of the residuals at the start, in units of the noise.
         after: The same after the fit.
-        misfit: What repeats of the residuals, over what noise alone makes repeat; about 1 for a
-            model that is right.
-        remarks: What else is to be said.
+        misfit: Ratio of the periodic part of the residuals to its expected size from noise. It is
+            about 1 for an adequate model.
+        converged: Whether the fit converged. Intervals exist only for a converged fit.
+        optima: Parameter values of other optima that fit nearly as well.
+        remarks: Further remarks.
     """
 
     problem: str
@@ -110,6 +119,18 @@ class Identification:
     after: float
     misfit: float
     remarks: tuple[str, ...]
+    converged: bool = True
+    optima: tuple[Mapping[str, float], ...] = ()
+
+    def __repr__(self) -> str:
+        """Return one line: the fitted values with their errors."""
+        found = ", ".join(
+            f"{one.unknown.label}={one.value:.7g} +- {one.error:.2g}" for one in self.fitted
+        )
+        return (
+            f"<Identification of {self.problem}: {found}, residuals of {self.after:.3g} times the "
+            f"noise, converged={self.converged}>"
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Return it as plain data."""
@@ -133,6 +154,8 @@ class Identification:
             "residual_before": self.before,
             "residual_after": self.after,
             "misfit": self.misfit,
+            "converged": self.converged,
+            "optima": [dict(one) for one in self.optima],
             "remarks": list(self.remarks),
         }
 
@@ -149,42 +172,61 @@ def identify(
     *,
     on_progress: Progress = silent,
 ) -> Identification:
-    """Return the parameters at which a problem's orbit is nearest to a recording.
+    """Fit parameters of a problem to a recording.
 
     Args:
         problem: The problem.
-        values: Its numbers: gains and what is not fitted as known, the others roughly.
-        recording: Of a machine that has settled, over two periods at least.
-        sought: What to fit.
+        values: Parameter values of the problem. Gains and parameters that are not fitted must be
+            accurate, while the others are rough initial values.
+        recording: Recording of a settled machine, of at least two periods.
+        sought: The parameters to fit.
         on_progress: Called with each stage, and with the part done of the fit.
 
     Raises:
-        InputError: If a name or a range cannot be.
-        UnfittableError: If there is no orbit at the start, or the recording shows none like it.
+        InputError: If a name or a range is invalid.
+        UnfittableError: If no orbit exists at the start, or the recording does not resemble any.
     """
     begin = begin_of(problem, values, sought)
     on_progress("looking for the orbit at the start", None)
     closing = close_orbit(problem, begin)
     if closing.orbit is None:
-        raise _refusal(f"at the start there is no orbit to fit: {closing.detail.rstrip('.')}")
+        raise _refusal(f"an orbit to fit is missing at the start: {closing.detail.rstrip('.')}")
     on_progress("laying the recording over it", None)
     first = compare(closing.orbit, problem, recording)
     laid = first.overlay
-    if not first.agrees or laid is None:
+    if first.reasons or laid is None:
         raise _refusal("; ".join(first.reasons))
     if laid.found.n_cycles < _LEAST_CYCLES:
         raise _refusal(f"{laid.found.n_cycles:.4g} periods were recorded, and two are needed")
     unknowns = unknowns_of(problem, begin, sought)
     orbits = Predictions(problem, unknowns, measurement(problem, laid.names), laid.table.cycle)
     found = replace(laid.found, period=laid.where.period, error=laid.where.period_error)
-    answer = fit(orbits, folded(laid.time, laid.values, laid.where), found, on_progress)
+    seen = _restitution_seen(unknowns, sought, first)
+    samples = folded(laid.time, laid.values, laid.where)
+    try:
+        likely = [unknowns.first]
+        if seen:
+            # Values from the recorded contacts are tried before the user's start.
+            likely.insert(0, unknowns.first.copy())
+            likely[0][list(seen)] = list(seen.values())
+        starts = starts_of(unknowns, likely, seen)
+        answer, orbits, optima = global_fit(orbits, samples, found, starts, on_progress)
+    except SimulationError as error:
+        raise _refusal("the orbit is lost on the way to the recording's") from error
     remarks = [*first.remarks, *_unsettled(answer, laid)]
     if answer.repeating > _ALIEN:
         off = f"the nearest orbit is {100 * answer.repeating:.2g} % of the signals' ranges off"
         raise _refusal(f"{off}, in every cycle")
     labels = [one.label for one in sought]
     unseen = unseen_combinations(labels, answer.spread.information, answer.spread.inflation)
+    on_progress("computing the intervals", 0.97)
     fitted = _fitted(unknowns, sought, answer, unseen)
+    others = tuple(dict(zip(labels, unknowns.numbers(one).tolist(), strict=True)) for one in optima)
+    rivals = [
+        "another optimum fits nearly as well: "
+        + ", ".join(f"`{name}` = {value:.6g}" for name, value in one.items())
+        for one in others
+    ]
     parameters = dict(begin.parameters)
     for one in fitted:
         parameters |= dict.fromkeys(one.unknown.names, one.value)
@@ -199,8 +241,25 @@ def identify(
         before=answer.before,
         after=answer.after,
         misfit=answer.spread.misfit,
-        remarks=(*remarks, *_remarks(fitted, answer)),
+        converged=answer.converged,
+        optima=others,
+        remarks=(*remarks, *_remarks(fitted, answer), *rivals),
     )
+
+
+def _restitution_seen(
+    unknowns: Unknowns, sought: Sequence[Unknown], first: Comparison
+) -> dict[int, float]:
+    """Return the unknown that is the restitution, with the value that the contacts show."""
+    contacts = first.contacts
+    if contacts is None or not contacts.restitution.known:
+        return {}
+    low, high = unknowns.bounds
+    return {
+        k: float(np.clip(contacts.restitution.value / unknowns.scale[k], low[k], high[k]))
+        for k, one in enumerate(sought)
+        if "restitution" in one.names
+    }
 
 
 def _refusal(reason: str) -> UnfittableError:
@@ -208,10 +267,11 @@ def _refusal(reason: str) -> UnfittableError:
 
 
 def _unsettled(answer: Fit, laid: Overlay) -> list[str]:
-    """Return in words how cycles differ by more than noise, if that hardly moves the numbers.
+    """Return remarks on differences between cycles that hardly change the fitted values.
 
     Raises:
-        UnfittableError: If it does, with the reason and from when on the cycles are alike.
+        UnfittableError: If the differences change the fitted values. The message contains the
+            reason and the time from which the cycles agree.
     """
     found, where = unsteady(answer), laid.where
     if found is None or found.size < _WORTH:
@@ -230,13 +290,15 @@ def _unsettled(answer: Fit, laid: Overlay) -> list[str]:
 def _fitted(
     unknowns: Unknowns, sought: Sequence[Unknown], found: Fit, unseen: Sequence[Unseen]
 ) -> tuple[Fitted, ...]:
-    """Return the numbers with their errors, without those of what is not seen."""
+    """Return the fitted values with their errors, without undetermined values."""
     numbers, spread = unknowns.numbers(found.x), found.spread
     hidden = {name for one in unseen for name, part in one.direction.items() if abs(part) > _PART}
     answers: list[Fitted] = []
     for k, one in enumerate(sought):
-        known = one.label not in hidden
-        half = float(spread.half[k] * unknowns.scale[k]) if known else math.inf
+        known = one.label not in hidden and found.converged
+        low, high = -math.inf, math.inf
+        if known:
+            low, high = (end * float(unknowns.scale[k]) for end in profile_interval(found, k))
         value = float(numbers[k])
         answers.append(
             Fitted(
@@ -244,32 +306,34 @@ def _fitted(
                 start=float(unknowns.start[k]),
                 value=value,
                 error=float(spread.errors[k] * unknowns.scale[k]) if known else math.inf,
-                low=value - half,
-                high=value + half,
+                low=low,
+                high=high,
             )
         )
     return tuple(answers)
 
 
 def _remarks(fitted: Sequence[Fitted], found: Fit) -> list[str]:
-    """Return what else is to be said of a fit."""
+    """Return the remarks on a fit."""
     remarks: list[str] = []
     for one in fitted:
         low, high = one.unknown.lower, one.unknown.upper
         if min(one.value - low, high - one.value) < _EDGE * (high - low):
             remarks.append(f"`{one.unknown.label}` reached an end of its range")
     if not found.converged:
-        remarks.append("the fit did not converge: better values may exist")
+        remarks.append(
+            "the fit did not converge: better values may exist, and none has an interval"
+        )
     if found.spread.misfit > _MISFIT:
         remarks.append(
             f"the model does not follow the recording: what repeats of the deviations is "
-            f"{math.sqrt(found.spread.misfit):.2g} times noise, and the numbers may be biased "
+            f"{math.sqrt(found.spread.misfit):.2g} times noise, and the values may be biased "
             f"by more than their intervals say"
         )
     late = abs(float(found.residuals[-1]))
     if late > _LATE:
         remarks.append(
             f"the model does not follow the period: it is off by {late:.2g} standard errors, and "
-            f"the numbers may be biased by more than their intervals say"
+            f"the estimates may be biased by more than their intervals"
         )
     return remarks

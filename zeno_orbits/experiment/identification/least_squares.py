@@ -1,11 +1,11 @@
-r"""Least squares of a recording by the closed orbit, over what the orbit says in straight lines.
+r"""Least-squares fit of periodic orbits to a recording, on samples with a linear prediction.
 
-Intervals come from derivatives, and so from samples whose prediction is a straight line over the
-interval itself. Behind an impact a current runs through a layer of width `L/R`: there a sample's
-slope promises to tell the impact's time much better than a sample can whose layer may as well be
-elsewhere, and it makes false minima. So the first fit keeps away from jumps and layers; then
-samples count whose residual bends by less than a part of its noise anywhere in the interval that
-the first fit has left (theory (59)).
+Intervals follow from derivatives, so they need samples whose prediction is linear in the parameters
+over the interval itself. After an impact a current passes through a layer of width `L/R`. The slope
+of a sample in this layer suggests a much better determination of the impact time than the sample
+gives, because the layer may as well be elsewhere. It also causes spurious minima. So the first fit
+excludes jumps and layers. Later fits use the samples whose residual has a curvature of less than a
+part of its noise anywhere in the interval left by the first fit (theory (59)).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.experiment.identification.folding import Folded
+from zeno_orbits.experiment.comparison.folding import Folded
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.uncertainty import Spread, spread_of
 from zeno_orbits.experiment.orbit_table import beside_jumps, jump_width
@@ -28,35 +28,43 @@ from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.work import Progress
 
 _FAR = 1e3
-"""Residuals of unknowns that have no orbit: a trust region turns back from them."""
+"""Residuals of unknowns without an orbit, which make the trust region shrink."""
 _TRIALS = 40
 _LEAST_NOISE = 1e-6
 """Noise of a signal at least, in parts of its range: a table of an orbit is as exact as that."""
 _SETTLED = (1e-6, 1e-6, 1e-8)
 """Relative change of unknowns and of the sum of squares that ends each round of the fit."""
+_ROUGH, _FEW = (1e-2, 1e-3), 6
+"""The same of the fits that look for optima, and their trials in each round."""
+_REPEATS = 5
+"""Largest number of fits, each of which starts from the result of the previous fit."""
+_STAYS = 0.5
+"""Standard errors by which the result of a repeated fit may move."""
 _ASIDE = 3.0
 """Standard errors to either side over which a prediction has to be straight."""
 _FARTHEST = 0.05
-"""Relative change of a number, to look at its bend, at most; a phase moves a fifth of it."""
+"""Largest relative change of a parameter for the measurement of curvature. A phase changes by a
+fifth of it."""
 _BENT = 0.3
 """Bend of a residual that counts as none, in units of its noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fit:
-    """Unknowns at which an orbit is nearest to a recording.
+    """Unknowns that minimise the distance of an orbit to a recording.
 
     Attributes:
         x: The unknowns, ``(k + 1,)``.
         data: The samples that count.
-        jacobian: Derivatives of the residuals by the unknowns, the period's in the last row,
-            ``(n n_s + 1, k + 1)``.
+        jacobian: Derivatives of the residuals with respect to the unknowns, with the period's
+            residual in the last row, ``(n n_s + 1, k + 1)``.
         residuals: In units of their noise, ``(n n_s + 1,)``.
-        spread: How sure the unknowns are.
+        spread: Uncertainty of the unknowns.
         before: Root mean square deviation at the start, in parts of the ranges.
         after: The same after the fit.
-        repeating: What of it all cycles have in common, without noise's own part.
-        converged: Whether the last fit came to its end.
+        repeating: Common deviation of all cycles, without the contribution of noise.
+        converged: Whether the last fit converged, with samples selected at its own orbit.
+        stage: The residuals as functions of the unknowns.
     """
 
     x: Vector
@@ -68,17 +76,18 @@ class Fit:
     after: float
     repeating: float
     converged: bool
+    stage: Weighed | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Weighed:
-    """Residuals in units of their noise, of a round of the fit.
+    """Residuals in units of their noise, for a round of the fit.
 
     Attributes:
-        orbits: What orbits say.
+        orbits: Predictions of orbits.
         data: The samples that count.
         found: The period of the recording.
-        weights: One over the noise, ``(n, n_s)``.
+        weights: Inverse standard deviation of the noise, ``(n, n_s)``.
     """
 
     orbits: Predictions
@@ -87,7 +96,7 @@ class Weighed:
     weights: Vector
 
     def residuals(self, x: Vector) -> Vector:
-        """Return the residuals, far ones where there is no orbit, ``(n n_s + 1,)``."""
+        """Return the residuals, ``(n n_s + 1,)``, or large values for unknowns without an orbit."""
         try:
             fold = self.orbits.fold(x, self.data)
             period = self.orbits.table(x).period
@@ -98,7 +107,7 @@ class Weighed:
 
     def jacobian(self, x: Vector) -> Vector:
         """Return their exact derivatives, ``(n n_s + 1, k + 1)``."""
-        # What is accepted is where the next orbits are looked for.
+        # The next orbits are searched near the accepted unknowns.
         self.orbits.accept(x)
         slopes = self.orbits.slopes(x, self.data)
         whole = -slopes.signals * self.weights[:, :, None]
@@ -110,20 +119,49 @@ def fit(
     orbits: Predictions,
     samples: Folded,
     found: Periodicity,
+    first: Vector,
     on_progress: Progress,
 ) -> Fit:
-    """Return the unknowns at which an orbit is nearest to samples.
+    """Return the unknowns whose orbit fits samples best, near a start.
+
+    The selection of the samples depends on the orbit, because samples near its jumps are excluded.
+    So the fit is repeated from its own result until the selection does not change.
 
     Args:
-        orbits: What orbits say at unknowns.
+        orbits: Predictions of orbits at unknowns.
         samples: The recording, folded.
-        found: Its period.
+        found: Period of the recording.
+        first: Initial unknowns, ``(k + 1,)``.
         on_progress: Called with each stage and the part that is done.
     """
-    first, converged = orbits.unknowns.first, True
-    x, start = first, samples.without_jumps(orbits.table(first))
-    data, stage = start, weighed(orbits, start, found, first)
-    # Each round has the weights of the residuals that the one before it left.
+    x, ends, answer = first, False, None
+    for number in range(_REPEATS):
+        answer = _fitted_from(orbits, samples, found, x, on_progress)
+        step = np.abs(answer.x - x)[:-1]
+        x, ends = answer.x, bool(np.all(step <= _STAYS * answer.spread.errors))
+        if ends and number:
+            break
+    if answer is None:
+        raise ValueError("Argument `_REPEATS` must be positive.")
+    plain = samples.without_jumps(orbits.table(first)).without_jumps(orbits.table(x))
+    before, after = (deviation(orbits, plain, at) for at in (first, x))
+    return replace(
+        answer,
+        before=before,
+        after=after,
+        repeating=after * answer.spread.common,
+        converged=answer.converged and ends,
+    )
+
+
+def _fitted_from(
+    orbits: Predictions, samples: Folded, found: Periodicity, first: Vector, on_progress: Progress
+) -> Fit:
+    """Return the result of fit rounds. The first round excludes samples near jumps of the start."""
+    x, converged = first, True
+    data = samples.without_jumps(orbits.table(first))
+    stage = weighed(orbits, data, found, first)
+    # Each round uses weights from the residuals of the previous round.
     for number, change in enumerate(_SETTLED):
         on_progress("fitting", number / len(_SETTLED))
         x, converged = _nearest(stage, x, change)
@@ -137,27 +175,36 @@ def fit(
         stage = weighed(orbits, data, found, x)
     on_progress("computing the intervals", 0.95)
     jacobian, residuals = stage.jacobian(x), stage.residuals(x)
-    spread = spread_of(jacobian, residuals, data)
-    # Both figures are of the same samples, beside no jump of either orbit.
-    plain = data.without(~start.seen).without_jumps(orbits.table(x))
-    before, after = (deviation(orbits, plain, at) for at in (first, x))
     return Fit(
         x=x,
         data=data,
         jacobian=jacobian,
         residuals=residuals,
-        spread=spread,
-        before=before,
-        after=after,
-        repeating=after * spread.common,
+        spread=spread_of(jacobian, residuals, data),
+        before=math.nan,
+        after=math.nan,
+        repeating=math.nan,
         converged=converged,
+        stage=stage,
     )
 
 
-def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
-    """Return the period that the samples ask for, its error, and how unsure their phases are.
+def rough_fit(
+    orbits: Predictions, samples: Folded, found: Periodicity, first: Vector
+) -> tuple[Vector, Weighed]:
+    """Return unknowns of a fit of two short rounds, the samples chosen anew for the second one."""
+    x = first
+    stage = weighed(orbits, samples.without_jumps(orbits.table(x)), found, x)
+    for change in _ROUGH:
+        x, _ = _nearest(stage, x, change, trials=_FEW)
+        stage = weighed(orbits, samples.without_jumps(orbits.table(x)), found, x)
+    return x, stage
 
-    The orbit itself tells the period better than harmonics do, which cut its kinks off.
+
+def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
+    """Return the period from a fit to the samples, its error, and the uncertainty of their phases.
+
+    The orbit itself determines the period better than harmonics, which smooth its kinks.
 
     Args:
         stage: The residuals.
@@ -220,7 +267,9 @@ def weighed(orbits: Predictions, data: Folded, found: Periodicity, x: Vector) ->
     return Weighed(orbits=orbits, data=data, found=found, weights=weights)
 
 
-def _nearest(stage: Weighed, x: Vector, settled: float) -> tuple[Vector, bool]:
+def _nearest(
+    stage: Weighed, x: Vector, settled: float, trials: int = _TRIALS
+) -> tuple[Vector, bool]:
     """Return the unknowns of the least squares, and whether the search came to its end."""
     from scipy.optimize import least_squares
 
@@ -234,20 +283,20 @@ def _nearest(stage: Weighed, x: Vector, settled: float) -> tuple[Vector, bool]:
         xtol=settled,
         ftol=settled,
         gtol=1e-12,
-        max_nfev=_TRIALS,
+        max_nfev=trials,
     )
     return np.asarray(answer.x, dtype=np.float64), int(answer.status) > 0
 
 
 def _bent(stage: Weighed, x: Vector, samples: Folded) -> NDArray[np.bool_]:
-    """Return which of all samples are not predicted in a straight line, ``(n, n_s)``."""
+    """Return the mask of samples whose prediction is nonlinear in the unknowns, ``(n, n_s)``."""
     jacobian = stage.jacobian(x)
     spread = spread_of(jacobian, stage.residuals(x), stage.data)
     whole = replace(stage, data=samples)
     here, slopes = whole.residuals(x), whole.jacobian(x)
     shape = samples.values.shape
     n_groups = samples.n_groups
-    # What a mean does not say of a bend inside it is the same in all groups.
+    # The error of a mean from the curvature inside its bin is the same in all groups.
     inside = samples.bends(stage.orbits.table(x), float(x[-1])) * whole.weights
     bend = math.sqrt(n_groups) * inside
     for step in _steps(jacobian, spread.inflation):

@@ -1,13 +1,13 @@
-r"""Derivatives of a whole periodic orbit by parameters, at equal times since its release.
+r"""Derivatives of a whole periodic orbit with respect to parameters, at equal times since release.
 
-The release state of the orbit obeys :math:`y = P(y, p)` in section coordinates, so
+The release state of the orbit satisfies :math:`y = P(y, p)` in section coordinates, so
 
 .. math:: \frac{dy}{dp} = \Bigl(1 - \frac{\partial P}{\partial y}\Bigr)^{-1}
     \frac{\partial P}{\partial p}
 
-and with the derivative of the motion by its start and by `p`, carried along the arcs and through
-every impact and the Zeno point, :math:`dx(t)/dp` follows at all times (theory (58)). At an event
-that moves by :math:`\delta t` an equal time means :math:`\delta x - f\,\delta t`.
+The derivative of the motion with respect to its initial state and `p` is propagated along the arcs
+and through every impact and the Zeno point. It gives :math:`dx(t)/dp` at all times (theory (58)).
+At an event that moves by :math:`\delta t` an equal time means :math:`\delta x - f\,\delta t`.
 """
 
 from __future__ import annotations
@@ -19,24 +19,21 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import CubicColumns
-from zeno_orbits.model import N_STAGES, FlowDifferential, HybridDynamics
+from zeno_orbits.model import FlowDifferential, HybridDynamics
 from zeno_orbits.orbits import differentials_of, return_derivative, section_derivative
 from zeno_orbits.simulation import (
-    Arc,
-    Bounce,
     Ending,
     EventShift,
     Execution,
-    Impact,
     Mode,
     Perturbations,
     SimulationSettings,
-    ZenoPoint,
-    courses,
+    course_of,
+    motion_of,
 )
 
 _PARTS = 3
-"""CubicColumns in a step of the integrator: between them the derivatives are cubic."""
+"""Nodes in a step of the integrator: between them the derivatives are cubic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,13 +44,11 @@ class OrbitSlope:
         period: Of the period, ``(k,)``.
         release: Of the release state, ``(n_x, k)``.
         states: Of the states over time from the release, column by column, ``n_x k`` of them.
-        conditioning: Condition number of ``1 - dP/dy``; it grows where the family folds.
     """
 
     period: Vector
     release: Vector
     states: CubicColumns
-    conditioning: float
 
     def at(self, times: Vector) -> Vector:
         """Return the derivatives of the states at times since the release, ``(n, n_x, k)``."""
@@ -69,18 +64,18 @@ def orbit_slope(
     chosen: tuple[int, ...],
     settings: SimulationSettings,
 ) -> OrbitSlope:
-    """Return the derivatives of a periodic orbit by chosen parameters.
+    """Return the derivatives of a periodic orbit with respect to chosen parameters.
 
     Args:
-        dynamics: The system at the orbit's numbers; it must have formulas.
+        dynamics: The system at the orbit's parameter values, with formulas.
         release: The orbit's release state, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
-        period: Of the orbit [s].
-        chosen: Places in ``p`` of the parameters.
-        settings: Accuracy.
+        period: Period of the orbit [s].
+        chosen: Indices of the parameters in ``p``.
+        settings: Accuracy of the simulation.
 
     Raises:
-        SimulationError: If the orbit does not return, or is not differentiable.
+        SimulationError: If the orbit is not periodic in simulation, or not differentiable.
     """
     derivative = return_derivative(
         dynamics, release, horizon=2 * period, settings=settings, parameters=chosen
@@ -109,7 +104,6 @@ def orbit_slope(
         period=by_period,
         release=start,
         states=CubicColumns(times=times, values=values, slopes=slopes),
-        conditioning=float(np.linalg.cond(matrix)) if d else 1.0,
     )
 
 
@@ -118,55 +112,35 @@ _Piece = tuple[Vector, Vector, Vector]
 
 
 def _along(perturbations: Perturbations, execution: Execution, period: float) -> Iterator[_Piece]:
-    """Yield how the state moves at equal times, from the release to the next one."""
-    arcs = [arc for arc in execution.arcs if arc.start_time < period]
-    if arcs[0].mode is Mode.LOCKED:
-        # A start that locks by rounding is released at once.
-        arcs.pop(0)
-    flights = [arc for arc in arcs if arc.ending is Ending.IMPACT]
-    impacts = [event for event in execution.events if isinstance(event, Impact)]
-    zeno = next(event for event in execution.events if isinstance(event, ZenoPoint))
-    here = perturbations.at_start()
-    bounces: list[Bounce] = []
-    for arc, impact in zip(flights, impacts, strict=False):
-        yield _piece(perturbations, arc, here)
-        here = perturbations.struck(impact, perturbations.flown(arc, here))
-        bounces = perturbations.joined(bounces, impact, here)
-    yield _piece(perturbations, arcs[-1], perturbations.limit(bounces, zeno.state))
+    """Yield the state derivatives at equal times, from the release to the next release."""
+    # A start that locks by rounding is released at once.
+    first = int(execution.arcs[0].mode is Mode.LOCKED)
+    motions = motion_of(perturbations, execution, perturbations.at_start(), first=first)
+    for place, arc in enumerate(execution.arcs):
+        if place >= first and arc.start_time < period and arc.ending is not Ending.ZENO:
+            yield _piece(perturbations, execution, place, motions.of(arc).start)
 
 
-def _piece(perturbations: Perturbations, arc: Arc, begin: EventShift) -> _Piece:
-    """Return how the state moves along an arc whose start moves as told."""
+def _piece(
+    perturbations: Perturbations, execution: Execution, place: int, begin: EventShift
+) -> _Piece:
+    """Return the state derivatives along an arc with a given shift of its start."""
     dynamics, differentials = perturbations.dynamics, perturbations.differentials
-    n_x, tolerance = perturbations.n_x, perturbations.tolerance
-    own, by = (
-        (dynamics.locked, differentials.locked)
-        if arc.mode is Mode.LOCKED
-        else (dynamics.free, differentials.free)
-    )
-    flow, differential, v, q = own, by, begin.state, perturbations.parameters
-    speed = np.zeros_like(begin.time)
-    if arc.flow_state_at(arc.duration).size > n_x:
-        # A rescaled flight: its unit of time is a parameter that moves, too.
-        flow, differential = dynamics.flight(arc.time_unit), differentials.flight(arc.time_unit)
-        v = np.concatenate([v, np.zeros((2, begin.time.size))])
-        q, speed = np.concatenate([q, begin.rate[None, :]]), begin.rate
-    steps = courses(flow, differential, arc, tolerance, v, q, parts=_PARTS)
-    course = [(0.0, v), *steps]
-    offsets = np.array([offset for offset, _ in course])
-    states = np.array([arc.flow_state_at(offset)[:n_x] for offset in offsets])
+    n_x, arc = perturbations.n_x, execution.arcs[place]
+    own, by = dynamics.free, differentials.free
+    if arc.mode is Mode.LOCKED:
+        own, by = dynamics.locked, differentials.locked
+    offsets, shifts = course_of(perturbations, execution, place, begin, parts=_PARTS)
+    states = np.array([arc.flow_state_at(offset)[:n_x] for offset in offsets.tolist()])
     rates = np.array([own.rate(x).copy() for x in states])
-    later = begin.time + offsets[:, None] * speed
-    moved = np.array([shift[:n_x] for _, shift in course]) - rates[:, :, None] * later[:, None]
+    is_flight = shifts.shape[1] > n_x
+    later = begin.time + offsets[:, None] * (begin.rate if is_flight else 0.0)
+    moved = shifts[:, :n_x] - rates[:, :, None] * later[:, None]
     slopes = _slopes(by, states, moved, perturbations.parameters)
     return arc.start_time + offsets * arc.time_unit, moved, slopes
 
 
 def _slopes(by: FlowDifferential, states: Vector, moved: Vector, q: Vector) -> Vector:
     """Return the rates of perturbations, ``J v + F q``, at the states of an arc."""
-    # The derivatives come for all stages of a step at once.
-    n = len(states)
-    padded = np.concatenate([states, np.repeat(states[-1:], -n % N_STAGES, axis=0)])
-    linear = [by.linear(rows).copy() for rows in padded.reshape(-1, N_STAGES, states.shape[1])]
-    every = np.concatenate([moved, np.broadcast_to(q, (n, *q.shape))], axis=1)
-    return np.concatenate(linear)[:n] @ every
+    every = np.concatenate([moved, np.broadcast_to(q, (len(states), *q.shape))], axis=1)
+    return by.linear(states) @ every

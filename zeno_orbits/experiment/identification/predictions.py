@@ -1,4 +1,4 @@
-"""Predictions of an orbit for samples, and their exact derivatives by the unknowns of a fit."""
+"""Predictions of samples by an orbit, and exact derivatives with respect to the fit's unknowns."""
 
 from __future__ import annotations
 
@@ -8,17 +8,22 @@ from functools import lru_cache
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.identification.folding import Fold, Folded
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.experiment.comparison.folding import Fold, Folded
 from zeno_orbits.experiment.identification.orbit_sensitivity import OrbitSlope, orbit_slope
 from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, tabulated
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Cycle
-from zeno_orbits.search import close_near
+from zeno_orbits.search import close_cycle
 from zeno_orbits.simulation import SimulationSettings
 
-_KEPT = 8
+_KEPT = 64
 """Orbits that are remembered."""
+_MORE, _IMPACTS = 6, 60
+"""An orbit of more impacts than so many times those at the start, and so many, is not followed."""
+_STEPS = 4
+"""Steps in which an orbit is followed to other unknowns, at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,13 +40,14 @@ class Slopes:
 
 
 class Predictions:
-    """Orbits at unknowns; the last one that was accepted tells where the next is looked for."""
+    """Orbits at unknowns. The search for the next orbit starts from the last accepted orbit."""
 
     def __init__(
         self, problem: Problem, unknowns: Unknowns, measured: Measurement, near: Cycle
     ) -> None:
         self._problem, self._measured, self._near = problem, measured, near
         self._settings = SimulationSettings()
+        self._most = _MORE * len(near.impacts) + _IMPACTS
         self._tables = lru_cache(_KEPT)(self._tabulated)
         self._slopes = lru_cache(_KEPT)(self._differentiated)
         self.unknowns = unknowns
@@ -50,20 +56,38 @@ class Predictions:
         """Return the orbit at unknowns.
 
         Raises:
-            SimulationError: If none is found near the last one.
+            SimulationError: If no orbit is found near the last accepted orbit.
         """
         return self._tables(x[:-1].tobytes())
 
     def accept(self, x: Vector) -> None:
-        """Look for the next orbits near the one at these unknowns."""
+        """Start the next searches from the orbit at these unknowns."""
         self._near = self.table(x).cycle
+
+    def starting_at(self, x: Vector) -> Predictions:
+        """Return predictions that search for orbits near the orbit at these unknowns.
+
+        Raises:
+            SimulationError: If the orbit is lost on the way there.
+        """
+        found = Predictions(self._problem, self.unknowns, self._measured, self._near)
+        begin, done, step = self.unknowns.first, 0.0, 1.0
+        while done < 1.0:
+            try:
+                found.accept(begin + min(done + step, 1.0) * (x - begin))
+                done += step
+            except (SimulationError, InputError) as error:
+                step /= 2.0
+                if step * _STEPS < 1.0:
+                    raise SimulationError("No orbit is found there", time=0.0, state=()) from error
+        return found
 
     def fold(self, x: Vector, data: Folded) -> Fold:
         """Return the orbit at the phases of samples."""
         return data.predicted(self.table(x), float(x[-1]))
 
     def slopes(self, x: Vector, data: Folded) -> Slopes:
-        """Return the exact derivatives of what the orbit says of samples (theory (58))."""
+        """Return the exact derivatives of the predicted samples (theory (58))."""
         unknowns, table, fold = self.unknowns, self.table(x), self.fold(x, data)
         slope = self._slopes(x[:-1].tobytes())
         states = slope.at(fold.times)
@@ -83,7 +107,20 @@ class Predictions:
     def _tabulated(self, key: bytes) -> OrbitTable:
         near, p = self._near, self.unknowns.p_at(np.append(np.frombuffer(key), 0.0))
         dynamics = self._problem.dynamics(p)
-        closed = close_near(dynamics, near, self._settings)
+        state, clock = near.start.state.copy(), list(self._problem.compiled().clock)
+        if clock:
+            # Closing many orbits one from another lets the clock drift off its circle.
+            state[clock] /= np.linalg.norm(state[clock])
+        closed = close_cycle(
+            dynamics,
+            dynamics.on_stop(state),
+            scale=near.scale_at_events(),
+            period=near.period,
+            settings=self._settings,
+            shape=near.shape,
+        )
+        if len(closed.cycle.impacts) > self._most:
+            raise SimulationError("Too many impacts per period", time=0.0, state=())
         return tabulated(dynamics, closed.cycle, self._measured, p)
 
     def _differentiated(self, key: bytes) -> OrbitSlope:

@@ -7,9 +7,9 @@ Parts `A` and `B` of the cycles, with gradients :math:`g = \sum J^\top r` and in
 .. math:: T^2 = (\delta_A - \delta_B)^\top (\varphi^2 (H_A^{-1} + H_B^{-1}))^{-1}
     (\delta_A - \delta_B)
 
-is distributed like chi-square, for noise that is :math:`\varphi^2` times that of independent
-samples (theory (59)). Held against each other are the first cycle and the later ones, both halves,
-and every other cycle: a transient, a drift, a doubled period.
+is distributed like chi-square, if the noise variance is :math:`\varphi^2` times the variance of
+independent samples (theory (59)). Three pairs of parts are compared: the first cycle with the later
+cycles (a transient), the two halves (a drift), and even with odd cycles (a doubled period).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.identification.folding import Folded
+from zeno_orbits.experiment.comparison.folding import Folded
 from zeno_orbits.experiment.identification.least_squares import Fit
 
 _CHANCE = 1e-6
@@ -31,9 +31,9 @@ _REACH = 0.05
 _WHOLE = 0.5
 """Part of the usual samples that a cycle has at least, to count as one."""
 _FEWEST = 3
-"""Pairs of cycles that tell how much cycles scatter by themselves."""
+"""Smallest number of pairs of cycles that determine the scatter between cycles."""
 _LOUD = 1.5
-"""Deviations of a first cycle that has settled, over those of later ones, at most."""
+"""Largest ratio of the deviations of a settled first cycle to the deviations of later cycles."""
 _QUIET = 0.1
 """A usual residual at least, in units of its noise."""
 _BINS = 120
@@ -45,11 +45,11 @@ class Unsteady:
     """A difference between cycles that should be alike.
 
     Attributes:
-        reason: In words.
-        first: Whether it is the beginning that differs from the rest.
-        skip: Cycles to leave out then, those begun counted.
-        size: How far apart the numbers are that the parts ask for, relative; infinite if the
-            deviations themselves are of another size.
+        reason: Description of the difference.
+        first: Whether the beginning differs from the rest.
+        skip: Number of cycles to omit then, including incomplete cycles.
+        size: Relative difference between the parameters fitted to the parts. It is infinite if the
+            deviations themselves differ in size.
     """
 
     reason: str
@@ -60,15 +60,15 @@ class Unsteady:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Cycles:
-    """Changes of the parameters that each cycle alone asks for.
+    """Parameter changes that fit each cycle separately.
 
     Attributes:
-        numbers: Of the cycles that are long enough, ``(n_c,)``.
+        numbers: Indices of the cycles that are long enough, ``(n_c,)``.
         gradients: ``(n_c, k + 1)``.
         information: ``(n_c, k + 1, k + 1)``.
-        counts: How many samples each has, ``(n_c,)``.
-        sizes: Medians of its residuals' absolute values, ``(n_c,)``.
-        noise: Factor of the variance over that of independent samples.
+        counts: Number of samples of each cycle, ``(n_c,)``.
+        sizes: Median of the absolute residuals of each cycle, ``(n_c,)``.
+        noise: Ratio of the variance to the variance of independent samples.
     """
 
     numbers: NDArray[np.int64]
@@ -79,7 +79,7 @@ class _Cycles:
     noise: float
 
     def apart(self, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> tuple[float, float]:
-        """Return how far apart two parts of the cycles are, as chi-square and in numbers."""
+        """Return the difference of two parts of the cycles, as chi-square and in parameters."""
         moves: list[Vector] = []
         spread = np.zeros(self.information.shape[1:])
         for part in (one, other):
@@ -90,9 +90,9 @@ class _Cycles:
         return float(gap @ _inverse(spread) @ gap), float(np.max(np.abs(gap[:-1])))
 
     def scatter(self, step: int) -> float:
-        """Return by how much more than noise cycles differ from those some steps later."""
+        """Return the ratio to noise of the difference between cycles some steps apart."""
         n, freedom = len(self.numbers), self.gradients.shape[1]
-        # The first cycle is what is in question.
+        # The first cycle is the cycle under test.
         places = range(1, n - step)
         if len(places) < _FEWEST:
             return 1.0
@@ -101,10 +101,10 @@ class _Cycles:
         return max(float(np.median(found)) / freedom, 1.0)
 
     def first_is_loud(self) -> bool:
-        """Return True if the first cycle has larger residuals than later ones, not by chance.
+        """Return True if the first cycle has significantly larger residuals than later cycles.
 
-        Of noise as it is in the later cycles, half of the first one's samples would have to lie
-        beyond its own median (a sign test).
+        With the noise of the later cycles, half of the first cycle's samples would have to exceed
+        their own median (a sign test).
         """
         from scipy.stats import binom, norm
 
@@ -116,7 +116,7 @@ class _Cycles:
 
 
 def unsteady(found: Fit) -> Unsteady | None:
-    """Return how the cycles of a recording differ, or nothing if they do as noise does."""
+    """Return the difference between the cycles of a recording, ``None`` if insignificant."""
     from scipy.stats import chi2
 
     cycles = _cycles(found)
@@ -131,7 +131,7 @@ def unsteady(found: Fit) -> Unsteady | None:
     begins, early = cycles.apart(place == 0, place > 0)
     halves, later = cycles.apart(place < n // 2, place >= n // 2)
     if loud or begins > max(most, halves if n > 3 else 0.0):
-        reason = "its first cycle differs from the later ones: the motion is still settling"
+        reason = "its first cycle differs from the later cycles: the motion is still settling"
         size = math.inf if loud else early
         return Unsteady(reason=reason, first=True, skip=skip, size=size)
     if halves > most:
@@ -170,9 +170,10 @@ def _cycles(found: Fit) -> _Cycles:
 
 
 def _correlated(data: Folded, rest: Vector, later: NDArray[np.bool_]) -> float:
-    """Return by which factor correlation of the noise lifts the variance of a sum.
+    """Return the factor by which correlation of the noise increases the variance of a sum.
 
-    Noise is what cycles do not have in common, of the later ones, which have settled best.
+    The noise is the deviation of the cycles from their mean, taken from the later cycles, which
+    have settled best.
     """
     bins = np.minimum((data.phases * _BINS).astype(np.int64), _BINS - 1)
     reach = max(round(_REACH * float(np.median(np.bincount(data.groups[later])[-2:]))), 1)

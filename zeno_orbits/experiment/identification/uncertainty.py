@@ -1,13 +1,14 @@
-r"""Uncertainty of fitted numbers with correlated residuals, and combinations that a fit cannot see.
+r"""Uncertainty of fitted values with correlated residuals, and undetermined combinations.
 
-With residuals `r`, their derivative `J` and :math:`H = J^\top J` the numbers err like
+With residuals `r`, their derivative `J` and :math:`H = J^\top J` the covariance of the fitted
+values is
 
 .. math:: H^{-1} \Bigl(\sum_{i,j} J_i^\top \operatorname{cov}(r_i, r_j) J_j\Bigr) H^{-1}.
 
-The covariance is seen twice: as the scatter of whole cycles, which need not be alike inside, and
-as the autocorrelation along the phase of what all cycles have in common, which a model that is
-wrong leaves behind. The largest error counts: of these
-two, and of independent noise (theory (59)).
+The covariance is estimated in two ways. The first estimate is the scatter of whole cycles, which
+may vary within a cycle. The second estimate is the autocorrelation along the phase of the common
+residual of all cycles, which results from an inadequate model. The largest error counts: from these
+two estimates, or from independent noise (theory (59)).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.identification.folding import Folded
+from zeno_orbits.experiment.comparison.folding import Folded
 
 _BINS = 240
 _REACH = 30
@@ -42,16 +43,17 @@ _ROUND = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spread:
-    """Uncertainty of fitted numbers.
+    """Uncertainty of fitted values.
 
     Attributes:
         errors: Standard errors, ``(k,)``.
         half: Half lengths of the 95 % intervals, ``(k,)``.
-        correlation: ``(k, k)``.
-        information: :math:`H` without what the shift in phase takes, ``(k, k)``.
-        inflation: Factor of the errors over those of independent residuals.
-        misfit: What repeats of the residuals, over what noise makes repeat, as variances.
-        common: Size of what repeats without noise's part, in units of the residuals' own.
+        correlation: Correlation matrix, ``(k, k)``.
+        information: :math:`H` after elimination of the shift in phase, ``(k, k)``.
+        inflation: Ratio of the errors to the errors for independent residuals.
+        misfit: Ratio of the variance of the periodic part of the residuals to its value from noise.
+        common: Size of the periodic part without the contribution of noise, relative to the
+            residuals.
     """
 
     errors: Vector
@@ -65,11 +67,11 @@ class Spread:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unseen:
-    """A combination of numbers that a recording does not tell.
+    """A combination of parameters that a recording does not determine.
 
     Attributes:
-        direction: Name to relative change of each number, of length one together.
-        text: In words.
+        direction: Relative change of each parameter by name, with a total length of one.
+        text: Description of the combination.
     """
 
     direction: Mapping[str, float]
@@ -77,13 +79,13 @@ class Unseen:
 
 
 def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
-    """Return how sure the numbers of a fit are.
+    """Return the uncertainty of the fitted values.
 
     Args:
-        jacobian: Of the residuals by the numbers, then by the shift in phase; the last row is the
-            period's, ``(n n_s + 1, k + 1)``.
+        jacobian: Derivatives of the residuals with respect to the parameters and then the phase
+            shift. The last row belongs to the period, ``(n n_s + 1, k + 1)``.
         residuals: In units of their noise, ``(n n_s + 1,)``.
-        data: The samples that they belong to.
+        data: The samples of the residuals.
     """
     from scipy.stats import t as student
 
@@ -93,7 +95,7 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
     information, own = jacobian.T @ jacobian, np.outer(jacobian[-1], jacobian[-1])
     inverse = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
     together, misfit, common = _along_phase(samples, rest, data)
-    # The others are estimates, and may come out too small; independent noise is the least.
+    # The other two values are estimates and may be too small. Independent noise is the lower bound.
     scatters = [(together, _FREEDOM), (_along_time(samples, rest, data), _FREEDOM)]
     if data.n_groups >= _LEAST_GROUPS:
         scatters.append((_by_groups(samples, rest, data), data.n_groups - 1))
@@ -130,7 +132,7 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
     total = np.zeros((m, m))
     repeated, expected, excess, heavy = 0.0, 0.0, 0.0, 0.0
     square = float(np.sum(rest[data.seen] ** 2)) / max(int(data.seen.sum()), 1)
-    # Weights end at the least noise: what residuals are smaller than that is granted as noise.
+    # Weights are limited by the smallest noise: a smaller residual is treated as noise.
     granted = 1.0 - square if square < _EXACT else 0.0
     taper = 1.0 - np.arange(_REACH + 1) / (_REACH + 1)
     for s in range(samples.shape[1]):
@@ -162,9 +164,10 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
 
 
 def _scatter(places: NDArray[np.int64], root: Vector, rest: Vector, mean: Vector) -> float:
-    """Return the variance of a sum of weighted residuals, per weight, between cycles.
+    """Return the variance of a sum of weighted residuals between cycles, relative to the weights.
 
-    Its place is `bin + _BINS cycle`, its weight the square of `root`, `mean` that of all cycles.
+    The index of a residual is `bin + _BINS cycle`. Its weight is the square of `root`, and `mean`
+    is the mean over all cycles.
     """
     weight = np.bincount(places, weights=root**2)
     sums = np.bincount(places, weights=root * rest)
@@ -217,12 +220,12 @@ def _positive(matrix: Vector) -> Vector:
 def unseen_combinations(
     names: Sequence[str], information: Vector, inflation: float
 ) -> tuple[Unseen, ...]:
-    """Return the combinations of numbers that are not determined.
+    """Return the undetermined combinations of parameters.
 
     Args:
-        names: Of the numbers.
+        names: Names of the parameters.
         information: :math:`H` of their relative changes, ``(k, k)``.
-        inflation: Factor of the errors over those of independent residuals.
+        inflation: Ratio of the errors to the errors for independent residuals.
     """
     values, vectors = np.linalg.eigh(information)
     found: list[Unseen] = []
@@ -247,7 +250,7 @@ def _in_words(involved: Sequence[tuple[str, float]]) -> str:
     if len(involved) != 2:
         return text
     (first, a), (second, b) = involved
-    # What such a change leaves alone is first^b / second^a, to first order.
+    # To first order, such a change does not affect first^b / second^a.
     ratio = a / b
     if abs(ratio - 1.0) < _ROUND:
         return f"{text}: only `{first}/{second}` is seen"

@@ -1,4 +1,4 @@
-"""The unknowns of a fit: parameters with their ranges, where they begin, and their places."""
+"""The unknowns of a fit: parameters with ranges, initial values and indices."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Unknown:
     """A parameter of a fit.
 
     Attributes:
-        names: The parameters that it is the value of; more than one if they are tied together.
+        names: The fitted parameter, or several parameters that are tied together.
         lower: Smallest value.
         upper: Largest value.
     """
@@ -28,24 +28,24 @@ class Unknown:
 
     @property
     def label(self) -> str:
-        """Its name: those of its parameters."""
+        """Name of the unknown: the names of its parameters."""
         return "+".join(self.names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unknowns:
-    """The unknowns of a fit as places in gains and parameters.
+    """The unknowns of a fit as indices into gains and parameters.
 
-    The fit itself moves the numbers, relative to their sizes, and a shift of the phase.
+    The fit itself varies the parameters, relative to their scales, and a shift of the phase.
 
     Attributes:
         base: Gains, then parameters, at the start, ``(n_p,)``.
-        places: Of the parameters that move, ``m`` of them.
-        ties: Which unknown moves which of them, ``(m, k)``.
-        start: The unknown numbers at the start, ``(k,)``.
-        scale: Their sizes, ``(k,)``.
-        lower: Their least values, ``(k,)``.
-        upper: Their greatest values, ``(k,)``.
+        places: Indices of the ``m`` parameters that vary.
+        ties: Matrix from unknowns to the parameters that vary, ``(m, k)``.
+        start: Initial values of the unknowns, ``(k,)``.
+        scale: Scales of the unknowns, ``(k,)``.
+        lower: Lower bounds of the unknowns, ``(k,)``.
+        upper: Upper bounds of the unknowns, ``(k,)``.
     """
 
     base: Vector
@@ -67,7 +67,7 @@ class Unknowns:
         return np.append(self.lower / self.scale, -0.5), np.append(self.upper / self.scale, 0.5)
 
     def numbers(self, x: Vector) -> Vector:
-        """Return the numbers at unknowns of the fit, ``(k,)``."""
+        """Return the parameter values at unknowns of the fit, ``(k,)``."""
         return x[:-1] * self.scale
 
     def p_at(self, x: Vector) -> Vector:
@@ -80,15 +80,15 @@ class Unknowns:
 def begin_of(
     problem: Problem, values: ParameterValues, sought: Sequence[Unknown]
 ) -> ParameterValues:
-    """Return the numbers to start from: every unknown inside its range, tied ones equal.
+    """Return the initial values: every unknown inside its range, tied parameters equal.
 
     Args:
         problem: The problem.
-        values: All numbers of it.
+        values: All parameter values of the problem.
         sought: The unknowns.
 
     Raises:
-        InputError: If a name or a range cannot be.
+        InputError: If a name or a range is invalid.
     """
     if not sought:
         raise InputError("Argument `fit` must name a parameter, but it names none.")
@@ -116,11 +116,11 @@ def begin_of(
 
 
 def unknowns_of(problem: Problem, begin: ParameterValues, sought: Sequence[Unknown]) -> Unknowns:
-    """Return the unknowns as places in gains and parameters.
+    """Return the unknowns as indices into gains and parameters.
 
     Args:
         problem: The problem.
-        begin: All numbers of it where the fit begins.
+        begin: All initial parameter values.
         sought: The unknowns.
     """
     names = [name for one in sought for name in one.names]

@@ -1,4 +1,4 @@
-"""Delays of the cycles of a record against what they have in common, and what they tell."""
+"""Delays of the cycles of a record relative to their mean cycle, and the resulting period error."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 
 _TELLING = 4
-"""Cycles from which on their scatter tells an error."""
+"""Smallest number of cycles from which their scatter gives an error estimate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Delays:
-    """How much later than the average the cycles of a record came, those that tell.
+    """Delays of the cycles of a record relative to the mean cycle, where samples determine them.
 
     Attributes:
-        numbers: Of the cycles, ``(n,)``.
-        values: Their delays, ``(n,)``.
-        information: One over the variance of each, for residuals of variance one, ``(n,)``.
+        numbers: Indices of the cycles, ``(n,)``.
+        values: Delays of the cycles, ``(n,)``.
+        information: Inverse variance of each delay, for residuals of variance one, ``(n,)``.
     """
 
     numbers: Vector
@@ -30,7 +30,7 @@ class Delays:
 
     @property
     def scatter(self) -> float:
-        """Standard error of their mean, by their scatter; 0 for too few."""
+        """Standard error of the mean delay, from the scatter. It is 0 for too few cycles."""
         n = len(self.values)
         return float(np.std(self.values, ddof=1)) / math.sqrt(n) if n >= _TELLING else 0.0
 
@@ -39,8 +39,8 @@ def delays_of(cycles: NDArray[np.int64], late: Vector, rest: Vector) -> Delays:
     """Return the least-squares delay of each cycle.
 
     Args:
-        cycles: Number of the cycle of each residual, not negative, ``(n,)``.
-        late: Derivatives of what is predicted by a delay, ``(n,)``.
+        cycles: Cycle index of each residual, nonnegative, ``(n,)``.
+        late: Derivatives of the prediction with respect to a delay, ``(n,)``.
         rest: The residuals, ``(n,)``.
     """
     information: Vector = np.bincount(cycles, weights=late**2).astype(np.float64)
@@ -54,9 +54,10 @@ def delays_of(cycles: NDArray[np.int64], late: Vector, rest: Vector) -> Delays:
 
 
 def period_error(delays: Delays, white: float) -> float:
-    """Return the standard error of the slope of the cycles' delays over their numbers.
+    """Return the standard error of the slope of the delays as a function of the cycle index.
 
-    With few cycles their scatter says little; the error of the noise alone counts if it is larger.
+    The scatter of few cycles is a poor estimate. The error from the noise alone counts if it is
+    larger.
 
     Args:
         delays: The delays.

@@ -1,9 +1,10 @@
-r"""The period of recorded signals, from the signals alone, and how well they repeat.
+r"""Period and repeatability of recorded signals, from the signals alone.
 
-A first value is where the autocorrelation of all signals together has its first great peak. Then
-harmonics are fitted, :math:`y(t) \approx \sum_{k \le K} a_k \cos k\omega t + b_k \sin k\omega t`,
-by least squares in the period, too, over ever longer stretches, so that no cycle is miscounted;
-and each cycle's own delay against that average tells how sure the period is (theory (54)).
+The first estimate of the period is the first large peak of the joint autocorrelation of all
+signals. Then harmonics :math:`y(t) \approx \sum_{k \le K} a_k \cos k\omega t + b_k \sin k\omega t`
+are fitted by least squares, with the period as an unknown. The fit is repeated over longer and
+longer stretches, so that no cycle is miscounted. The delay of each cycle against the average gives
+the standard error of the period (theory (54)).
 """
 
 from __future__ import annotations
@@ -32,16 +33,17 @@ _STEPS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Periodicity:
-    """Period of recorded signals and their average over it.
+    """Period of recorded signals and their average over a period.
 
     Attributes:
         period: [s].
-        error: Standard error of the period [s]; infinite if there are not two periods.
+        error: Standard error of the period [s]. It is infinite for a record shorter than two
+            periods.
         n_cycles: Length of the record in periods.
         repeats: Part of the variance of the signals that repeats, at most 1.
-        alternation: Size of what has twice the period, and not the period itself, in standard
-            deviations of the signals.
-        alternation_noise: The same as noise alone would give it.
+        alternation: Size of the component with twice the period, in standard deviations of the
+            signals.
+        alternation_noise: The size of this component from noise alone.
         template: Complex amplitudes of the harmonics of each signal, ``(n_s, K + 1)``, in phases
             that count from the first time of the record.
     """
@@ -55,10 +57,10 @@ class Periodicity:
     template: NDArray[np.complex128]
 
     def average(self, phases: Vector) -> Vector:
-        """Return what repeats of the signals, ``(n, n_s)``.
+        """Return the periodic part of the signals, ``(n, n_s)``.
 
         Args:
-            phases: In periods from the first time of the record, ``(n,)``.
+            phases: Phases in periods since the first time of the record, ``(n,)``.
         """
         order = np.arange(self.template.shape[1], dtype=np.float64)
         waves = np.exp(2j * np.pi * np.outer(phases, order))
@@ -66,11 +68,11 @@ class Periodicity:
 
 
 def periodicity(time: Vector, values: Vector) -> Periodicity | None:
-    """Return how signals repeat, or nothing if the record is too short or they do not.
+    """Return the period of signals, or ``None`` if the record is too short or not periodic.
 
     Args:
-        time: Increasing, ``(n_t,)`` [s].
-        values: One row a signal, ``(n_s, n_t)``; NaN where one was not taken.
+        time: Increasing times, ``(n_t,)`` [s].
+        values: One row per signal, ``(n_s, n_t)``. A missing sample is NaN.
     """
     grid = _gathered(time, values)
     period = _first_period(grid)
@@ -95,11 +97,11 @@ class _Grid:
     Attributes:
         step: Length of a bin [s].
         times: Mean time of the samples in each bin, from the first time of the record [s].
-        values: Mean of each signal less its mean, in standard deviations, ``(n_s, n)``; 0 where
-            there is none.
-        mask: Where there are any.
+        values: Mean of each signal per bin minus the overall mean, in standard deviations, ``(n_s,
+            n)``. It is 0 in empty bins.
+        mask: Mask of the bins with samples.
         centre: Mean of each signal.
-        scale: Its standard deviation.
+        scale: Standard deviation of each signal.
     """
 
     step: float
@@ -149,10 +151,10 @@ def _gathered(time: Vector, values: Vector) -> _Grid:
 
 
 def _autocorrelation(grid: _Grid) -> tuple[Vector, NDArray[np.bool_]]:
-    """Return the correlation of a record with itself, shifted by bins, and where it is known.
+    """Return the autocorrelation of a record at shifts by whole bins, and the mask of known shifts.
 
-    The sum over what overlaps, over the geometric mean of the two energies there: at most one, and
-    one for a whole number of periods however little overlaps.
+    The sum over the overlap is divided by the geometric mean of the two energies there. The result
+    is at most one, and one for a whole number of periods however small the overlap is.
     """
     n = grid.values.shape[1]
     size = 2 * n
@@ -173,7 +175,7 @@ def _autocorrelation(grid: _Grid) -> tuple[Vector, NDArray[np.bool_]]:
 
 
 def _first_period(grid: _Grid) -> float | None:
-    """Return the first great peak of the autocorrelation, or nothing if it has none."""
+    """Return the first large peak of the autocorrelation, or ``None`` if every peak is small."""
     correlation, known = _autocorrelation(grid)
     below = np.flatnonzero(known & (correlation < 0.0))
     if not len(below) or not known[below[0] + 1 :].any():
@@ -189,7 +191,7 @@ def _first_period(grid: _Grid) -> float | None:
     )
     if not len(peaks):
         return None
-    # A peak at the edge of what is known is a slope that is cut off; it is no peak in between.
+    # A maximum at the edge of the known range is a truncated slope and not a peak.
     first = int(peaks[0]) + 1
     crest = first + int(np.argmax(inside[first : first + max(first // 20, 1)]))
     return float(crest + below[0]) * grid.step
@@ -205,13 +207,13 @@ def _waves(phases: Vector, n_harmonics: int) -> Vector:
 
 
 def _projected(waves: Vector, row: Vector) -> Vector:
-    """Return the least-squares amplitudes of waves; the normal equations are well conditioned."""
+    """Return the least-squares amplitudes of waves. The normal equations are well conditioned."""
     found = np.linalg.lstsq(waves.T @ waves, waves.T @ row, rcond=1e-9)[0]
     return np.asarray(found, dtype=np.float64)
 
 
 class _Wave(NamedTuple):
-    """Harmonics fitted to the bins of one signal, its derivative by the phase, and what is left."""
+    """Harmonics fitted to the bins of one signal, their derivative by phase, and the residual."""
 
     mask: NDArray[np.bool_]
     phases: Vector
@@ -235,7 +237,7 @@ def _fits(grid: _Grid, period: float, n_harmonics: int, until: float) -> Iterato
 
 
 def _harmonics(grid: _Grid, period: float) -> int:
-    """Return how many harmonics the bins can tell apart."""
+    """Return the number of harmonics that the bins resolve."""
     return int(np.clip(0.25 * period / grid.step, 1, _HARMONICS))
 
 
@@ -247,7 +249,7 @@ def _refined(grid: _Grid, length: float, period: float) -> float | None:
         for wave in _fits(grid, period, n_harmonics, length):
             if len(wave.rest) < 4 * n_harmonics + 4:
                 continue
-            # A longer period moves what is late by more: d(phase)/dT = -phase / T.
+            # A longer period moves later samples by more: d(phase)/dT = -phase / T.
             moved = -wave.slope * wave.phases / period
             moved = moved - wave.waves @ _projected(wave.waves, moved)
             above += float(moved @ wave.rest)
@@ -259,7 +261,7 @@ def _refined(grid: _Grid, length: float, period: float) -> float | None:
 
 
 def _described(grid: _Grid, period: float) -> Periodicity:
-    """Return how a record repeats with a period."""
+    """Return the periodicity of a record with a given period."""
     n_harmonics, n_s, length = _harmonics(grid, period), len(grid.values), float(grid.times[-1])
     fits = list(_fits(grid, period, n_harmonics, math.inf))
     amplitudes = np.array([one.amplitudes for one in fits])
@@ -283,7 +285,7 @@ def _described(grid: _Grid, period: float) -> Periodicity:
 
 
 def _alternation(wave: _Wave, n_harmonics: int) -> tuple[float, float]:
-    """Return the mean square of half-integer harmonics in a rest, and that of noise alone."""
+    """Return the mean square of half-integer harmonics in a residual, and that for noise."""
     if wave.phases[-1] - wave.phases[0] < 3.0:
         return 0.0, math.inf
     doubled = _waves(wave.phases / 2, 2 * n_harmonics)[:, 1 : 4 * n_harmonics + 1 : 2]

@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import DataFileError, InputError, counted
 from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
+from zeno_orbits.kinds import checked
 from zeno_orbits.model.units import in_si
+from zeno_orbits.work import ByValue
 from zeno_orbits.work.files import write_pieces
 
 FORMAT = 1
@@ -40,14 +42,14 @@ _GAP = 5.0
 
 
 class Source(Enum):
-    """Origin of a recording; the value is the word in its file."""
+    """Origin of a recording. The value is the word in its file."""
 
     MEASURED = "measured"
     SIMULATED = "simulated"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RecordedSignal:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class RecordedSignal(ByValue):
     """One quantity over time.
 
     Attributes:
@@ -60,18 +62,22 @@ class RecordedSignal:
     unit: str
     values: Vector
 
+    def __repr__(self) -> str:
+        """Return one line: name, unit and number of values."""
+        return f"<RecordedSignal {self.name} [{self.unit}]: values={len(self.values)}>"
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Recording:
-    """Signals that were taken together.
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Recording(ByValue):
+    """Signals that were recorded together.
 
     Attributes:
-        source: Where they come from; nothing if it is not known.
-        problem: Name of the problem that they belong to; empty if it is not known.
+        source: Origin of the signals, or ``None`` if unknown.
+        problem: Name of the problem that the signals belong to, or an empty string if unknown.
         time: Increasing, ``(n_t,)`` [s].
         signals: The signals, with different names.
-        notes: What else is known of it, as texts without line ends.
-        remarks: What a reader left out or found odd, as sentences without full stops.
+        notes: Further facts about the recording, as texts without line ends.
+        remarks: Omissions and irregularities found by the reader, as sentences without full stops.
     """
 
     source: Source | None
@@ -94,9 +100,16 @@ class Recording:
                 has = f"`{signal.name}` has {len(signal.values)}"
                 raise ValueError(f"Argument `signals` {wanted}, but {has}.")
 
+    def __repr__(self) -> str:
+        """Return one line: the span of time and the signals."""
+        return (
+            f"<Recording of {self.problem or 'an unknown problem'} from {self.time[0]:g} to "
+            f"{self.time[-1]:.9g} s: times={len(self.time)}, signals={', '.join(self.names)}>"
+        )
+
     @property
     def label(self) -> str:
-        """Name beside an orbit, which says if it was simulated."""
+        """Label in a comparison with an orbit, which states whether the recording was simulated."""
         return "recording" if self.source is None else f"recording, {self.source.value}"
 
     @property
@@ -122,8 +135,8 @@ def cut(recording: Recording, since: float | None, until: float | None) -> Recor
 
     Args:
         recording: The whole.
-        since: Its first time at least; the beginning without it [s].
-        until: Its last time at most; the end without it [s].
+        since: Earliest time to keep, by default the beginning [s].
+        until: Latest time to keep, by default the end [s].
 
     Raises:
         InputError: If fewer than two rows are left.
@@ -143,13 +156,14 @@ def cut(recording: Recording, since: float | None, until: float | None) -> Recor
     return replace(recording, time=recording.time[part], signals=signals)
 
 
-def write_recording(recording: Recording, path: Path) -> None:
+@checked
+def write_recording(recording: Recording, path: Path | str) -> None:
     """Write a recording, whole or not at all, in digits that give back every bit.
 
     Raises:
         InputError: If the folder cannot be written.
     """
-    write_pieces(path, _written(recording))
+    write_pieces(Path(path), _written(recording))
 
 
 def _written(recording: Recording) -> Iterator[bytes]:
@@ -168,20 +182,22 @@ def _written(recording: Recording) -> Iterator[bytes]:
         yield "".join(",".join(map(repr, row)) + "\n" for row in rows).encode()
 
 
-def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
+@checked
+def read_recording(path: Path | str, *, only: Collection[str] = ()) -> Recording:
     """Read a recording in SI units.
 
-    Rows without a time, or with that of the row before, are left out, infinite values are taken
-    for missing ones, and ``remarks`` says so.
+    Rows without a time or with the same time as the previous row are omitted. Infinite values are
+    treated as missing. ``remarks`` lists both.
 
     Args:
         path: The file.
-        only: Names of the signals to read, as far as there are such; all of them if empty. What
-            stands in other columns does not matter then.
+        only: Names of the signals to read, if the file has them. All signals are read if `only` is
+            empty. The contents of other columns do not matter then.
 
     Raises:
-        DataFileError: If it cannot be read or understood; the text names the line.
+        DataFileError: If the file cannot be read or parsed. The message names the line.
     """
+    path = Path(path)
     head = read_head(path)
     notes = _notes(path, head)
     titles = [_split(title) for title in head.columns]
@@ -197,7 +213,7 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
         raise DataFileError(path, f"column `{head.columns[time]}` is not a time")
     table = read_table(path, head, (time, *chosen))
     kept, remarks = _sound_rows(path, table)
-    # Whole columns are scaled in place: a second copy of a long recording may not fit.
+    # Whole columns are scaled without a copy: a second copy of a long recording may not fit.
     for row, (_, factor) in zip(table.values, units, strict=True):
         if factor != 1.0:
             row *= factor
@@ -240,7 +256,7 @@ def _source(path: Path, notes: dict[str, str]) -> Source | None:
 
 
 def _problem(notes: dict[str, str]) -> str:
-    """Return the name of the problem; files of version 0.1 call it a scene."""
+    """Return the name of the problem. Files of version 0.1 store it under the key `scene`."""
     older = notes.pop("scene", "")
     return notes.pop("problem", older)
 
@@ -262,7 +278,7 @@ def _time_column(path: Path, names: list[str]) -> int:
 def _unit(path: Path, name: str, unit: str | None) -> tuple[str, float]:
     if unit is None:
         likely = "s" if name.lower() in _TIME else "rad"
-        reason = f"column `{name}` has no unit; write for instance `{name} [{likely}]`"
+        reason = f"column `{name}` lacks a unit: write for instance `{name} [{likely}]`"
         raise DataFileError(path, reason)
     try:
         return in_si(unit)
@@ -271,7 +287,7 @@ def _unit(path: Path, name: str, unit: str | None) -> tuple[str, float]:
 
 
 def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | None, tuple[str, ...]]:
-    """Return the numbers of the rows to keep, or nothing for all of them, and what was odd."""
+    """Return the indices of the rows to keep, ``None`` for all rows, and the irregularities."""
     time, lines = table.values[0], table.lines
     remarks: list[str] = []
     timed = np.isfinite(time)
@@ -285,13 +301,13 @@ def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | Non
     if np.any(steps < 0.0):
         k = int(np.argmax(steps < 0.0))
         earlier, later = time[rows[k]], time[rows[k + 1]]
-        back = f"the time goes back from {earlier:.9g} to {later:.9g} in line {lines[rows[k + 1]]}"
-        raise DataFileError(path, f"{back}; sort the lines, or split the file there")
+        back = f"the time decreases from {earlier:.9g} to {later:.9g} in line {lines[rows[k + 1]]}"
+        raise DataFileError(path, f"{back}: sort the lines, or split the file there")
     repeated = np.concatenate([[False], steps == 0.0]) if len(rows) else np.zeros(0, dtype=bool)
     if 2 * int(repeated.sum()) > len(rows):
         at = int(lines[rows[np.argmax(repeated)]])
         reason = f"most of its times repeat the one before, first in line {at}"
-        raise DataFileError(path, f"{reason}; write the time with more digits")
+        raise DataFileError(path, f"{reason}: write the time with more digits")
     if repeated.any():
         at = int(lines[rows[np.argmax(repeated)]])
         what = f"{counted(int(repeated.sum()), 'row')} with the time of the row before left out"
@@ -299,7 +315,7 @@ def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | Non
         rows = rows[~repeated]
     if len(rows) < 2:
         raise DataFileError(
-            path, f"it has {counted(len(rows), 'row')} of numbers, and two are needed"
+            path, f"it has {counted(len(rows), 'row')} of values, and two are needed"
         )
     return (None if len(rows) == len(time) else rows), tuple(remarks)
 

@@ -1,4 +1,4 @@
-"""An execution as instruments would record it: samples of its states, with noise if wanted."""
+"""Recordings made from a simulated execution: samples of its states with optional noise."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.orbit_table import state_nodes
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
+from zeno_orbits.kinds import require_kinds
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.simulation import Execution
 
 MOST_SAMPLES = 10_000_000
-"""Samples of a recording at most; ten of each state take a gigabyte."""
+"""Largest number of samples of a recording. Ten million samples of each state take a gigabyte."""
 _MOST_NOISE = 1e6
 """Noise in parts of a state's range beyond which nothing is left of the state."""
 
@@ -35,6 +36,7 @@ class Sampling:
 
     def __post_init__(self) -> None:
         """Refuse rates, noise and seeds that mean nothing."""
+        require_kinds(self)
         if not (math.isfinite(self.rate) and self.rate > 0.0):
             wanted = "must be a positive number of Hz"
             raise InputError(f"Argument `rate` {wanted}, but it is {self.rate:g}.")
@@ -45,10 +47,10 @@ class Sampling:
             raise InputError(f"Argument `seed` must be at least 0, but it is {self.seed}.")
 
     def count(self, time: float) -> int:
-        """Return how many samples there are in a time.
+        """Return the number of samples in a duration.
 
         Args:
-            time: How long [s].
+            time: Duration [s].
 
         Raises:
             InputError: If there are fewer than two, or too many to write.
@@ -63,13 +65,13 @@ class Sampling:
 def sampled(
     problem: Problem, dynamics: HybridDynamics, execution: Execution, sampling: Sampling
 ) -> Recording:
-    """Return the states of an execution at even times.
+    """Return the states of an execution at evenly spaced times.
 
     Args:
         problem: The problem.
         dynamics: The system that was simulated.
-        execution: What to record.
-        sampling: How.
+        execution: The execution to record.
+        sampling: Sampling interval and noise.
 
     Raises:
         InputError: If there are fewer than two samples, or too many.

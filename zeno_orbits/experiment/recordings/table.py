@@ -1,7 +1,7 @@
-"""Tables of numbers in text files as they are met: any separator, decimal commas, holes, halves.
+"""Tables of values in text files with any separator, decimal commas, gaps and incomplete rows.
 
-A file of ten million rows is read in pieces, each by NumPy's own parser; only a piece that the
-parser refuses is read line by line, which finds the line at fault.
+A file of ten million rows is read in pieces by NumPy's parser. Only a piece that this parser
+rejects is read line by line, which finds the invalid line.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import DataFileError
 
 _PIECE = 1 << 22
-"""Bytes that are read at a time: enough for the parser to pay, little beside the numbers."""
+"""Bytes per piece: large enough for an efficient parser, and small compared with the values."""
 
 _SEPARATORS = ("\t", ";", ",")
 """In the order in which they are looked for: a comma may also be a decimal sign."""
 
 _MISSING = frozenset({"", "-", "nan", "na", "n/a", "#n/a", "null", "none", "missing"})
-"""What stands for a number that was not taken, in small letters."""
+"""Marks for a missing value, in lower case."""
 
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Head:
-    """The lines above the numbers.
+    """Header of a file: the lines above the values.
 
     Attributes:
         comments: The lines that begin with ``#``, without it.
@@ -53,9 +53,9 @@ class ColumnTable:
     """Chosen columns of a table.
 
     Attributes:
-        values: A row for each column, ``(n_columns, n_rows)``; NaN where a number is missing.
+        values: One row per column, ``(n_columns, n_rows)``. A missing value is NaN.
         lines: Number in the file of each row's line, ``(n_rows,)``.
-        remarks: What was left out, and why.
+        remarks: Omitted rows with reasons.
     """
 
     values: Vector
@@ -64,10 +64,10 @@ class ColumnTable:
 
 
 def read_head(path: Path) -> Head:
-    """Return what stands above the numbers of a file.
+    """Return the header of a file.
 
     Raises:
-        DataFileError: If the file cannot be read, is no text, or has no line of titles.
+        DataFileError: If the file cannot be read, is not text, or lacks a line of titles.
     """
     comments: list[str] = []
     with _opened(path) as file:
@@ -77,7 +77,7 @@ def read_head(path: Path) -> Head:
                 comments.append(text[1:].strip())
             elif text:
                 return _head(path, text, tuple(comments), number)
-    raise DataFileError(path, "it has no line of column titles such as `time [s],angle [rad]`")
+    raise DataFileError(path, "a line of column titles is missing, such as `time [s],angle [rad]`")
 
 
 def _head(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
@@ -92,18 +92,18 @@ def _head(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
 
 
 def read_table(path: Path, head: Head, chosen: Sequence[int]) -> ColumnTable:
-    """Return the numbers of chosen columns.
+    """Return the values of chosen columns.
 
-    A last line without an end that is cut short is left out, for a logger that was switched off
-    leaves one; any other line that does not fit is an error.
+    An incomplete last line without a line end is omitted, because a logger that is switched off
+    leaves such a line. Any other invalid line is an error.
 
     Args:
         path: The file.
-        head: What stands above its numbers.
-        chosen: Numbers of columns from 0.
+        head: Header of the file.
+        chosen: Indices of the columns, from 0.
 
     Raises:
-        DataFileError: If a line has another number of columns, or a text where a number must be.
+        DataFileError: If a line has a different number of columns, or a text in place of a value.
     """
     reader = _Reader(path, head, tuple(chosen))
     with _opened(path) as file:
@@ -113,7 +113,7 @@ def read_table(path: Path, head: Head, chosen: Sequence[int]) -> ColumnTable:
 
 
 class _Reader:
-    """Gathers the pieces of one file; it lives as long as the reading."""
+    """Collector of the pieces of one file, used for a single reading."""
 
     def __init__(self, path: Path, head: Head, chosen: tuple[int, ...]) -> None:
         self.path, self.head, self.chosen = path, head, chosen
@@ -154,6 +154,11 @@ class _Reader:
             if self.decimal == ",":
                 return None
             self.decimal = "."
+        if separator + separator in piece or separator + "\n" in piece:
+            # Empty entries, twice: a run of three separators holds two of them.
+            for _ in range(2):
+                piece = piece.replace(2 * separator, f"{separator}nan{separator}")
+            piece = piece.replace(f"{separator}\n", f"{separator}nan\n")
         try:
             values = np.loadtxt(
                 io.StringIO(piece),
@@ -189,7 +194,8 @@ class _Reader:
             self.remarks.append(f"line {line}, the last, is cut short and was left out")
             return None
         if len(parts) != n_columns:
-            # A trailing separator makes an empty column; titles without one count one fewer.
+            # A trailing separator makes an empty column. Titles without a trailing separator have
+            # one column less.
             if len(parts) == n_columns + 1 and not parts[-1]:
                 parts.pop()
             else:
@@ -242,7 +248,7 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _pieces(file: BinaryIO) -> Iterator[str]:
-    """Yield a file as pieces of whole lines with plain ends; the last may lack its end."""
+    """Yield a file in pieces of whole lines with normalised ends. The last line may be cut."""
     path = Path(file.name)
     rest = b""
     first = True

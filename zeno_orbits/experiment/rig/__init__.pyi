@@ -3,7 +3,7 @@ from .contact_damping import effective_restitution as effective_restitution
 from .cycles import RigCycle as RigCycle
 from .cycles import SettledRig as SettledRig
 from .cycles import cut_cycles as cut_cycles
-from .cycles import default_rig as default_rig
+from .default_stop import default_rig as default_rig
 from .cycles import rig_cycles as rig_cycles
 from .run import Record as Record
 from .run import RigRun as RigRun

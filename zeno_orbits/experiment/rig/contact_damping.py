@@ -5,8 +5,8 @@ begins at the speed `v` ends at :math:`e v` where
 
 .. math:: g(u) = g(-e u),
 
-whatever its stiffness and exponent and the inertia behind it. Source: [HuntCrossley1975]_ for the
-force; the relation is theory (49).
+for any stiffness, exponent and normal inertia. Source: [HuntCrossley1975]_ for the force. The
+relation is theory (49).
 """
 
 from __future__ import annotations
@@ -16,20 +16,18 @@ from collections.abc import Callable
 
 from zeno_orbits.errors import InputError
 
-_HALVINGS = 200
-
 
 def damping_number(restitution: float) -> float:
     r"""Return :math:`u`, the damping factor times the approach speed, of a restitution.
 
     It falls from infinity at ``e = 0``, where it is about :math:`1/e`, to zero at ``e = 1``, where
-    it is about :math:`\tfrac32 (1 - e)`; good to rounding over ``1 - e``.
+    it is about :math:`\tfrac32 (1 - e)`. Its error is at the level of rounding over ``1 - e``.
 
     Args:
         restitution: :math:`e` in [0, 1].
 
     Raises:
-        InputError: If it is another one.
+        InputError: If the restitution is outside [0, 1].
     """
     e = restitution
     if not 0.0 <= e <= 1.0:
@@ -43,7 +41,7 @@ def damping_number(restitution: float) -> float:
         # With e u = 1 - exp(-depth) the logarithm of 1 - e u is exact, however small that is.
         return _excess(-math.expm1(-depth) / e) - _returned(depth)
 
-    # Of the two roots the one at zero is left out: there the equation says that nothing moves.
+    # The root at zero is excluded: it is the trivial solution without motion.
     lowest = -math.log1p(-0.5 * min(e * (1.0 - e), 0.5))
     depth = _root(missing, lowest, 4.0 / e + 4.0)
     return -math.expm1(-depth) / e
@@ -53,10 +51,10 @@ def effective_restitution(number: float) -> float:
     """Return the restitution of a damping number, the inverse of `damping_number`.
 
     Args:
-        number: :math:`u`, at least 0; may be infinite.
+        number: Damping number :math:`u`, at least 0. It may be infinite.
 
     Raises:
-        InputError: If it is negative or no number.
+        InputError: If the damping number is negative or NaN.
     """
     if not number >= 0.0:
         raise InputError(f"Argument `number` must be at least 0, but it is {number:g}.")
@@ -84,13 +82,7 @@ def _returned(depth: float) -> float:
 
 
 def _root(function: Callable[[float], float], left: float, right: float) -> float:
-    """Return where a function falls from positive to negative, by bisection to rounding."""
-    for _ in range(_HALVINGS):
-        middle = (left + right) / 2
-        if middle in {left, right}:
-            break
-        if function(middle) > 0.0:
-            left = middle
-        else:
-            right = middle
-    return (left + right) / 2
+    """Return the point at which a function changes from positive to negative, to rounding."""
+    from scipy.optimize import brentq
+
+    return float(brentq(function, left, right, xtol=1e-300, rtol=4 * 2.0**-52, maxiter=500))

@@ -1,7 +1,7 @@
 """The digital controller of a machine: readings, delays and pulses in order of time.
 
-Encoders round coordinates, and rates are their differences (theory (52)); the pulses of a bridge
-come edge by edge (theory (51)).
+Encoders round the coordinates, and rates are differences of the rounded coordinates (theory (52)).
+The pulses of an H-bridge are resolved edge by edge (theory (51)).
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from zeno_orbits.model import Bridge, Controller, Rig, Sensors, Switching
 
 
 class ControlLoop:
-    """Reads, computes and switches; between two of its edges every voltage is constant.
+    """Controller that reads, computes and switches. Voltages are constant between its edges.
 
     Args:
         rig: The parts of the machine.
-        command: From a measured state to the voltages of the feedback.
-        currents: From a true state to the motors' currents.
+        command: Function from a measured state to the feedback voltages.
+        currents: Function from a true state to the motor currents.
         n_x: Number of the problem's states.
         n_q: Number of coordinates.
-        random: Where noise comes from.
+        random: Random generator of the noise.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class ControlLoop:
         return min(times)
 
     def act(self, time: float, y: Vector) -> None:
-        """Do what is due at a time: read, take over an earlier command, start pulses, switch."""
+        """Process the events due at a time: readings, delayed commands, pulses, switching edges."""
         if time >= self._readings * self._controller.period:
             self._read(time, y)
         while self._waiting and self._waiting[0][0] <= time:
@@ -99,7 +99,7 @@ class ControlLoop:
 
 
 def _as_fast_as(bridge: Bridge | None) -> Controller:
-    """Return the controller of a bridge without one: it knows the state at the start of a pulse."""
+    """Return the controller of a bridge without controller, which reads at the start of a pulse."""
     if bridge is None:
         raise ValueError(
             "Argument `rig` must have a controller or exact switching, but it has neither."
@@ -108,16 +108,16 @@ def _as_fast_as(bridge: Bridge | None) -> Controller:
 
 
 class Encoders:
-    r"""Turns true states into measured ones, reading by reading (theory (52)).
+    r"""Converter of true states to measured states, one reading at a time (theory (52)).
 
     .. math:: q_k = r\,\mathrm{round}\!\left(\frac{q(t_k) + \nu_k}{r}\right),\qquad
         v_k = a\,v_{k-1} + (1 - a)\,\frac{q_k - q_{k-1}}{T_s},\qquad a = e^{-T_s/\tau}
 
     Args:
-        sensors: What it reads with; ``None`` for the states themselves.
-        controller: How often.
+        sensors: Sensor parameters, or ``None`` to return the states themselves.
+        controller: Controller, which sets the sampling period.
         n_q: Number of coordinates.
-        random: Where the noise comes from.
+        random: Random generator of the noise.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Encoders:
         self._rates: Vector = np.zeros(n_q)
 
     def read(self, x: Vector) -> Vector:
-        """Return what is known of a state, ``(n_x,)``; the next reading is a period later."""
+        """Return the measured state, ``(n_x,)``. The next reading follows one period later."""
         sensors, n_q = self._sensors, self._n_q
         if sensors is None:
             return x
@@ -151,7 +151,8 @@ class Encoders:
             # Adding zero turns -0.0 into 0.0.
             q = sensors.resolution * np.round(q / sensors.resolution) + 0.0
         if self._last is None:
-            # The first reading has no difference yet; a machine would have run before.
+            # The first reading lacks a previous reading for a difference. A real machine would have
+            # run before.
             self._rates = x[n_q : 2 * n_q].copy()
         else:
             slope = (q - self._last) / self._period
@@ -176,13 +177,13 @@ class BridgeLeg(Enum):
 
 
 def pulse(bridge: Bridge, share: float) -> tuple[tuple[float, BridgeLeg], ...]:
-    """Return when in a period the switching leg changes, and to what, from the start of the period.
+    """Return the switching times and states of the leg, with times since the start of the period.
 
     Every edge that turns a transistor on waits for the dead time.
 
     Args:
-        bridge: Its numbers.
-        share: Part of the period for which the voltage is asked for, in [0, 1].
+        bridge: Parameters of the bridge.
+        share: Duty cycle, the part of the period with voltage applied, in [0, 1].
     """
     period, dead = 1.0 / bridge.frequency, bridge.dead_time
     on = share * period
@@ -206,10 +207,11 @@ def level(bridge: Bridge, leg: BridgeLeg, sign: float, current: float) -> float:
     """Return the voltage over a motor and its transistors while a leg is in a state [V].
 
     Args:
-        bridge: Its numbers.
-        leg: The state of the switching leg; the other leg stays low.
-        sign: Sign of the voltage that is asked for.
-        current: Of the motor, which a diode carries while no transistor does [A].
+        bridge: Parameters of the bridge.
+        leg: State of the switching leg. The other leg stays low.
+        sign: Sign of the commanded voltage.
+        current: Current of the motor, which flows through a diode while both transistors are off
+            [A].
     """
     if leg is BridgeLeg.HIGH:
         return sign * bridge.supply

@@ -1,33 +1,37 @@
 """Cycles of a machine's run: from one release to the next, as an orbit of the model counts them.
 
-A machine has no Zeno point and no multiplier. Its *lock* is a long stretch of contacts that follow
-one another closely; its *release* is the end of that stretch (theory (53)).
+Zeno points and contact multipliers do not exist in a machine. Its *lock* is a long stretch of
+contacts in close succession. Its *release* is the end of that stretch (theory (53)).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, counted
+from zeno_orbits.experiment.rig.default_stop import default_rig
 from zeno_orbits.experiment.rig.run import RigRun, RigSettings, Touch
 from zeno_orbits.experiment.rig.simulator import simulate_rig
-from zeno_orbits.model import Contact, Problem, Rig
+from zeno_orbits.model import Problem, Rig
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.simulation import AttractorKind, Motion, SectionReturn, outcome_of
-from zeno_orbits.work import Progress, silent
+from zeno_orbits.work import ByValue, Progress, silent
 
 _CLOSE = 0.02
 """Part of the orbit's locked time below which a flight does not end a lock."""
 _LONG = 0.1
 """Part of the orbit's locked time from which on contacts, or one alone, are a lock."""
+_LIKE_PERIOD = 0.3
+"""A cycle's period differs from the orbit's by less than this part of it."""
+_FLIGHT = 0.5
+"""A cycle's first flight lasts at least this part of the orbit's."""
 _SETTLE = 8
-"""Cycles that a machine gets to settle if its orbit does not tell its multipliers."""
+"""Number of transient cycles of a machine if the multipliers of its orbit are unknown."""
 _FEWEST, _MOST = 4, 60
 """Cycles that it gets at least, and at most."""
 _CLOSE_TO = 1e-2
@@ -44,8 +48,8 @@ class RigCycle:
         release: When it begins [s].
         release_state: State there, ``(n_y,)``.
         impact: The first contact after it.
-        impacts: Contacts from the first to the one that lasts, that one not counted.
-        lock: When the contact begins that lasts: the end of the chatter [s].
+        impacts: Number of contacts before the sustained contact.
+        lock: Start of the sustained contact, which is the end of the chatter [s].
         lock_state: State there.
         end: The next release [s].
         end_state: State there.
@@ -66,17 +70,26 @@ class RigCycle:
         return self.end - self.release
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SettledRig:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class SettledRig(ByValue):
     """A machine that has settled, over some cycles.
 
     Attributes:
-        run: Its run over them; time counts from the first release.
+        run: Run over the cycles, with times since the first release.
         cycles: The cycles.
     """
 
     run: RigRun
     cycles: tuple[RigCycle, ...]
+
+    def __repr__(self) -> str:
+        """Return one line: the number of cycles and the periods."""
+        periods = ", ".join(f"{cycle.period:.7g}" for cycle in self.cycles[:4])
+        more = ", ..." if len(self.cycles) > 4 else ""
+        return (
+            f"<SettledRig of {self.run.problem}: cycles={len(self.cycles)}, "
+            f"periods={periods}{more} s>"
+        )
 
 
 def rig_cycles(
@@ -90,29 +103,29 @@ def rig_cycles(
     settings: RigSettings | None = None,
     on_progress: Progress = silent,
 ) -> SettledRig:
-    """Let a machine settle, from the release of an orbit of its model on, and return some cycles.
+    """Simulate a machine from the release of an orbit of its model and return its settled cycles.
 
     Args:
-        orbit: The orbit; its gains and parameters are the machine's.
+        orbit: The orbit. The machine has its gains and parameters.
         problem: Its problem.
-        rig: The parts of the machine; by default those that the problem declares.
-        cycles: How many to return.
-        settle: How many to let pass first; by default as many as the orbit's multipliers ask for.
-        seed: Of the noise.
-        settings: How accurately to follow it, and what to keep.
+        rig: The parts of the machine, by default the parts that the problem declares.
+        cycles: Number of cycles to return.
+        settle: Number of cycles to discard first, by default computed from the orbit's multipliers.
+        seed: Random seed of the noise.
+        settings: Accuracy of the integration and the records to keep.
         on_progress: Called with the part of the time that is simulated.
 
     Raises:
-        InputError: If the rig does not fit the problem, or there is no cycle to return.
-        SimulationError: If the machine does not move in such cycles.
+        InputError: If the rig does not fit the problem, or `cycles` is less than one.
+        SimulationError: If the machine does not settle to such cycles.
     """
     if cycles < 1 or (settle is not None and settle < 0):
         least = "must be at least 1, and `settle` at least 0"
         raise InputError(f"Argument `cycles` {least}, but they are {cycles} and {settle}.")
-    parts = rig or default_rig(problem)
+    parts = rig or default_rig(problem, orbit=orbit)
     passed = settling_cycles(orbit) if settle is None else settle
     wanted = passed + cycles
-    # A cycle may be a little longer than the orbit's; a run that was too short is made again.
+    # A cycle may be a little longer than the orbit's cycle. A run that was too short is repeated.
     for slack in (1.1, 2.0):
         until = orbit.period * (wanted + 1) * slack
         keep_from = 0.8 * passed * orbit.period if slack == 1.1 else 0.0
@@ -143,7 +156,7 @@ def rig_cycles(
 def _outcome(
     run: RigRun, cycles: Sequence[RigCycle], orbit: ZenoOrbit, problem: Problem
 ) -> AttractorKind:
-    """Return what a machine settles to that does not move in cycles like the orbit's."""
+    """Classify the attractor of a machine without cycles that match the orbit."""
     n_x, swing = len(problem.state_names), run.of(problem.amplitude_of)
     edges = np.arange(run.times[0], run.times[-1], orbit.period)
     windows = np.split(swing, np.searchsorted(run.times, edges[1:]))
@@ -168,21 +181,12 @@ def settling_cycles(orbit: ZenoOrbit) -> int:
     return min(max(math.ceil(wanted), _FEWEST), _MOST)
 
 
-def default_rig(problem: Problem) -> Rig:
-    """Return the parts that a problem declares, else a stop alone, as stiff in its own sizes."""
-    if problem.rig is not None:
-        return problem.rig
-    own, usual = problem.dynamics(problem.values()).own, Contact()
-    stiffness = usual.stiffness * own.multiplier / own.gap
-    return Rig(contact=Contact(stiffness=stiffness, slowest=usual.slowest * own.gap_rate))
-
-
 def cut_cycles(touches: Sequence[Touch], orbit: ZenoOrbit) -> tuple[RigCycle, ...]:
     """Return the whole cycles in a sequence of contacts.
 
     Args:
         touches: The contacts in order.
-        orbit: What the cycles are like: how long the lock is that is looked for.
+        orbit: The orbit, whose contact phase gives the expected duration of a lock.
     """
     lock_time = orbit.period - orbit.zeno_time
     locks = [
@@ -191,9 +195,11 @@ def cut_cycles(touches: Sequence[Touch], orbit: ZenoOrbit) -> tuple[RigCycle, ..
         if lock[-1].end - lock[0].start > _LONG * lock_time
     ]
     found: list[RigCycle] = []
-    for before, after in pairwise(locks):
+    for before, after in _periods(locks, orbit.period):
         released, last = before[-1], after[-1]
         between = [t for t in touches if released.start < t.start <= last.start]
+        if between[0].start - released.end < _FLIGHT * orbit.impacts[0].time:
+            continue
         sealed = _sealed(after, lock_time)
         found.append(
             RigCycle(
@@ -208,6 +214,26 @@ def cut_cycles(touches: Sequence[Touch], orbit: ZenoOrbit) -> tuple[RigCycle, ..
             )
         )
     return tuple(cycle for cycle in found if math.isfinite(cycle.end))
+
+
+def _periods(
+    locks: Sequence[list[Touch]], period: float
+) -> Iterator[tuple[list[Touch], list[Touch]]]:
+    """Yield each lock and the longest lock that begins about a period later."""
+    k = 0
+    while k < len(locks):
+        begin = locks[k][-1].end
+        later = [
+            j
+            for j in range(k + 1, len(locks))
+            if abs(locks[j][-1].end - begin - period) < _LIKE_PERIOD * period
+        ]
+        if not later:
+            k += 1
+            continue
+        chosen = max(later, key=lambda j: locks[j][-1].end - locks[j][0].start)
+        yield locks[k], locks[chosen]
+        k = chosen
 
 
 def _from_first_release(run: RigRun, cycles: Sequence[RigCycle]) -> SettledRig:
@@ -238,9 +264,9 @@ def _stretches(touches: Sequence[Touch], lock_time: float) -> list[list[Touch]]:
 
 
 def _sealed(group: Sequence[Touch], lock_time: float) -> Touch:
-    """Return the contact with which a lock begins: the first that lasts, else the longest.
+    """Return the contact that begins a lock: the first sustained contact, else the longest.
 
-    Where vibrations break the lock into pieces, none may last.
+    If vibrations break the lock into pieces, none of its contacts may be long enough.
     """
     lasting = (touch for touch in group if touch.end - touch.start > _LONG * lock_time)
     return next(lasting, max(group, key=lambda touch: touch.end - touch.start))

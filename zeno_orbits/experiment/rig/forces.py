@@ -31,17 +31,17 @@ def contact_force(contact: Contact, damping: ca.SX, depth: ca.SX, rate: ca.SX) -
 def friction_force(friction: Friction, rate: ca.SX) -> ca.SX:
     r"""Return the force of friction, :math:`-c \tanh(v / v_c) - b v`.
 
-    The step of dry friction is rounded off, so what should stick creeps, at less than ``creep``.
+    The step of dry friction is smoothed, so a sticking contact creeps, at less than ``creep``.
     """
     return -friction.coulomb * ca.tanh(rate / friction.creep) - friction.viscous * rate
 
 
 def teeth_torque(gear: Gear, twist: ca.SX, rate: ca.SX) -> ca.SX:
-    """Return the torque from a rotor to its joint: none inside the play, a lossy spring beyond.
+    """Return the torque from a rotor to its joint: zero within the backlash, else a damped spring.
 
     Args:
-        gear: Play, stiffness and loss.
-        twist: Angle of the rotor less that of the joint.
+        gear: Backlash, stiffness and damping.
+        twist: Angle of the rotor minus the angle of the joint.
         rate: Its time derivative.
     """
 
@@ -59,14 +59,14 @@ def averaged_voltage(
 
     .. math:: \bar V = s \max(0, |V| - \sigma s V_d),\qquad V_d = (V_s + 2 V_f)\, t_d f
 
-    `s` is the sign of the voltage that is asked for, cut at the supply; :math:`\sigma` that of the
-    current, zero while the ripple takes it through zero in every period.
+    `s` is the sign of the commanded voltage, which is limited to the supply. :math:`\sigma` is the
+    sign of the current. It is zero while the ripple makes the current cross zero in every period.
 
     Args:
-        bridge: Its numbers.
-        asked: Voltages asked for, ``(n_M,)`` [V].
-        current: Of every motor [A].
-        inductance: Of every motor, for the ripple [H].
+        bridge: Parameters of the bridge.
+        asked: Commanded voltages, ``(n_M,)`` [V].
+        current: Current of every motor [A].
+        inductance: Inductance of every motor, which determines the ripple [H].
         stall: Current of every motor at rest under the supply [A].
     """
     voltage = ca.fmax(-bridge.supply, ca.fmin(bridge.supply, asked))
@@ -79,3 +79,16 @@ def averaged_voltage(
     below = ca.tanh((current + ripple) / (_SMALL_CURRENT * stall))
     sign = ca.tanh(voltage / (_SMALL_VOLTAGE * bridge.supply))
     return sign * ca.fmax(0, size - (above + below) / 2 * sign * lost)
+
+
+_RIPPLES = 100.0
+"""Largest ripples of a loop's current that stand for the current of a stalled motor."""
+
+
+def inductive_current(bridge: Bridge, inductance: ca.SX) -> ca.SX:
+    r"""Return the current scale of loops that drive no motor, :math:`100\,V_s / (8 f L)` [A].
+
+    :math:`V_s / (8 f L)` is the largest ripple of the current. A loop of an ideal coil has zero
+    resistance, so it does not have a current at rest.
+    """
+    return _RIPPLES * bridge.supply / (8 * bridge.frequency * inductance)

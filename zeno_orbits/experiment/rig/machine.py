@@ -1,14 +1,16 @@
-r"""The functions of a machine: one flow off the stop, one in a compliant contact, no reset.
+r"""Functions of a machine: one flow off the stop, one flow in a compliant contact, no reset.
 
-The state is that of the problem, ``(q, v, i)`` and its clock, then angle and rate of every rotor
-behind a gear. Where the problem has a restitution, the machine has a contact force along
-:math:`\nabla h` (theory (48)); all else that a rig has are forces and voltages (theory (50), (51)).
+The state is the problem's state ``(q, v, i)`` and clock, then the angle and rate of every rotor
+driven through a gear. In place of the problem's restitution, the machine has a contact force along
+:math:`\nabla h` (theory (48)). The other parts of a rig are forces and voltages (theory (50),
+(51)).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -18,12 +20,13 @@ from zeno_orbits.experiment.rig.forces import (
     averaged_voltage,
     contact_force,
     friction_force,
+    inductive_current,
     teeth_torque,
 )
 from zeno_orbits.model import (
     CompletedSystem,
+    Drive,
     ModeFunctions,
-    MotorBank,
     OwnScale,
     Problem,
     Rig,
@@ -36,21 +39,23 @@ from zeno_orbits.model import (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Machine:
-    """The functions of a machine in ``(y, P)``; ``P`` is ``(p, held voltages, damping factor)``.
+    """The functions of a machine in ``(y, P)``, with ``P = (p, held voltages, damping factor)``.
 
     Attributes:
-        state_names: Name of each entry of ``y``; those of the problem first.
+        state_names: Name of each entry of ``y``, first the states of the problem.
         n_x: Number of the problem's states.
         n_q: Number of coordinates.
         n_motors: Number of motors.
-        holds: Whether the voltages are held, and not those of the feedback at every instant.
-        free: Off the stop; its guard is the gap.
-        contact: In contact; its guard is the penetration.
+        holds: Whether the voltages are held between updates instead of following the feedback
+            continuously.
+        free: Flow off the stop. Its event function is the gap.
+        contact: Flow in contact. Its event function is the penetration.
         observe: ``(y, P) -> (contact force, gap, gap rate, normal inertia)``.
         motors: ``(y, P) -> (currents, terminal voltages)``, each ``(n_motors,)``.
-        command: ``(x measured, p) -> voltages`` that the feedback asks for.
-        rest: ``(x, p) -> y`` with every rotor in the middle of its play, turning with its joint.
-        inertia: ``(x, p) -> M`` without what is on the motors' side of gears, ``(n_q, n_q)``.
+        command: ``(x measured, p) -> voltages`` commanded by the feedback.
+        rest: ``(x, p) -> y`` with every rotor in the middle of its backlash and turning with its
+            joint.
+        inertia: ``(x, p) -> M`` without the parts on the motor side of gears, ``(n_q, n_q)``.
     """
 
     state_names: tuple[str, ...]
@@ -67,11 +72,11 @@ class Machine:
     inertia: ca.Function
 
     def weights(self, own: OwnScale, rates: float = 1.0) -> tuple[float, ...]:
-        """Return the sizes that local errors are absolute in; rotors turn by radians.
+        """Return the scales of the absolute local errors. The scale of a rotor angle is one radian.
 
         Args:
-            own: Sizes of the problem's numbers.
-            rates: Further factor of the velocities.
+            own: Characteristic scales of the problem.
+            rates: Additional factor of the velocity scales.
         """
         n_rotors = (len(self.state_names) - self.n_x) // 2
         rotor = (1 / own.least, 1 / (own.time * own.least))
@@ -86,10 +91,10 @@ def machine(problem: Problem, rig: Rig) -> Machine:
 
     Args:
         problem: The problem.
-        rig: What it has.
+        rig: Parts of the machine.
 
     Raises:
-        InputError: If the rig has a part that the problem has no place for.
+        InputError: If the problem does not support a part of the rig.
     """
     symbols = problem.symbols()
     system = problem.model(symbols)
@@ -123,7 +128,7 @@ def machine(problem: Problem, rig: Rig) -> Machine:
 
 
 def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
-    """Refuse parts that a problem has no place for.
+    """Reject parts that a problem does not support.
 
     Args:
         problem: The problem.
@@ -131,7 +136,7 @@ def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
         rig: The parts.
 
     Raises:
-        InputError: With the part at fault.
+        InputError: If the problem does not support a part. The message names the part.
     """
     drive, coordinates = system.drive, problem.state_names[: system.n_q]
     n_motors = system.motor_voltage.numel()
@@ -145,106 +150,154 @@ def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
                 f"Argument `friction` must name one of {known}, but it names `{name}`."
             )
     for motor in rig.gears:
-        if not 1 <= motor <= n_motors:
-            known = f"must number one of {n_motors} motors"
-            raise InputError(f"Argument `gears` {known}, but it has the number {motor}.")
+        _coupling(system, motor)
     if n_motors == 0 and (rig.bridge is not None or rig.controller is not None):
-        message = f"must have motors for a bridge or a controller, but `{problem.name}` has none"
+        message = f"must have motors for a bridge or a controller, but `{problem.name}` lacks them"
         raise InputError(f"Argument `problem` {message}.")
-    if rig.bridge is not None and drive.current.numel() == 0:
+    if rig.bridge is not None and system.motor_voltage.is_zero():
+        wanted = "must have a voltage source for a bridge"
+        raise InputError(f"Argument `problem` {wanted}, but `{problem.name}` lacks them.")
+    if rig.bridge is not None and drive.states.numel() == 0:
         message = "must have its currents as states for a bridge, but they follow at once in"
         raise InputError(f"Argument `problem` {message} `{problem.name}`.")
 
 
+class _Coupling(NamedTuple):
+    """How the rotor of a motor is coupled to its joint and to the loops of the circuit.
+
+    Attributes:
+        axis: Angle of the joint per coordinate, ``(n_q,)``.
+        emf: Voltages in all loops per rate of the rotor, ``(n_M,)``.
+        torque: Torque on the rotor per current of each loop, ``(n_M,)``.
+    """
+
+    axis: ca.SX
+    emf: ca.SX
+    torque: ca.SX
+
+
+def _coupling(system: CompletedSystem, motor: int) -> _Coupling:
+    """Return the coupling of a motor.
+
+    Each motor of a motor bank has its own axis. The current of a circuit loop drives a motor if its
+    flux is linear in one coordinate. The axis is that coordinate.
+
+    Args:
+        system: The completed system of the problem.
+        motor: Index of the motor, from 1.
+
+    Raises:
+        InputError: If the current drives no motor.
+    """
+    n_motors = system.motor_voltage.numel()
+    if not 1 <= motor <= n_motors:
+        known = f"must number one of {n_motors} motors"
+        raise InputError(f"Argument `gears` {known}, but it has the number {motor}.")
+    loops = [(part, k) for part in system.drive.parts for k in range(part.motor_voltage.numel())]
+    part, own = loops[motor - 1]
+    first, n = motor - 1 - own, part.motor_voltage.numel()
+    emf, torque = ca.SX.zeros(n_motors), ca.SX.zeros(n_motors)
+    if part.motors is not None:
+        emf[first : first + n] = part.motors.emf_constant[:, own]
+        torque[first : first + n] = part.motors.torque_constant[own, :].T
+        return _Coupling(part.motors.selection[:, own], emf, torque)
+    mechanism = system.mechanism
+    rates = ca.jacobian(part.motion[own], mechanism.v)
+    turned = [j for j in range(rates.numel()) if not rates[j].is_zero()]
+    if len(turned) != 1 or ca.depends_on(rates, system.state):
+        wanted = f"must stand on a motor: the flux of current {motor} must grow with one coordinate"
+        raise InputError(f"Argument `gears` {wanted} at a constant rate, but it does not.")
+    emf[motor - 1] = torque[motor - 1] = rates[turned[0]]
+    axis = ca.SX.zeros(mechanism.q.numel())
+    axis[turned[0]] = 1
+    return _Coupling(axis, emf, torque)
+
+
 class _Parts:
-    """The expressions of a machine, made of those of its problem."""
+    """Expressions of a machine, built from the expressions of its problem."""
 
     def __init__(self, problem: Problem, system: CompletedSystem, rig: Rig) -> None:
         self._system, self._rig, self._mechanism = system, rig, system.mechanism
         self._coordinates = problem.state_names[: system.n_q]
-        self._motors = system.drive.motors
         n_motors = system.motor_voltage.numel()
         self.held, self.damping = ca.SX.sym("held", n_motors), ca.SX.sym("damping")
         self._exact = rig.bridge is not None and rig.bridge.switching is Switching.EXACT
         self.holds = n_motors > 0 and (rig.controller is not None or self._exact)
         self._rotors = {motor: ca.SX.sym(f"rotor{motor}", 2) for motor in sorted(rig.gears)}
+        self._couplings = {motor: _coupling(system, motor) for motor in self._rotors}
         self.rotor_names = [f"{d}rotor{motor}" for motor in self._rotors for d in ("", "d")]
         self.state = ca.vertcat(system.state, *self._rotors.values())
         self.rest = ca.vertcat(system.state, *(self._joint(motor) for motor in self._rotors))
         self.inertia = self._inertia()
-        self._driven = self._voltage()
-        self.current = self._current()
+        driven, slip = self._voltage(), self._slip_emf()
+        self.current = self._fed(driven - slip).motor_current
         drop = 0.0 if rig.bridge is None else rig.bridge.resistance
-        self.terminal = self._driven - drop * self.current
+        self.terminal = driven - drop * bridged(system) * self.current
+        self._drive = self._fed(self.terminal - slip)
 
     def rate(self, force: ca.SX) -> ca.SX:
         """Return the time derivative of the state under a force of the stop."""
-        mechanism, motors = self._mechanism, self._motors
-        forces = ca.jacobian(mechanism.gap, mechanism.q).T * force + self._friction()
+        mechanism, drive = self._mechanism, self._drive
+        forces = ca.jacobian(mechanism.gap, mechanism.q).T * force + self._friction() + drive.force
         rotor_rates: list[ca.SX] = []
-        if motors is None:
-            forces += self._system.drive.force
-        else:
-            torque, rotor_rates = self._torques(motors)
-            forces += ca.mtimes(motors.selection, torque)
+        for motor, (axis, _, torque_constants) in self._couplings.items():
+            gear, rotor = self._rig.gears[motor], self._rotors[motor]
+            torque = ca.dot(torque_constants, self.current)
+            teeth = teeth_torque(gear, *ca.vertsplit(rotor - self._joint(motor)))
+            forces += axis * (teeth - torque)
+            rotor_rates.append(ca.vertcat(rotor[1], (torque - teeth) / gear.rotor_inertia))
+        changes = drive.rates
+        if drive.after_impact is not None:
+            first = 2 * self._system.n_q
+            direction = self._system.impulse_direction[first : first + changes.numel()]
+            changes += direction * force / self._system.normal_inertia
         _, acceleration = accelerate(replace(mechanism, mass_matrix=self.inertia), forces)
         clock = ca.SX(0, 1) if mechanism.clock is None else mechanism.clock.rate
-        return ca.vertcat(mechanism.v, acceleration, self._current_rate(), clock, *rotor_rates)
+        return ca.vertcat(mechanism.v, acceleration, changes, clock, *rotor_rates)
 
     def _inertia(self) -> ca.SX:
         mass = self._mechanism.mass_matrix
-        if self._motors is None:
-            return mass
         for motor, gear in self._rig.gears.items():
-            axis = self._motors.selection[:, motor - 1]
+            axis = self._couplings[motor].axis
             mass -= gear.rotor_inertia * ca.mtimes(axis, axis.T)
         return mass
 
     def _voltage(self) -> ca.SX:
         """Return the voltage that the bridges make, before the drop over their transistors."""
         asked = self.held if self.holds else self._system.motor_voltage
-        if self._rig.bridge is None or self._exact or self._motors is None:
+        bridge, drive = self._rig.bridge, self._system.drive
+        if bridge is None or self._exact:
             return asked
-        inductance = ca.diag(self._motors.inductance)
-        stall = self._rig.bridge.supply / ca.diag(self._motors.resistance)
+        inductances: list[ca.SX] = []
+        stalls: list[ca.SX] = []
+        for part in drive.parts:
+            inductance = ca.diag(part.inertia)[: part.motor_voltage.numel()]
+            inductances.append(inductance)
+            stalls.append(
+                bridge.supply / ca.diag(part.motors.resistance)
+                if part.motors is not None
+                else inductive_current(bridge, inductance)
+            )
         current = self._system.motor_current
-        return averaged_voltage(self._rig.bridge, asked, current, inductance, stall)
+        return averaged_voltage(
+            bridge, asked, current, ca.vertcat(*inductances), ca.vertcat(*stalls)
+        )
 
-    def _current(self) -> ca.SX:
-        if self._motors is None or self._system.drive.current.numel():
-            return self._system.motor_current
-        return ca.solve(self._motors.resistance, self._driven - self._emf(self._motors))
+    def _slip_emf(self) -> ca.SX:
+        """Return the induced voltages of geared rotors minus the voltages of their joints."""
+        slip = ca.SX.zeros(self._system.motor_voltage.numel())
+        for motor, coupling in self._couplings.items():
+            slip += coupling.emf * (self._rotors[motor][1] - self._joint(motor)[1])
+        return slip
 
-    def _current_rate(self) -> ca.SX:
-        if self._motors is None or not self._system.drive.current.numel():
-            return ca.SX(0, 1)
-        lost = ca.mtimes(self._motors.resistance, self.current) + self._emf(self._motors)
-        return ca.solve(self._motors.inductance, self.terminal - lost)
-
-    def _emf(self, motors: MotorBank) -> ca.SX:
-        speed = ca.densify(ca.mtimes(motors.selection.T, self._mechanism.v))
-        for motor, rotor in self._rotors.items():
-            speed[motor - 1] = rotor[1]
-        return ca.mtimes(motors.emf_constant, speed)
-
-    def _torques(self, motors: MotorBank) -> tuple[ca.SX, list[ca.SX]]:
-        """Return the torques on the joints, and the rates of the rotors behind gears."""
-        torque = ca.densify(ca.mtimes(motors.torque_constant, self.current))
-        rates: list[ca.SX] = []
-        for motor, rotor in self._rotors.items():
-            gear = self._rig.gears[motor]
-            twist, slip = ca.vertsplit(rotor - self._joint(motor))
-            teeth = teeth_torque(gear, twist, slip)
-            net = torque[motor - 1] - teeth
-            rates.append(ca.vertcat(rotor[1], net / gear.rotor_inertia))
-            torque[motor - 1] = teeth
-        return torque, rates
+    def _fed(self, source: ca.SX) -> Drive:
+        """Return the drive under other source voltages."""
+        drive = self._system.drive
+        return drive if drive.fed is None else drive.fed(source)
 
     def _joint(self, motor: int) -> ca.SX:
         """Return angle and rate of the joint that a motor turns."""
-        if self._motors is None:
-            raise ValueError("Argument `motor` must be one of the problem's, but it has none.")
-        axis = self._motors.selection[:, motor - 1]
+        axis = self._couplings[motor].axis
         return ca.vertcat(ca.dot(axis, self._mechanism.q), ca.dot(axis, self._mechanism.v))
 
     def _friction(self) -> ca.SX:
@@ -254,3 +307,10 @@ class _Parts:
             k = self._coordinates.index(name)
             force[k] = friction_force(friction, v[k])
         return force
+
+
+def bridged(system: CompletedSystem) -> ca.SX:
+    """Return 1 for every loop with a voltage source, which a bridge makes, and 0 for the others."""
+    sources = system.motor_voltage
+    has_source = [0.0 if sources[k].is_zero() else 1.0 for k in range(sources.numel())]
+    return ca.SX(has_source)

@@ -10,20 +10,22 @@ from dataclasses import dataclass, field, replace
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
+from zeno_orbits.kinds import Checked
 from zeno_orbits.model import Contact, OwnScale, Problem, Rig
+from zeno_orbits.work import ByValue
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RigSettings:
-    """Accuracy of a run, and the part of it to keep.
+class RigSettings(Checked):
+    """Accuracy of a run, and the records to keep.
 
     Attributes:
         engine: The integrator.
-        tolerance: Its local error; by default `rig_tolerance`.
-        spacing: Between two records [s], by default a thousandth of the problem's own time;
-            contacts are recorded at every step as well.
-        keep_from: Nothing earlier is recorded, but contacts are [s].
-        most_steps: Steps between two events before the run is given up.
+        tolerance: Local error of the integrator, by default `rig_tolerance`.
+        spacing: Time between two records [s], by default a thousandth of the problem's time scale.
+            Contacts are also recorded at every step.
+        keep_from: Time before which only contacts are recorded [s].
+        most_steps: Largest number of steps between two events before the run is aborted.
     """
 
     engine: Engine = field(default_factory=Automatic)
@@ -42,33 +44,35 @@ _OF_DEPTH = 3e-7
 
 
 def rig_tolerance(contact: Contact, own: OwnScale) -> Tolerance:
-    r"""Return the local error at which a contact's force is known, in the problem's own sizes.
+    r"""Return the local error that resolves a contact's force, in the problem's scales.
 
-    Under a load :math:`F` the stop gives way by :math:`\delta = (F / k)^{1/n}`. An error of the
-    gap is one of the force, relative to :math:`\delta`: a stiff stop turns it into vibrations.
+    Under a load :math:`F` the stop is compressed by :math:`\delta = (F / k)^{1/n}`. An error of the
+    gap causes an error of the force, relative to :math:`\delta`. A stiff stop turns this error into
+    vibrations.
 
     Args:
         contact: The stop.
-        own: Sizes of the problem's numbers; the load is that of the multiplier.
+        own: Characteristic scales of the problem. The load is the scale of the contact force.
     """
     finer = _finer(contact, own)
     return Tolerance(relative=_RELATIVE * finer, absolute=_ABSOLUTE * finer)
 
 
 def rate_weight(contact: Contact, own: OwnScale, inertia: float) -> float:
-    r"""Return by how much the velocities' local error is larger in contact than the coordinates'.
+    r"""Return the ratio of the velocities' local error in contact to the error of the coordinates.
 
-    It is that of a soft stop, but not below :math:`\omega\epsilon`: the link vibrates on its stop
-    with :math:`\omega^2 = n k \delta^{n - 1} / m_n`, and the least error :math:`\epsilon` that a
-    gap is held to excites vibrations of that speed. Less would ask for more than rounding leaves.
+    The error of the velocities is the same as on a soft stop, but not below :math:`\omega\epsilon`.
+    The link vibrates on its stop with :math:`\omega^2 = n k \delta^{n - 1} / m_n`, and the smallest
+    error :math:`\epsilon` of the gap excites vibrations of that speed. A smaller error would be
+    below rounding.
 
     Args:
         contact: The stop.
-        own: Sizes of the problem's numbers.
+        own: Characteristic scales of the problem.
         inertia: Normal inertia :math:`m_n`.
 
     Returns:
-        The ratio, a power of ten: stops of like stiffness share compiled steps.
+        The ratio, rounded to a power of ten, so that stops of similar stiffness share formulas.
     """
     depth = _depth(contact, own) * own.gap
     stiffness = contact.exponent * contact.stiffness * depth ** (contact.exponent - 1)
@@ -78,12 +82,12 @@ def rate_weight(contact: Contact, own: OwnScale, inertia: float) -> float:
 
 
 def _finer(contact: Contact, own: OwnScale) -> float:
-    """Return by how much local errors are finer than those on a soft stop."""
+    """Return the factor by which local errors are smaller than on a soft stop."""
     return max(min(1.0, _OF_DEPTH * _depth(contact, own) / _ABSOLUTE), _FINEST / _RELATIVE)
 
 
 def _depth(contact: Contact, own: OwnScale) -> float:
-    """Return by how much a stop gives way under load, in units of the own gap."""
+    """Return the compression of a stop under load, in units of the gap scale."""
     return (own.multiplier / contact.stiffness) ** (1 / contact.exponent) / own.gap
 
 
@@ -95,7 +99,7 @@ class Touch:
         start: When it begins [s].
         state: State there, ``(n_y,)``.
         approach_rate: Gap rate there, negative unless the run started in contact.
-        end: When it ends [s]; infinite if the run ended in it.
+        end: End time [s]. It is infinite if the run ended in the contact.
         end_state: State there.
         depart_rate: Gap rate there.
     """
@@ -127,24 +131,25 @@ class Record:
     currents: Vector
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigRun:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class RigRun(ByValue):
     """A simulated run of a machine.
 
     Attributes:
         problem: Name of the problem.
         rig: The parts of the machine.
-        state_names: Name of each state; those of the problem first, then rotors behind gears.
-        times: ``(n,)``, not falling [s].
+        state_names: Name of each state: first the states of the problem, then rotors driven through
+            gears.
+        times: Nondecreasing times, ``(n,)`` [s].
         states: True states, ``(n, n_y)``.
         in_contact: Whether the stop is touched, ``(n,)``.
         contact_force: Force of the stop along the gradient of the gap, ``(n,)``.
-        gap: ``(n,)``.
-        gap_rate: ``(n,)``.
-        current: Of every motor, ``(n, n_motors)`` [A].
-        voltage: Over the terminals of every motor, ``(n, n_motors)`` [V].
-        touches: Its contacts in order, those before the first record included.
-        record: What its computer wrote down, from the first record on.
+        gap: Gap, ``(n,)``.
+        gap_rate: Gap rate, ``(n,)``.
+        current: Current of every motor, ``(n, n_motors)`` [A].
+        voltage: Voltage over the terminals of every motor, ``(n, n_motors)`` [V].
+        touches: Contacts in order, including contacts before the first record.
+        record: Readings stored by the controller, from the first record.
     """
 
     problem: str
@@ -161,17 +166,24 @@ class RigRun:
     touches: tuple[Touch, ...]
     record: Record
 
+    def __repr__(self) -> str:
+        """Return one line: the span of time and the number of contacts."""
+        return (
+            f"<RigRun of {self.problem} from {self.times[0]:g} to {self.times[-1]:.9g} s: "
+            f"times={len(self.times)}, touches={len(self.touches)}>"
+        )
+
     def of(self, name: str) -> Vector:
         """Return a state over time by its name, ``(n,)``."""
         return self.states[:, self.state_names.index(name)]
 
     def between(self, start: float, end: float, *, zero: float = 0.0) -> RigRun:
-        """Return the records of a stretch of time; its contacts are those that begin in it.
+        """Return the records of a time interval, with the contacts that begin in it.
 
         Args:
-            start: Its beginning [s].
-            end: Its end [s].
-            zero: Where its own time counts from [s].
+            start: Start of the interval [s].
+            end: End of the interval [s].
+            zero: Time origin of the result [s].
         """
         own = slice(bisect_left(self.times, start), bisect_left(self.times, end))
         read = slice(bisect_left(self.record.times, start), bisect_left(self.record.times, end))
@@ -195,15 +207,15 @@ _OVER_TIME = ("states", "in_contact", "contact_force", "gap", "gap_rate", "curre
 def recording_of(
     run: RigRun, problem: Problem, notes: Mapping[str, str] | None = None
 ) -> Recording:
-    """Return the record of a run: coordinates and currents as they were read, with their units.
+    """Return the recording of a run: measured coordinates and currents with their units.
 
     Args:
         run: The run.
         problem: Its problem.
-        notes: What else to say of it.
+        notes: Further notes of the recording.
 
     Raises:
-        ValueError: If the record holds less than two readings.
+        ValueError: If the record holds fewer than two readings.
     """
     n_q, record = run.record.coordinates.shape[1], run.record
     n_motors = record.currents.shape[1]

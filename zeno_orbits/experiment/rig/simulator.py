@@ -1,8 +1,8 @@
-"""A machine's run: legs off the stop and in contact, between the edges of its voltages.
+"""Simulation of a machine: segments off the stop and in contact, between switching times.
 
-There is no reset, no multiplier and no Zeno point here: a contact is a stretch of motion with a
-stiff force. Contacts begin and end at roots of the gap, voltages change at times that are known,
-and the legs between are smooth, so that an engine follows them at its full order.
+A contact is a stretch of motion with a stiff force, without reset, contact multiplier or Zeno
+point. Contacts begin and end at roots of the gap, and voltages change at known times. The segments
+between are smooth, so an integrator keeps its full order.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from zeno_orbits.model import (
     Problem,
     Rig,
 )
-from zeno_orbits.simulation import Columns
+from zeno_orbits.simulation import Columns, LegFollower
 from zeno_orbits.work import Progress, silent
 
 _MOST_AT_ONCE = 1000
@@ -58,27 +58,28 @@ def simulate_rig(
     settings: RigSettings | None = None,
     on_progress: Progress = silent,
 ) -> RigRun:
-    """Follow a machine.
+    """Simulate a machine.
 
     Args:
         problem: The problem.
-        values: Its numbers; the restitution is what the contact is damped for.
+        values: Parameter values of the problem. The contact is damped for the restitution.
         rig: The parts of the machine.
-        start: State of the problem, ``(n_x,)``; rotors behind gears begin amid their play.
-        until: How long [s].
-        seed: Of the noise.
-        settings: How accurately.
-        on_progress: Called with the part of the time that is simulated, after every leg.
+        start: State of the problem, ``(n_x,)``. Rotors driven through gears start in the middle of
+            their backlash.
+        until: End time [s].
+        seed: Random seed of the noise.
+        settings: Accuracy of the integration and the records to keep.
+        on_progress: Called with the simulated part of the time, after every segment.
 
     Raises:
-        InputError: If the rig does not fit the problem, or its restitution is 0: no contact that
-            gives way is plastic.
-        RunawayError: If a coordinate runs away.
-        SimulationError: If the integration cannot go on.
+        InputError: If the rig does not fit the problem, or its restitution is 0, since a compliant
+            contact cannot be plastic.
+        RunawayError: If a coordinate diverges.
+        SimulationError: If the integration fails.
     """
     number = damping_number(values.number("restitution"))
     if math.isinf(number):
-        wanted = "must be greater than 0 for a contact that gives way"
+        wanted = "must be greater than 0 for a compliant contact"
         raise InputError(f"Argument `restitution` {wanted}, but it is 0.")
     if not (math.isfinite(until) and until > 0.0):
         raise InputError(f"Argument `until` must be a positive number, but it is {until:g}.")
@@ -89,7 +90,7 @@ def simulate_rig(
 
 
 class _Follower:
-    """Carries a machine forward, and keeps what is worth keeping."""
+    """Integrator of a machine, which records its motion."""
 
     def __init__(
         self,
@@ -106,6 +107,7 @@ class _Follower:
         self._machine, self._problem, self._rig, self._settings = built, problem, rig, settings
         self._number, self._tolerance = number, tolerance.times(own.least)
         self._spacing = SPACING * own.time if settings.spacing is None else settings.spacing
+        self._legs = LegFollower(self._settings.engine)
         self._p = np.asarray(values.vector, dtype=np.float64)
         self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), [0.0]])
         modes = {False: built.free, True: built.contact}
@@ -147,7 +149,7 @@ class _Follower:
             self._enter(rate)
 
     def _weights(self, own: OwnScale, touching: bool) -> tuple[float, ...]:
-        """Return what local errors are absolute in."""
+        """Return the scales of the absolute local errors."""
         if not touching or self._settings.tolerance is not None:
             return self._machine.weights(own)
         _, _, _, inertia = self._observe(self._y).tolist()
@@ -198,7 +200,7 @@ class _Follower:
             watch=self._watch,
         )
         self._n_steps = 0
-        passage = self._settings.engine.follow(leg)
+        passage = self._legs.follow(leg)
         over = passage.outcome is Outcome.HORIZON
         end = edge if over else self._time + passage.duration
         self._keep(passage, end, numbers)
@@ -253,7 +255,7 @@ class _Follower:
         if self._touching and end >= settings.keep_from:
             own = start + passage.trajectory.times
             if self._loop is None:
-                # A curve through an impact wants more points than its smooth flow has steps.
+                # A curve through an impact needs more points than its smooth flow has steps.
                 own = np.concatenate([own, np.linspace(start, end, _IN_CONTACT)])
             kept = own[own >= settings.keep_from]
             times = sorted({*times, *kept.tolist()})
@@ -278,7 +280,7 @@ class _Follower:
             times=np.array(times),
             states=y,
             in_contact=in_contact,
-            # A root of the gap is rounded to either side; off the stop there is no force.
+            # A root of the gap is rounded to either side. Off the stop the force is zero.
             contact_force=np.where(in_contact, np.maximum(seen[:, 0], 0.0), 0.0),
             gap=seen[:, 1],
             gap_rate=seen[:, 2],
@@ -289,7 +291,7 @@ class _Follower:
         )
 
     def _record(self, times: Vector, states: Vector, current: Vector) -> Record:
-        """Return what the computer wrote down; without one, the states at even times."""
+        """Return the readings of the controller, or evenly spaced states without a controller."""
         n_q = self._machine.n_q
         if self._loop is None:
             spacing = self._spacing

@@ -13,12 +13,12 @@ from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.orbit_table import ROUGHLY, OrbitTable, beside_jumps, in_layers
 
 MOST = 40_000
-"""Samples that are kept as they are; more are gathered."""
+"""Largest number of samples that are kept. More samples are averaged in bins."""
 _GATHERED = 400
 """Bins of the phase that more samples are gathered in, for each group of cycles."""
-_GROUPS = 60
+MOST_GROUPS = 60
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
-"""Where a mean over a stretch is taken: exact where the signal is a polynomial of degree five."""
+"""Quadrature nodes of a mean over a stretch, exact for polynomials of degree five."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,13 +41,13 @@ class Folded:
     """Samples by phase.
 
     Attributes:
-        phases: In periods from the release, in [0, 1), ``(n,)``.
-        values: ``(n, n_s)``.
-        counts: How many samples each value is the mean of, ``(n, n_s)``.
-        seen: Where there are any that count, ``(n, n_s)``.
-        groups: Number of the cycle, or of the group of cycles, of each row, ``(n,)``.
-        turns: Number of the cycle, counted from the middle of the recording, as a mean, ``(n,)``.
-        span: How long the stretch is that a value is the mean over, in periods; 0 for a sample.
+        phases: Phases in periods since the release, in [0, 1), ``(n,)``.
+        values: Values of the signals, ``(n, n_s)``.
+        counts: Number of samples in each mean value, ``(n, n_s)``.
+        seen: Mask of the values that have samples and count, ``(n, n_s)``.
+        groups: Index of the cycle, or of the group of cycles, of each row, ``(n,)``.
+        turns: Mean index of the cycle, counted from the middle of the recording, ``(n,)``.
+        span: Length of the stretch averaged in a value, in periods. It is 0 for a single sample.
     """
 
     phases: Vector
@@ -69,7 +69,7 @@ class Folded:
         return replace(self, phases=np.mod(phases, 1.0))
 
     def without_jumps(self, table: OrbitTable) -> Folded:
-        """Return the samples beside no jump and in no layer of an orbit that is roughly theirs."""
+        """Return the samples away from jumps and layers of an orbit with roughly equal phases."""
         steep = beside_jumps(table, self.phases, ROUGHLY) | in_layers(table, self.phases, ROUGHLY)
         return self.without(steep)
 
@@ -78,11 +78,11 @@ class Folded:
         return replace(self, seen=self.seen & ~left_out)
 
     def predicted(self, table: OrbitTable, shift: float) -> Fold:
-        """Return what an orbit says of the samples, or of their means.
+        """Return the predictions of an orbit for the samples, or for their means.
 
         Args:
             table: The orbit.
-            shift: By how much it comes later, in periods.
+            shift: Delay of the orbit, in periods.
         """
         phases = self.phases - shift
         times = np.mod(phases, 1.0) * table.period
@@ -92,7 +92,7 @@ class Folded:
         return Fold(times=times, values=values, slopes=slopes)
 
     def bends(self, table: OrbitTable, shift: float) -> Vector:
-        """Return by how much the predicted means are unsure, for a signal that bends inside."""
+        """Return the uncertainty of the predicted means of a signal that is curved within a bin."""
         if not self.span:
             return np.zeros_like(self.values)
         phases = self.phases - shift
@@ -109,18 +109,22 @@ class Folded:
         return total
 
 
-def folded(time: Vector, values: Vector, where: Alignment) -> Folded:
+def folded(
+    time: Vector, values: Vector, where: Alignment, *, most: int = MOST, least_bins: int = _GATHERED
+) -> Folded:
     """Return a recording folded by its own period.
 
     Args:
-        time: Increasing, ``(n_t,)`` [s].
-        values: One row a signal, ``(n_s, n_t)``, NaN where one was not taken.
-        where: Its alignment.
+        time: Increasing times, ``(n_t,)`` [s].
+        values: One row per signal, ``(n_s, n_t)``. A missing sample is NaN.
+        where: Alignment of the recording.
+        most: Largest number of samples that are kept. More samples are averaged in bins.
+        least_bins: Number of phase bins per group of cycles if samples are averaged.
     """
     whole = where.phases(time)
     cycles = np.floor(whole).astype(np.int64)
     first = int(cycles[0])
-    if len(time) <= MOST:
+    if len(time) <= most:
         seen = np.isfinite(values.T)
         return Folded(
             phases=whole - cycles,
@@ -131,9 +135,9 @@ def folded(time: Vector, values: Vector, where: Alignment) -> Folded:
             turns=cycles.astype(np.float64),
         )
     n_cycles = int(cycles[-1]) - first + 1
-    n_groups = min(n_cycles, _GROUPS)
+    n_groups = min(n_cycles, MOST_GROUPS)
     groups = (cycles - first) * n_groups // n_cycles
-    n_bins = max(_GATHERED, math.ceil(MOST / n_groups / 2))
+    n_bins = max(least_bins, math.ceil(MOST / n_groups / 2))
     places = groups * n_bins + np.minimum(((whole - cycles) * n_bins).astype(np.int64), n_bins - 1)
     n = n_groups * n_bins
     count = np.bincount(places, minlength=n)

@@ -1,0 +1,151 @@
+"""The verdict on a recording: this orbit, one with other values, none, or not decidable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from zeno_orbits.experiment.comparison.contact_fit import ContactFit
+from zeno_orbits.experiment.comparison.metrics import Metric
+from zeno_orbits.experiment.comparison.overlay import Overlay
+from zeno_orbits.experiment.orbit_table import OrbitTable
+
+_CHANCE = 1e-3
+"""Chance by which noise alone makes some quantity of the orbit itself differ."""
+_FINEST = 1e-4
+"""A quantity differs by at least this part of its size: better instruments do not exist."""
+_SHARE, _LEAST = 0.25, 0.02
+"""A contact phase lasts at least these parts of the orbit's own and of the period."""
+_MISFIT = 0.012
+"""Largest root mean square of the periodic residual between a machine's gap and the fit of flights,
+impacts and contact, relative to the range."""
+_UNLIKE = 0.25
+"""Part of the square of a rebound that its shape leaves unexplained at most."""
+_REBOUND, _ELASTIC = 0.02, 0.98
+"""Least and greatest restitution of impacts that decay."""
+
+
+class Verdict(Enum):
+    """Verdict on a recording. The value is the word in JSON."""
+
+    THIS_ORBIT = "this orbit"
+    OTHER_VALUES = "other values"
+    NO_ORBIT = "no orbit"
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """Result of the test of a recording's contacts.
+
+    Attributes:
+        reasons: Reasons why the contacts do not match a Zeno orbit, most serious first.
+        unresolved: Reasons why the samples are inconclusive.
+    """
+
+    reasons: tuple[str, ...] = ()
+    unresolved: tuple[str, ...] = ()
+
+
+def contact_finding(found: ContactFit | None, overlay: Overlay, *, recorded: bool) -> Finding:
+    """Test whether contacts match a Zeno orbit: contact phase and decaying impacts.
+
+    Args:
+        found: The contacts, or ``None`` if the gap lacks a resting level.
+        overlay: The orbit aligned with the recording.
+        recorded: Whether the gap was recorded.
+    """
+    table = overlay.table
+    if not recorded:
+        why = "coordinates that the gap depends on were not recorded"
+        return Finding(unresolved=(f"impacts and contact cannot be seen: {why}",))
+    own = table.period - table.zeno_time
+    step = float(np.median(np.diff(overlay.time)))
+    if found is None:
+        if own < 12.0 * step:
+            return Finding(unresolved=(_too_few("the contact phase", own, step),))
+        return Finding(reasons=("no contact phase is seen: the gap never rests at its lowest",))
+    resolved = found.resolved
+    if not resolved.contact:
+        return Finding(unresolved=(_too_few("the contact phase", own, step),))
+    if found.resting < max(_SHARE * own, _LEAST * table.period):
+        seen = f"the gap rests for {found.resting:.3g} s at most"
+        return Finding(reasons=(f"no contact phase is seen: {seen}, the orbit's for {own:.3g} s",))
+    if not (resolved.flight and found.speed.known):
+        why = _too_few("the flight before the impact", table.first_impact, step)
+        return Finding(unresolved=(why,))
+    return _decay(found, overlay, step)
+
+
+def _decay(found: ContactFit, overlay: Overlay, step: float) -> Finding:
+    """Test whether the gap consists of flights with decaying impacts, and contact."""
+    times = [one.time for one in overlay.table.cycle.impacts]
+    rebounds = len(times) > 1 and bool(overlay.table.cycle.rescaled_flights)
+    bounce, resolved = found.restitution, found.resolved
+    none = "no decaying sequence of impacts is seen"
+    if found.misfit > _MISFIT:
+        left = f"{100 * found.misfit:.2g} % of its range are left"
+        what = "the gap does not move in flight, impacts and contact that opens smoothly"
+        return Finding(reasons=(f"{what} ({left})",))
+    if not found.speed.value < 0.0:
+        return Finding(reasons=(f"{none}: the gap does not fall onto the stop",))
+    if rebounds and not (bounce.known and bounce.value > max(_REBOUND, 2.0 * bounce.error)):
+        if resolved.short_rebounds:
+            return Finding(reasons=(f"{none}: the gap does not rebound from its first impact",))
+        length = times[1] - times[0]
+        return Finding(unresolved=(_too_few("the first rebound", length, step),))
+    if rebounds and found.rebound_share > _UNLIKE:
+        return Finding(reasons=(f"{none}: no rebound follows the first impact",))
+    if rebounds and bounce.value - 2.0 * bounce.error > _ELASTIC:
+        return Finding(reasons=(f"{none}: rebounds do not slow down ({bounce.value:.3g})",))
+    if found.contact.known and found.contact.value < 2.0 * found.contact.error:
+        return Finding(reasons=("no contact phase is seen: rebounds last until the release",))
+    return Finding()
+
+
+def _too_few(what: str, length: float, step: float) -> str:
+    return (
+        f"{what} is not resolved: it lasts {length:.3g} s in the orbit, samples are {step:.3g} s "
+        f"apart"
+    )
+
+
+def differing(
+    metrics: Sequence[Metric], table: OrbitTable, signals: Sequence[str]
+) -> tuple[Metric, ...]:
+    """Return the quantities that differ from the orbit's beyond their errors and chance.
+
+    Args:
+        metrics: All quantities.
+        table: The orbit.
+        signals: Names of the recorded signals, in the order of the table.
+    """
+    known = [one for one in metrics if math.isfinite(one.data) and one.error > 0.0]
+    if not known:
+        return ()
+    from scipy.special import ndtri
+
+    most = -float(ndtri(_CHANCE / 2.0 / len(known)))
+    found = [
+        one
+        for one in known
+        if abs(one.data - one.orbit) > max(most * one.error, _FINEST * _size(one, table, signals))
+    ]
+    # Quantities before distances, which only repeat that something differs.
+    return tuple(sorted(found, key=lambda one: "deviation" in one.name or "distance" in one.name))
+
+
+def _size(one: Metric, table: OrbitTable, signals: Sequence[str]) -> float:
+    """Return the size of a quantity: of times the period, of signals their range."""
+    if one.unit == "s":
+        return table.period
+    for k, name in enumerate(signals):
+        if one.name.endswith(f" of {name}"):
+            return float(np.ptp(table.nodes.values[:, k]))
+    if one.name == "gap while locked":
+        return float(np.ptp(table.nodes.values[:, -1]))
+    return max(abs(one.orbit), 1.0 if one.unit == "1" else 0.0)

@@ -1,0 +1,230 @@
+r"""Optima of a fit over the stated ranges, and intervals from the profile of the likelihood.
+
+Fits begin at several starts, and each chooses its samples at its own orbits. Optima are compared
+by one measure over all samples, :math:`\sum_i \min(r_i^2, c^2)` in units of one noise, because
+sums over different samples cannot be compared (theory (59)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.experiment.comparison.folding import Folded
+from zeno_orbits.experiment.identification.least_squares import (
+    Fit,
+    Weighed,
+    deviation,
+    fit,
+    rough_fit,
+)
+from zeno_orbits.experiment.identification.predictions import Predictions
+from zeno_orbits.experiment.identification.unknowns import Unknowns
+from zeno_orbits.experiment.recordings.periodicity import Periodicity
+from zeno_orbits.work import Progress
+
+_STARTS = 4
+"""Number of starts in the ranges, in addition to the known starts."""
+_WIDE = 2.0
+"""Factor around a start that is searched in a range that spans more than a decade."""
+_DECADE = 10.0
+_NEAR = 1.3
+"""The same around a value that the recording shows."""
+_CLIP = 4.0
+"""Residual, in units of the noise, above which the size of a sample's misfit does not matter."""
+_SAME = 5.0
+"""Optima that differ by fewer standard errors are one."""
+_RIVAL = 0.1
+"""Relative excess of the measure up to which another optimum is reported."""
+_FEWEST = 1e-7
+"""Noise at least, in parts of a signal's range."""
+_PROFILE = 6
+"""Steps to an end of an interval at most."""
+_CLOSE = 0.02
+
+
+def starts_of(
+    unknowns: Unknowns, known: Sequence[Vector], seen: Mapping[int, float]
+) -> list[Vector]:
+    """Return initial unknowns: the known unknowns, then points spread over the ranges.
+
+    Args:
+        unknowns: The unknowns and their ranges.
+        known: Probable unknowns, ``(k + 1,)`` each.
+        seen: Values from the recorded contacts, by the index of the unknown.
+    """
+    from scipy.stats import qmc
+
+    low, high = (bound[:-1].copy() for bound in unknowns.bounds)
+    first = unknowns.first[:-1]
+    for k, value in enumerate(first):
+        wide = high[k] > _DECADE * max(low[k], 0.0) and value > 0.0
+        if wide:
+            low[k], high[k] = max(low[k], value / _WIDE), min(high[k], value * _WIDE)
+    for k, value in seen.items():
+        low[k], high[k] = max(low[k], value / _NEAR), min(high[k], value * _NEAR)
+    points = qmc.Sobol(d=len(first), seed=0).random(_STARTS)
+    spread = [np.append(low + point * (high - low), 0.0) for point in points]
+    return [*known, *spread]
+
+
+def global_fit(
+    orbits: Predictions,
+    samples: Folded,
+    found: Periodicity,
+    starts: Sequence[Vector],
+    on_progress: Progress,
+) -> tuple[Fit, Predictions, tuple[Vector, ...]]:
+    """Return the best fit, its orbits, and the unknowns of other optima that fit nearly as well.
+
+    Args:
+        orbits: Predictions of orbits at unknowns.
+        samples: The recording, folded.
+        found: Period of the recording.
+        starts: Initial unknowns, the user's first.
+        on_progress: Called with each stage and the part that is done.
+
+    Raises:
+        SimulationError: If no start leads to an orbit.
+    """
+    tried: list[tuple[Vector, Predictions]] = []
+    for number, start in enumerate(starts):
+        on_progress("looking for optima", number / len(starts))
+        try:
+            own = orbits.starting_at(start)
+            x, _ = rough_fit(own, samples, found, start)
+            own.table(x)
+        except (SimulationError, InputError):
+            continue
+        tried.append((x, own))
+    if not tried:
+        raise SimulationError("No start leads to an orbit", time=0.0, state=())
+    noise = np.min([_noise(own, samples, x) for x, own in tried], axis=0)
+    measures = [_measure(own, samples, found, x, noise) for x, own in tried]
+    order: list[int] = [int(k) for k in np.argsort(measures)]
+    best_x, best_orbits = tried[order[0]]
+    answer = fit(best_orbits, samples, found, best_x, on_progress)
+    least = _measure(best_orbits, samples, found, answer.x, noise)
+    rivals: list[tuple[Vector, float]] = []
+    for k in order[1:]:
+        x, own = tried[k]
+        others = [answer.x, *(one for one, _ in rivals)]
+        if measures[k] < (1.0 + _RIVAL) * least and _is_new(x, others, answer):
+            final = fit(own, samples, found, x, on_progress)
+            measure, rival = _measure(own, samples, found, final.x, noise), final.x
+            if measure < least:
+                rival, answer, best_orbits = answer.x, final, own
+                measure, least = least, measure
+            if _is_new(rival, [answer.x, *(one for one, _ in rivals)], answer):
+                rivals.append((rival, measure))
+    try:
+        own = orbits.starting_at(starts[0])
+        before = deviation(own, samples.without_jumps(own.table(starts[0])), starts[0])
+        answer = replace(answer, before=before)
+    except (SimulationError, InputError):
+        # No orbit is there: the deviation at the start of the fit stands for it.
+        pass
+    near = [x for x, measure in rivals if measure < (1.0 + _RIVAL) * least]
+    return answer, best_orbits, tuple(x for x in near if _is_new(x, [answer.x], answer))
+
+
+def _is_new(x: Vector, known: Sequence[Vector], answer: Fit) -> bool:
+    """Return True if an optimum differs from all others by more than the errors of the best."""
+    errors = np.maximum(answer.spread.errors, 1e-12)
+    return all(float(np.max(np.abs(x - one)[:-1] / errors)) > _SAME for one in known)
+
+
+def _noise(orbits: Predictions, samples: Folded, x: Vector) -> Vector:
+    """Return the noise of each signal from the median of its residuals, ``(n_s,)``."""
+    values = orbits.fold(x, samples).values
+    rest = np.abs(samples.values - values) * np.sqrt(samples.counts)
+    found = [np.median(row[seen]) for row, seen in zip(rest.T, samples.seen.T, strict=True)]
+    return np.maximum(1.4826 * np.array(found), _FEWEST * np.ptp(values, axis=0))
+
+
+def _measure(
+    orbits: Predictions, samples: Folded, found: Periodicity, x: Vector, noise: Vector
+) -> float:
+    """Return the sum of the clipped squares over all samples, and of the period's."""
+    fold = orbits.fold(x, samples)
+    square = samples.counts * ((samples.values - fold.values) / noise) ** 2
+    clipped = np.minimum(square, _CLIP**2)
+    period = (found.period - orbits.table(x).period) / found.error
+    return float(np.sum(np.where(samples.seen, clipped, 0.0))) + min(period**2, 1e4)
+
+
+def profile_interval(answer: Fit, number: int) -> tuple[float, float]:
+    """Return the interval of an unknown from the profile of the likelihood, relative to its size.
+
+    Its ends are where the least squares over all other unknowns have risen by as much as at the
+    ends of an interval of a linear model with correlated noise.
+
+    Args:
+        answer: The fit.
+        number: Of the unknown.
+    """
+    stage, x, spread = answer.stage, answer.x, answer.spread
+    if stage is None:
+        raise ValueError("Argument `answer` must have the residuals as functions, as `fit` gives.")
+    information = answer.jacobian.T @ answer.jacobian
+    inverse: Vector = np.asarray(
+        np.linalg.pinv(information, rcond=1e-14, hermitian=True), dtype=np.float64
+    )
+    plain = math.sqrt(max(float(inverse[number, number]), np.finfo(float).tiny))
+    half = float(spread.half[number])
+    least = float(answer.residuals @ answer.residuals)
+    low, high = (bound[number] for bound in stage.orbits.unknowns.bounds)
+    ends: list[float] = []
+    for sign in (-1.0, 1.0):
+
+        def rise(at: float) -> float:
+            return math.sqrt(max(_least_at(stage, x, number, at, inverse) - least, 0.0))
+
+        end = _end_of(rise, float(x[number]), sign * half, half / plain)
+        ends.append(float(np.clip(end, low, high)))
+    return ends[0], ends[1]
+
+
+def _end_of(rise: Callable[[float], float], at: float, step: float, wanted: float) -> float:
+    """Return the point where the root of the rise has a given value, by the secant method."""
+    size = 1.0
+    for _ in range(_PROFILE):
+        found = rise(at + size * step)
+        if abs(found - wanted) < _CLOSE * wanted:
+            break
+        size *= float(np.clip(wanted / max(found, 1e-3 * wanted), 0.4, 2.5))
+    return at + size * step
+
+
+def _least_at(stage: Weighed, x: Vector, number: int, value: float, inverse: Vector) -> float:
+    """Return the least squares over all unknowns but one."""
+    from scipy.optimize import least_squares
+
+    free = [k for k in range(len(x)) if k != number]
+    # The others follow the correlation first.
+    moved = x + inverse[:, number] / inverse[number, number] * (value - x[number])
+    low, high = stage.orbits.unknowns.bounds
+    margin = 1e-9 * (high - low)
+    moved = np.clip(moved, low + margin, high - margin)
+
+    def whole(y: Vector) -> Vector:
+        z = moved.copy()
+        z[number], z[free] = value, y
+        return z
+
+    answer = least_squares(
+        lambda y: stage.residuals(whole(y)),
+        moved[free],
+        jac=lambda y: stage.jacobian(whole(y))[:, free],
+        bounds=(low[free], high[free]),
+        x_scale="jac",
+        xtol=1e-5,
+        ftol=1e-5,
+        max_nfev=8,
+    )
+    return 2.0 * float(answer.cost)
