@@ -405,9 +405,17 @@ def test_a_false_orbit_gets_a_page_that_says_so_and_a_no(orbit_file: Path) -> No
     assert "Refused" in out
     page = Path("report.html").read_text(encoding="utf-8")
     assert 'class="banner refused"' in page
-    assert "Not verified: do not rely on these numbers." in page
+    assert "Not verified: do not rely on these values." in page
     assert "✗ no" in page
     assert page.index("Not verified") < page.index("What happens")
+
+
+def test_a_page_of_a_file_whose_name_is_not_utf_8(orbit_file: Path) -> None:
+    name = os.fsdecode(b"orbit\xff.json")
+    orbit_file.rename(orbit_file.with_name(name))
+    code, _, err = ask("report", orbit_file.with_name(name), "-o", "report.html", *ONE)
+    assert (code, err) == (YES, "")
+    assert r"orbit\udcff.json" in Path("report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("change", [{"theta2": -1e-3}, {"dtheta2": -1e-3}, {"theta1": 1e200}])
@@ -448,7 +456,7 @@ def test_an_unstable_orbit_is_not_called_one_that_the_machine_keeps(
     assert "unstable" in words.headline(unstable)
     assert "grows" in words.stability(unstable)
     unknown = replace(certificate, multipliers=(), multiplier_error=math.inf)
-    assert "not known whether" in words.headline(unknown)
+    assert "undecided" in words.headline(unknown)
     assert "not accurate enough" in words.stability(unknown)
     assert "settles" in words.headline(certificate)
 
@@ -458,8 +466,8 @@ def test_an_unstable_orbit_is_not_called_one_that_the_machine_keeps(
     [
         (("-o", "missing/report.html"), "must be in a writable folder"),
         (("-o", "orbit.json"), "must be another file than the one that is read"),
-        (("-o", "report.pdf"), "`output` must end in .html or .htm, but it is `report.pdf`"),
-        (("-o", "r.html", "--tolerance", "2"), "`tolerance` must lie in (0, 1)"),
+        (("-o", "report.pdf"), "-o report.pdf: must end in .html or .htm, but it is `report.pdf`"),
+        (("-o", "r.html", "--tolerance", "2"), "--tolerance: must lie in (0, 1)"),
         (("-o", "r.html", "--trade", "nowhere.json"), "must hold what `trade -o` wrote"),
         (("-o", "r.html", "--trade", "orbit.json"), "must hold what `trade -o` wrote"),
         (("-o", "r.html", "--trade", "ball.json"), "must be of the problem `motor_pendulum`"),
@@ -643,6 +651,7 @@ def test_every_plot_is_there_and_shows_something(shown: Browser, plot: str) -> N
     assert all(re.search(r"\[.+\]$", title) for title in titles), titles
 
 
+@pytest.mark.slow
 def test_the_zoom_goes_by_decades_into_the_zeno_point(opened: Browser, subject: Subject) -> None:
     decades = curves_of(subject)["zeno"]["decades"]
     press(opened, "zeno", "in")

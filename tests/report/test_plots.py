@@ -199,6 +199,7 @@ def test_the_legend_keeps_off_the_panels_and_inside_the_picture(drawn: list[Figu
     legends_keep_off(drawn)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["puck", "three periods"])
 def test_the_legend_does_so_over_the_whole_width_of_a_page(name: str) -> None:
     legends_keep_off(laid_out(PROBLEMS[name](), FULL_WIDTH))

@@ -1,15 +1,16 @@
 """Results for people: pictures, one page for a browser, and tables in a terminal.
 
-`plots` draws with matplotlib and `terminal` prints with rich, each alone; `page` is one HTML file.
-`table` says which column shows what, for terminal and page alike; `motion` simulates an orbit
-from its own numbers, and `zeno_neighbourhood` cuts out what leads to a Zeno point.
+`plots` draws with matplotlib, and `terminal` prints with rich. Neither needs the other. `page` is a
+single HTML file. `table` defines the columns of all tables, for terminal and page. `motion`
+simulates an orbit at its own parameter values. `zeno_neighbourhood` extracts the part of an
+execution that leads to a Zeno point.
 
-Offers: `figure_of` (the picture of any result) and `save_figure`; `Subject`, `load_bundle` and
-`page_of` (the page of an orbit); `ProgressLine` (the progress of long work in a terminal) and
-`line_for_watcher` (the same, or that of a notebook, if anybody watches).
+Offers: `figure_of` (the figure of any result) and `save_figure`. The report page: `Subject`,
+`load_bundle` and `page_of` (the page of an orbit). Progress: `ProgressLine` (in a terminal) and
+`line_for_watcher` (the same for a terminal or a notebook, if there is a terminal or a notebook).
 
-Imports: experiment, precision, continuation, maps, search, verification, orbits, simulation, model,
-work, arrays, errors.
+Imports: experiment, precision, proof, continuation, maps, search, verification, orbits, simulation,
+model, work, arrays, kinds, errors.
 """
 
 import lazy_loader as lazy

@@ -1,4 +1,4 @@
-"""The motion of an orbit, simulated from its own numbers, and the lines of the machine in it."""
+"""Motion of an orbit, simulated at its own parameter values, and the lines of its mechanism."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def motion_of(
     """
     start = np.array(problem.state_vector(orbit.start_state))
     shape = orbit.shape.at_restitution(dynamics.restitution)
-    # The verifier refuses a start off the section; the simulator must not.
+    # The verifier rejects an initial state off the section, but the simulator must accept it.
     start = placed(dynamics, shape, start)
     return simulate(dynamics, start, until=periods * orbit.period * (1 + _LONGER))
 
@@ -59,20 +59,20 @@ class MachineMotion:
 def machine_motion(
     problem: Problem, values: ParameterValues, execution: Execution, period: float, *, n: int
 ) -> MachineMotion:
-    """Return a machine at even times of one period.
+    """Return a mechanism at evenly spaced times of one period.
 
     Args:
-        problem: The problem; it has a drawing.
-        values: Its numbers.
-        execution: One period from its start on.
-        period: [s].
+        problem: The problem, which must have a drawing.
+        values: Parameter values of the problem.
+        execution: One period of the motion.
+        period: Period [s].
         n: Number of times.
 
     Raises:
-        InputError: If the problem has no drawing.
+        InputError: If the problem lacks a drawing.
     """
     if problem.drawing is None:
-        raise InputError(f"Argument `problem` must have a drawing, but `{problem.name}` has none.")
+        raise InputError(f"Argument `problem` must have a drawing, but `{problem.name}` lacks one.")
     times = np.linspace(0.0, period, n, endpoint=False)
     states = np.array([execution.state_at(time) for time in times.tolist()])
     modes = [

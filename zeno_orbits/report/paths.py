@@ -35,11 +35,11 @@ class ArcPath:
 
 
 def paths_of(execution: Execution, *, least: int = 8) -> list[ArcPath]:
-    """Return every arc as a curve; tails too short to see are left out.
+    """Return every arc as a curve. Tails too short to be visible are omitted.
 
     Args:
         execution: The execution.
-        least: Points on each arc, at least.
+        least: Smallest number of points on each arc.
     """
     corners = [states for arc in execution.arcs for states in (arc.start_state, arc.end_state)]
     flows = [arc.flow_states[:, : len(corners[0])] for arc in execution.arcs]
@@ -74,7 +74,7 @@ def _smooth(arc: Arc, ranges: Vector, least: int) -> tuple[Vector, Vector]:
         places = np.repeat(left + 1, 2)
         times = np.insert(times, places, new[bent].ravel())
         states = np.insert(states, places, there[bent].reshape(len(places), -1), axis=0)
-        # Two points stand in each interval before it; it became three.
+        # Two points were inserted in each previous interval, which became three intervals.
         left = (left[:, None] + 2 * np.arange(len(left))[:, None] + np.arange(3)).ravel()
     return times, states
 
@@ -84,7 +84,7 @@ def _states_at(arc: Arc, times: Vector) -> Vector:
 
 
 def drawn_phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:
-    """Return mode, start and end of every phase; a Zeno tail belongs to the flights before it."""
+    """Return mode, start and end of every phase. A Zeno tail belongs to the preceding flights."""
     starts = [execution.arcs[0]]
     starts += [arc for last, arc in pairwise(execution.arcs) if arc.mode is not last.mode]
     times = [*(arc.start_time for arc in starts), execution.end_time]
@@ -92,7 +92,7 @@ def drawn_phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:
 
 
 def shown_states(problem: Problem) -> list[int]:
-    """Return which states are drawn over time: each coordinate, its velocity, then currents."""
+    """Return the states drawn over time: each coordinate and its velocity, then currents."""
     n_q = problem.model(problem.symbols()).n_q
     behind = range(2 * n_q, len(problem.state_names))
     rows = [row for k in range(n_q) for row in (k, n_q + k)]

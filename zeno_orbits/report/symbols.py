@@ -23,7 +23,7 @@ _GREEK = {
     "omega": "ω",
 }
 _NAME = re.compile(rf"(current|{'|'.join(_GREEK)}|[a-z](?=\d*$|_)|[A-Z](?=\d|_|[a-z]?\d*$))_?(\w*)")
-"""A letter and what stands below it: digits, one small letter, or anything after an underscore."""
+"""A letter and its subscript: digits, one small letter, or any text after an underscore."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,11 +36,11 @@ class _Symbol:
 
 
 def math_symbol(name: str, states: Sequence[str] = ()) -> str:
-    """Return a name as matplotlib writes it in a formula; a word stays a word.
+    """Return a name in matplotlib's math notation. A word is not changed.
 
     Args:
         name: Name of a state, gain or parameter.
-        states: Names of all states, by which a rate is known.
+        states: Names of all states, which determine whether a name is a rate.
     """
     found = _symbol(name, states)
     if isinstance(found, str):
@@ -52,11 +52,11 @@ def math_symbol(name: str, states: Sequence[str] = ()) -> str:
 
 
 def html_symbol(name: str, states: Sequence[str] = ()) -> str:
-    """Return a name as HTML; a word stays a word.
+    """Return a name as HTML. A word is not changed.
 
     Args:
         name: Name of a state, gain or parameter.
-        states: Names of all states, by which a rate is known.
+        states: Names of all states, which determine whether a name is a rate.
     """
     found = _symbol(name, states)
     if isinstance(found, str):
@@ -67,7 +67,7 @@ def html_symbol(name: str, states: Sequence[str] = ()) -> str:
 
 
 _LETTERS = 2
-"""Signs of a subscript that are a symbol themselves; more are a word, which stands upright."""
+"""Largest length of a subscript that is a symbol itself. A longer subscript is an upright word."""
 
 
 def _symbol(name: str, states: Sequence[str]) -> _Symbol | str:

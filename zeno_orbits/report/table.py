@@ -1,10 +1,12 @@
-"""Tables as data: a column is a heading and a function from an item to its cell.
+"""Tables as data: each column consists of a heading and a function from an item to its cell.
 
-The terminal and the page both print these; a new column is one entry of a list.
+The terminal and the page print the same tables. A new column is one entry of a list.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -41,7 +43,7 @@ class Table(Generic[Item]):
         caption: Its subject.
         columns: Its columns.
         rows: The cells, row by row.
-        is_titled: Whether it stands under a title that says its caption already.
+        is_titled: Whether a title above the table already contains its caption.
     """
 
     caption: str
@@ -51,17 +53,57 @@ class Table(Generic[Item]):
 
 
 def shown_number(value: float, digits: int) -> str:
-    """Return a number to some digits; zero is 0, without sign."""
+    """Return a value to some digits. Zero is 0, without sign."""
     return f"{value + 0.0:.{digits}g}"
 
 
+def shown_with_error(value: float, error: float, *, sign: str = "") -> str:
+    """Return a value to the second digit of its error, or to seven digits for an unknown error.
+
+    Args:
+        value: The value.
+        error: Its standard error.
+        sign: ``+`` to show the sign of a positive value.
+    """
+    if not (math.isfinite(error) and error > 0.0):
+        return f"{value + 0.0:{sign}.7g}"
+    decimals = 1 - math.floor(math.log10(error))
+    if decimals > 14 or decimals < 0:
+        return f"{value + 0.0:{sign}.3g}"
+    rounded = round(value, decimals) + 0.0
+    return f"{rounded:{sign}.{decimals}f}" if abs(rounded) >= 1e-4 else f"{rounded:{sign}.2g}"
+
+
+def prefixed(unit: str, *sizes: float) -> tuple[str, float]:
+    """Return a unit with a prefix for small quantities, and its size in the unit.
+
+    Args:
+        unit: A unit. Its first symbol takes the prefix, if it may have one.
+        sizes: Quantities in this unit. The largest quantity determines the prefix.
+    """
+    size = max((abs(one) for one in sizes if math.isfinite(one)), default=0.0)
+    symbol = re.match(r"[A-Za-z]+(?![A-Za-z^])", unit)
+    if symbol is None or symbol[0] not in _PREFIXED or not _NO_SIZE < size < _SMALL:
+        return unit, 1.0
+    for prefix, factor in _PREFIXES:
+        if size >= factor or prefix == _PREFIXES[-1][0]:
+            return prefix + unit, factor
+    return unit, 1.0
+
+
+_PREFIXED = frozenset({"s", "m", "rad", "A", "V", "N", "J", "W"})
+_PREFIXES = (("m", 1e-3), ("u", 1e-6), ("n", 1e-9))
+_SMALL, _NO_SIZE = 1e-2, 1e-15
+"""Quantities below the first value get a prefix. Quantities below the second value are rounding."""
+
+
 def shown_size(size: float) -> str:
-    """Return the size of an error to two digits; zero is 0."""
+    """Return the size of an error to two digits. Zero is 0."""
     return "0" if size == 0.0 else f"{size:.1e}"
 
 
 def shown_multiplier(value: float, error: float, digits: int) -> str:
-    """Return a part of a Floquet multiplier; what is smaller than its error is 0.
+    """Return a part of a Floquet multiplier, or 0 if it is smaller than its error.
 
     Args:
         value: Its real part, imaginary part or modulus.
@@ -72,7 +114,7 @@ def shown_multiplier(value: float, error: float, digits: int) -> str:
 
 
 def shown_complex(value: complex, error: float, digits: int) -> str:
-    """Return a Floquet multiplier; parts that are smaller than its error are left out.
+    """Return a Floquet multiplier without parts that are smaller than its error.
 
     Args:
         value: The multiplier.
@@ -86,7 +128,7 @@ def shown_complex(value: complex, error: float, digits: int) -> str:
 
 
 _NOTHING = 1e-9
-"""A multiplier above this is told, however uncertain it is."""
+"""A multiplier above this value is printed even if its uncertainty is large."""
 
 
 def text_column(heading: str, cell: Callable[[Item], Cell]) -> Column[Item]:
@@ -95,7 +137,7 @@ def text_column(heading: str, cell: Callable[[Item], Cell]) -> Column[Item]:
 
 
 def number_column(heading: str, cell: Callable[[Item], str]) -> Column[Item]:
-    """Return a column of numbers."""
+    """Return a column of values."""
     return Column(heading=heading, cell=cell, is_number=True)
 
 
@@ -128,3 +170,13 @@ BOUNDS: list[Column[Mapping[str, Any]]] = [
     number_column("reached to", lambda one: _limit(one.get("highest"))),
 ]
 """Of the bounds that a search was asked to keep, as its certificate has them."""
+
+
+def with_unit(value: str, unit: str) -> str:
+    """Return a value with its unit, if it has a unit.
+
+    Args:
+        value: The value as text.
+        unit: Unit of the value, or ``1`` for a pure number.
+    """
+    return value if unit == "1" else f"{value} {unit}"

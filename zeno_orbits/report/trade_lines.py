@@ -19,8 +19,8 @@ class TradeLine:
     """A line of a work-precision diagram.
 
     Attributes:
-        label: Its name.
-        is_engine: Whether it is that of an engine, which is drawn solid.
+        label: Label of the line.
+        is_engine: Whether the line belongs to an integrator, which is drawn solid.
         errors: Relative errors.
         milliseconds: Processor times [ms].
     """
@@ -32,7 +32,7 @@ class TradeLine:
 
 
 def trade_lines(trade: WorkPrecision) -> list[TradeLine]:
-    """Return a line for each engine, closure and model; trials without a result are left out."""
+    """Return one line per engine, closure and model, without unsuccessful trials."""
     drawn = [t for t in trade.trials if t.sweep in SAME_WORK and math.isfinite(t.error)]
     groups = [(label, list(trials)) for label, trials in groupby(drawn, key=lambda t: t.label)]
     return [
@@ -42,7 +42,7 @@ def trade_lines(trade: WorkPrecision) -> list[TradeLine]:
 
 
 def front_line(trade: WorkPrecision) -> TradeLine:
-    """Return the line of the trials that no other one beats in both time and error."""
+    """Return the line of the trials on the Pareto front of time and error."""
     return _line("nothing is faster and better", False, trade.front)
 
 
@@ -74,7 +74,7 @@ def cheapest_of(trade: WorkPrecision) -> list[Cheapest]:
 
 
 def shown_value(trial: Trial) -> str:
-    """Return what is varied in a trial: a count of impacts, or a tolerance."""
+    """Return the varied setting of a trial: a count of impacts, or a tolerance."""
     return f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}"
 
 

@@ -19,14 +19,14 @@ SAMPLES = 160
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloseUp:
-    """The last Zeno point of an execution and what leads to it.
+    """The last Zeno point of an execution and the motion that leads to it.
 
     Attributes:
         arcs: Arcs since the release before it, without the tail of the impact sequence.
         dynamics: The system that was simulated.
         zeno: The Zeno point.
         impacts: The impacts that lead to it.
-        flights: The arcs between them; none where a single impact reaches the Zeno point.
+        flights: The arcs between them, empty if a single impact reaches the Zeno point.
     """
 
     arcs: tuple[Arc, ...]
@@ -55,10 +55,11 @@ class CloseUp:
         r"""Return the first-order law :math:`|\dot h| = a (1 - e)/(2 e) (t_\infty - t)` as a line.
 
         Args:
-            tail: The flights that it is drawn for beyond the resolved ones.
+            tail: The flights beyond the resolved flights for which the law is drawn.
 
         Returns:
-            Times left to the Zeno point at its ends, and speeds; nothing without impacts before.
+            Times left to the Zeno point at both ends, and speeds. Both are empty without previous
+            impacts.
         """
         left, e = self.speeds()[0], self.dynamics.restitution
         if not left.size:

@@ -1,11 +1,11 @@
-"""The report of an orbit: one HTML page that needs no server and no network.
+"""The report of an orbit: one HTML page that works without a server and a network.
 
-Values in, the text of the page out: ``page.html`` is its template, ``tables`` its tables. The
-plots are drawn in the reader's browser by plotly, whose bundle travels inside the page; the numbers
-and the words are there without it.
+The input is values, and the output is the text of the page. ``page.html`` is its template, and
+``tables`` contains its tables. Plotly draws the plots in the reader's browser, and the page
+contains plotly's bundle. Values and text are visible without it.
 
-Offers: ``Subject`` (what to report), ``load_bundle`` (plotly's script), ``page_of`` (the page).
-Imports: precision, verification, orbits, simulation, model, arrays, errors.
+Offers: ``Subject`` (the subject of the report), ``load_bundle`` (plotly's script), ``page_of`` (the
+page). Imports: precision, verification, orbits, simulation, model, arrays, errors.
 """
 
 import lazy_loader as lazy

@@ -26,10 +26,10 @@ _MARKS = {"refused": "✗", "passed": "✓", "unsure": "!"}
 
 
 def page_of(subject: Subject, bundle: Bundle) -> str:
-    """Return the page as text; the same subject gives the same text.
+    """Return the page as text, which is reproducible for the same subject.
 
-    Its content security policy forbids it every request and every script but its own two, so that
-    it stays offline and harmless even if a text of a problem were HTML.
+    Its content security policy forbids all requests, and all scripts except the two scripts of the
+    page. So the page stays offline and harmless even if a text of a problem contained HTML.
 
     Raises:
         InputError: If jinja2 is not installed.
@@ -106,11 +106,11 @@ def commands_of(subject: Subject) -> tuple[tuple[str, ...], ...]:
         for quantity in problem.parameters
         if quantity.default is not None and orbit.parameters[quantity.name] != quantity.default
     }
-    # What the problem derives has to be said only where it is not what it would derive.
+    # Derived parameters are listed only if they differ from the derived values.
     derived = problem.values(parameters=given).parameters
     given |= {name: value for name, value in orbit.parameters.items() if derived[name] != value}
     search = ["zeno-orbits", "search", name]
-    search += [word for name, v in orbit.gains.items() for word in ("--fix", f"{name}={v!r}")]
+    search += [word for name, v in orbit.gains.items() for word in ("--set", f"{name}={v!r}")]
     search += [word for name, v in given.items() for word in ("--set", f"{name}={v!r}")]
     where = ("--problem", subject.problem_file) if subject.problem_file else ()
     check = ("zeno-orbits", "verify", subject.file, *where)
@@ -119,7 +119,7 @@ def commands_of(subject: Subject) -> tuple[tuple[str, ...], ...]:
 
 
 def template_environment() -> Environment:
-    """Return the environment that renders the template; it escapes every value.
+    """Return the environment that renders the template and escapes every value.
 
     Raises:
         InputError: If jinja2 is not installed.

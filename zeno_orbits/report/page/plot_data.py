@@ -1,6 +1,6 @@
-"""The data of a report's plots: plain numbers, rounded to what a screen can show.
+"""Data of a report's plots: plain values, rounded to the resolution of a screen.
 
-Times near the Zeno point are counted from it, so that a zoom by ten decades still finds digits.
+Times near the Zeno point are relative to it, so that digits remain after a zoom by ten decades.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _TAIL = 1e-4
 _MOST_TAIL = 60
 """Largest number of these flights: near e = 1 there are thousands."""
 _FRAMES = 150
-"""Pictures of the machine over a period; between two, its corners move straight."""
+"""Number of frames of the mechanism over a period. Its corners move linearly between two frames."""
 _SERIES_DECADES = 5
 """Decades of zoom that the digits of the states over time can bear."""
 

@@ -18,19 +18,20 @@ class Subject:
     """The subject of a report.
 
     Attributes:
-        orbit: The orbit, as its file has it.
+        orbit: The orbit, as stored in its file.
         problem: Its problem.
-        dynamics: The problem at the orbit's numbers.
-        certificate: Its certificate, computed afresh.
-        execution: One period, simulated from the orbit's start; ``None`` before, or if that failed.
-        trouble: The reason of the failure; empty if there was none.
+        dynamics: The problem at the orbit's parameter values.
+        certificate: Verification report of the orbit, computed afresh.
+        execution: One period, simulated from the orbit's start. It is ``None`` before the
+            simulation and after a failed simulation.
+        trouble: Reason of the failure, or an empty string.
         trade: The problem's work-precision measurements, if there are any.
         file: Name of the orbit's file.
-        problem_file: Path of the problem's file; empty for a bundled problem.
+        problem_file: Path of the problem's file, or an empty string for a bundled problem.
         content: The orbit's file itself.
         command: The words of the command that wrote the report.
-        date: The day of the check, as text; empty if it shall not be told.
-        proof: What an accepted certificate proves; empty without one.
+        date: Day of the check as text, or an empty string to omit it.
+        proof: Statement proved by an accepted certificate, or an empty string.
     """
 
     orbit: ZenoOrbit
@@ -52,6 +53,7 @@ class Subject:
         try:
             execution = motion_of(self.orbit, self.problem, self.dynamics)
         except ZenoOrbitsError as error:
-            # A false orbit may run anywhere; the page says so and does without its pictures.
+            # The simulation of an invalid orbit may diverge. The page then reports this and omits
+            # its plots.
             return replace(self, trouble=str(error))
         return replace(self, execution=execution)

@@ -1,4 +1,4 @@
-"""The tables and main numbers of a report, as data: what stands in which column."""
+"""The tables and key values of a report, as data: contents of each column."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ from zeno_orbits.work import versions
 _MOST_EVENTS = 40
 """Rows of the table of events."""
 _FORCES = {("J", "m"): "N", ("J", "rad"): "N m", ("J", "1"): "J"}
-"""Units of energy and gap to that of the force that holds the gap closed, where it has a name."""
+"""Unit of the force that closes the gap, by the units of energy and gap, if that unit has a
+name."""
 _ROUNDING = 1e-13
 """Part of the largest energy below which one is rounding, and is zero."""
 
@@ -55,7 +56,7 @@ def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
 
 
 def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
-    """Return the tables of a report by name; those that the subject lacks are left out."""
+    """Return the tables of a report by name, without the tables that do not apply."""
     certificate, problem = subject.certificate, subject.problem
     tables: dict[str, Table[Any]] = {
         "gains": gains_table(subject.orbit, problem),
@@ -108,7 +109,7 @@ def bounds_table(orbit: ZenoOrbit) -> Table[Any]:
 
 
 def events_table(execution: Execution, unit: str) -> Table[Any]:
-    """Return the events of a period; a long sequence is cut in its middle.
+    """Return the events of a period. A long sequence is shortened in its middle.
 
     Args:
         execution: The period.
@@ -165,7 +166,7 @@ def checks_table(certificate: OrbitCertificate) -> Table[Any]:
         number_column("residual [1]", lambda name: _residual(sizes[name])),
         text_column("for the expert", lambda name: f"{name}: {RESIDUALS[name]}"),
     ]
-    caption = f"Relative residuals; up to {tolerance:.0e} pass"
+    caption = f"Relative residuals (up to {tolerance:.0e} pass)"
     return table_of(caption, columns, [name for name in RESIDUALS if name in sizes])
 
 
@@ -174,7 +175,7 @@ def _residual(size: float) -> str:
 
 
 def margins_table(certificate: OrbitCertificate, unit: str, energy: str) -> Table[Any]:
-    """Return how far the orbit is from being lost.
+    """Return the distances of the orbit to loss of existence.
 
     Args:
         certificate: The certificate.
@@ -195,11 +196,11 @@ def margins_table(certificate: OrbitCertificate, unit: str, energy: str) -> Tabl
 
 
 def energies_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
-    """Return where the energy of a period goes.
+    """Return the energy balance of a period.
 
     Args:
         certificate: The certificate.
-        unit: Of energies in the problem.
+        unit: Unit of energies in the problem.
     """
     energies = certificate.energies
     least = _ROUNDING * max((abs(value) for value in energies.values()), default=0.0)
@@ -219,7 +220,7 @@ def trade_table(trade: WorkPrecision) -> Table[Any]:
 
 
 def versions_table(orbit: ZenoOrbit, bundle: Bundle) -> Table[Any]:
-    """Return the versions that found the orbit beside those that wrote the page."""
+    """Return the versions that found the orbit and the versions that wrote the page."""
     here = {**versions(), "plotly": bundle.version}
     columns: list[Column[str]] = [
         text_column("package", lambda name: name),

@@ -1,4 +1,4 @@
-"""Sentences of a report, for a reader who knows no hybrid systems."""
+"""Sentences of a report, for a reader without knowledge of hybrid systems."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate
 
 CHECKS: Mapping[str, str] = {
-    "release": "The motion starts exactly where the stop lets go.",
+    "release": "The motion starts exactly at a release.",
     "start": "The motion starts just after a hit.",
     "first_impact": "The first hit comes when and where the file says.",
     "impact_sequence": "So do the hits after it.",
@@ -26,7 +26,7 @@ CHECKS: Mapping[str, str] = {
     "closure": "After one period everything is as it was.",
     "period": "The period is as long as the file says.",
     "drift": "The later periods are like the first.",
-    "energy_balance": "No energy comes from nowhere, and none vanishes.",
+    "energy_balance": "Energy is conserved.",
     "holonomic": "The other constraints of the mechanism hold.",
     "second_model": "Equations that were derived a second time, independently, agree.",
     "integration": "A less accurate calculation gives the same answer.",
@@ -35,24 +35,24 @@ CHECKS: Mapping[str, str] = {
 
 MARGINS: Mapping[str, tuple[str, str]] = {
     "gap_acceleration": (
-        "how hard the moving part is drawn to the stop where the hits pile up; at zero it would "
+        "how hard the moving part is drawn to the stop where the hits pile up. At zero it would "
         "lift off there",
         "{gap}/s^2",
     ),
     "first_impact_speed": (
-        "how fast the first hit is; at zero the part would only graze the stop",
+        "how fast the first hit is. At zero the part would only graze the stop",
         "{gap}/s",
     ),
     "release_transversality": (
-        "how fast the contact force falls as the stop lets go; at zero it would not let go cleanly",
+        "how fast the contact force falls at the release. At zero the release is not transversal",
         "{force}/s",
     ),
     "lets_go": ("how fast the part leaves a stop that does not hold it", "{gap}/s^2"),
-    "phases_apart": ("how much the flights of a period differ; at zero it is a shorter one", "1"),
-    "locked_time": ("how long the part rests on its stop; at zero it would never rest", "s"),
+    "phases_apart": ("how much the flights of a period differ. At zero the period is shorter", "1"),
+    "locked_time": ("how long the part rests on its stop. At zero it would never rest", "s"),
 }
-"""Name of a margin to its meaning and its unit, in which ``{gap}`` is that of the gap and
-``{force}`` that of its force."""
+"""Meaning and unit of each margin by name. In the unit, ``{gap}`` stands for the unit of the gap
+and ``{force}`` for the unit of its force."""
 
 ENERGIES: Mapping[str, str] = {
     "input_work": "put in by the source",
@@ -80,7 +80,7 @@ LAWS: tuple[tuple[int, str, str], ...] = (
     (
         12,
         "<i>λ</i> = 0, d<i>λ</i>/d<i>t</i> &lt; 0",
-        "The release: the stop would have to pull, and lets go.",
+        "The release: the stop would have to pull, and contact ends.",
     ),
     (
         13,
@@ -105,22 +105,22 @@ LAWS: tuple[tuple[int, str, str], ...] = (
         "A residual: zero for a true orbit, relative to the size of what is compared.",
     ),
 )
-"""Number of a law in the theory, the law as HTML, and what it says."""
+"""Number of a law in the theory, the law as HTML, and its statement."""
 
 
 def headline(certificate: OrbitCertificate) -> str:
     """Return the answer in a few words."""
     if not certificate.passed:
-        return "Not verified: do not rely on these numbers."
+        return "Not verified: do not rely on these values."
     if certificate.stable:
         return "Verified: the machine settles into this motion and keeps it."
     if certificate.unstable:
         return "Verified, but unstable: the smallest push makes the machine leave this motion."
-    return "Verified; it is not known whether small pushes die out."
+    return "Verified. Whether small pushes decay is undecided."
 
 
 def cautions(problem: Problem, execution: Execution | None) -> list[str]:
-    """Return what a reader of the numbers should know: angles that pass half a turn.
+    """Return cautions about the values, for example angles that exceed half a turn.
 
     Args:
         problem: The problem.
@@ -148,7 +148,7 @@ def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution 
         certificate: Its certificate.
         execution: One period, if it could be simulated.
     """
-    said = "" if certificate.passed else "So says the file; the check below does not confirm it. "
+    said = "" if certificate.passed else "So says the file. The check below does not confirm it. "
     repeats = f"The same motion repeats every {orbit.period:.4g} s."
     if execution is None:
         return f"{said}{repeats}"
@@ -161,7 +161,8 @@ def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution 
         )
     return (
         f"{said}{repeats} The moving part hits its stop {count} times that could be followed one "
-        f"by one; {points} times infinitely many hits pile up, and it comes to rest for a while."
+        f"by one; {points} times infinitely many hits accumulate, and it stays on the stop "
+        "for a while."
     )
 
 
@@ -177,8 +178,8 @@ def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
     else:
         hits = "That one hit takes all of its speed: the Zeno point is there at once."
     rest = (
-        f"Then the part rests on the stop for {orbit.period - zeno:.4g} s and is carried along, "
-        "until the stop lets go of it, and all begins anew."
+        f"Then the part stays on the stop for {orbit.period - zeno:.4g} s and is carried along, "
+        "until it is released and the cycle repeats."
     )
     return f"{flight} {hits} {rest}"
 
@@ -201,4 +202,4 @@ def stability(certificate: OrbitCertificate) -> str:
             f"A small push grows, in the end {radius:.3g} times from period to period. A "
             "multiplier lies outside the unit circle."
         )
-    return "The multipliers are not accurate enough to say whether a small push dies out."
+    return "The multipliers are not accurate enough to decide whether a small push decays."

@@ -1,11 +1,11 @@
-"""Pictures of results: values in, a matplotlib ``Figure`` out.
+"""Figures of results: values in, a matplotlib ``Figure`` out.
 
-No pyplot and no global settings, so a picture looks the same wherever it is drawn. Every function
-takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a paper,
-``FULL_WIDTH`` sets them side by side.
+The functions use neither pyplot nor global settings, so a figure is the same in every session.
+Every function takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a
+paper, and ``FULL_WIDTH`` arranges them in a row.
 
-Offers: ``figure_of`` (the picture of any result), one ``plot_*`` a picture, ``save_figure``.
-Imports: every room but ``cli``; it alone imports matplotlib.
+Offers: ``figure_of`` (the figure of any result), one ``plot_*`` per figure, ``save_figure``.
+Imports: every room except ``cli``. No other room imports matplotlib.
 """
 
 import lazy_loader as lazy

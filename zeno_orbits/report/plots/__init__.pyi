@@ -10,9 +10,12 @@ from .family import plot_families as plot_families
 from .figure import figure_of as figure_of
 from .graph import plot_graph as plot_graph
 from .map import plot_map as plot_map
+from .mechanism import circuit_loops as circuit_loops
+from .mechanism import plot_mechanism as plot_mechanism
 from .paper_figures import Material as Material
 from .paper_figures import PAPER as PAPER
 from .portraits import plot_portraits as plot_portraits
+from .pushes import plot_pushes as plot_pushes
 from .recording import plot_comparison as plot_comparison
 from .region import has_zeno_region as has_zeno_region
 from .region import plot_zeno_region as plot_zeno_region

@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false
 # The stubs of matplotlib leave most keyword arguments untyped.
-"""A machine in motion, phase portraits running beside it: GIF, and MP4 where ffmpeg is found."""
+"""Animation of a mechanism with its phase portraits: GIF, and MP4 if ffmpeg is installed."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ from zeno_orbits.report.symbols import label_of
 from zeno_orbits.simulation import Execution, Mode
 
 _RATE = 25
-"""Pictures a second of what is shown [1/s]."""
+"""Frames per second of display [1/s]."""
 _FEWEST, _MOST = 40, 250
-"""Pictures of one animation: two to ten seconds, whatever the period is."""
+"""Smallest and largest number of frames of an animation: two to ten seconds for any period."""
 _DOTS = 160
 """Of the animation, an inch."""
 _COLOURS = 63
 _KEPT = 63
-"""In the place of a colour: what the picture before shows there."""
+"""Palette index that keeps the colour of the previous frame."""
 _TRAIL = 0.12
-"""Part of the period that the moving points drag behind them."""
+"""Part of the period that is drawn as a trail of the moving points."""
 _PORTRAITS = 2
-"""So many portraits are legible beside a machine."""
+"""Largest number of legible portraits next to a mechanism."""
 _TALL = 3.8
 """Height of the picture [in]."""
 
@@ -70,16 +70,16 @@ class Film:
 
 
 def film_of(problem: Problem, values: ParameterValues, execution: Execution, period: float) -> Film:
-    """Return one period of a machine in motion with its first two phase portraits beside it.
+    """Return one period of a mechanism in motion with its first two phase portraits.
 
     Args:
-        problem: The problem; it has a drawing.
-        values: Its numbers.
-        execution: One period from the release on.
-        period: [s].
+        problem: The problem, which must have a drawing.
+        values: Parameter values of the problem.
+        execution: One period from the release.
+        period: Period [s].
 
     Raises:
-        InputError: If the problem has no drawing.
+        InputError: If the problem lacks a drawing.
     """
     count = int(np.clip(round(period * _RATE), _FEWEST, _MOST))
     motion = machine_motion(problem, values, execution, period, n=count)
@@ -105,7 +105,8 @@ def film_of(problem: Problem, values: ParameterValues, execution: Execution, per
     shown = (*portraits, machine)
     Panels(figure=figure, axes=shown, width=FULL_WIDTH, across=1, is_own=True).finished()
     machine.set_title("Zeno model", size=TEXT)
-    # Laid out once, twice for what depends on the first: nothing but the machine is to move.
+    # The layout runs once, and twice for parts that depend on the first run: only the mechanism may
+    # move.
     canvas.draw()
     canvas.draw()
     figure.set_layout_engine("none")
@@ -135,14 +136,15 @@ def gif_of(film: Film) -> bytes:
     sheet = Image.new("RGB", (wide, 4 * high))
     for k in range(4):
         sheet.paste(film.frames[k * len(film.frames) // 4], (0, k * high))
-    # By coverage: a small mark keeps its colour beside large areas, and white stays white.
+    # Colours are chosen by coverage: a small mark keeps its colour next to large areas, and white
+    # stays white.
     palette = sheet.quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
     shown = [
         np.asarray(frame.quantize(palette=palette, dither=Image.Dither.NONE))
         for frame in film.frames
     ]
     frames = [Image.fromarray(shown[0], mode="P")]
-    # What has not moved is left as it is, which packs well.
+    # Pixels that have not changed are kept, which compresses well.
     for before, after in pairwise(shown):
         frames.append(Image.fromarray(np.where(after == before, _KEPT, after).astype(np.uint8)))
     for frame in frames:
@@ -171,7 +173,7 @@ def mp4_of(film: Film) -> bytes:
     """Return a film as MP4 (H.264), made by ffmpeg.
 
     Raises:
-        ZenoOrbitsError: If ffmpeg fails; with the last line of what it says.
+        ZenoOrbitsError: If ffmpeg fails. The message contains the last line of its output.
     """
     wide, high = film.frames[0].size
     with tempfile.TemporaryDirectory() as folder:
@@ -207,7 +209,7 @@ def _draw_machine(ax: Axes, motion: MachineMotion) -> dict[str, Any]:
     looks |= {STOP: {"lw": 2.0}} if STOP in lines else {}
     points = [name for name, corners in lines.items() if corners.shape[1] == 1]
     looks |= {name: {"marker": "o", "ms": 6, "mec": INK, "mfc": "white"} for name in points}
-    # The stop behind everything, points before it.
+    # The stop is drawn first, and the points last.
     order = sorted(lines, key=lambda name: (name in points, name != STOP))
     return {name: ax.plot([], [], solid_capstyle="round", **looks[name])[0] for name in order}
 

@@ -27,7 +27,7 @@ def plot_certificate(
     Args:
         certificate: The certificate.
         width: Width of the picture [in].
-        axes: Two panels to draw into; by default a new figure is made.
+        axes: Two panels to draw into, by default on a new figure.
     """
     wide, height = is_wide(width), 0.17 * len(certificate.residuals) + 0.4
     panels = panels_of(
@@ -52,7 +52,7 @@ def plot_multipliers(
     Args:
         values: The multipliers.
         width: Width of the picture [in].
-        axes: One panel to draw into; by default a new figure is made.
+        axes: One panel to draw into, by default on a new figure.
     """
     panels = panels_of(width, 1, height=0.8 * width, axes=axes)
     _draw_multipliers(panels.axes[0], values)
@@ -60,7 +60,7 @@ def plot_multipliers(
 
 
 def _draw_residuals(ax: Axes, certificate: OrbitCertificate) -> None:
-    """Draw a row a residual in causal order; zero and what is not finite are words, no bars."""
+    """Draw one row per residual in causal order. Zero and nonfinite values are words, not bars."""
     names = [name for name in RESIDUALS if name in certificate.residuals]
     sizes = [certificate.residuals[name] for name in names]
     shown = [size for size in (*sizes, certificate.tolerance) if math.isfinite(size) and size > 0.0]

@@ -56,13 +56,13 @@ def plot_families(
     width: float = FULL_WIDTH,
     axes: Sequence[Axes] = (),
 ) -> Figure:
-    """Return families over their parameter, stable ones solid, unstable ones dashed.
+    """Return solution branches over their parameter, stable parts solid, unstable parts dashed.
 
     Args:
-        found: What was found.
+        found: The continuation.
         problem: The problem, for units.
         width: Width of the picture [in].
-        axes: Three panels to draw into; by default a new figure is made.
+        axes: Three panels to draw into, by default on a new figure.
     """
     main = found.families[0]
     unit = problem.state_units[problem.state_names.index(problem.amplitude_of)]
@@ -93,13 +93,13 @@ def plot_boundaries(
     width: float = COLUMN_WIDTH,
     axes: Sequence[Axes] = (),
 ) -> Figure:
-    """Return the boundaries in the plane of two parameters.
+    """Return the bifurcation curves in the plane of two parameters.
 
     Args:
-        found: What was found; it must have a boundary.
+        found: The continuation, with at least one bifurcation curve.
         problem: The problem, for units.
         width: Width of the picture [in].
-        axes: One panel to draw into; by default a new figure is made.
+        axes: One panel to draw into, by default on a new figure.
     """
     panels = panels_of(width, 1, height=0.75 * width, axes=axes)
     (ax,) = panels
@@ -143,7 +143,7 @@ _MOST_RADIUS = 3.0
 
 
 def _show_radii(ax: Axes, found: Continuation) -> None:
-    """Draw the radius of the unit circle; keep it in sight where multipliers diverge at an end."""
+    """Draw the spectral radius, and keep 1 in view if multipliers diverge at an end."""
     ax.axhline(1.0, color=INK, lw=0.6, ls=(0, (1, 2)), zorder=1)
     largest = max(p.spectral_radius for family in found.families for p in family.points)
     ax.set_ylim(-0.04 * min(largest, _MOST_RADIUS), min(1.08 * max(largest, 1.0), _MOST_RADIUS))
@@ -190,7 +190,7 @@ def _mark_all(ax: Axes, found: Continuation, value: Callable[[FamilyPoint], floa
         for special in family.named:
             rooted = special is family.first and special.kind is SpecialPointKind.FLIP
             place = value(special.at)
-            # A value outside the panel, or an unknown one, has no place to mark.
+            # A value that is unknown or outside the panel cannot be marked.
             if special.kind in _MARKS and not rooted and low <= place <= high:
                 look = _SPOT | _MARKS[special.kind]
                 ax.plot(special.at.value, place, label=special.kind.value, clip_on=False, **look)

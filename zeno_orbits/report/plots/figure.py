@@ -43,26 +43,27 @@ def figure_of(
     width: float | None = None,
     title: str = "",
 ) -> Figure:
-    """Return the picture of a result.
+    """Return the figure of a result.
 
-    An orbit is simulated over one period from its own numbers and shown as phase portraits, an
-    execution as states over time, a search as its best orbit.
+    An orbit is simulated over one period at its own parameter values and shown as phase portraits.
+    An execution is shown as states over time, and a search as its best orbit.
 
     Args:
         result: An execution, orbit, search result, closing, certificate, multipliers, family,
             continuation, map, trade or comparison.
-        problem: Its problem; by default the bundled one of its name. An execution knows no name:
-            without its problem it is drawn without units.
+        problem: The problem of the result, by default the bundled problem with the result's problem
+            name. An execution does not store a problem name. Without its problem it is drawn
+            without units.
         ax: Axes to draw into, for a picture of one panel.
-        axes: Axes to draw into, as many as the picture has panels.
-        width: Width of the picture [in]; by default that of a page.
-        title: Words above the picture; none by default.
+        axes: Axes to draw into, one per panel.
+        width: Width of the picture [in], by default a page width.
+        title: Title above the figure, by default empty.
 
     Raises:
-        InputError: If there is no picture of such a value, its problem is not known, or the axes
-            are not as many as its panels.
-        OrbitNotFoundError: If a search result has no orbit.
-        OrbitNotClosedError: If a closing has none.
+        InputError: If the type of the result is not supported, its problem is unknown, or the
+            number of axes differs from the number of panels.
+        OrbitNotFoundError: If a search result contains no orbit.
+        OrbitNotClosedError: If a shooting result contains no orbit.
         SimulationError: If the orbit cannot be simulated.
     """
     given = [*np.ravel(np.asarray(axes, dtype=object))] if ax is None else [ax]

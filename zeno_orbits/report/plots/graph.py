@@ -16,7 +16,7 @@ from zeno_orbits.report.symbols import math_symbol
 from zeno_orbits.simulation import Mode
 
 _SIZE = (1.22, 0.72)
-"""Width and height of a mode; lengths here are inches of a picture that is a column wide."""
+"""Width and height of a mode. Lengths here are in inches of a figure that is one column wide."""
 _HEIGHTS = (1.2, 2.24)
 """Of the two panels."""
 _ARROW: dict[str, Any] = {
@@ -115,7 +115,7 @@ def _draw_domain(ax: Axes, at: tuple[float, float], mode: Mode, *words: str) -> 
 
 
 def _states(problem: Problem) -> str:
-    """Return what the state is made of, its symbols if they fit on a line."""
+    """Return the components of the state, as symbols if they fit on a line."""
     names = problem.state_names
     if sum(map(len, names)) > _LONGEST:
         return f"$x$: {len(names)} states"

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from itertools import cycle
 from typing import Any
 
@@ -23,12 +23,25 @@ from zeno_orbits.maps import Attractor, Axis, Boundary, Fate, ParameterMap
 from zeno_orbits.report.plots.panels import figure_size, panels_of
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
 from zeno_orbits.report.symbols import quantity_label
+from zeno_orbits.simulation import AttractorKind
 
 _PERIODS = {1: "#4393C3", 2: "#009E73", 4: "#005A43", 8: "#5D3A9B"}
-_OTHER_PERIOD = "#8C7AA9"
+_OTHER_PERIODS = (
+    "#8C7AA9",
+    "#1B4F72",
+    "#66C2A5",
+    "#C2A5CF",
+    "#3F7F4F",
+    "#A6BDDB",
+    "#7A5195",
+    "#00429D",
+    "#93C4D2",
+    "#A5D5A7",
+    "#2C1E5B",
+)
+_WITHOUT_ZENO = ("#CC79A7", "#8E2D6E", "#F0B8D6", "#E7298A", "#67001F", "#B07AA1", "#FBB4AE")
 _PLAIN = {
     Fate.SIMPLE: "#A6D854",
-    Fate.NO_ZENO: "#CC79A7",
     Fate.REST: "#FFFFFF",
     Fate.HELD: "#C6DBEF",
     Fate.FAILED: "#000000",
@@ -36,17 +49,26 @@ _PLAIN = {
 _ESCAPES = ("#D55E00", "#E69F00", "#8C510A", "#B2182B")
 _UNSETTLED = "#F0E442"
 _GROWING, _DYING = "#8F8F8F", "#DADADA"
+_KINDS = {
+    AttractorKind.CHAOTIC: "#4D4D4D",
+    AttractorKind.QUASI_PERIODIC: "#B3A369",
+    AttractorKind.GROWS: _GROWING,
+}
 _PERIOD: dict[str, Any] = {"colors": "black", "linewidths": 0.7}
 _RADIUS: dict[str, Any] = {"colors": "white", "linewidths": 0.9, "linestyles": "dashed"}
 _RADII = (0.2, 0.4, 0.6, 0.8, 0.9)
 _BESIDE = 0.8
-"""Part of a page from which on the legend stands beside the map, else below it."""
+"""Width relative to a page from which the legend is to the right of the map. Else it is below."""
 _SHAPE = {True: 0.5, False: 0.72}
 """Height over width, the legend below not counted."""
 _ENTRY = 0.145
 """Height of an entry of the legend [in]."""
 _TWO_COLUMNS = 1.3 * COLUMN_WIDTH
 """Width from which on the legend below has two columns [in]."""
+_LONGEST = 13
+"""Longest period with an entry of its own in the legend, in turns of the clock."""
+_TWO_LABELS = 40
+"""Longest entry, in letters, with which two columns fit."""
 _BOUNDARIES = ("-", "--", "-.", ":")
 
 
@@ -57,13 +79,13 @@ def plot_map(
     width: float = 1.4 * COLUMN_WIDTH,
     axes: Sequence[Axes] = (),
 ) -> Figure:
-    """Return a map as a picture: a cell a point, with contours where there are points enough.
+    """Return a map as a figure: one cell per point, and contours if there are enough points.
 
     Args:
         found: The map.
         boundaries: Curves to draw on top.
         width: Width of the picture [in].
-        axes: One panel to draw into; by default a new figure is made.
+        axes: One panel to draw into, by default on a new figure.
     """
     beside = width >= _BESIDE * FULL_WIDTH
     panels = panels_of(width, 1, height=_SHAPE[beside] * width - 0.5, axes=axes)
@@ -75,11 +97,13 @@ def plot_map(
     curves = _inside(found, boundaries)
     handles += _draw_contours(ax, found, [points for alike in curves.values() for points in alike])
     handles += _draw_boundaries(ax, found, curves)
+    handles += _draw_sections(ax, found)
     look: dict[str, Any] = {"fontsize": TEXT - 1, "handlelength": 2.6}
     if not panels.is_own:
         ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
         return panels.figure
-    columns = 2 if width >= _TWO_COLUMNS and not beside else 1
+    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
+    columns = 2 if width >= _TWO_COLUMNS and not beside and longest <= _TWO_LABELS else 1
     if not beside:
         rows = -(-len(handles) // columns) + 1
         panels.figure.set_figheight(panels.figure.get_figheight() + _ENTRY * rows)
@@ -95,58 +119,91 @@ def plot_map(
 
 
 def _draw_cells(ax: Axes, found: ParameterMap) -> list[Any]:
-    """Draw a cell a point, in the colour of what its motion settles to."""
-    phrases = _phrases(found.attractors)
-    looks = {phrase: _colour(one, k) for phrase, (one, k) in phrases.items()}
+    """Draw one cell per point, in the colour of its attractor."""
+    x, y, attractors = found.finest()
+    phrases = _phrases(attractors)
+    looks: dict[str, str] = {}
+    for phrase, (one, k) in phrases.items():
+        looks[phrase] = _colour(one, k, set(looks.values()))
     order = list(looks)
-    codes = np.array([order.index(one.phrase) for one in found.attractors]).reshape(found.shape)
+    codes = np.array([order.index(_label(one)) for one in attractors]).reshape(y.count, x.count)
     ax.pcolormesh(
-        *(np.array(axis.values()) for axis in (found.x, found.y)),
+        *(np.array(axis.values()) for axis in (x, y)),
         codes,
         cmap=ListedColormap(list(looks.values())),
         vmin=-0.5,
         vmax=len(order) - 0.5,
         shading="nearest",
         rasterized=True,
-        # Few cells are told apart; the edges of many would hide them.
-        edgecolors="#BBBBBB" if min(found.shape) < _FEWEST else "none",
+        # With few cells, edges separate them. With many cells, edges would hide them.
+        edgecolors="#BBBBBB" if min(x.count, y.count) < _FEWEST else "none",
         linewidth=0.3,
     )
     edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 0.4}
     return [Patch(facecolor=colour, label=phrase, **edge) for phrase, colour in looks.items()]
 
 
+def _label(attractor: Attractor) -> str:
+    """Return the legend label of an attractor. All long periods share a label."""
+    if attractor.turns <= _LONGEST:
+        return attractor.phrase
+    return f"{attractor.fate.value}, more than {_LONGEST} turns"
+
+
 def _phrases(attractors: Sequence[Attractor]) -> dict[str, tuple[Attractor, int]]:
     """Return each phrase with an attractor it stands for and its number among escapes."""
     found: dict[str, Attractor] = {}
     for one in attractors:
-        found.setdefault(one.phrase, one)
+        found.setdefault(_label(one), one)
     fates = list(Fate)
-    order = sorted(found, key=lambda p: (fates.index(found[p].fate), found[p].returns, p))
+
+    def place(phrase: str) -> tuple[int, int, int, str]:
+        one = found[phrase]
+        return fates.index(one.fate), one.returns, one.turns, phrase
+
+    order = sorted(found, key=place)
     escapes = [phrase for phrase in order if found[phrase].fate is Fate.ESCAPE]
     return {p: (found[p], escapes.index(p) if p in escapes else 0) for p in order}
 
 
-def _colour(attractor: Attractor, escape: int) -> str:
+def _colour(attractor: Attractor, escape: int, used: Set[str]) -> str:
+    """Return the color of an attractor, of orbits one that no other period has.
+
+    Args:
+        attractor: The attractor.
+        escape: Its number among escapes.
+        used: Colors of the attractors before it.
+    """
+    n = max(attractor.returns, attractor.turns)
     if attractor.fate is Fate.ZENO:
-        return _PERIODS.get(attractor.returns, _OTHER_PERIOD)
+        return _unused((_PERIODS.get(n, _OTHER_PERIODS[0]), *_OTHER_PERIODS), used)
+    if attractor.fate is Fate.NO_ZENO:
+        return _unused(_WITHOUT_ZENO, used)
     if attractor.fate is Fate.ESCAPE:
         return _ESCAPES[escape % len(_ESCAPES)]
     if attractor.fate is Fate.UNSETTLED:
+        if attractor.kind in _KINDS:
+            return _KINDS[attractor.kind]
         growing = {"growing": _GROWING, "dying out": _DYING}
         return growing.get(attractor.phrase.rpartition(", ")[2], _UNSETTLED)
     return _PLAIN[attractor.fate]
 
 
+def _unused(colours: Sequence[str], used: Set[str]) -> str:
+    """Return the first color that is not used, or the last."""
+    return next((colour for colour in colours if colour not in used), colours[-1])
+
+
 def _draw_contours(ax: Axes, found: ParameterMap, curves: Sequence[Vector]) -> list[Line2D]:
-    """Draw period and spectral radius where the motion settles to an orbit of period 1.
+    """Draw period and spectral radius in the region of orbits of period 1.
 
     Args:
         ax: The panel.
         found: The map.
-        curves: What will be drawn on top, and labels keep off.
+        curves: Curves that are drawn on top later, from which labels keep a distance.
     """
-    if min(found.shape) < _FEWEST:
+    if min(found.shape) < _FEWEST or found.orbits:
+        # An orbit is the same in all of its basin.
         return []
     first = [one.fate in (Fate.ZENO, Fate.SIMPLE) and one.returns == 1 for one in found.attractors]
     inside = np.reshape(first, found.shape)
@@ -199,7 +256,7 @@ def _shares(ax: Axes, points: Vector) -> Vector:
 
 
 def _long_pieces(ax: Axes, lines: QuadContourSet) -> list[list[Vector]]:
-    """Keep the pieces of contour lines that are more than specks; return them level by level."""
+    """Return the pieces of contour lines above a minimum size, level by level."""
     kept: list[list[Vector]] = []
     for path in lines.get_paths():
         pieces = [np.asarray(piece) for piece in path.to_polygons(closed_only=False)]
@@ -226,7 +283,7 @@ def _label_lines(
         lines: The contours.
         pieces: Their pieces, level by level.
         others: The pieces of the other field's contours.
-        taken: Places of labels, in parts of the axes; those made here are added.
+        taken: Positions of labels, in axes fractions. The positions of the new labels are added.
     """
     spots: list[tuple[float, float]] = []
     room = _ROOM / (_PANEL * figure_size(ax))
@@ -242,7 +299,7 @@ def _label_lines(
                 inside &= np.any(np.abs(places - other) > room, axis=1)
             apart = np.max(np.abs(places[:, None] - crossing) / room, axis=2)
             nearest = np.where(inside, np.min(apart, axis=1, initial=_CLEAR), 0.0)
-            # The middle of what is clear, or else the place that is nearest to it.
+            # The middle of the clear stretch, or else the nearest point to it.
             fits = np.flatnonzero(nearest >= min(np.max(nearest), _CLEAR))
             at = fits[np.argmin(np.abs(fits - len(piece) / 2))]
             found.append((float(nearest[at]), piece[at]))
@@ -279,7 +336,7 @@ def _inside(found: ParameterMap, boundaries: Sequence[Boundary]) -> dict[str, li
 def _draw_boundaries(
     ax: Axes, found: ParameterMap, curves: Mapping[str, Sequence[Vector]]
 ) -> list[Line2D]:
-    """Draw curves, those of a name alike."""
+    """Draw curves. Curves with the same name look alike."""
     handles: list[Line2D] = []
     for (name, alike), dash in zip(curves.items(), cycle(_BOUNDARIES), strict=False):
         look: dict[str, Any] = {"color": "black", "lw": 1.6, "ls": dash}
@@ -289,6 +346,18 @@ def _draw_boundaries(
     if curves:
         ax.set(xlim=_reach(found.x), ylim=_reach(found.y))
     return handles
+
+
+def _draw_sections(ax: Axes, found: ParameterMap) -> list[Line2D]:
+    """Draw where the orbits of a map over states pass their section, as far as it is inside."""
+    points = [(one.state[found.x.name], one.state[found.y.name]) for one in found.orbits]
+    (left, right), (low, high) = _reach(found.x), _reach(found.y)
+    inside = [(x, y) for x, y in points if left <= x <= right and low <= y <= high]
+    if not inside:
+        return []
+    look: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": INK, "ms": 5, "ls": "none"}
+    ax.plot(*np.array(inside).T, **look)
+    return [Line2D([], [], label="orbit at its section", **look)]
 
 
 def _reach(axis: Axis) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from zeno_orbits.report.symbols import label_of
 _MOST_TICKS, _FEWEST_TICKS = 9, 2
 """Intervals between the ticks of an axis across."""
 _SIGN, _BETWEEN, _BESIDE = 0.06, 0.1, 0.55
-"""Room for a sign of a tick's label, between two labels, and beside a panel [in]."""
+"""Width of a sign of a tick label, between two labels, and next to a panel [in]."""
 _ABOVE = "above"
 """Name of a legend above the panels."""
 
@@ -53,10 +53,11 @@ class Panels:
         return iter(self.axes)
 
     def finished(self, time: str = "") -> Figure:
-        """Return the figure: texts of one size, and a legend of what is seen.
+        """Return the figure, with texts of one size and a legend of the visible lines.
 
         Args:
-            time: Label of the axis across that all panels share; each has its own by default.
+            time: Label of the horizontal axis that all panels share. By default each panel has its
+                own label.
         """
         if time:
             for k, ax in enumerate(self.axes):
@@ -69,7 +70,7 @@ class Panels:
         if self.is_own:
             for ax in self.axes:
                 _thin_out(ax, self.width / self.across)
-        # A colour bar is no panel, but its texts are read beside theirs.
+        # A colour bar is not a panel, but its texts are read together with the panel's texts.
         entries = _entries(self.figure.axes if self.is_own else self.axes)
         if self.is_own:
             self._legend_above(entries)
@@ -109,18 +110,18 @@ def panels_of(
     widths: Sequence[float] | None = None,
     axes: Sequence[Axes] = (),
 ) -> Panels:
-    """Return panels, side by side on a page and stacked in a column, or the caller's axes.
+    """Return panels, in a row on a page and stacked in a column, or the caller's axes.
 
     Args:
         width: Width of the figure [in].
         n: Number of panels.
         height: Height of each panel, or of each row [in].
-        columns: Panels in a row; by default up to three where the figure is wide.
-        widths: Widths of the columns, relative to each other; equal by default.
-        axes: Axes to draw into; by default a new figure is made.
+        columns: Panels per row, by default up to three on a wide figure.
+        widths: Relative widths of the columns, by default equal.
+        axes: Axes to draw into, by default on a new figure.
 
     Raises:
-        InputError: If there are axes, but another number of them.
+        InputError: If the number of axes differs from the number of panels.
     """
     across = columns or (min(n, 3) if is_wide(width) else 1)
     if axes:
@@ -169,16 +170,16 @@ def is_wide(width: float) -> bool:
 def portraits_of(
     problem: Problem, width: float, *, height: float, axes: Sequence[Axes] = ()
 ) -> tuple[Panels, list[tuple[Axes, list[int]]]]:
-    """Return labelled panels, one a portrait of a problem.
+    """Return labelled panels, one per portrait of a problem.
 
     Args:
         problem: The problem.
         width: Width of the figure [in].
         height: Height of a panel [in].
-        axes: Axes to draw into; by default a new figure is made.
+        axes: Axes to draw into, by default on a new figure.
 
     Returns:
-        The panels, and each with the places of the two states that it shows.
+        The panels, and each panel with the indices of the two states that it shows.
     """
     pairs = [[problem.state_names.index(name) for name in pair] for pair in problem.portraits]
     panels = panels_of(width, len(pairs), height=height, axes=axes)
@@ -188,12 +189,12 @@ def portraits_of(
 
 
 def add_title(figure: Figure, title: str, axes: Sequence[Axes] = ()) -> None:
-    """Put a title on top of a picture, above its legend if that stands above the panels.
+    """Add a title to a figure, above its legend if the legend is above the panels.
 
     Args:
         figure: The picture.
         title: The title.
-        axes: Axes of the caller that it was drawn into, if it was; the first one gets the title.
+        axes: Axes of the caller, if the figure was drawn into them. The first axes get the title.
     """
     above = [legend for legend in figure.legends if legend.get_gid() == _ABOVE]
     if axes:
@@ -237,10 +238,10 @@ def _entries(panels: Sequence[Axes]) -> dict[str, Any]:
 
 
 def _is_seen(ax: Axes, handle: Any) -> bool:
-    """Return True unless a line lies outside its panel; one without points stands for others."""
+    """Return True unless a line lies outside its panel. A line without points is a legend entry."""
     if not isinstance(handle, Line2D) or not np.size(handle.get_xdata()):
         return True
-    # Asking for the limits brings the transform up to date with what was drawn.
+    # The query of the limits updates the transform to the drawn content.
     ax.get_xlim()
     path = handle.get_transform().transform_path(handle.get_path()).cleaned(remove_nans=True)
     box = ax.bbox.padded(1.0)
@@ -248,5 +249,5 @@ def _is_seen(ax: Axes, handle: Any) -> bool:
 
 
 def _length(label: str) -> int:
-    """Return how many signs wide a label is, formulas without their commands."""
+    """Return the width of a label in signs, with formulas counted without their commands."""
     return len(label.replace("\\", "").replace("ddot", "").replace("$", ""))

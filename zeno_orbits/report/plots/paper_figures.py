@@ -11,6 +11,7 @@ from zeno_orbits.experiment import Counterpart
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.report.plots.animation import film_of, gif_of, has_ffmpeg, mp4_of
 from zeno_orbits.report.plots.graph import plot_graph
+from zeno_orbits.report.plots.mechanism import plot_mechanism
 from zeno_orbits.report.plots.portraits import plot_portraits
 from zeno_orbits.report.plots.region import plot_zeno_region
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, rendered
@@ -31,12 +32,13 @@ class Material:
 
     Attributes:
         problem: The problem.
-        values: The orbit's numbers.
-        dynamics: The problem at these.
-        period: Of the orbit [s].
-        one: The motion over one period, from the release on.
-        several: The same over some periods.
-        other: Returns the motion to be shown beside the model's; called if it is needed.
+        values: Parameter values of the orbit.
+        dynamics: The problem at these values.
+        period: Period of the orbit [s].
+        one: The motion over one period, from the release.
+        several: The motion over several periods.
+        other: Function that returns the motion for comparison with the model. It is called only if
+            needed.
     """
 
     problem: Problem
@@ -53,6 +55,12 @@ def graph_files(material: Material) -> dict[str, bytes]:
     return _files({"fig2_systems": plot_graph(material.problem, material.values)})
 
 
+def mechanism_files(material: Material) -> dict[str, bytes]:
+    """Return the mechanism at the release and its circuit."""
+    drawn = plot_mechanism(material.problem, material.values, material.one, material.period)
+    return _files({"fig3_mechanism": drawn})
+
+
 def region_files(material: Material) -> dict[str, bytes]:
     """Return the region of Theorem 1, the orbit's locked arc on it."""
     problem, dynamics = material.problem, material.dynamics
@@ -66,7 +74,7 @@ def portrait_files(material: Material) -> dict[str, bytes]:
 
 
 def beside_files(material: Material) -> dict[str, bytes]:
-    """Return the model beside another motion: over time, by phase, impacts, portraits, zoom."""
+    """Return the model and another motion: over time, by phase, impacts, portraits, zoom."""
     one = TwoMotions(
         problem=material.problem,
         dynamics=material.dynamics,
@@ -93,12 +101,13 @@ def animation_files(material: Material) -> dict[str, bytes]:
 
 PAPER: dict[str, Callable[[Material], dict[str, bytes]]] = {
     "graph": graph_files,
+    "mechanism": mechanism_files,
     "region": region_files,
     "portraits": portrait_files,
     "beside": beside_files,
     "animation": animation_files,
 }
-"""Kind of figure to what makes its files, by their names."""
+"""Functions that write the files of each kind of figure."""
 
 
 def _files(figures: Mapping[str, Figure]) -> dict[str, bytes]:

@@ -40,10 +40,10 @@ def plot_portraits(
     """Return the phase portraits of a problem: arcs by mode, resets, Zeno points, releases.
 
     Args:
-        problem: The problem; its ``portraits`` say what is drawn against what.
-        execution: What to draw.
+        problem: The problem, whose ``portraits`` name the axes.
+        execution: The execution to draw.
         width: Width of the picture [in].
-        axes: Axes to draw into, one a portrait; by default a new figure is made.
+        axes: Axes to draw into, one per portrait, by default on a new figure.
     """
     panels, pairs = portraits_of(problem, width, height=2.5, axes=axes)
     impacts, paths = execution.impacts, paths_of(execution)

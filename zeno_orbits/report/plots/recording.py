@@ -46,21 +46,21 @@ def plot_comparison(
     """Return a recording over an orbit, signal by signal, and its portraits.
 
     Left: the samples folded into one period, their mean and the orbit. Right: the mean deviation
-    and the standard deviation of the samples around it. Phases are shaded, impacts dashed. Both run
-    in periods of their own, which stand above in numbers.
+    and the standard deviation of the samples around it. Phases are shaded, and impacts are dashed.
+    Each motion is drawn in units of its own period. The two periods are printed above.
 
     Args:
         problem: The problem.
-        found: The comparison; it has an alignment.
+        found: The comparison, which must have an alignment.
         width: Width of the picture [in].
-        axes: Axes to draw into, two a signal and one a portrait; by default a new figure is made.
+        axes: Axes to draw into, two per signal and one per portrait, by default on a new figure.
 
     Raises:
-        InputError: If the recording does not repeat, so that there is nothing to draw.
+        InputError: If the recording is not periodic, so that nothing can be drawn.
     """
     deviations, where = found.deviations, found.where
     if deviations is None or where is None:
-        raise InputError("Argument `found` must have deviations to draw, but it has none.")
+        raise InputError("Argument `found` must have deviations to draw, but it lacks them.")
     portraits = recorded_portraits_of(problem, found.signals)
     n, across = len(found.signals), 2 if is_wide(width) else 1
     heights = [1.25] * (2 * n // across) + [2.2] * -(-len(portraits) // across)
@@ -95,7 +95,7 @@ def _draw_signal(
     k: int,
     sampled: tuple[NDArray[np.int64], Vector],
 ) -> None:
-    """Draw a signal over the phase: samples by their numbers and phases, their mean, the orbit."""
+    """Draw a signal over the phase: samples by index and phase, their mean, the orbit."""
     table, (chosen, phases) = deviations.table, sampled
     samples = found.recording.signal(found.signals[k]).values[chosen]
     ax.plot(phases, samples, ms=1.2, zorder=1, **_DOTS)

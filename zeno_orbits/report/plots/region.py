@@ -34,19 +34,21 @@ def plot_zeno_region(
 ) -> Figure:
     """Return the region of Zeno equilibria where d2h/dt2 < 0 (Theorem 1).
 
-    It lies over the first coordinate that the stop leaves free and the first current, or that
-    coordinate's velocity in a problem without current; every other state is zero or as the stop
-    demands. With a single coordinate it shrinks to a curve over the current or the velocity.
+    The axes are the first coordinate that the stop leaves free and the first current, or that
+    coordinate's velocity in a problem without current. Every other state is zero or determined by
+    the stop. With a single coordinate the region is a curve over the current or the velocity.
 
     Args:
         problem: The problem.
-        dynamics: The problem at fixed numbers.
-        execution: Its locked arcs, Zeno points and releases are laid over the region.
+        dynamics: The problem at fixed parameter values.
+        execution: Execution whose contact phases, Zeno points and releases are drawn over the
+            region.
         width: Width of the picture [in].
-        axes: One panel to draw into; by default a new figure is made.
+        axes: One panel to draw into, by default on a new figure.
 
     Raises:
-        InputError: If the problem has constraints or a clock; its equilibria fill no such plane.
+        InputError: If the problem has constraints or a clock, because its equilibria do not fill
+            such a plane.
     """
     if not has_zeno_region(dynamics):
         raise InputError(
@@ -83,7 +85,7 @@ def _base(problem: Problem, dynamics: HybridDynamics) -> Vector:
     """Return zero if that is on the stop, else the coordinates of the problem's first start."""
     base = np.zeros(len(dynamics.state_names))
     if problem.starts and abs(dynamics.gap(base)) > 1e-12:
-        base[: dynamics.n_q] = problem.state_vector(problem.starts[0])[: dynamics.n_q]
+        base[: dynamics.n_q] = problem.initial_state()[: dynamics.n_q]
     return base
 
 
@@ -120,7 +122,7 @@ def _draw_plane(
     plane: tuple[int, int],
     reaches: tuple[float, float],
 ) -> ContourSet | None:
-    """Draw the region over a plane; an axis of currents grows until it shows the boundary."""
+    """Draw the region over a plane. An axis of currents grows until it shows the boundary."""
 
     def spread(rows: Vector) -> Vector:
         chosen = [[dict(zip(plane, (a, b), strict=True)) for a in columns] for b in rows]
@@ -173,7 +175,7 @@ def _overlay_orbit(
 
 
 def _reach(problem: Problem, execution: Execution | None, index: int) -> float:
-    """Return how far an axis goes: half a turn, else what the execution or the starts need."""
+    """Return the range of an axis: half a turn, else the range of the execution or the starts."""
     if problem.state_units[index] == "rad":
         return math.pi
     if execution is not None:

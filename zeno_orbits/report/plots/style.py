@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
+from zeno_orbits.kinds import checked
 from zeno_orbits.simulation import Execution, Mode
 from zeno_orbits.work import require_picture, write_whole
 
@@ -59,15 +60,16 @@ RELEASE: dict[str, Any] = _SPOT | {
 ZENO: dict[str, Any] = _SPOT | {"marker": "*", "ms": 8, "mew": 0.6, "mfc": "#F0E442", "zorder": 5}
 
 
+@checked
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a picture as PNG, PDF or SVG, whole or not at all, the same bytes every time.
+    """Write a figure as PNG, PDF or SVG, atomically and reproducibly.
 
     Args:
-        figure: The picture.
-        path: Where; the suffix says the format.
+        figure: The figure.
+        path: Path of the file, whose suffix determines the format.
 
     Raises:
-        InputError: If the suffix is another one, or the file cannot be written.
+        InputError: If the suffix is not supported, or the file cannot be written.
     """
     path = Path(path)
     require_picture(path)

@@ -25,11 +25,12 @@ _EDGE = 0.01
 _MOST_TURNS = 60
 """Maxima and minima an inch from which on a curve is drawn as its envelope."""
 _MOST_EVENTS = 30
-"""Impacts or phases an inch that can still be told apart; more are not drawn one by one."""
+"""Largest number of distinguishable impacts or phases per inch, above which none is drawn
+singly."""
 _PLACES = 1000
-"""Places along an axis of time that can be told apart."""
+"""Number of distinguishable points along an axis of time."""
 _LEVELS = 25
-"""Heights of a panel that can be told apart, roughly: smaller swings are none."""
+"""Number of distinguishable levels of a panel, roughly. Smaller swings are ignored."""
 _BINS = 60
 """Steps of an envelope an inch, at most."""
 _TURNS_A_BIN = 8
@@ -42,7 +43,7 @@ _ENVELOPE: dict[str, Any] = {
 }
 
 Columns = Callable[[Vector], Vector]
-"""From states ``(m, n_x)`` to what is drawn of them, ``(m, n)``."""
+"""Function from states ``(m, n_x)`` to the drawn quantities, ``(m, n)``."""
 
 
 def plot_time_series(
@@ -52,17 +53,17 @@ def plot_time_series(
     width: float = FULL_WIDTH,
     axes: Sequence[Axes] = (),
 ) -> Figure:
-    """Return coordinates, their velocities beside them, and currents over time.
+    """Return coordinates, their velocities and currents over time.
 
-    Phases are shaded, Zeno points marked, impacts are ticks on the upper edge. The clock of a
-    forced problem, the states without a unit behind the velocities, is left out. What swings more
-    often than a picture can show is drawn as the range that it covers.
+    Phases are shaded, Zeno points are marked, and impacts are ticks on the upper edge. The clock
+    states of a forced problem, which follow the velocities and are dimensionless, are omitted. A
+    motion that oscillates too fast for the figure is drawn as the range that it covers.
 
     Args:
         problem: The problem.
-        execution: What to draw.
+        execution: The execution to draw.
         width: Width of the picture [in].
-        axes: Axes to draw into, as many as there are panels; by default a new figure is made.
+        axes: Axes to draw into, one per panel, by default on a new figure.
     """
     rows = shown_states(problem)
     labels = [label_of(problem, row) for row in rows]
@@ -72,12 +73,12 @@ def plot_time_series(
 def plot_states(
     execution: Execution, *, width: float = FULL_WIDTH, axes: Sequence[Axes] = ()
 ) -> Figure:
-    """Return every state over time, for an execution whose problem and units are not known.
+    """Return every state over time, for an execution whose problem and units are unknown.
 
     Args:
-        execution: What to draw.
+        execution: The execution to draw.
         width: Width of the picture [in].
-        axes: Axes to draw into, one a state; by default a new figure is made.
+        axes: Axes to draw into, one per state, by default on a new figure.
     """
     names = execution.state_names
     labels = [math_symbol(name, names) for name in names]
@@ -92,14 +93,14 @@ def plot_outputs(
     width: float = FULL_WIDTH,
     axes: Sequence[Axes] = (),
 ) -> Figure:
-    """Return the outputs of a problem over time, drawn as the states are.
+    """Return the outputs of a problem over time, drawn like the states.
 
     Args:
-        problem: The problem; it has outputs.
-        values: Its numbers.
-        execution: What to draw.
+        problem: The problem, which must have outputs.
+        values: Parameter values of the problem.
+        execution: The execution to draw.
         width: Width of the picture [in].
-        axes: Axes to draw into, one an output; by default a new figure is made.
+        axes: Axes to draw into, one per output, by default on a new figure.
     """
     labels = [quantity_label(output.name, output.unit) for output in problem.outputs]
 
@@ -116,7 +117,7 @@ def _over_time(
     width: float,
     axes: Sequence[Axes],
 ) -> Figure:
-    """Return one panel a column of what is computed from the states."""
+    """Return one panel per column of a function of the states."""
     n = len(labels)
     across = 2 if is_wide(width) and n > 1 else 1
     panels = panels_of(width, n, height=max(1.25, 2.0 / n), columns=across, axes=axes)
@@ -124,7 +125,7 @@ def _over_time(
     values = [columns(path.states) for path in paths]
     room = panels.width / across
     turns = [_turns([one[:, column] for one in values]) for column in range(n)]
-    # Velocities jump, and turn more often: the slowest of all tells how long a swing takes.
+    # Velocities jump and have more extremes: the slowest state determines the duration of a swing.
     fewest = min((count for count in turns if count > _MOST_TURNS * room), default=0)
     for column, (ax, label) in enumerate(zip(panels, labels, strict=True)):
         drawn = [one[:, column] for one in values]
@@ -141,7 +142,7 @@ def _over_time(
 
 
 def _turns(drawn: Sequence[Vector]) -> int:
-    """Return how many maxima and minima of a motion can be seen."""
+    """Return the number of visible maxima and minima of a motion."""
     values = np.concatenate(drawn)
     levels = np.round(_LEVELS * (values - np.min(values)) / (np.ptp(values) or 1.0))
     slopes = np.sign(np.diff(levels))
@@ -180,13 +181,13 @@ def _mark_events(
 
 
 def _apart(times: Sequence[float], execution: Execution) -> int:
-    """Return how many of some events stand apart: those that pile up at a point are seen as one."""
+    """Return the number of distinguishable events. Events that accumulate at a point count once."""
     shares = np.array(times) / (execution.end_time - execution.arcs[0].start_time)
     return len(np.unique(np.floor(_PLACES * shares)))
 
 
 def _end(execution: Execution) -> float:
-    """Return where a picture ends: a little later, if an impact at the end would be on its edge."""
+    """Return the end of a figure, which is later if an impact at the end would be on its edge."""
     start, end = execution.arcs[0].start_time, execution.end_time
     last = execution.impacts[-1].time if execution.impacts else start
     return end + _EDGE * (end - start) if last > end - _EDGE * (end - start) else end

@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false
 # The stubs of matplotlib leave most keyword arguments untyped.
-"""The Zeno model with another motion beside it: a rig's or a recording's (the paper's Fig. 5)."""
+"""The Zeno model compared with another motion, of a rig or a recording (the paper's Fig. 5)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ _MODEL: dict[str, dict[str, Any]] = {
     "tail": _FREE,
     "locked": ARCS[Mode.LOCKED] | {"lw": 3.2, "label": "Zeno model, locked"},
 }
-"""Wide, so that the other motion is seen on top; told apart by shade and width in grey, too."""
+"""A wide line, so that the other motion is visible on top. Shade and width differ in grey as
+well."""
 _TIME = "time since a release [s]"
 _CLOSER = 15.0
 """Factor by which the gap is enlarged to show the contact with the stop."""
@@ -38,13 +39,13 @@ _CLOSER = 15.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TwoMotions:
-    """The motion of the model and another one.
+    """The motion of the model and another motion.
 
     Attributes:
         problem: The problem.
-        dynamics: The problem at the orbit's numbers.
-        model: The model's motion, from a release on.
-        other: The other motion, from a release on.
+        dynamics: The problem at the orbit's parameter values.
+        model: The model's motion, from a release.
+        other: The other motion, from a release.
     """
 
     problem: Problem
@@ -65,10 +66,10 @@ def plot_beside_over_time(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Fi
 
 
 def plot_beside_by_phase(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:
-    """Return the coordinates of both motions over the phase, each in periods of its own.
+    """Return the coordinates of both motions over the phase, each in units of its own period.
 
-    What is left of a difference is one of shape; that of the periods stands above, in numbers. All
-    cycles of the other motion are drawn on top of each other.
+    A visible difference is a difference in shape. The difference of the periods is printed above.
+    All cycles of the other motion are drawn on top of each other.
 
     Args:
         two: The motions, the model's over one period.
@@ -81,7 +82,8 @@ def plot_beside_by_phase(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Fig
     for row, ax in enumerate(panels):
         for path in paths_of(two.model):
             ax.plot(path.times / own, path.states[:, row], **_MODEL[path.kind])
-        # A cycle's last sample and the next one's first are no line across the picture.
+        # The last sample of a cycle and the first sample of the next cycle are not connected by a
+        # line.
         x, y = (np.insert(one, ends, math.nan) for one in (phases, other.states[:, row]))
         ax.plot(x, y, label=other.label, **_OTHER)
         ax.set(xlim=(0.0, 1.0))
@@ -91,13 +93,14 @@ def plot_beside_by_phase(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Fig
 
 
 def plot_beside_impacts(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:
-    """Return the gap of both motions from the first impact of a period to beyond its release.
+    """Return the gap of both motions from the first impact of a period to a time after its release.
 
-    Above, the axis holds the rebounds, and the great flight before them leaves it at the top; below
-    it is enlarged, for what takes the place of the locked phase in the other motion.
+    In the upper panel the axis contains the rebounds, and the long flight before them exceeds it.
+    The lower panel is enlarged and shows the behaviour of the other motion during the contact
+    phase.
 
     Args:
-        two: The motions; the first period of the model's is shown.
+        two: The motions. The first period of the model is shown.
         width: Width of the picture [in].
     """
     panels = panels_of(width, 2, height=1.4, columns=1)
@@ -113,7 +116,7 @@ def plot_beside_impacts(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figu
 
 
 def plot_beside_portraits(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:
-    """Return the phase portraits of both motions, as the problem's ``portraits`` say."""
+    """Return the phase portraits of both motions, as defined by the problem's ``portraits``."""
     panels, pairs = portraits_of(two.problem, width, height=2.0)
     for ax, pair in pairs:
         for path in paths_of(two.model):
@@ -140,7 +143,7 @@ def plot_beside_zeno_point(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> F
     ax.plot(*other, label=two.other.label, **_OTHER)
     ax.plot(0.0, 0.0, label="Zeno point", **ZENO)
     fast = two.dynamics.restitution * -zoom.impacts[0].approach_rate
-    # Of the rebounds; where there are none, of the last part of the flight.
+    # The range of the rebounds, or without rebounds the range of the last part of the flight.
     high = max((float(np.max(zoom.gaps(arc)[1])) for arc in zoom.flights), default=0.0)
     if high == 0.0:
         high = 0.1 * max(float(np.max(zoom.gaps(arc)[1])) for arc in zoom.arcs)

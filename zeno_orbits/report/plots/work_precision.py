@@ -15,18 +15,18 @@ from zeno_orbits.report.plots.style import FULL_WIDTH, INK, PALETTE
 from zeno_orbits.report.trade_lines import LEAST_ERROR, front_line, trade_lines
 
 _FULL, _OPEN = "osD^vP*", "<>dph"
-"""Markers of engines, and of what else is varied."""
+"""Markers of integrators, and of the other varied settings."""
 
 
 def plot_trade(
     trade: WorkPrecision, *, width: float = FULL_WIDTH, axes: Sequence[Axes] = ()
 ) -> Figure:
-    """Return the work-precision diagram of a trade.
+    """Return the work-precision diagram.
 
     Args:
-        trade: What was measured; trials that went another way are left out.
+        trade: The measurements. Trials that took another mode sequence are omitted.
         width: Width of the picture [in].
-        axes: One panel to draw into; by default a new figure is made.
+        axes: One panel to draw into, by default on a new figure.
     """
     panels = panels_of(width, 1, height=3.4, axes=axes)
     (ax,) = panels

@@ -38,20 +38,21 @@ def plot_zeno_zoom(
 ) -> Figure:
     """Return the neighbourhood of the last Zeno point.
 
-    The gap over time; the gap over the time left to the Zeno point, on logarithmic axes, on which
-    the flights repeat themselves; the impact speeds over that time, with the first-order law of
-    ``zeno.tail_time``. Where a single impact reaches the Zeno point there is no such sequence, and
-    the gap rate over the gap takes the place of the last two.
+    The first panel shows the gap over time. The second panel shows the gap over the time left to
+    the Zeno point, on logarithmic axes, on which the flights are self-similar. The third panel
+    shows the impact speeds over that time, with the first-order law of ``zeno.tail_time``. If a
+    single impact reaches the Zeno point, this sequence does not exist. Then the gap rate over the
+    gap replaces the last two panels.
 
     Args:
         problem: The problem.
-        execution: It reaches a Zeno point.
+        execution: An execution with a Zeno point.
         dynamics: The system that was simulated.
         width: Width of the picture [in].
-        axes: Axes to draw into, one a panel; by default a new figure is made.
+        axes: Axes to draw into, one per panel, by default on a new figure.
 
     Raises:
-        InputError: If the execution reaches no Zeno point.
+        InputError: If the execution does not reach a Zeno point.
     """
     zoom, unit = close_up(execution, dynamics), problem.gap_unit
     draws: list[Callable[[Axes, CloseUp, str], None]] = [_draw_gap]

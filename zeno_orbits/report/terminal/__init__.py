@@ -1,7 +1,7 @@
 """Output in a terminal: tables, sentences, errors and the progress of long work.
 
-Offers: one ``print_*`` a kind of result, ``print_lines``, ``print_error``, ``ProgressLine``.
-Imports: the types of all results; rich with the first table.
+Offers: one ``print_*`` per kind of result, ``print_lines``, ``print_error``, ``ProgressLine``.
+Imports: the types of all results, and rich at the first table.
 """
 
 import lazy_loader as lazy

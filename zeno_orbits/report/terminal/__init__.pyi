@@ -12,8 +12,10 @@ from .orbits import print_engine as print_engine
 from .orbits import print_error_estimate as print_error_estimate
 from .orbits import print_execution as print_execution
 from .orbits import print_orbit as print_orbit
+from .orbits import print_summary as print_summary
 from .orbits import print_verdict as print_verdict
 from .problems import print_conditions as print_conditions
+from .problems import print_equilibrium as print_equilibrium
 from .problems import print_problems as print_problems
 from .progress import NotebookLine as NotebookLine
 from .progress import ProgressLine as ProgressLine
@@ -22,7 +24,11 @@ from .searches import print_bounds as print_bounds
 from .searches import print_candidates as print_candidates
 from .searches import objective_reached as objective_reached
 from .searches import print_search as print_search
+from .searches import print_solver as print_solver
+from .studies import print_attractor as print_attractor
 from .studies import print_families as print_families
 from .studies import print_map as print_map
+from .studies import print_pushes as print_pushes
+from .studies import print_recovery as print_recovery
 from .studies import print_reduction_costs as print_reduction_costs
 from .studies import print_trade as print_trade

@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 _FILE_WIDTH = 100
-"""A file has no width of its own; a hundred columns split no cell of ours."""
+"""Width of output to a file. No cell of our tables is split at a hundred columns."""
 _GAP = 2
 """Columns of space between the columns of a table."""
 
 
 def print_lines(lines: Iterable[str], style: str = "") -> None:
-    """Print sentences: whole into a file, broken between words in a terminal.
+    """Print sentences, unbroken to a file and broken between words in a terminal.
 
     Args:
-        lines: The sentences; a continued line is indented as its first one is.
-        style: Their colour in a terminal.
+        lines: The sentences. A continuation line has the indentation of the first line.
+        style: Colour of the sentences in a terminal.
     """
     for line in lines:
         shown = _folded(line) if sys.stdout.isatty() else line
@@ -54,7 +54,7 @@ def print_whole(lines: Iterable[str]) -> None:
 
 
 def print_error(message: str) -> None:
-    """Print one line on standard error; a terminal's line ends between words."""
+    """Print one line on standard error, broken between words in a terminal."""
     line = f"zeno-orbits: {' '.join(message.split())}"
     sys.stderr.write(f"{_folded(line) if sys.stderr.isatty() else line}\n")
 
@@ -63,13 +63,13 @@ def plain_console(width: int | None = None) -> Console:
     """Return a console that prints text as it is and leaves a broken pipe to the caller.
 
     Args:
-        width: Characters of a line; by default those of the terminal.
+        width: Characters per line, by default the width of the terminal.
     """
     from rich.console import Console
 
     class Plain(Console):
         def on_broken_pipe(self) -> None:
-            """Raise the error; rich would exit."""
+            """Raise the error in place of rich's exit."""
             raise BrokenPipeError
 
     return Plain(highlight=False, markup=False, width=width or line_width())
@@ -107,9 +107,9 @@ def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
 def _widths(
     columns: Sequence[Column[Item]], cells: Sequence[Sequence[Cell]], room: int
 ) -> list[int]:
-    """Return the widths of columns: as much as they want, or less of the widest where they can.
+    """Return the widths of columns: the full widths, or a smaller width of the widest columns.
 
-    Headings are broken first, as that costs one line; then the texts of cells.
+    Headings are broken first, which costs one line, and then the texts of cells.
     """
     pairs = list(zip(columns, cells, strict=True))
     widths = [max(_heading(c, whole=True), _cells(c, own, whole=True)) for c, own in pairs]

@@ -7,7 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
-from zeno_orbits.report.table import Column, name_column, number_column, text_column
+from zeno_orbits.report.table import (
+    Column,
+    name_column,
+    number_column,
+    prefixed,
+    shown_number,
+    shown_with_error,
+    text_column,
+    with_unit,
+)
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
@@ -27,14 +36,14 @@ _RIG_ROWS = {
     "lock_angle": "{amplitude} at that time",
     "period": "period",
 }
-"""Name of a number to its words; times count from release."""
+"""Description of each quantity by name, with times since the release."""
 
 
 def print_rig(comparison: RigComparison, amplitude: str) -> None:
-    """Print the cycles of a simulated machine beside an orbit.
+    """Print the cycles of a simulated machine next to an orbit.
 
     Args:
-        comparison: Both.
+        comparison: The machine's cycles and the orbit.
         amplitude: Name of the coordinate whose amplitude the problem measures.
     """
     rows = {name: words.format(amplitude=amplitude) for name, words in _RIG_ROWS.items()}
@@ -45,26 +54,50 @@ def print_rig(comparison: RigComparison, amplitude: str) -> None:
     def mean(name: str) -> float:
         return getattr(comparison.mean, name)
 
+    def scale(name: str) -> tuple[str, float]:
+        return prefixed(comparison.units[name], orbit(name), mean(name))
+
+    def spread(name: str) -> float:
+        return getattr(comparison.spread, name)
+
+    def difference(name: str) -> str:
+        apart = (mean(name) - orbit(name)) / scale(name)[1]
+        return f"{apart:+.2g}" if abs(apart) > _ROUNDING else "0"
+
     columns: list[Column[str]] = [
         text_column("quantity", lambda name: rows[name]),
-        text_column("unit", lambda name: comparison.units[name]),
-        number_column("orbit", lambda name: f"{orbit(name):.6f}"),
-        number_column("machine, mean", lambda name: f"{mean(name):.6f}"),
-        number_column("standard deviation", lambda name: f"{getattr(comparison.spread, name):.1e}"),
-        number_column("difference", lambda name: f"{mean(name) - orbit(name):+.1e}"),
+        text_column("unit", lambda name: scale(name)[0]),
+        number_column("orbit", lambda name: _seven(orbit(name) / scale(name)[1])),
+        number_column("machine, mean", lambda name: _seven(mean(name) / scale(name)[1])),
+        number_column("standard deviation", lambda name: _two(spread(name) / scale(name)[1])),
+        number_column("difference", difference),
     ]
     print_table(columns, rows)
-    print_lines(
-        [
-            f"Simulated, not measured: {_settled(comparison, rows)}. In the space of states the "
-            f"machine is at most {100 * comparison.portrait:.2g} % of the orbit's size away from "
-            f"it, at {100 * comparison.portrait_at:.0f} % of the cycle."
-        ]
-    )
+    lines = [
+        f"Simulated, not measured: {_settled(comparison, rows)}. In the space of states the "
+        f"machine is at most {100 * comparison.portrait:.2g} % of the orbit's size away from "
+        f"it, at {100 * comparison.portrait_at:.0f} % of the cycle.",
+        *(f"Warning: {warning}." for warning in comparison.warnings),
+    ]
+    print_lines(lines)
+
+
+_ROUNDING = 1e-15
+"""Coordinates of this size at the stop are rounding."""
+
+
+def _two(value: float) -> str:
+    return shown_number(value, 2) if abs(value) > _ROUNDING else "0"
+
+
+def _seven(value: float) -> str:
+    return shown_number(value, 7) if abs(value) > _ROUNDING else "0"
 
 
 def _settled(comparison: RigComparison, rows: Mapping[str, str]) -> str:
     cycles = counted(comparison.cycles, "cycle")
+    if comparison.unlike:
+        return f"{cycles}, none of the orbit's kind: {', '.join(comparison.unlike)}"
     if comparison.drifting is None:
         return f"{cycles}, too few to tell whether it has settled"
     if comparison.drifting:
@@ -73,18 +106,21 @@ def _settled(comparison: RigComparison, rows: Mapping[str, str]) -> str:
     return f"{comparison.cycles} settled cycles"
 
 
-def print_contacts(name: str, contacts: Sequence[Mapping[str, float]]) -> None:
+def print_contacts(name: str, contacts: Sequence[Mapping[str, float]], gap_unit: str) -> None:
     """Print the contacts of a simulated machine.
 
     Args:
         name: Name of the problem.
         contacts: Start, end [s] and approach rate of each.
+        gap_unit: Of the gap.
     """
+    unit, size = prefixed("s", *(one["end"] for one in contacts))
+    rate, speed = prefixed(f"{gap_unit}/s", *(one["approach_rate"] for one in contacts))
     columns: list[Column[Mapping[str, float]]] = [
-        number_column("contact begins [s]", lambda contact: f"{contact['start']:.6f}"),
-        number_column("ends [s]", lambda contact: f"{contact['end']:.6f}"),
+        number_column(f"contact begins [{unit}]", lambda one: _seven(one["start"] / size)),
+        number_column(f"ends [{unit}]", lambda one: _seven(one["end"] / size)),
         number_column(
-            "gap rate at its beginning", lambda contact: f"{contact['approach_rate']:.6f}"
+            f"gap rate at its beginning [{rate}]", lambda one: _seven(one["approach_rate"] / speed)
         ),
     ]
     print_table(columns, contacts)
@@ -92,24 +128,58 @@ def print_contacts(name: str, contacts: Sequence[Mapping[str, float]]) -> None:
 
 
 def print_comparison(found: Comparison) -> None:
-    """Print a recording beside an orbit."""
+    """Print the verdict on a recording, and its quantities next to the orbit's quantities."""
+    print_lines(_verdict(found))
+
+    def scale(one: Metric) -> tuple[str, float]:
+        return prefixed(one.unit, one.orbit, one.data)
+
+    def shown(one: Metric, value: float, otherwise: str, sign: str = "") -> str:
+        size = scale(one)[1]
+        if not math.isfinite(value):
+            return otherwise
+        return shown_with_error(value / size, one.error / size, sign=sign)
+
     columns: list[Column[Metric]] = [
-        text_column("quantity", lambda metric: metric.name),
-        number_column("orbit", lambda metric: f"{metric.orbit:.7g}"),
-        number_column(
-            found.recording.label, lambda metric: _known(metric.data, ".7g", "not observed")
-        ),
-        number_column("difference", lambda metric: _known(metric.data - metric.orbit, "+.3g")),
-        number_column("standard error", lambda metric: _known(metric.error, ".2g")),
-        text_column("unit", lambda metric: metric.unit),
+        text_column("quantity", lambda one: one.name),
+        number_column("orbit", lambda one: _seven(one.orbit / scale(one)[1])),
+        number_column(found.recording.label, lambda one: shown(one, one.data, "not resolved")),
+        number_column("difference", lambda one: shown(one, one.data - one.orbit, "-", "+")),
+        number_column("standard error", lambda one: _known(one.error / scale(one)[1], ".2g")),
+        text_column("unit", lambda one: scale(one)[0]),
     ]
     if found.metrics:
         print_table(columns, found.metrics)
     print_lines(f"Note: {remark}." for remark in (*found.recording.remarks, *found.remarks))
-    if found.agrees:
-        print_lines(["The recording shows such an orbit."])
-        return
-    print_lines(["The recording shows no such orbit:", *(f"  {one}." for one in found.reasons)])
+
+
+_NAMED = 4
+"""Differing quantities that are named."""
+
+
+def _verdict(found: Comparison) -> list[str]:
+    """Return the verdict in words."""
+    from zeno_orbits.experiment import Verdict
+
+    if found.verdict is Verdict.THIS_ORBIT:
+        return ["The recording shows this orbit: all quantities agree within their errors."]
+    if found.verdict is Verdict.UNDECIDED:
+        why = (f"  {one}." for one in found.unresolved)
+        return ["The recording cannot decide whether the machine moves on a Zeno orbit:", *why]
+    if found.verdict is Verdict.NO_ORBIT:
+        why = (f"  {one}." for one in found.reasons)
+        return ["The recording does not show a Zeno orbit of this machine:", *why]
+    named = found.differences[:_NAMED]
+    others = len(found.differences) - len(named)
+    values = [f"  {one.name} {_beside(one)}" for one in named]
+    rest = [f"  and {others} more"] if others else []
+    return ["The recording shows a Zeno orbit of this machine with other values:", *values, *rest]
+
+
+def _beside(one: Metric) -> str:
+    unit, size = prefixed(one.unit, one.orbit, one.data)
+    data = with_unit(shown_with_error(one.data / size, one.error / size), unit)
+    return f"{data} instead of {with_unit(_seven(one.orbit / size), unit)}"
 
 
 def _known(value: float, form: str, otherwise: str = "-") -> str:
@@ -130,6 +200,8 @@ def print_identification(recording: Recording, found: Identification) -> None:
         [
             f"Deviation of all signals relative to their ranges: {found.before:.2g} before, "
             f"{found.after:.2g} after the fit. Period {found.orbit.period:.7g} s.",
+            "Intervals contain noise and its correlation. They contain no error of the model, and "
+            "none of the instruments: a gain, an offset or a clock rate that is off biases values.",
             *(f"Note: {remark}." for remark in (*recording.remarks, *found.remarks)),
             *(f"Warning: {one.text}." for one in found.unseen),
         ]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,13 +18,14 @@ from zeno_orbits.report.table import (
     shown_complex,
     shown_size,
     text_column,
+    with_unit,
 )
 from zeno_orbits.report.terminal.console import line_width, print_lines, print_table
 
 if TYPE_CHECKING:
     from zeno_orbits.arrays import Vector
     from zeno_orbits.model import Problem
-    from zeno_orbits.orbits import ZenoOrbit
+    from zeno_orbits.orbits import OrbitPhase, ZenoOrbit
     from zeno_orbits.precision import Assured
     from zeno_orbits.simulation import Event
     from zeno_orbits.verification import DeltaCut, OrbitCertificate
@@ -37,45 +40,88 @@ _STILL = 1e-9
 """A state that changes less from event to event stands still, relative."""
 
 
-def print_execution(problem: Problem, assured: Assured, *, all_states: bool = False) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Skipped:
+    """Impacts of a sequence that are not printed.
+
+    Attributes:
+        count: Their number.
+    """
+
+    count: int
+
+
+_Line = Any
+"""An event, or `_Skipped` impacts."""
+
+
+def print_execution(
+    problem: Problem, assured: Assured, *, all_states: bool = False, all_events: bool = False
+) -> None:
     """Print the events of an execution, the errors of its Zeno points and its end.
 
     Args:
         problem: The problem.
         assured: The execution with its estimated errors.
-        all_states: Whether to print every state, and not only those that tell something new.
+        all_states: True prints every state. False leaves out states that hardly change.
+        all_events: True prints every impact. False prints the first impact of a sequence.
     """
     execution = assured.execution
     names = problem.state_names
     errors = dict(zip(map(id, execution.zeno_points), assured.zeno_errors, strict=False))
     events = execution.events
     moving = names if all_states else _moving(problem, events)[:_MOST_STATES]
-    columns: list[Column[Event]] = [
-        number_column("t [s]", lambda event: f"{event.time:.10g}"),
-        text_column("event", _event_name),
-        number_column("error", lambda event: _error(event, errors.get(id(event), math.nan))),
-        number_column("dh/dt", _approach_rate),
+    columns: list[Column[_Line]] = [
+        number_column("t [s]", lambda event: _unless_skipped(event, _time)),
+        text_column("event", lambda event: _event_name(event, errors)),
+        number_column("dh/dt", lambda event: _unless_skipped(event, _approach_rate)),
     ]
     across = max((line_width() - _BEFORE_STATES) // _STATE, 1)
+    lines = list(events) if all_events else _one_line_per_sequence(events)
     for k in range(0, max(len(moving), 1), across):
         states = [_state_column(name, names.index(name)) for name in moving[k : k + across]]
-        print_table([*columns, *states], events[:_MOST_EVENTS])
-    if len(events) > _MOST_EVENTS:
-        print_lines([f"... and {len(events) - _MOST_EVENTS} more events; --json lists them all."])
+        print_table([*columns, *states], lines[:_MOST_EVENTS])
+    if len(lines) > _MOST_EVENTS:
+        print_lines([f"... and {len(lines) - _MOST_EVENTS} more events. --json lists all events."])
+    if len(lines) < len(events):
+        print_lines(["--events prints every impact."])
     rest = [name for name in names if name not in moving]
     if events and rest:
-        print_lines([f"Not shown: {', '.join(rest)}; --all-states prints them."])
+        print_lines([f"Not shown: {', '.join(rest)} (--all-states prints them)."])
     counts = (
         counted(len(execution.impacts), "resolved impact"),
         counted(len(execution.zeno_points), "Zeno point"),
         counted(len(execution.releases), "release"),
     )
     last = execution.arcs[-1].mode.value
-    print_lines([f"{', '.join(counts)} in {execution.end_time:g} s; the last arc is {last}."])
+    print_lines([f"{', '.join(counts)} in {execution.end_time:g} s. The last arc is {last}."])
+
+
+def _one_line_per_sequence(events: Sequence[Event]) -> list[_Line]:
+    """Return the events, with one entry for the later impacts before a Zeno point."""
+    from zeno_orbits.simulation import Impact, ZenoPoint
+
+    groups = [list(group) for _, group in groupby(events, lambda one: isinstance(one, Impact))]
+    lines: list[_Line] = []
+    for group, after in zip(groups, [*groups, None][1:], strict=True):
+        ends = after is not None and isinstance(after[0], ZenoPoint)
+        if ends and isinstance(group[0], Impact) and len(group) > 2:
+            lines += [group[0], _Skipped(count=len(group) - 1)]
+        else:
+            lines += group
+    return lines
+
+
+def _unless_skipped(line: _Line, cell: Callable[[Event], str]) -> str:
+    return "..." if isinstance(line, _Skipped) else cell(line)
+
+
+def _time(event: Event) -> str:
+    return f"{event.time:.10g}"
 
 
 def _moving(problem: Problem, events: Sequence[Event]) -> list[str]:
-    """Return the states that tell something about events: neither time, nor still, nor dh/dt."""
+    """Return the informative states at events, without the clock, constant states and dh/dt."""
     from zeno_orbits.simulation import Impact
 
     if not events:
@@ -92,20 +138,18 @@ def _moving(problem: Problem, events: Sequence[Event]) -> list[str]:
     return found
 
 
-def _event_name(event: Event) -> str:
+def _event_name(line: _Line, errors: Mapping[int, float]) -> str:
+    """Return the name of an event, with the error of a Zeno point."""
     from zeno_orbits.simulation import Impact, ZenoPoint
 
-    if isinstance(event, Impact):
+    if isinstance(line, _Skipped):
+        return f"{line.count} more impacts"
+    if isinstance(line, Impact):
         return "impact"
-    return "Zeno point" if isinstance(event, ZenoPoint) else "release"
-
-
-def _error(event: Event, error: float) -> str:
-    from zeno_orbits.simulation import ZenoPoint
-
-    if not isinstance(event, ZenoPoint):
-        return ""
-    return f"{error:.0e}" if math.isfinite(error) else "?"
+    if not isinstance(line, ZenoPoint):
+        return "release"
+    error = errors.get(id(line), math.inf)
+    return f"Zeno point +- {error:.0e}" if math.isfinite(error) else "Zeno point +- ?"
 
 
 def _state_at(event: Event) -> Vector:
@@ -121,18 +165,20 @@ def _approach_rate(event: Event) -> str:
     return f"{event.approach_rate:.6g}" if isinstance(event, Impact) else ""
 
 
-def _state_column(name: str, index: int) -> Column[Event]:
+def _state_column(name: str, index: int) -> Column[_Line]:
     """Return the column of a state."""
-    return number_column(name, lambda event: f"{_state_at(event)[index]:.5g}")
+    return number_column(
+        name, lambda line: _unless_skipped(line, lambda event: f"{_state_at(event)[index]:.5g}")
+    )
 
 
 def print_engine(engine: str, why: str, error: float) -> None:
     """Print the engine that ran, the reason for its choice, and the estimated error.
 
     Args:
-        engine: Name of the engine that was asked for.
+        engine: Name of the requested engine.
         why: The choice of the automatic engine, as a sentence.
-        error: Estimated relative error; infinite if it is not known.
+        error: Estimated relative error, infinite if it is unknown.
     """
     chosen = f"automatic, {why}" if engine == "automatic" else f"{engine}, as requested."
     print_lines([f"Engine: {chosen}"])
@@ -146,6 +192,61 @@ def print_engine(engine: str, why: str, error: float) -> None:
 def print_error_estimate(error: float) -> None:
     """Print an estimated error."""
     print_lines([f"Estimated relative error: {error:.1e}."])
+
+
+def print_summary(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    certificate: OrbitCertificate,
+    free: Iterable[str] = (),
+) -> None:
+    """Print an orbit in a few lines: values, period, events and the state at its start.
+
+    Args:
+        problem: Its problem.
+        orbit: The orbit.
+        certificate: Its certificate.
+        free: Parameters that were searched.
+    """
+    searched = set(free)
+    given = [
+        with_unit(f"{name} = {value}", unit)
+        for name, value, unit in _value_rows(problem, orbit, searched)
+        if name != "period"
+    ]
+    kind = "stable" if certificate.stable else "unstable"
+    if not certificate.passed:
+        kind = "unverified"
+    at = f" at {', '.join(given)}" if given else ""
+    shape = "Zeno periodic orbit" if orbit.shape.has_one_release else f"orbit `{orbit.shape.text}`"
+    print_lines([f"Found: {kind} {shape} of {problem.name}{at}"])
+    facts = [f"period {orbit.period:.12g} s"]
+    if certificate.multipliers:
+        facts.append(f"spectral radius {certificate.spectral_radius:.4g}")
+    work = certificate.energies.get("input_work")
+    if work is not None:
+        facts.append(f"input work {work:.4g} {problem.energy_unit} per period")
+    print_lines([f"  {', '.join(facts)}"])
+    for k, phase in enumerate(orbit.phases):
+        print_lines(_phase_lines(problem, orbit, k, phase))
+
+
+def _phase_lines(problem: Problem, orbit: ZenoOrbit, k: int, phase: OrbitPhase) -> list[str]:
+    """Return the events of a phase and the state at its start, as lines."""
+    events = [f"first impact {phase.impacts[0].time:.8g} s"]
+    if phase.zeno_time is not None:
+        events.append(f"Zeno point {phase.zeno_time:.8g} s")
+        if orbit.shape.n_phases == 1:
+            events.append(f"then {orbit.period - phase.zeno_time:.5g} s in contact")
+    number = f"phase {k + 1}: " if orbit.shape.n_phases > 1 else ""
+    start = "release" if orbit.phases[k - 1].kind.holds else "start"
+    units = zip(problem.state_names, problem.state_units, strict=True)
+    states = [
+        with_unit(f"{name} = {phase.start_state[name]:.7g}", unit)
+        for name, unit in units
+        if phase.start_state[name]
+    ]
+    return [f"  {number}{', '.join(events)}", f"  {start}: {', '.join(states) or 'all states 0'}"]
 
 
 _Row = tuple[str, str, str]
@@ -216,36 +317,38 @@ def _certificate_rows(certificate: OrbitCertificate, energy_unit: str) -> Iterat
         yield "input work per period", f"{work:.9g}", energy_unit
 
 
-def print_certificate(certificate: OrbitCertificate) -> None:
-    """Print residuals, margins, the sweep of cuts, multipliers and estimated errors."""
+def print_certificate(
+    certificate: OrbitCertificate, *, margins: bool = False, truncation: bool = False
+) -> None:
+    """Print the verdict, then the residuals, multipliers and estimated errors.
+
+    Args:
+        certificate: The certificate.
+        margins: True also prints the distances to loss of existence.
+        truncation: True also prints the truncation-order test.
+    """
     from zeno_orbits.verification import RESIDUALS
 
-    sizes, margins = certificate.residuals, certificate.margins
+    sizes = certificate.residuals
+    print_verdict(certificate)
+    names = [name for name in RESIDUALS if name in sizes]
+    passed = sum(sizes[name] <= certificate.tolerance for name in names)
+    largest = max(names, key=lambda name: sizes[name], default="")
+    worst = f"Largest residual: {shown_size(sizes[largest])} ({largest}), " if largest else ""
+    count = f"{passed} of {counted(len(names), 'check')} passed."
+    print_lines([f"{count} {worst}tolerance {certificate.tolerance:.0e}.", ""])
     residual_columns: list[Column[str]] = [
-        name_column("residual", lambda name: name),
-        number_column("size", lambda name: shown_size(sizes[name])),
+        name_column("check", lambda name: name),
+        number_column("residual", lambda name: shown_size(sizes[name])),
         text_column("passed", lambda name: sizes[name] <= certificate.tolerance),
-        text_column("holds if zero", lambda name: RESIDUALS[name]),
+        text_column("zero if", lambda name: RESIDUALS[name]),
     ]
-    print_table(residual_columns, [name for name in RESIDUALS if name in sizes])
-    margin_columns: list[Column[str]] = [
-        name_column("margin", lambda name: name),
-        number_column("value", lambda name: f"{margins[name]:.6g}"),
-        text_column("positive", lambda name: margins[name] > 0),
-    ]
-    print_table(margin_columns, margins)
-    if certificate.delta_sweep:
-        cut_columns: list[Column[DeltaCut]] = [
-            number_column("cut-off |dh/dt|", lambda cut: f"{cut.delta:.3g}"),
-            number_column("|dh/dt| at the cut", lambda cut: f"{cut.speed:.3g}"),
-            number_column("relative error", lambda cut: f"{cut.error:.1e}"),
-        ]
-        print_table(cut_columns, certificate.delta_sweep)
-        order = certificate.delta_order
-        none = "none, no cut has a larger error than the integration"
-        seen = f"{order:.2f}" if math.isfinite(order) else none
-        print_lines([f"Observed order of the cut's error: {seen} (theory: 3)"])
-    point = "none, the section is a point" if certificate.stable else "unknown"
+    print_table(residual_columns, names)
+    if margins:
+        _print_margins(certificate)
+    if truncation:
+        _print_truncation(certificate)
+    point = "none: the section is a point" if certificate.stable else "unknown"
     error = certificate.multiplier_error
     known = [shown_complex(value, error, 7) for value in certificate.multipliers]
     multipliers = ", ".join(known) or point
@@ -256,6 +359,31 @@ def print_certificate(certificate: OrbitCertificate) -> None:
             f"of the Zeno limit in addition: {certificate.zeno_error:.0e}",
         ]
     )
+
+
+def _print_margins(certificate: OrbitCertificate) -> None:
+    margins = certificate.margins
+    columns: list[Column[str]] = [
+        name_column("margin", lambda name: name),
+        number_column("value", lambda name: f"{margins[name]:.6g}"),
+        text_column("positive", lambda name: margins[name] > 0),
+    ]
+    print_table(columns, margins)
+
+
+def _print_truncation(certificate: OrbitCertificate) -> None:
+    if not certificate.delta_sweep:
+        return
+    columns: list[Column[DeltaCut]] = [
+        number_column("threshold |dh/dt|", lambda cut: f"{cut.delta:.3g}"),
+        number_column("|dh/dt| at the cut", lambda cut: f"{cut.speed:.3g}"),
+        number_column("relative error", lambda cut: f"{cut.error:.1e}"),
+    ]
+    print_table(columns, certificate.delta_sweep)
+    order = certificate.delta_order
+    none = "none, no truncation has a larger error than the integration"
+    seen = f"{order:.2f}" if math.isfinite(order) else none
+    print_lines([f"Observed order of the truncation error: {seen} (theory: 3)"])
 
 
 def print_verdict(certificate: OrbitCertificate) -> None:

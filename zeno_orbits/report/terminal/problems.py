@@ -10,6 +10,11 @@ from zeno_orbits.report.terminal.console import print_lines, print_table, print_
 
 if TYPE_CHECKING:
     from zeno_orbits.model import ParameterValues, Problem
+    from zeno_orbits.proof import EquilibriumReport
+
+
+_DOWN, _UP = 1 - 1e-5, 1 + 1e-5
+"""Factors after which six digits are a bound."""
 
 
 def print_problems(problems: Sequence[Problem]) -> None:
@@ -30,10 +35,11 @@ def print_conditions(
 
     Args:
         problem: The problem.
-        values: Its numbers.
+        values: Parameter values of the problem.
         formula: d2h/dt2 in symbols.
-        numbers: The same at the numbers.
-        always: Whether it is negative everywhere (true) or nowhere (false); ``None`` if neither.
+        numbers: d2h/dt2 at the parameter values.
+        always: Whether d2h/dt2 is negative everywhere (true) or nowhere (false), or ``None`` for
+            neither.
     """
     e = values.parameters["restitution"]
     print_whole(
@@ -46,5 +52,58 @@ def print_conditions(
         ]
     )
     if always is not None:
-        nowhere = "It is nowhere negative: there is no Zeno point."
+        nowhere = "It is nowhere negative: Zeno points do not exist."
         print_lines(["It is negative everywhere." if always else nowhere])
+
+
+def print_equilibrium(problem: Problem, point: EquilibriumReport) -> None:
+    """Print Theorem 1 at a state: its conditions, and the neighbourhood of the executions.
+
+    Args:
+        problem: The problem.
+        point: Properties of the state.
+    """
+    named = zip(problem.state_names, point.state, strict=True)
+    print_whole(
+        [
+            f"At {', '.join(f'{name} = {value:.9g}' for name, value in named)}:\n",
+            f"  h = {point.gap:.9g}, dh/dt = {point.gap_rate:.9g}, "
+            f"d2h/dt2 = {point.gap_acceleration:.9g}\n",
+        ]
+    )
+    print_lines([_verdict(point)])
+    for value in point.eigenvalues:
+        print_lines([f"  eigenvalue of the free flow {value.real:.15g} {value.imag:+.15g} i"])
+    found = point.neighbourhood
+    if found is None:
+        if point.has_zeno_executions:
+            print_lines(["No neighbourhood was found: no bounds hold on any box around the state."])
+        return
+    print_lines(["Impacts accumulate from every admissible state of the neighbourhood W:"])
+    units = dict(zip(problem.state_names, problem.state_units, strict=True))
+    columns: list[Column[tuple[str, float, float]]] = [
+        name_column("state", lambda row: row[0]),
+        number_column("centre", lambda row: f"{row[1]:.17g}"),
+        number_column("radius", lambda row: f"{row[2]:.17g}"),
+        text_column("unit", lambda row: units[row[0]]),
+    ]
+    print_table(columns, list(zip(problem.state_names, found.centre, found.radii, strict=True)))
+    print_lines(
+        [
+            f"with 0 <= h <= {_DOWN * found.gap:.6g} and |dh/dt| <= {_DOWN * found.gap_rate:.6g}, "
+            f"within {_UP * found.duration:.6g} s.",
+            f"All of them have d2h/dt2 from {-_UP * found.pull[1]:.6g} to "
+            f"{-_DOWN * found.pull[0]:.6g}.",
+        ]
+    )
+
+
+def _verdict(point: EquilibriumReport) -> str:
+    if not point.is_on_stop:
+        still = " The free flow stands still there." if point.is_still else ""
+        return f"No Zeno equilibrium: the state does not rest on the stop.{still}"
+    if point.is_still:
+        return "No Zeno equilibrium: the free flow stands still there, f = 0."
+    if point.gap_acceleration < 0.0:
+        return "A Zeno equilibrium with d2h/dt2 < 0: Theorem 1 holds."
+    return "A Zeno equilibrium, but d2h/dt2 is not negative: Theorem 1 does not apply."

@@ -12,15 +12,15 @@ from typing import Any, Self
 _PATIENCE = 1.0
 """Work shorter than this prints nothing [s]."""
 _TELLING = 2.0
-"""Time in a stage before its pace tells how long it will take [s]."""
+"""Time in a stage before its mean pace gives an estimate of the time left [s]."""
 _ANEW = 0.5
-"""A part that falls below this much of the last one belongs to another stage."""
+"""If the progress falls below this fraction of its last value, a new stage has begun."""
 _TOLD, _LATE = 0.01, 60.0
-"""A part below this tells it later, as workers take their time to start [s]."""
+"""Below the first value the estimate waits for the second, because workers start slowly [s]."""
 _RARER = 0.1
 """A file gets no more lines than one in this part of the time so far."""
 _SILENCE = 2.0
-"""A line that says nothing new waits in a file until so many times as long has passed."""
+"""A line without news waits in a file until the elapsed time has grown by this factor."""
 
 
 class _TimeLeft:
@@ -28,25 +28,26 @@ class _TimeLeft:
 
     def __init__(self) -> None:
         self._began = self._part = 0.0
-        self._left = math.inf
+        self._end = math.inf
 
     def at(self, now: float, part: float) -> float:
-        """Return the time left by the mean pace so far [s]; infinite while it is too early to tell.
+        """Return the time left by the mean pace so far [s], or infinity without an estimate.
 
-        Where the pace slows down, the time stands still: parts may be done in bursts.
+        The time left falls with the clock. If it is over before the stage is, no estimate is left.
 
         Args:
             now: Time since the start [s].
-            part: The part of the stage that is done, in [0, 1]; the next stage begins with less.
+            part: The completed part of the stage, in [0, 1]. The next stage begins with a smaller
+                part.
         """
         if part < _ANEW * self._part:
-            self._began, self._left, self._part = now, math.inf, part
-        # Work that is found to be more than was thought is no new stage.
+            self._began, self._end, self._part = now, math.inf, part
+        # An increase of the total work is not a new stage.
         self._part = part = max(part, self._part)
         passed = now - self._began
         if part > 0.0 and passed >= (_TELLING if part >= _TOLD else _LATE):
-            self._left = min(self._left, passed * (1.0 - part) / part)
-        return self._left
+            self._end = min(self._end, now + passed * (1.0 - part) / part)
+        return self._end - now if self._end > now or part >= 1.0 else math.inf
 
 
 def _duration(seconds: float) -> str:
@@ -59,10 +60,10 @@ def _duration(seconds: float) -> str:
 class ProgressLine:
     """Print progress reports on standard error: the stage, the elapsed time and the time left.
 
-    A terminal gets one line that is rewritten; a file gets a line now and then.
+    In a terminal a single line is rewritten. In a file a new line is added now and then.
 
     Args:
-        check: Called at every report; it may raise to end the work.
+        check: Called at every report. It may raise an exception to end the work.
     """
 
     def __init__(self, check: Callable[[], None]) -> None:
@@ -84,15 +85,15 @@ class ProgressLine:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Leave a clean line behind."""
+        """End the line, so that later output starts on an empty line."""
         self._clear()
 
     def __call__(self, stage: str, part: float | None = None, /) -> None:
-        """Print one report, unless the last one is too recent.
+        """Print one report, unless the last report is too recent.
 
         Args:
             stage: The present stage in a few words.
-            part: The part of the work that is done, in [0, 1], if it is known.
+            part: The completed part of the work, in [0, 1], if it is known.
         """
         self._check()
         elapsed = time.perf_counter() - self._started
@@ -148,7 +149,7 @@ class NotebookLine(ProgressLine):
 
 
 def line_for_watcher() -> ProgressLine | None:
-    """Return where to show progress unasked: a notebook or a terminal; None if nobody watches."""
+    """Return a progress display for a notebook or terminal, or ``None`` if there is neither."""
     ipython: Any = sys.modules.get("IPython")
     if ipython is not None and getattr(ipython.get_ipython(), "kernel", None) is not None:
         return NotebookLine(ipython.display.display)

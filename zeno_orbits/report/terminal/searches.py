@@ -1,4 +1,4 @@
-"""Tables of searches: how they ended, the orbits that they found, and what was asked of these."""
+"""Tables of searches: their outcome, the orbits found, and objective and bounds."""
 
 from __future__ import annotations
 
@@ -27,14 +27,18 @@ def print_search(result: SearchResult) -> None:
             text_column("reason", lambda one: one.detail),
         ]
         print_table(columns, result.attempts)
-    if result.orbit is not None:
-        found = (
-            f"Program: {counted(result.n_unknowns, 'unknown')}, "
-            f"{counted(result.iterations, 'iteration')}, {result.solve_time:.3f} s; it agrees "
-            f"with a simulation to {result.agreement:.0e}, its Zeno closure to "
+
+
+def print_solver(result: SearchResult) -> None:
+    """Print the size of the nonlinear program of a search, its agreement and the time."""
+    print_lines(
+        [
+            f"Solver: {counted(result.n_unknowns, 'unknown')}, "
+            f"{counted(result.iterations, 'iteration')}, {result.solve_time:.3f} s. "
+            f"It agrees with a simulation to {result.agreement:.0e}, its Zeno limit to "
             f"{result.closure_error:.0e}. Search: {result.wall_time:.1f} s."
-        )
-        print_lines([found])
+        ]
+    )
 
 
 def print_candidates(result: SearchResult) -> None:
@@ -66,12 +70,12 @@ def _listed(values: Mapping[str, float], digits: int) -> str:
 def objective_reached(
     wish: str, extents: Mapping[str, Extent], quantities: Sequence[str]
 ) -> list[str]:
-    """Return an objective and what a simulation of the orbit measures of it, as sentences.
+    """Return an objective and its value in a simulation of the orbit, as sentences.
 
     Args:
         wish: The objective in words.
-        extents: Name of a quantity to its range along the orbit.
-        quantities: The names that the objective is about.
+        extents: Range of each quantity along the orbit, by name.
+        quantities: Names of the quantities in the objective.
     """
     found: list[str] = []
     for name in quantities:
@@ -84,7 +88,7 @@ def objective_reached(
 
 
 def print_bounds(asked: Sequence[Mapping[str, Any]]) -> None:
-    """Print the bounds that were asked for and what a simulation reaches."""
+    """Print the requested bounds and the values that a simulation reaches."""
     if not asked:
         return
     print_table(BOUNDS, asked)

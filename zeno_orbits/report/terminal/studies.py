@@ -19,11 +19,11 @@ from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
-    from zeno_orbits.maps import Attractor, ParameterMap
+    from zeno_orbits.maps import Attractor, ParameterMap, Push, Pushes, Recovery
     from zeno_orbits.precision import ReductionCost, Trial, WorkPrecision
 
 _ROUNDING = 1e-12
-"""A multiplier of a family below this is that of its rounding."""
+"""A multiplier of a branch below this value is rounding error."""
 
 
 def print_reduction_costs(costs: Sequence[ReductionCost]) -> None:
@@ -35,6 +35,7 @@ def print_reduction_costs(costs: Sequence[ReductionCost]) -> None:
         ),
         text_column("error of", lambda row: row[1].replace("_", " ")),
         number_column("estimate", lambda row: f"{row[0].estimate[row[1]]:.1e}"),
+        number_column("up to", lambda row: f"{row[0].bound[row[1]]:.1e}"),
     ]
     if any(cost.measured for cost in costs):
         columns.append(number_column("measured", _measured))
@@ -43,7 +44,8 @@ def print_reduction_costs(costs: Sequence[ReductionCost]) -> None:
     print_lines(
         [
             f"Relative errors. The currents settle in {cost.layer:.3g} s; the motion changes at "
-            f"{cost.rate:.3g} 1/s."
+            f"{cost.rate:.3g} 1/s.",
+            "The estimate of the corrected model is an order of magnitude.",
         ]
     )
 
@@ -64,7 +66,7 @@ def _measured(row: tuple[ReductionCost, str]) -> str:
 
 
 def print_trade(trade: WorkPrecision) -> None:
-    """Print the trials of a trade, unbeaten ones marked, and the cheapest for each accuracy."""
+    """Print the trials of a work-precision study, its Pareto front and the cheapest trials."""
     from zeno_orbits.report.trade_lines import CHEAPEST, cheapest_of, shown_value
 
     front = set(map(id, trade.front))
@@ -86,6 +88,10 @@ def print_trade(trade: WorkPrecision) -> None:
             "* no other setting is both faster and more accurate. Times are of this machine.",
         ]
     )
+    if math.isfinite(trade.cut_order):
+        order = f"{trade.cut_order:.2f} (theory: {trade.expected_cut_order}, of the "
+        order += f"{trade.compared}s)"
+        print_lines([f"Observed order of the error of plastic cuts in their speed: {order}."])
 
 
 def _milliseconds(trial: Trial) -> str:
@@ -99,7 +105,7 @@ def _error_of(trial: Trial) -> str:
 
 
 def print_map(found: ParameterMap) -> None:
-    """Print how many points of a map settle to what."""
+    """Print the number of points of a map for each attractor."""
     groups: dict[str, list[Attractor]] = {}
     for attractor in found.attractors:
         groups.setdefault(attractor.phrase, []).append(attractor)
@@ -115,7 +121,90 @@ def print_map(found: ParameterMap) -> None:
     ]
     print_table(columns, sorted(groups.items(), key=lambda item: -len(item[1])))
     axes = (f"{a.name} = {a.lower:g} ... {a.upper:g} ({a.count})" for a in (found.x, found.y))
-    print_lines([f"{' by '.join(axes)}; each motion was followed for {found.until:g} s at most."])
+    print_lines([f"{' by '.join(axes)}. Each motion was simulated for {found.until:g} s at most."])
+    if found.refine:
+        finest_x, finest_y, _ = found.finest()
+        grid = f"{finest_x.count} x {finest_y.count}"
+        print_lines([f"Boundaries: {len(found.between)} more points of a grid of {grid}."])
+
+
+def print_attractor(found: Attractor) -> None:
+    """Print the attractor of a motion."""
+    parts = [found.phrase]
+    if math.isfinite(found.period):
+        parts.append(f"period {found.period:.8g} s")
+    if math.isfinite(found.spectral_radius):
+        parts.append(f"spectral radius {found.spectral_radius:.4g}")
+    if math.isfinite(found.exponent):
+        error = f"{found.exponent:.3g} +- {found.exponent_error:.1g} 1/s"
+        parts.append(f"largest Lyapunov exponent {error}")
+    if found.detail and found.detail != found.phrase:
+        parts.append(found.detail)
+    print_lines([f"Attractor: {'; '.join(parts)}."])
+
+
+def print_pushes(found: Pushes) -> None:
+    """Print the largest pushes of an orbit, the least one first."""
+    least = found.least
+    first = "No impulse of the scan is lost."
+    if least is not None:
+        first = (
+            f"Least push: {least.largest:.6g} {least.unit} along {least.name} at phase "
+            f"{least.phase:.4g}, +- {least.error:.1g}; beyond it: {least.beyond}."
+        )
+    print_lines([first])
+    columns: list[Column[Push]] = [
+        number_column("phase", lambda push: f"{push.phase:.4f}"),
+        text_column("mode", lambda push: push.mode),
+        text_column("direction", lambda push: push.name),
+        number_column("largest", lambda push: _finite(push.largest, ".6g")),
+        number_column("error", lambda push: _finite(push.error, ".1g")),
+        number_column("searched", lambda push: f"{push.searched:.4g}"),
+        text_column("unit", lambda push: push.unit),
+        text_column("beyond", lambda push: push.beyond),
+    ]
+    print_table(columns, found.pushes)
+    scan = f"{found.settings.steps} impulses scanned in each direction and sense"
+    print_lines([f"{scan}. Each motion was simulated for {found.until:g} s at most."])
+
+
+def print_recovery(found: Recovery) -> None:
+    """Print the recovery of an orbit, its time first."""
+    part, wait = found.settings.part, counted(found.periods, "period")
+    lines = [
+        f"A small disturbance decays to {100 * part:g} % in {wait} ({found.time:.6g} s): factor "
+        f"{found.contraction:.4g} per period, spectral radius {found.spectral_radius:.4g}."
+    ]
+    if not len(found.norm):
+        print_lines([*lines, "The section of the orbit is a single point."])
+        return
+    if found.radius in (0.0, math.inf):
+        ends = "The smallest ball fails the test."
+        if found.radius:
+            ends = "Every ball of the search maps into itself."
+        print_lines([*lines, ends])
+        return
+    share = f"at most {100 * found.lost_share:.2g} % of the ball leaves it"
+    print_lines(
+        [
+            *lines,
+            f"Largest ball that maps into itself: radius {found.radius:.4g}.",
+            f"{found.settings.samples} samples return: with confidence "
+            f"{100 * found.settings.confidence:g} %, {share}.",
+            "",
+        ]
+    )
+    rows = [(name, extent) for name, extent in found.extents.items() if extent]
+    columns: list[Column[tuple[str, float]]] = [
+        text_column("state", lambda row: row[0]),
+        number_column("extent", lambda row: f"{row[1]:.4g}"),
+        text_column("unit", lambda row: found.units[row[0]]),
+    ]
+    print_table(columns, rows)
+
+
+def _finite(value: float, form: str) -> str:
+    return f"{value:{form}}" if math.isfinite(value) else "none lost"
 
 
 def _range(values: Sequence[float]) -> str:
@@ -151,8 +240,14 @@ def _print_family(family: Family) -> None:
         number_column("error", lambda one: f"{one.error:.0e}" if one.kind.located else ""),
         number_column("period [s]", lambda one: f"{one.at.period:.10g}"),
         text_column("multipliers", lambda one: ", ".join(map(_short, one.at.multipliers[:2]))),
+        number_column("their error", lambda one: f"{one.at.multiplier_error:.0e}"),
     ]
     print_table(columns, family.named)
+    if math.isfinite(family.resolution):
+        nearest = f"{family.resolution:.1e}"
+        print_lines(
+            [f"Two special points of one kind closer than {nearest} in {name} may be missed."]
+        )
     print_lines(f"{one.kind.value}: {one.detail}" for one in family.named if one.detail)
 
 
