@@ -29,12 +29,21 @@ pytest.importorskip("distributed", reason="needs the extra `cluster`")
 POINTS = [0.1 * k for k in range(24)]
 IMPACTS = (
     *("--section", "impact", "--set", "c=0.1", "--set", "stop=1", "--set", "restitution=0.8"),
-    *("--start", "speed=1", "--start", "cosine=1", "--in", "A=0.8:1.1", "--steps", "12"),
+    *(
+        "--initial",
+        "speed=1",
+        "--initial",
+        "cosine=1",
+        "--parameter",
+        "A=0.8:1.1",
+        "--max-points",
+        "12",
+    ),
 )
 """A family in two directions."""
 RELEASES = (
-    *("--set", "restitution=0", "--in", "A=0.7:1.1", "--second", "stop=-0.81:-0.79"),
-    *("--point", "release-lost"),
+    *("--set", "restitution=0", "--parameter", "A=0.7:1.1", "--parameter2", "stop=-0.81:-0.79"),
+    *("--kind", "release-lost"),
 )
 """A family in two directions, and a curve in two."""
 
@@ -122,8 +131,9 @@ def test_a_point_that_kills_every_worker_of_a_cluster_is_named(cluster: DaskClus
     assert spread(task, POINTS[:3], plan(cluster.place())) == (POINTS[0], LostPoint(), POINTS[2])
 
 
+@pytest.mark.slow
 def test_failures_come_home_from_a_cluster_and_its_end_is_noticed(cluster: DaskCluster) -> None:
-    with pytest.raises(InputError, match=r"has no worker after 0\.5 s"):
+    with pytest.raises(InputError, match=r"lacks a worker after 0\.5 s"):
         spread(chores.square, POINTS, plan(cluster.place(patience=0.5)))
     cluster.start_worker("--no-nanny")
     with pytest.raises(WorkError, match="there is no answer for"):
@@ -164,7 +174,7 @@ def test_a_search_on_a_cluster_prints_what_it_prints_here(
     problem = tmp_path / "table.py"
     shutil.copy(bundled_problems()["vibrating_table"], problem)
     cluster.start_worker("--no-nanny")
-    words = ("--free", "restitution=0.2:0.5", "--candidates", "9", "--starts", "2", "--json")
+    words = ("--vary", "restitution=0.2:0.5", "--candidates", "9", "--n-starts", "2", "--json")
     there, here = (
         ask("search", problem, *words, *place)
         for place in (("--scheduler", cluster.address), ("--workers", "1"))

@@ -81,7 +81,7 @@ def test_every_bit_of_a_values_counts() -> None:
 
 @pytest.mark.parametrize("value", [object(), lambda: 0, Thing(inside=object()), {1, 2}])
 def test_what_plain_data_cannot_hold_is_refused_and_not_left_out(value: Any) -> None:
-    with pytest.raises(InputError, match="`accept` must be made of numbers"):
+    with pytest.raises(InputError, match="`accept` must consist of values"):
         plain(value, "accept")
 
 

@@ -101,6 +101,7 @@ def test_progress_is_told_up_to_the_end(diary: Diary) -> None:
     assert told[-1] == ("24 of 24 points", 1.0)
 
 
+@pytest.mark.slow
 def test_progress_goes_by_points_inside_a_chunk_that_tells_it() -> None:
     told: list[tuple[str, float]] = []
     whole = Plan(place=Workers(count=1), chunk=8)
@@ -156,6 +157,7 @@ def test_a_point_that_kills_every_worker_is_named_and_the_others_are_not(how: in
     assert [r for k, r in enumerate(results) if k != 5] == [*POINTS[:5], *POINTS[6:12]]
 
 
+@pytest.mark.slow
 @needs_two
 def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
     tmp_path: Path, diary: Diary
@@ -219,6 +221,7 @@ def is_alive(pid: int) -> bool:
     return Path(f"/proc/{pid}/stat").read_text().split(")")[-1].split()[0] != "Z"
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_loses_what_is_in_flight_and_leaves_no_worker_behind(
     tmp_path: Path, diary: Diary
 ) -> None:

@@ -1,17 +1,20 @@
-"""Run work in processes, here or on a cluster, keep what is finished, and write files whole.
+"""Run work in processes or on a cluster, store finished parts, and write files atomically.
 
-A task is a pure function of a chunk of points. Chunks do not depend on who computes them, every
-result passes through JSON, and a finished chunk is kept in a checkpoint. So the results are the
-same for any number of workers, and after any number of restarts.
+A task is a pure function of a chunk of points. Chunks do not depend on the workers. Every result
+passes through JSON, and a checkpoint stores each finished chunk. So the results are the same for
+any number of workers, and after any number of restarts.
 
 Offers: `spread` and `spread_in_order` run a `Task` as a `Plan` says, at a `Place` (`Workers` or a
 `Cluster`), in a pool that `open_pool` opens (`Pool`), with `LostPoint` for a point that kills
 workers; `claim`, `keeps_nothing` and `remove_checkpoint` for checkpoints; `Progress` and `silent`
 for progress reports, `portion` for a step of several, `tell_part` and `parts_told_to` for those
 from inside a chunk; `write_whole` for files; `plain` and `restored` between values and JSON;
-`versions` of the software.
+`versions` of the software;
+`enclosing_decimal`, `enclosing_ends`, `enclosing_disc`, `decimal_above` and `decimal_below` for
+decimals that contain exact numbers, `enclosed_decimal` for those that lie in an interval, and
+`exact_decimal` for all digits.
 
-Imports: arrays, errors.
+Imports: arrays, kinds, errors.
 """
 
 import lazy_loader as lazy

@@ -1,5 +1,12 @@
 from .checkpoint import keeps_nothing as keeps_nothing
 from .checkpoint import remove_checkpoint as remove_checkpoint
+from .decimals import decimal_above as decimal_above
+from .decimals import decimal_below as decimal_below
+from .decimals import enclosed_decimal as enclosed_decimal
+from .decimals import enclosing_decimal as enclosing_decimal
+from .decimals import enclosing_disc as enclosing_disc
+from .decimals import enclosing_ends as enclosing_ends
+from .decimals import exact_decimal as exact_decimal
 from .display import Columns as Columns
 from .display import Displayed as Displayed
 from .display import by_name as by_name
@@ -8,6 +15,7 @@ from .files import require_folder as require_folder
 from .files import require_picture as require_picture
 from .files import require_writable as require_writable
 from .files import write_all as write_all
+from .files import utf8 as utf8
 from .files import write_whole as write_whole
 from .plan import Cluster as Cluster
 from .plan import LostPoint as LostPoint
@@ -30,3 +38,4 @@ from .serialization import restored as restored
 from .software import versions as versions
 from .tasks import parts_told_to as parts_told_to
 from .tasks import tell_part as tell_part
+from .values import ByValue as ByValue

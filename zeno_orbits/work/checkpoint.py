@@ -1,24 +1,107 @@
-"""Finished chunks on disk: each is written whole, and belongs to one work only."""
+"""Checkpoints: finished chunks on disk, each written atomically and tied to one work."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import os
+import socket
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from types import ModuleType
+from typing import IO, Any, cast
 
 from zeno_orbits.errors import CheckpointError
-from zeno_orbits.work.files import read_object, write_whole
+from zeno_orbits.work.files import UNFINISHED, read_object, write_whole
 from zeno_orbits.work.plan import LostPoint
+
+fcntl: ModuleType | None = None
+with contextlib.suppress(ImportError):
+    import fcntl
 
 FORMAT = 1
 """Version of the files in the folder."""
 _IDENTITY = "identity.json"
 _SHOWN = 70
-"""Characters of a value that a message shows."""
+"""Largest number of characters of a value in a message."""
+
+
+_LOCK = ".lock"
+
+
+@contextlib.contextmanager
+def held(folder: Path) -> Generator[None]:
+    """Lock a folder against other processes within a context.
+
+    The operating system frees the lock when its process ends. This process may lock its folder
+    again. If the operating system does not support such locks, the folder is not locked.
+
+    Args:
+        folder: The folder. A missing folder is created.
+
+    Raises:
+        CheckpointError: If another process has locked the folder.
+    """
+    if fcntl is None or folder.resolve() in _held:
+        yield
+        return
+    file = _locked(folder)
+    _held.add(folder.resolve())
+    try:
+        yield
+    finally:
+        _held.discard(folder.resolve())
+        (folder / _LOCK).unlink(missing_ok=True)
+        file.close()
+
+
+_held: set[Path] = set()
+"""Folders that this process has locked."""
+
+
+def _locked(folder: Path) -> IO[str]:
+    """Return the locked file of a folder."""
+    assert fcntl is not None
+    _require_folder(folder)
+    path = folder / _LOCK
+    while True:
+        try:
+            folder.mkdir(exist_ok=True)
+            file = path.open("a+", encoding="utf-8")
+        except OSError as error:
+            raise CheckpointError(folder, f"it cannot be written ({error.strerror})") from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            file.seek(0)
+            owner = file.read(40).strip() or "another process"
+            file.close()
+            help_ = "Wait until it ends, or choose another output or checkpoint"
+            raise CheckpointError(folder, f"{owner} is working on it. {help_}") from error
+        # The last owner may have removed the file in the meantime.
+        with contextlib.suppress(FileNotFoundError):
+            if os.fstat(file.fileno()).st_ino == path.stat().st_ino:
+                return _signed(file, folder)
+        file.close()
+
+
+def _signed(file: IO[str], folder: Path) -> IO[str]:
+    """Return the file of a lock with the name of its owner in it.
+
+    Raises:
+        CheckpointError: If the disk is full.
+    """
+    try:
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {socket.gethostname()}")
+        file.flush()
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            file.close()
+        raise CheckpointError(folder, f"it cannot be written ({error.strerror})") from error
+    return file
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +109,7 @@ class Checkpoint:
     """A folder of finished chunks.
 
     Attributes:
-        folder: Where.
+        folder: The folder.
         work: Digest of the identity of the work.
         sizes: Number of points of each chunk.
     """
@@ -36,11 +119,11 @@ class Checkpoint:
     sizes: tuple[int, ...]
 
     def save(self, chunk: int, results: Sequence[Any]) -> None:
-        """Keep a finished chunk.
+        """Store a finished chunk.
 
         Args:
-            chunk: Its index.
-            results: One a point.
+            chunk: Index of the chunk.
+            results: One result per point.
 
         Raises:
             InputError: If the folder cannot be written.
@@ -52,10 +135,10 @@ class Checkpoint:
         write_whole(self._file(chunk), json.dumps(entries, allow_nan=False) + "\n")
 
     def finished(self) -> dict[int, list[Any]]:
-        """Return the results of every chunk that is kept.
+        """Return the results of every stored chunk.
 
         Raises:
-            CheckpointError: If a file is broken or does not belong here.
+            CheckpointError: If a file is damaged or belongs to other work.
         """
         chunks = range(len(self.sizes))
         return {k: self._read(k) for k in chunks if self._file(k).exists()}
@@ -78,17 +161,18 @@ class Checkpoint:
 
 
 def open_checkpoint(folder: Path, identity: Mapping[str, Any], sizes: Sequence[int]) -> Checkpoint:
-    """Return the checkpoint of a work, new or as it was left.
+    """Open the checkpoint of a work, new or with the chunks of an earlier run.
 
     Args:
-        folder: Where; made if it is missing.
-        identity: What tells the work from another, as plain data.
+        folder: The folder. A missing folder is created.
+        identity: Run fingerprint, which distinguishes this work from other work, as plain data.
         sizes: Number of points of each chunk.
 
     Raises:
-        CheckpointError: If the folder holds something else; it is left as it is.
+        CheckpointError: If the folder holds other files or other work. The folder is left
+            unchanged.
     """
-    # What comes back from a file is compared with what would come back.
+    # Convert through JSON, since the stored identity has been through JSON as well.
     wanted = json.loads(json.dumps({"format": FORMAT, **identity}, allow_nan=False))
     path = folder / _IDENTITY
     if path.exists():
@@ -103,10 +187,10 @@ def open_checkpoint(folder: Path, identity: Mapping[str, Any], sizes: Sequence[i
 
 
 def remove_checkpoint(folder: Path) -> None:
-    """Delete a checkpoint whose work is done; what else is in the folder stays, and so it does."""
+    """Delete the checkpoint of finished work. Other files stay, and so does their folder."""
     for stage in folder.glob(f"*/{_IDENTITY}"):
         remove_checkpoint(stage.parent)
-    kept = (*folder.glob("chunk-*.json"), *folder.glob(".*.json.*"), folder / _IDENTITY)
+    kept = (*folder.glob("chunk-*.json"), *folder.glob(f"{UNFINISHED}*"), folder / _IDENTITY)
     for file in kept:
         file.unlink(missing_ok=True)
     with contextlib.suppress(OSError):
@@ -118,10 +202,14 @@ def keeps_nothing(folder: Path) -> bool:
     return not any(folder.rglob("chunk-*.json"))
 
 
-def _require_empty(folder: Path) -> None:
+def _require_folder(folder: Path) -> None:
     if not folder.parent.is_dir() or (folder.exists() and not folder.is_dir()):
         raise CheckpointError(folder, "it is not a folder and cannot become one")
-    # A process that is killed while it writes leaves a file with a dot behind.
+
+
+def _require_empty(folder: Path) -> None:
+    _require_folder(folder)
+    # A process that ends while it writes leaves a file whose name begins with a dot.
     strange = [] if not folder.exists() else [p.name for p in folder.iterdir() if p.name[0] != "."]
     if strange:
         raise CheckpointError(folder, f"it is not a checkpoint: it holds `{sorted(strange)[0]}`")
@@ -138,7 +226,7 @@ def _broken(path: Path, reason: str) -> CheckpointError:
     if path.name == _IDENTITY:
         help_ = "It does not tell what it belongs to: name another folder, or remove it"
     else:
-        help_ = "Remove that file alone and start again; only its points are computed again"
+        help_ = "Remove that file alone and start again: only its points are computed again"
     return CheckpointError(path.parent, f"`{path.name}` is broken: {reason}. {help_}")
 
 
@@ -147,7 +235,7 @@ def _digest(data: Any) -> str:
 
 
 def _difference(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
-    """Return a clause that says where two identities differ first."""
+    """Return a clause about the first entry in which two identities differ."""
     there, here = dict(_leaves(found)), dict(_leaves(wanted))
     missing = object()
     names = (

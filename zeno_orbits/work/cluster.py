@@ -17,20 +17,20 @@ from zeno_orbits.work.software import code_digest
 from zeno_orbits.work.tasks import Task, run_chunk
 
 _PAUSE = 1.0
-"""Between two questions to the scheduler [s]."""
+"""Interval between two queries of the scheduler [s]."""
 
 
 class ClusterPool:
     """Workers of a Dask cluster."""
 
-    # The scheduler gives a chunk to several workers by itself before it calls it a killer.
+    # The scheduler itself tries a chunk on several workers before it reports `KilledWorker`.
     attempts = 1
     one_fate = False
 
     def __init__(self, client: Any, cluster: Cluster) -> None:
         self._client = client
         self._cluster = cluster
-        # The second chunk of a worker travels while it computes the first.
+        # The second chunk of a worker is transferred while the worker computes the first.
         self.window = 2 * max(len(self._workers()), 1)
         self._executor: Executor = client.get_executor(pure=False)
         self._asked = self._seen = time.monotonic()
@@ -40,14 +40,14 @@ class ClusterPool:
         return self._executor.submit(run_chunk, task, points, code_digest())
 
     def part(self, future: Future[str]) -> float:  # noqa: ARG002 (its notes are elsewhere)
-        """Return 0: a worker on another machine tells nothing before it has finished."""
+        """Return 0, since a worker on another machine does not report partial progress."""
         return 0.0
 
     def died(self, future: Future[str]) -> bool:
-        """Return True if a chunk killed one worker after the other.
+        """Return True if a chunk crashed several workers in succession.
 
         Raises:
-            WorkError: If it ended for another reason than its task.
+            WorkError: If the chunk failed for a reason outside its task.
         """
         from distributed import KilledWorker
 
@@ -62,11 +62,11 @@ class ClusterPool:
             return True
         raise WorkError(
             f"The workers of the cluster `{self._cluster.address}` cannot compute a chunk "
-            f"({type(error).__name__}: {error}); is zeno_orbits installed there?"
+            f"({type(error).__name__}: {error}). Is zeno_orbits installed there?"
         ) from error
 
     def check(self) -> None:
-        """Raise if the scheduler is gone, or all workers have been for long."""
+        """Raise an error if the scheduler is lost, or all workers have been missing for long."""
         now = time.monotonic()
         if now - self._asked < _PAUSE:
             return
@@ -90,10 +90,11 @@ class ClusterPool:
 
 @contextmanager
 def open_cluster(cluster: Cluster) -> Generator[ClusterPool]:
-    """Give the workers of a cluster for as long as the context lasts.
+    """Provide the workers of a cluster within a context.
 
     Raises:
-        InputError: If Dask is not installed, the scheduler does not answer, or it has no worker.
+        InputError: If Dask is not installed, the scheduler does not answer, or no worker is
+            connected to it.
     """
     try:
         from distributed import Client
@@ -109,7 +110,7 @@ def open_cluster(cluster: Cluster) -> Generator[ClusterPool]:
             client.wait_for_workers(1, timeout=patience)
         except TimeoutError as error:
             asked = _asked(cluster)
-            raise InputError(f"{asked} has no worker after {patience:g} s.") from error
+            raise InputError(f"{asked} lacks a worker after {patience:g} s.") from error
         yield ClusterPool(client, cluster)
 
 
@@ -118,8 +119,8 @@ def _asked(cluster: Cluster) -> str:
 
 
 def _require_scheduler(cluster: Cluster) -> None:
-    """Ask who answers at an address; a client would wait for a silent one for ever."""
-    # Most work never asks, and this takes longer to import than all else here.
+    """Check that an address belongs to a scheduler, since a client would wait indefinitely."""
+    # Most work does not need these modules, which import more slowly than the rest of this module.
     import asyncio
 
     from distributed import Security
@@ -134,12 +135,12 @@ def _require_scheduler(cluster: Cluster) -> None:
     async def ask_in_time() -> dict[str, Any]:
         return await asyncio.wait_for(ask(), cluster.patience)
 
-    # A notebook has an event loop of its own, and no second one may run in its thread.
+    # The thread of a notebook already runs an event loop and cannot run a second loop.
     with ThreadPoolExecutor(1) as thread:
         try:
             found = thread.submit(asyncio.run, ask_in_time()).result()["type"]
         except OSError as error:
-            # The class of all that has to do with time-outs and connections.
+            # Base class of all errors of time-outs and connections.
             late = f"does not answer within {cluster.patience:g} s"
             raise InputError(f"{_asked(cluster)} {late}.") from error
         except Exception as error:
@@ -151,7 +152,7 @@ def _require_scheduler(cluster: Cluster) -> None:
 
 @contextmanager
 def _quiet() -> Generator[None]:
-    """Keep Dask from logging what is dealt with here."""
+    """Silence the log messages of Dask about errors that are handled here."""
     loggers = [logging.getLogger(f"distributed.{name}") for name in ("client", "comm")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:

@@ -1,4 +1,4 @@
-"""Results as tables: in a notebook, and of pandas."""
+"""Results as tables: in notebooks and as data frames of pandas."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from html import escape
 from typing import Any
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.work.values import ByValue
 
 Columns = Mapping[str, Any]
-"""Name of a column to its entries, a list or an array, all of one length."""
+"""Column name to entries, lists or arrays of the same length."""
 
 _MOST_ROWS = 12
-"""Rows that a notebook shows."""
+"""Number of rows in a notebook."""
 _RULES = "border-collapse:collapse;font-variant-numeric:tabular-nums"
 
 
-class Displayed:
-    """A result that is a table, too."""
+class Displayed(ByValue):
+    """A result that can also be shown as a table."""
 
     __slots__ = ()
 
@@ -40,11 +41,11 @@ class Displayed:
         raise NotImplementedError
 
     def _shown_columns(self) -> Columns:
-        """Return the table that a notebook shows the first rows of."""
+        """Return the table whose first rows a notebook shows."""
         return self._columns()
 
     def _repr_html_(self) -> str:
-        """Return the printed form, and below it the first rows of the table."""
+        """Return the printed form, followed by the first rows of the table."""
         columns = self._shown_columns()
         rows = list(zip(*columns.values(), strict=True))
         head = "".join(f"<th>{escape(name)}</th>" for name in columns)
@@ -59,15 +60,15 @@ class Displayed:
 
 
 def _cell(value: Any) -> str:
-    """Return an entry as text, numbers to seven digits."""
+    """Return an entry as text, with numbers rounded to seven digits."""
     return f"{value:.7g}" if isinstance(value, float) else str(value)
 
 
 def by_name(entries: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
-    """Return name to values of entries that have the same names, or some of them.
+    """Return columns, name to values, of entries with the same names or part of them.
 
     Args:
-        entries: Name to value, an entry a row; NaN stands where one has no such name.
+        entries: Name to value, one entry per row. A missing name becomes NaN.
     """
     names = dict.fromkeys(name for entry in entries for name in entry)
     return {name: [entry.get(name, float("nan")) for entry in entries] for name in names}

@@ -1,9 +1,12 @@
-"""Files that appear whole or not at all."""
+"""Files, written atomically."""
 
 from __future__ import annotations
 
 import json
 import os
+import secrets
+import shutil
+import stat
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,19 +14,23 @@ from typing import Any, cast
 
 from zeno_orbits.errors import InputError
 
+UNFINISHED = ".unfinished-"
+"""Prefix of the name of a file that is being written."""
+
 PICTURES = (".png", ".pdf", ".svg")
 """Suffixes of the pictures that can be written."""
 
 
 def require_picture(path: Path, argument: str = "output") -> None:
-    """Refuse a path that cannot become a picture, before any work is done for it.
+    """Raise an error for a path that cannot become a picture, before any computation.
 
     Args:
         path: The path.
         argument: Name of the argument, for the message.
 
     Raises:
-        InputError: If its suffix is not one of ``PICTURES``, or it cannot become a file.
+        InputError: If the suffix of the path is not in ``PICTURES``, or the path cannot become a
+            file.
     """
     require_writable(path, argument)
     if path.suffix.lower() not in PICTURES:
@@ -32,18 +39,26 @@ def require_picture(path: Path, argument: str = "output") -> None:
 
 
 def require_writable(path: Path, argument: str = "output") -> None:
-    """Refuse a path that cannot become a file, before any work is done for it.
+    """Raise an error for a path that cannot become a file, before any computation.
 
-    Devices and pipes are written to as they are.
+    Devices and pipes are written to directly.
 
     Args:
         path: The path.
         argument: Name of the argument, for the message.
 
     Raises:
-        InputError: If its folder is missing or closed, or the path is a folder.
+        InputError: If the folder of the path is missing or not writable, or the path is a folder.
     """
-    folder = path.parent
+    try:
+        path.stat()
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        message = f"must be a file that can be written, but `{path}` is not ({reason})"
+        raise InputError(f"Argument `{argument}` {message}.") from error
+    folder = _target(path).parent
     if path.is_dir():
         raise InputError(f"Argument `{argument}` must be a file, but `{path}` is a folder.")
     if _is_special(path):
@@ -54,21 +69,22 @@ def require_writable(path: Path, argument: str = "output") -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Return the data of a JSON file; a name may stand in an object only once.
+    """Return the data of a JSON file, whose objects must not repeat a name.
 
     Args:
         path: The file, in UTF-8.
 
     Raises:
-        ValueError: Why it has none, as a clause about the file.
+        ValueError: If the file cannot be read as such. The message is a clause about the file.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once)
+        text = path.read_text(encoding="utf-8")
+        return json.loads(text, object_pairs_hook=_once, parse_constant=_refused)
     except OSError as error:
         raise ValueError(f"it cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
         raise ValueError("it is not UTF-8 text") from error
-    except _TwiceError:
+    except (_TwiceError, _ConstantError):
         raise
     except (ValueError, RecursionError) as error:
         raise ValueError(f"it is not complete JSON ({error})") from error
@@ -81,7 +97,7 @@ def read_object(path: Path) -> dict[str, Any]:
         path: The file, in UTF-8.
 
     Raises:
-        ValueError: Why it has none, as a clause about the file.
+        ValueError: If the file cannot be read as such. The message is a clause about the file.
     """
     entries = read_json(path)
     if not isinstance(entries, dict):
@@ -90,7 +106,16 @@ def read_object(path: Path) -> dict[str, Any]:
 
 
 class _TwiceError(ValueError):
-    """A name stands twice in an object."""
+    """An object repeats a name."""
+
+
+class _ConstantError(ValueError):
+    """A file contains NaN or infinity."""
+
+
+def _refused(word: str) -> Any:
+    """Raise an error for a constant that Python reads and JSON does not define."""
+    raise _ConstantError(f"it holds {word}, which is not a number of JSON")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -103,10 +128,11 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def require_folder(folder: Path) -> None:
-    """Refuse a path that cannot become a folder of files, before any work is done for it.
+    """Raise an error for a path that cannot become a folder of files, before any computation.
 
     Raises:
-        InputError: If it is a file, or it or what is there of it is closed.
+        InputError: If the path is a file, or the folder or its nearest existing parent is not
+            writable.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"Argument `output` must be a folder, but `{folder}` is a file.")
@@ -117,17 +143,17 @@ def require_folder(folder: Path) -> None:
 
 
 def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, all of them or none: they are put in place when all are written.
+    """Write files into a folder, all or none: they are moved into the folder when all are written.
 
-    If one of them cannot be put in place, those that were are taken back, and what stood there
-    before is as it was.
+    If a file cannot be moved, the files that were already moved are removed and the previous files
+    are restored.
 
     Args:
-        folder: Where; it is made if it is not there. Other files in it are left alone.
+        folder: The folder. A missing folder is created. Other files in it are left unchanged.
         files: Name to content.
 
     Raises:
-        InputError: If the folder cannot be made or written.
+        InputError: If the folder cannot be created or written.
     """
     for name in files:
         if (folder / name).is_dir():
@@ -141,7 +167,7 @@ def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
             old.mkdir()
             for file, content in files.items():
                 (new / file).write_bytes(content)
-                (new / file).chmod(0o644)
+                _keep_mode(folder / file, new / file)
             _exchange(folder, new, old, files)
     except OSError as error:
         message = f"Argument `output` must be a folder that can be written, but `{folder}` is not"
@@ -149,50 +175,61 @@ def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _exchange(folder: Path, new: Path, old: Path, names: Iterable[str]) -> None:
-    """Move files from one folder into another, and those of their names there into a third one."""
+    """Move files into a folder, and its previous files of the same names into a third folder.
+
+    A link stays, and its target is exchanged.
+    """
+    places = {name: _target(folder / name) for name in names}
     try:
-        for name in names:
-            if (folder / name).exists():
-                (folder / name).replace(old / name)
-            (new / name).replace(folder / name)
+        for name, place in places.items():
+            if place.exists():
+                shutil.move(place, old / name)
+            shutil.move(new / name, place)
     except BaseException:
-        for name in names:
+        for name, place in places.items():
             if not (new / name).exists():
-                (folder / name).unlink(missing_ok=True)
+                place.unlink(missing_ok=True)
             if (old / name).exists():
-                (old / name).replace(folder / name)
+                shutil.move(old / name, place)
         raise
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file through a temporary neighbour, so that no reader ever sees half of it.
+    """Write a file through a temporary file in the same folder, so that readers see it complete.
 
     Args:
-        path: Where; an existing file is replaced.
+        path: The file. An existing file is replaced.
         content: Text (UTF-8) or bytes.
 
     Raises:
         InputError: If the folder does not exist or cannot be written.
     """
-    write_pieces(path, (content.encode() if isinstance(content, str) else content,))
+    write_pieces(path, (utf8(content) if isinstance(content, str) else content,))
+
+
+def utf8(text: str) -> bytes:
+    """Return a text in UTF-8, with escapes for bytes of file names that are not valid UTF-8."""
+    return text.encode("utf-8", "backslashreplace")
 
 
 _SYSTEM = (Path("/dev"), Path("/proc"))
-"""Folders whose files are the system's own: `/dev/stdout` may well lead to a regular file."""
+"""Folders of the operating system: `/dev/stdout` may be a link to a regular file."""
 
 
 def _is_special(path: Path) -> bool:
-    """Return True if a path is a device or a pipe, which is written to and never replaced."""
+    """Return True if a path is a device or a pipe, which is written to but not replaced."""
     own = any(folder in path.absolute().parents for folder in _SYSTEM)
     return path.exists() and not path.is_dir() and (own or not path.is_file())
 
 
 def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
-    """Write a file piece by piece, as `write_whole` does: for what is too long to hold twice.
+    """Write a file like `write_whole`, but piece by piece.
+
+    For content that is too long to hold twice in memory.
 
     Args:
-        path: Where; an existing file is replaced.
-        pieces: What it holds, in order.
+        path: The file. An existing file is replaced.
+        pieces: Content of the file, in order.
 
     Raises:
         InputError: If the folder does not exist or cannot be written.
@@ -200,18 +237,20 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
     if _is_special(path):
         _write_through(path, pieces)
         return
+    target = _target(path)
+    # The temporary name is short, since the name of the file may have the largest allowed length.
+    temporary = target.with_name(f"{UNFINISHED}{secrets.token_hex(8)}")
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     except OSError as error:
         message = f"Argument `output` must be in a writable folder, but `{path}` is not"
         raise InputError(f"{message} ({error.strerror}).") from error
-    temporary = Path(name)
     try:
         with os.fdopen(handle, "wb") as file:
             for piece in pieces:
                 file.write(piece)
-        temporary.chmod(0o644)
-        temporary.replace(path)
+        _keep_mode(target, temporary)
+        temporary.replace(target)
     except OSError as error:
         message = f"Argument `output` must be a file that can be written, but `{path}` is not"
         raise InputError(f"{message} ({error.strerror}).") from error
@@ -219,8 +258,19 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def _target(path: Path) -> Path:
+    """Return the target of a link, or the path itself, since links are kept when written to."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
+
+
+def _keep_mode(old: Path, new: Path) -> None:
+    """Copy the permissions of the replaced file to the new file. The umask applies otherwise."""
+    if old.is_file():
+        new.chmod(stat.S_IMODE(old.stat().st_mode))
+
+
 def _write_through(path: Path, pieces: Iterable[bytes]) -> None:
-    """Write to a device or a pipe; what has gone there cannot be taken back."""
+    """Write to a device or a pipe, which cannot be undone."""
     try:
         with path.open("ab") as file:
             for piece in pieces:

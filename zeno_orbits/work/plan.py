@@ -1,4 +1,4 @@
-"""Plans of work: its place, the size of its chunks, and the folder of its checkpoint."""
+"""Plans of work: the executor, the size of the chunks, and the folder of the checkpoint."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.kinds import Checked, require_kinds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Workers:
+class Workers(Checked):
     """Processes on this machine.
 
     Attributes:
-        count: Number of processes; ``None`` for one per core.
-        attempts: Number of times a chunk may kill the worker that computes it alone.
+        count: Number of processes, or ``None`` for one process per core.
+        attempts: Number of worker crashes after which a chunk that is computed alone is given up.
     """
 
     count: int | None = None
@@ -24,11 +25,11 @@ class Workers:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cluster:
-    """A Dask cluster that is running already.
+class Cluster(Checked):
+    """A running Dask cluster.
 
     Attributes:
-        address: Of its scheduler, ``tcp://host:8786`` for instance.
+        address: Address of the scheduler, for instance ``tcp://host:8786``.
         patience: Longest wait for the scheduler, and for a first worker [s].
     """
 
@@ -41,15 +42,17 @@ Place = Workers | Cluster
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """A plan of work; only the size of a chunk may change a result.
+    """A plan of work. Only the size of a chunk may change a result.
 
     Attributes:
-        place: Where.
-        chunk: Points a chunk. It must not depend on the place: points that are computed together
-            may differ in the last bits from the same points computed apart.
-        checkpoint: Folder that keeps finished chunks; ``None`` keeps none.
-        identity: What tells this work from another, as plain data: the command, the problem and its
-            content, settings, seeds, versions. Points and the package's own code are added to it.
+        place: Executor of the work: processes on this machine or a cluster.
+        chunk: Number of points per chunk. It must not depend on the executor, since results of
+            points that are computed together may differ in the last bits from separate
+            computations.
+        checkpoint: Folder for finished chunks, or ``None`` to store nothing.
+        identity: Run fingerprint, which distinguishes this work from other work, as plain data: the
+            command, the problem and its content, settings, seeds, versions. Points and the code of
+            the package are added automatically.
         noun: Name of the points in progress reports.
     """
 
@@ -60,16 +63,17 @@ class Plan:
     noun: str = "points"
 
     def __post_init__(self) -> None:
+        require_kinds(self)
         if self.chunk < 1:
             raise InputError(f"Argument `chunk` must be at least 1, but it is {self.chunk}.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LostPoint:
-    """In place of a result: the point that killed every worker that computed it.
+    """Replacement for a result: the point crashed every worker that computed it.
 
     Attributes:
-        reason: The sentence for the user.
+        reason: Sentence for the user.
     """
 
-    reason: str = "The point kills every worker that computes it."
+    reason: str = "Every worker that computes the point is terminated."

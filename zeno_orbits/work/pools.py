@@ -1,6 +1,6 @@
-"""Pools of workers behind one interface: loky's processes on this machine, or Dask's workers.
+"""Pools of workers with a common interface: loky's processes on this machine, or Dask's workers.
 
-Both are executors of ``concurrent.futures``; joblib brings loky.
+Both are executors of ``concurrent.futures``. Loky is part of joblib.
 """
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -8,6 +8,7 @@ Both are executors of ``concurrent.futures``; joblib brings loky.
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import tempfile
 import threading
@@ -27,7 +28,9 @@ from zeno_orbits.work.tasks import Task, read_note, run_chunk
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"), "1"
 )
-"""Processes fill the cores; and a sum over threads may end in other bits."""
+"""One thread per process: processes fill the cores, and sums over threads may round differently."""
+_SAFE_PATH = "PYTHONSAFEPATH"
+"""If set, `python -m` and `python -c` do not import from the current folder."""
 _LOOK = 1.0
 """Interval at which a worker checks that its parent is alive [s]."""
 
@@ -36,9 +39,9 @@ class Pool(Protocol):
     """Computes chunks.
 
     Attributes:
-        window: Chunks that are worth having under way at once.
-        attempts: Number of times a chunk may kill its worker while it is computed alone.
-        one_fate: The death of one worker fails all that is under way.
+        window: Useful number of chunks under way at the same time.
+        attempts: Number of worker crashes after which a chunk that is computed alone is given up.
+        one_fate: True if the crash of one worker fails all chunks under way.
     """
 
     window: int
@@ -46,32 +49,32 @@ class Pool(Protocol):
     one_fate: bool
 
     def submit(self, task: Task, points: Sequence[Any]) -> Future[str]:
-        """Start a chunk; a dead worker is replaced first."""
+        """Start a chunk, after replacing crashed workers."""
         ...
 
     def part(self, future: Future[str]) -> float:
-        """Return how much of a chunk under way is done, in [0, 1]; 0 where nobody tells."""
+        """Return the finished part of a chunk under way, in [0, 1], or 0 if it is not reported."""
         ...
 
     def died(self, future: Future[str]) -> bool:
-        """Return True if a finished future ended with the death of a worker.
+        """Return True if a finished future ended with the crash of a worker.
 
         Raises:
-            WorkError: If it ended for another reason than its task.
+            WorkError: If the chunk failed for a reason outside its task.
         """
         ...
 
     def check(self) -> None:
-        """Raise ``WorkError`` if no chunk will ever be finished."""
+        """Raise ``WorkError`` if chunks can no longer be finished."""
         ...
 
 
 @contextmanager
 def open_pool(place: Place) -> Generator[Pool]:
-    """Give a pool for as long as the context lasts; what is under way at its end is dropped.
+    """Provide a pool within a context. Chunks under way at its end are dropped.
 
     Raises:
-        InputError: If the place cannot be had.
+        InputError: If the executor is not available.
     """
     if isinstance(place, Cluster):
         with open_cluster(place) as pool:
@@ -88,7 +91,7 @@ def worker_count(workers: Workers) -> int:
     """Return the number of processes.
 
     Raises:
-        InputError: If it is not positive, or more than there are cores.
+        InputError: If the number is not positive, or exceeds the number of cores.
     """
     import joblib
 
@@ -123,12 +126,13 @@ class _CorePool:
         self._n_notes += 1
         note = Path(self._folder.name) / str(self._n_notes)
         work = (run_chunk, task, points, code_digest(), str(note))
-        try:
-            future = self._open().submit(*work)
-        except BrokenProcessPool:
-            # A worker died with nothing to do.
-            self.end_processes()
-            future = self._open().submit(*work)
+        with _sheltered():
+            try:
+                future = self._open().submit(*work)
+            except BrokenProcessPool:
+                # An idle worker has crashed.
+                self.end_processes()
+                future = self._open().submit(*work)
         self._notes[future] = note
         return future
 
@@ -148,7 +152,7 @@ class _CorePool:
         return True
 
     def check(self) -> None:
-        """Processes are replaced; there is always one."""
+        """Do nothing, since crashed processes are always replaced."""
 
     def _open(self) -> Executor:
         from joblib.externals.loky import ProcessPoolExecutor
@@ -156,32 +160,71 @@ class _CorePool:
         if self._executor is None:
             self._executor = ProcessPoolExecutor(
                 max_workers=self.window,
-                env=_ONE_THREAD,
+                env={**_ONE_THREAD, _SAFE_PATH: "1"},
                 initializer=_begin,
-                initargs=(os.getpid(),),
+                initargs=(os.getpid(), self._folder.name),
             )
         return self._executor
 
     def close(self) -> None:
-        """End the processes, and remove their notes."""
+        """End the processes and remove their progress files."""
         self.end_processes()
         self._folder.cleanup()
 
     def end_processes(self) -> None:
-        """End the processes; others take their place when they are needed."""
+        """End the processes. New processes start when they are needed."""
         if self._executor is not None:
-            # Loky adds the second argument to those of an executor.
+            # Loky adds the second argument to the arguments of an executor.
             self._executor.shutdown(wait=True, kill_workers=True)  # pyright: ignore[reportCallIssue]
             self._executor = None
 
 
-def _begin(parent: int) -> None:
-    """Prepare a process: Ctrl-C is its parent's affair, and without one it ends."""
+@contextmanager
+def _sheltered() -> Generator[None]:
+    """Start processes that do not import from the current folder and do not receive Ctrl-C.
+
+    Loky's resource tracker always inherits the environment of this process, so it is set here. A
+    process starts with the signal mask of its parent, so an interrupt stays pending until `_begin`.
+    In this process, another thread receives the interrupt, or it stays pending until the mask is
+    restored.
+    """
+    # Imported here, since joblib imports it and few commands need joblib.
+    from multiprocessing import resource_tracker
+
+    before = os.environ.get(_SAFE_PATH)
+    mask = hasattr(signal, "pthread_sigmask")
+    blocked = set[int]()
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        if mask:
+            # Python's own tracker restores the mask when it has started.
+            resource_tracker.ensure_running()
+            blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(_SAFE_PATH, None)
+        else:
+            os.environ[_SAFE_PATH] = before
+        if mask:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+def _begin(parent: int, notes: str) -> None:
+    """Prepare a process: it ignores Ctrl-C, which its parent handles, and ends with its parent.
+
+    Args:
+        parent: Identifier of the parent process.
+        notes: Folder of the parent's progress files, removed if the parent ended without doing so.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def look() -> None:
         while os.getppid() == parent:
             time.sleep(_LOOK)
+        shutil.rmtree(notes, ignore_errors=True)
         os._exit(1)
 
     threading.Thread(target=look, daemon=True).start()

@@ -1,4 +1,4 @@
-"""One form for progress reports: a stage in a few words, and the part of it that is done."""
+"""Progress reports: a stage in a few words, and the part of it that is done."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ class Progress(Protocol):
 
         Args:
             stage: The present stage in a few words.
-            part: The part of the work that is done, in [0, 1]; ``None`` if it is not known.
+            part: The part of the work that is done, in [0, 1], or ``None`` if unknown.
         """
         ...
 
 
 def portion(on_progress: Progress, low: float, high: float) -> Progress:
-    """Return the progress of one step of several, for the step to report its own parts to.
+    """Return the progress function of one step of several, which rescales the parts of the step.
 
     Args:
-        on_progress: The progress of the whole.
-        low: Part of the whole that is done before the step.
-        high: The same after it.
+        on_progress: Progress function of the whole work.
+        low: Part of the whole work that is done before the step.
+        high: Part of the whole work that is done after the step.
     """
 
     def tell(stage: str, part: float | None, /) -> None:

@@ -1,4 +1,4 @@
-"""Points to results, chunk by chunk, whatever happens to the workers."""
+"""Parallel evaluation of points, chunk by chunk, with recovery from worker crashes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
-from zeno_orbits.work.checkpoint import Checkpoint, open_checkpoint
+from zeno_orbits.work.checkpoint import Checkpoint, held, open_checkpoint
 from zeno_orbits.work.plan import LostPoint, Plan, Workers
 from zeno_orbits.work.pools import Pool, open_pool
 from zeno_orbits.work.progress import Progress, silent
@@ -19,16 +19,17 @@ from zeno_orbits.work.software import code_digest
 from zeno_orbits.work.tasks import Task, results_of
 
 _NEARLY = 0.99
-"""A chunk under way counts at most this much."""
+"""Largest part of a chunk under way in progress reports."""
 _TICK = 0.2
-"""Longest time between two progress reports; a report may look for an interrupt [s]."""
+"""Longest time between two progress reports, which may check for an interrupt [s]."""
 
 
 def claim(plan: Plan) -> None:
-    """Open the checkpoint of work in several stages, each of which keeps a folder in it.
+    """Open the checkpoint of work in several stages, each with its own subfolder.
 
     Raises:
-        CheckpointError: If the folder holds something else; it is left as it is.
+        CheckpointError: If the folder holds other files or other work. The folder is left
+            unchanged.
     """
     if plan.checkpoint is not None:
         open_checkpoint(plan.checkpoint, {**plan.identity, "code": code_digest()}, ())
@@ -42,23 +43,25 @@ def spread(
     on_progress: Progress = silent,
     pool: Pool | None = None,
 ) -> tuple[Any, ...]:
-    """Return the result of every point, in order, the same whoever computes them.
+    """Evaluate a task at all points in parallel, in order. The workers do not affect the results.
 
     Args:
-        task: From a chunk of points to their results, one each. A pure function that can be
-            pickled: of a module, or a frozen dataclass with ``__call__``.
+        task: Function from a chunk of points to their results, one result per point. It is pure and
+            can be pickled: a function of a module, or a frozen dataclass with ``__call__``.
         points: Plain data: numbers, texts, lists and mappings of them.
-        plan: Where, in which chunks, and where finished ones are kept.
-        on_progress: Called with how much of what was left at the start is done. An exception that
-            it raises ends the work, and finished chunks stay kept.
-        pool: Workers of `open_pool` in place of the plan's own, for one stage after another.
+        plan: Executor, size of the chunks, and folder for finished chunks.
+        on_progress: Called with the finished part of the points that were left at the start. An
+            exception that it raises ends the work, and finished chunks stay in the checkpoint.
+        pool: Workers of `open_pool` that replace the plan's executor, for several stages in
+            succession.
 
     Returns:
-        One result a point as it comes out of JSON, ``LostPoint`` where the point kills its worker.
+        One result per point, converted through JSON, or ``LostPoint`` if the point crashes its
+        worker.
 
     Raises:
-        InputError: If the place cannot be had, or the checkpoint is another's.
-        WorkError: If the task fails, or a cluster goes away.
+        InputError: If the executor is not available, or the checkpoint belongs to other work.
+        WorkError: If the task fails, or a cluster is lost.
     """
     return tuple(spread_in_order(task, points, plan, on_progress=on_progress, pool=pool))
 
@@ -72,39 +75,42 @@ def spread_in_order(
     on_progress: Progress = silent,
     pool: Pool | None = None,
 ) -> Generator[Any]:
-    """Give the result of every point as soon as it and all before it are known.
+    """Yield the result of every point in order, once it and all earlier results are available.
 
-    Who has seen enough closes the iterator: what is under way is dropped, and the workers end. How
-    much was seen does not depend on the workers, as the order does not. Workers are started when
-    the first chunk needs them; a place other than the default is tried before any work is done.
+    Close the iterator to stop early. Chunks under way are then dropped, and the workers end. The
+    order does not depend on the workers, so the results before an early stop do not either. Workers
+    start when the first chunk needs them. An executor other than the default is opened before any
+    work is done.
 
     Args:
         task: As in ``spread``.
         points: As in ``spread``.
         plan: As in ``spread``.
-        here: The same task for this process, which does the first chunk before it asks for help;
-            by default it does none.
+        here: The same task for this process, which computes the first chunk before workers start.
+            By default this process computes no chunk.
         on_progress: As in ``spread``.
-        pool: As in ``spread``; it must be run to the end.
+        pool: As in ``spread``. The iterator must then be run to the end.
 
     Yields:
         As ``spread`` returns them.
 
     Raises:
-        InputError: If the place cannot be had, or the checkpoint is another's.
-        WorkError: If the task fails, or a cluster goes away.
+        InputError: If the executor is not available, or the checkpoint belongs to other work.
+        WorkError: If the task fails, or a cluster is lost.
     """
     chunks = tuple(points[k : k + plan.chunk] for k in range(0, len(points), plan.chunk))
-    store = _checkpoint(plan, points, [len(chunk) for chunk in chunks])
-    found = store.finished() if store is not None else {}
-    report = _report(on_progress, plan.noun, chunks, found)
-
-    def keep(chunk: int, results: list[Any]) -> None:
-        if store is not None:
-            store.save(chunk, results)
-        found[chunk] = results
-
     with ExitStack() as stack:
+        if plan.checkpoint is not None:
+            stack.enter_context(held(plan.checkpoint))
+        store = _checkpoint(plan, points, [len(chunk) for chunk in chunks])
+        found = store.finished() if store is not None else {}
+        report = _report(on_progress, plan.noun, chunks, found)
+
+        def keep(chunk: int, results: list[Any]) -> None:
+            if store is not None:
+                store.save(chunk, results)
+            found[chunk] = results
+
         if pool is None and plan.place != Workers() and len(found) < len(chunks):
             pool = stack.enter_context(open_pool(plan.place))
         if here is not None and chunks and 0 not in found:
@@ -136,9 +142,9 @@ def _report(
     chunks: Sequence[Sequence[Any]],
     found: dict[int, list[Any]],
 ) -> Callable[..., None]:
-    """Return a function of the points that are done in chunks under way: it reports progress.
+    """Return a progress function whose argument is the number of finished points under way.
 
-    The time left is that of the points which were not kept from an earlier run.
+    The reported part excludes the points that an earlier run finished.
     """
     total = sum(map(len, chunks))
     before = sum(map(len, found.values()))
@@ -154,8 +160,9 @@ def _report(
 class _Run:
     """Chunks under way.
 
-    A dead worker may take down every chunk under way, and does not say which one killed it. So
-    these are computed again, half as many at once, until the guilty one is alone.
+    The crash of a worker may fail every chunk under way, without identifying the chunk that caused
+    it. So these chunks are computed again, half as many at the same time, until the chunk that
+    causes the crash is computed alone.
     """
 
     pool: Pool
@@ -165,7 +172,7 @@ class _Run:
     deaths: Counter[int] = field(default_factory=Counter[int])
 
     def finish(self, todo: Sequence[int]) -> Iterator[tuple[int, list[Any]]]:
-        """Give every chunk with its results as it is finished."""
+        """Yield every chunk with its results as it is finished."""
         waiting, flying = deque(todo), dict[Future[str], int]()
         doubtful, window = set[int](), self.pool.window
         while waiting or flying:
@@ -195,14 +202,14 @@ class _Run:
         """Wait a moment and return the futures that are done.
 
         Args:
-            flying: Those under way, each with the index of its chunk.
+            flying: Futures under way, each with the index of its chunk.
         """
         done = wait(flying, timeout=_TICK, return_when=FIRST_COMPLETED).done
         if self.pool.one_fate and any(future.exception() is not None for future in done):
             done = wait(flying).done
         self.pool.check()
         parts = [self.pool.part(future) * len(self.chunks[k]) for future, k in flying.items()]
-        # What is not kept yet is not done.
+        # A chunk counts as finished only after it is stored.
         self.report(_NEARLY * sum(parts))
         return [future for future in flying if future in done]
 
@@ -211,7 +218,7 @@ class _Run:
         return self.deaths[chunk] >= self.pool.attempts
 
     def _one_by_one(self, chunk: int) -> list[Any]:
-        """Return the results of a chunk that always dies, each point computed by itself."""
+        """Return the results of a chunk that crashes its workers, point by point."""
         results: list[Any] = []
         points = self.chunks[chunk]
         for k in range(len(points)):

@@ -1,7 +1,7 @@
-"""Values as plain data, every bit kept, and back: what JSON files, checkpoints and processes hold.
+"""Lossless conversion between values and plain data for JSON files, checkpoints and processes.
 
-``plain`` turns a value into what JSON holds, ``restored`` turns that into the value again, by the
-types that the value's class declares. Every file that the package writes is read by ``restored``.
+``plain`` converts a value to JSON data. ``restored`` converts the data back to the value, with the
+types that the value's class declares. Every file of the package is read by ``restored``.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ T = TypeVar("T")
 def plain(value: Any, argument: str = "value") -> Any:
     """Return a value as numbers, texts, lists and mappings.
 
-    Dataclasses become mappings of their fields with their ``kind``, functions of a module their
-    names, enumerations the names of their members, complex numbers pairs, mappings whose keys are
-    not texts lists of pairs, and numbers that are not finite the texts that ``float`` reads.
+    Dataclasses become mappings of their fields with their ``kind``. Functions of a module become
+    their names, and enumerations the names of their members. Complex numbers become pairs. Mappings
+    whose keys are not texts become lists of pairs. Numbers that are not finite become texts that
+    ``float`` reads.
 
     Args:
-        value: Of these, or of what JSON holds, or an array.
-        argument: Its name in an error.
+        value: A value of these types, JSON data, or an array.
+        argument: Name of the value in an error.
 
     Raises:
-        InputError: If it is none of these; nothing is left out silently.
+        InputError: If the value has another type. Values are never omitted silently.
     """
     if isinstance(value, np.ndarray):
         return _plain_array(cast("Any", value), argument)
@@ -57,7 +58,7 @@ def plain(value: Any, argument: str = "value") -> Any:
         return {"kind": _name(type(value)), **own} if "kind" not in own else own
     if getattr(value, "__qualname__", "<").isidentifier():
         return _name(value)
-    wanted = "must be made of numbers, texts, dataclasses and functions of a module"
+    wanted = "must consist of values, texts, dataclasses and functions of a module"
     raise InputError(f"Argument `{argument}` {wanted}, but it has a {_name(type(value))}.")
 
 
@@ -69,7 +70,7 @@ def _plain_mapping(value: Mapping[Any, Any], argument: str) -> Any:
 
 def _plain_array(value: Any, argument: str) -> Any:
     if value.ndim > 1 and not value.size:
-        # A matrix without rows has no list that tells how many columns it has.
+        # The list of a matrix without rows would lose the number of columns.
         return {"shape": list(value.shape), "entries": []}
     return plain(value.tolist(), argument)
 
@@ -79,12 +80,12 @@ def _name(thing: Any) -> str:
 
 
 class EntryError(ValueError):
-    """An entry of plain data is not what it must be.
+    """An entry of plain data is invalid.
 
     Attributes:
-        name: The entry, as ``phases[0].start_time``.
-        wanted: What it must be.
-        found: What it is.
+        name: Name of the entry, such as ``phases[0].start_time``.
+        wanted: Required content of the entry.
+        found: Actual content of the entry.
     """
 
     def __init__(self, name: str, wanted: str, found: str) -> None:
@@ -93,24 +94,24 @@ class EntryError(ValueError):
 
 
 def restored(kind: type[T], data: object, name: str = "data", *, finite: bool = False) -> T:
-    """Return the value of a declared type that plain data stand for: the inverse of `plain`.
+    """Return the value of a declared type from plain data: the inverse of `plain`.
 
     Args:
         kind: A dataclass, or any type that its fields may declare: numbers, texts, enumerations,
             arrays of doubles, tuples, mappings, optional values, dataclasses.
-        data: Plain data. Of a dataclass, fields with defaults may be missing, and what is no field
-            is ignored.
-        name: What to call the data in an error.
-        finite: Refuse numbers that are not finite, as files of results do.
+        data: Plain data. Fields of a dataclass with defaults may be missing, and unknown names are
+            ignored.
+        name: Name of the data in an error.
+        finite: True rejects numbers that are not finite, as for files of results.
 
     Raises:
-        EntryError: If an entry is missing or of a wrong type; it names the entry.
+        EntryError: If an entry is missing or has a wrong type. The error names the entry.
     """
     return cast("T", _Reader(finite).value(kind, data, name))
 
 
 class _Reader:
-    """Turns plain data into values; says which entry does not fit."""
+    """Converter from plain data to values, with the name of an invalid entry in its errors."""
 
     def __init__(self, finite: bool) -> None:
         self._finite = finite
@@ -209,7 +210,7 @@ _NOT_FINITE = ("inf", "-inf", "nan")
 
 
 def _as_float(data: Any) -> float | None:
-    """Return a number as a float; the texts that `plain` writes for those that are not finite."""
+    """Return a number, or the text that `plain` writes for a non-finite number, as a float."""
     if isinstance(data, str) and data in _NOT_FINITE:
         return float(data)
     if isinstance(data, bool) or not isinstance(data, int | float):
@@ -250,6 +251,6 @@ _MOST_SHOWN = 40
 
 
 def _shown(data: Any) -> str:
-    """Return data as it stands in a file, cut where it is long."""
+    """Return data as in a JSON file, cut if it is long."""
     text = json.dumps(data, default=str)
     return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."

@@ -8,14 +8,14 @@ from pathlib import Path
 
 
 def versions() -> dict[str, str]:
-    """Return name to version of the packages that compute a result."""
+    """Return the versions of the packages that compute a result, keyed by name."""
     return dict(_versions())
 
 
 @cache
 def _versions() -> tuple[tuple[str, str], ...]:
-    """Ask the installation once: it takes longer than a period of simulation."""
-    # Both take as long to import as a small module of ours, and a reader needs neither.
+    """Query the installation once, since the query takes longer than a period of simulation."""
+    # Imported here for a faster start, since readers of files do not need these modules.
     import platform
     from importlib.metadata import PackageNotFoundError, version
 
@@ -30,12 +30,13 @@ def _versions() -> tuple[tuple[str, str], ...]:
 
 @cache
 def code_digest() -> str:
-    """Return a digest of the package's own source, by which two installations can be compared."""
+    """Return a digest of the package's source code, to compare two installations."""
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256()
-    for file in sorted(package.rglob("*.py")):
+    sources = (file for kind in ("*.py", "*.c", "*.h") for file in package.rglob(kind))
+    for file in sorted(sources):
         name = file.relative_to(package)
-        # Problems are installed inside the package, and stand beside it in the source.
+        # Problems are installed inside the package. In the source tree they are next to it.
         if name.parts[0] != "problems":
             digest.update(f"{name.as_posix()}\n".encode() + file.read_bytes())
     return digest.hexdigest()

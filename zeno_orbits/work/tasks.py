@@ -16,18 +16,18 @@ from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.work.software import code_digest
 
 Task = Callable[[Sequence[Any]], Sequence[Any]]
-"""From a chunk of points to their results, all plain data; it can be pickled."""
+"""Function from a chunk of points to their results, all plain data. It can be pickled."""
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Models of a process share memory, and a Dask worker may have several threads."""
+"""Lock for tasks: models of a process share memory, and a Dask worker may have several threads."""
 _NOTED = 0.1
-"""Shortest time between two notes of a worker [s]."""
+"""Shortest time between two progress notes of a worker [s]."""
 
 _listener: ContextVar[Callable[[float], object] | None] = ContextVar("listener", default=None)
 
 
 def tell_part(part: float) -> None:
-    """Tell whoever waits for this chunk how much of it is done; nobody has to be waiting.
+    """Report the finished part of this chunk to its listener, if a listener is set.
 
     Args:
         part: The part of the points of the chunk that are done, in [0, 1].
@@ -39,7 +39,7 @@ def tell_part(part: float) -> None:
 
 @contextmanager
 def parts_told_to(listener: Callable[[float], object]) -> Generator[None]:
-    """Pass to a function what `tell_part` tells, for as long as the context lasts."""
+    """Pass the reports of `tell_part` to a function within a context."""
     token = _listener.set(listener)
     try:
         yield
@@ -48,24 +48,24 @@ def parts_told_to(listener: Callable[[float], object]) -> Generator[None]:
 
 
 class _Note:
-    """A file that holds the part of a chunk that is done; its reader polls it."""
+    """A file with the finished part of a chunk, which its reader polls."""
 
     def __init__(self, path: str) -> None:
         self._path, self._written = Path(path), 0.0
 
     def __call__(self, part: float) -> None:
-        """Write the part, unless the last note is too recent."""
+        """Write the finished part, unless the last note is too recent."""
         now = time.monotonic()
         if now - self._written >= _NOTED:
             self._written = now
-            # Replaced as a whole: a reader never finds it empty.
+            # The file is replaced atomically, so a reader never finds it empty.
             new = self._path.with_suffix(".new")
             new.write_text(f"{part:.6f}", encoding="ascii")
             new.replace(self._path)
 
 
 def read_note(path: Path) -> float:
-    """Return the part of a chunk that its worker noted; 0 before it has noted any."""
+    """Return the finished part of a chunk in its worker's note, or 0 before the first note."""
     try:
         return float(path.read_text(encoding="ascii"))
     except (OSError, ValueError):
@@ -73,16 +73,16 @@ def read_note(path: Path) -> float:
 
 
 def run_chunk(task: Task, points: Sequence[Any], code: str, note: str = "") -> str:
-    """Return the results of a chunk as JSON, or what went wrong.
+    """Return the results of a chunk, or its error, as JSON.
 
-    An exception goes home as text: one that cannot be unpickled there would pass for the death of
-    the worker.
+    An exception is returned as text, since an exception that the parent cannot unpickle would look
+    like a crash of the worker.
 
     Args:
         task: The task.
         points: The chunk.
-        code: Digest of the code that asks.
-        note: File in which to note how much is done; empty where nobody can read it.
+        code: Digest of the parent's code.
+        note: File for the finished part, or an empty text if no reader has access.
     """
     try:
         with _ONE_AT_A_TIME, parts_told_to(_Note(note) if note else _unheard):
@@ -110,11 +110,11 @@ def _results(task: Task, points: Sequence[Any], code: str) -> list[Any]:
 
 
 def results_of(answer: str) -> list[Any]:
-    """Return the results in an answer.
+    """Return the results in the answer of a worker.
 
     Raises:
         InputError: If the task was misused.
-        WorkError: If it failed otherwise.
+        WorkError: If the task failed in another way.
     """
     told = json.loads(answer)
     if "error" not in told:
