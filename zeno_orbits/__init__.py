@@ -1,18 +1,90 @@
 """Find, verify and follow Zeno periodic orbits of electromechanical hybrid systems.
 
 ``import zeno_orbits as zo`` offers ``zo.simulate``, ``zo.find_orbit``, ``zo.verify``,
-``zo.Problem`` and the other names of ``__init__.pyi``. Each is imported when it is first used:
-importing the package loads neither NumPy nor CasADi.
+``zo.Problem`` and the other names of ``__init__.pyi``. Each is imported at its first use. The
+package alone imports neither NumPy nor CasADi.
 
-The rooms, top first; each imports from those below it:
-``cli``, ``api`` (the functions of this door), ``report``, ``experiment`` and ``precision``,
+The rooms, top first. Each imports from the rooms below it:
+``cli``, ``api`` (the functions of this module), ``report``, ``experiment`` and ``precision``,
 ``continuation`` and ``maps``, ``search``, ``verification``, ``orbits``, ``simulation``, ``model``,
-``integrators``, ``kernels`` and ``work``; at the bottom the modules ``arrays`` and ``errors``.
+``integrators`` and ``work``. At the bottom are the modules ``arrays``, ``errors`` and
+``aliases``.
 """
 
-import lazy_loader as lazy
+import ast
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 __version__ = "0.2.0"
 
-__getattr__, __dir__, _names = lazy.attach_stub(__name__, __file__)
-__all__ = ["__version__", *_names]  # pyright: ignore[reportUnsupportedDunderAll]
+_EXTRAS = {"Proof": ("flint", "python-flint", "proof")}
+"""Names that need an extra: the module, its package and the extra."""
+
+
+def _places() -> dict[str, tuple[str, str]]:
+    """Return public name to module and name of its object, as the stub file declares them."""
+    stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    return {
+        alias.asname or alias.name: (node.module, alias.name)
+        for node in stub.body
+        if isinstance(node, ast.ImportFrom) and node.module is not None
+        for alias in node.names
+    }
+
+
+_PLACES = _places()
+
+
+def _is_there(name: str) -> bool:
+    """Return True if a name can be used with the extras that are installed."""
+    return name not in _EXTRAS or find_spec(_EXTRAS[name][0]) is not None
+
+
+__all__ = ["__version__", *filter(_is_there, _PLACES)]  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name at its first use. An old name gives a `DeprecationWarning`.
+
+    Raises:
+        AttributeError: If the name is unknown.
+        InputError: If the name needs an extra that is not installed.
+    """
+    if name in _PLACES:
+        if not _is_there(name):
+            from zeno_orbits.errors import InputError
+
+            _, package, extra = _EXTRAS[name]
+            command = f"pip install 'zeno_orbits[{extra}]'"
+            raise InputError(f"`zeno_orbits.{name}` needs {package}: run `{command}`.")
+        module, original = _PLACES[name]
+        found = getattr(import_module(f"{__name__}.{module}"), original)
+        globals()[name] = found
+        return found
+    return _of_old_name(name)
+
+
+def _of_old_name(name: str) -> Any:
+    """Return the object of an old name, with a warning.
+
+    Raises:
+        AttributeError: If the name is unknown.
+    """
+    from zeno_orbits.aliases import ALIASES
+
+    if name not in ALIASES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import warnings
+
+    new, place = ALIASES[name]
+    message = f"zeno_orbits.{name} is now zeno_orbits.{new}, and will be removed."
+    warnings.warn(message, DeprecationWarning, stacklevel=3)
+    module, _, original = place.partition(":")
+    return getattr(import_module(f"{__name__}.{module}"), original)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return list(__all__)

@@ -1,16 +1,32 @@
 __version__: str
 
-from .api import close_orbit as close_orbit
+from .api import ZenoCondition as ZenoCondition
+from .api import find_orbit_by_shooting as find_orbit_by_shooting
+from .api import compare as compare
+from .api import compile_problem as compile_problem
 from .api import continue_orbit as continue_orbit
+from .api import crop as crop
+from .api import enclose_period as enclose_period
 from .api import equilibrium_acceleration as equilibrium_acceleration
 from .api import find_orbit as find_orbit
 from .api import floquet_multipliers as floquet_multipliers
+from .api import identify as identify
+from .api import largest_push as largest_push
 from .api import parameter_map as parameter_map
 from .api import plot as plot
 from .api import prove as prove
+from .api import recovery as recovery
+from .api import reduced_model_errors as reduced_model_errors
+from .api import sample_execution as sample_execution
 from .api import search_gains as search_gains
 from .api import simulate as simulate
+from .api import simulate_experiment as simulate_experiment
+from .api import simulate_rig as simulate_rig
+from .api import simulate_to_accuracy as simulate_to_accuracy
+from .api import simulate_with_error as simulate_with_error
 from .api import verify as verify
+from .api import work_precision as work_precision
+from .api import zeno_condition as zeno_condition
 from .continuation.families import Continuation as Continuation
 from .continuation.families import Family as Family
 from .continuation.families import SpecialPointKind as SpecialPointKind
@@ -19,62 +35,72 @@ from .errors import InputError as InputError
 from .errors import OrbitFileError as OrbitFileError
 from .errors import SimulationError as SimulationError
 from .errors import ZenoOrbitsError as ZenoOrbitsError
+from .experiment.comparison.comparison import Comparison as Comparison
+from .experiment.identification.identification import Identification as Identification
+from .experiment.recordings.recording import Recording as Recording
 from .experiment.recordings.recording import read_recording as read_recording
 from .experiment.recordings.recording import write_recording as write_recording
-from .experiment.rig import rig_cycles as rig_cycles
+from .experiment.rig.run import RigRun as RigRun
 from .maps.mapping import ParameterMap as ParameterMap
+from .maps.pushes import Pushes as Pushes
+from .maps.pushes import PushSettings as PushSettings
+from .maps.recovery import Recovery as Recovery
+from .maps.recovery import RecoverySettings as RecoverySettings
+from .model.auxiliary import Auxiliary as Auxiliary
+from .model.circuits import Circuit as Circuit
+from .model.circuits import circuit_drive as circuit_drive
 from .model.clock import Clock as Clock
-from .model.drawing import Lines as Lines
-from .model.drives import MotorBank as MotorBank
+from .model.drawing import Lines as Drawing
 from .model.drives import corrected_drive as corrected_drive
 from .model.drives import full_drive as full_drive
 from .model.drives import ideal_torque_drive as ideal_torque_drive
 from .model.drives import no_drive as no_drive
 from .model.drives import quasi_static_drive as quasi_static_drive
 from .model.hybrid import CompletedSystem as CompletedSystem
-from .model.hybrid import complete as complete
+from .model.hybrid import complete as hybrid_system
 from .model.lagrangian import HybridLagrangian as HybridLagrangian
 from .model.library import bundled_problems as bundled_problems
 from .model.library import load_problem as load_problem
+from .model.motors import MotorBank as MotorBank
 from .model.problem import ParameterValues as ParameterValues
 from .model.problem import Problem as Problem
-from .model.quantities import Escape as Escape
+from .model.quantities import Escape as StateLimit
 from .model.quantities import Output as Output
 from .model.quantities import Quantity as Quantity
-from .model.quantities import positive as positive
-from .model.quantities import restitution as restitution
-from .model.rig_parts import Bridge as Bridge
+from .model.rig_parts import Bridge as HBridge
 from .model.rig_parts import Contact as Contact
 from .model.rig_parts import Controller as Controller
 from .model.rig_parts import Friction as Friction
 from .model.rig_parts import Gear as Gear
 from .model.rig_parts import Rig as Rig
 from .model.rig_parts import Sensors as Sensors
-from .model.rig_parts import Switching as Switching
+from .model.rig_parts import Switching as PwmSettings
 from .orbits.bounds import Bound as Bound
 from .orbits.orbit import ZenoOrbit as ZenoOrbit
 from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.orbit_file import read_orbit as read_orbit
 from .orbits.orbit_file import write_orbit as write_orbit
-from .orbits.shape import OrbitShape as OrbitShape
-from .precision.landmark import difference as difference
-from .precision.accuracy import simulate_to as simulate_to
-from .precision.accuracy import simulate_with_error as simulate_with_error
-from .precision.trials import QUICK as QUICK
-from .precision.trials import trade as trade
-from .proof.checker.certificate import ProofVerdict as ProofVerdict
+from .orbits.shape import OrbitShape as EventSequence
+from .precision.accuracy import Assured as ExecutionWithError
+from .precision.landmark import difference as execution_distance
+from .precision.trials import WorkPrecisionSettings as WorkPrecisionSettings
+from .precision.work_precision import WorkPrecision as WorkPrecision
 from .proof.checker.certificate import check_proof as check_proof
+from .proof.checker.verdict import ProofVerdict as ProofVerdict
+from .proof.period_enclosure import EnclosedEvent as EnclosedEvent
+from .proof.period_enclosure import PeriodEnclosure as PeriodEnclosure
 from .proof.theorem import Proof as Proof
-from .report.plots import plot_zeno_region as plot_zeno_region
-from .report.plots import plot_zeno_zoom as plot_zeno_zoom
+from .report.plots import plot_zeno_region as plot_zeno_set
+from .report.plots import plot_zeno_zoom as plot_zeno_neighbourhood
 from .report.plots import save_figure as save_figure
-from .search.objectives import FastestContraction as FastestContraction
-from .search.objectives import LeastEnergy as LeastEnergy
-from .search.objectives import LeastPeak as LeastPeak
+from .search.objectives import FastestContraction as MinSpectralRadius
+from .search.objectives import LeastEnergy as MinEnergy
+from .search.objectives import LeastPeak as MinPeak
+from .report.exploration.explore import explore as explore
 from .search.objectives import NearestGains as NearestGains
 from .search.objectives import TargetAmplitude as TargetAmplitude
 from .search.objectives import TargetPeriod as TargetPeriod
-from .search.objectives import WidestMargin as WidestMargin
+from .search.objectives import WidestMargin as MaxMargin
 from .search.outcome import OrbitNotFoundError as OrbitNotFoundError
 from .search.outcome import SearchResult as SearchResult
 from .search.settings import SearchSettings as SearchSettings
@@ -83,8 +109,126 @@ from .simulation.execution import Execution as Execution
 from .simulation.simulator import SimulationSettings as SimulationSettings
 from .verification.certificate import OrbitCertificate as OrbitCertificate
 from .verification.verifier import VerificationSettings as VerificationSettings
-from .verification.verifier import certified as certified
+from .verification.verifier import certified as with_certificate
 from .work import Cluster as Cluster
-from .work import Plan as Plan
+from .work import Plan as ExecutionPlan
 from .work import Workers as Workers
-from .work import spread as spread
+from .work import spread as parallel_map
+
+__all__ = [
+    "Auxiliary",
+    "Bound",
+    "Circuit",
+    "Clock",
+    "Cluster",
+    "Comparison",
+    "CompletedSystem",
+    "Contact",
+    "Continuation",
+    "ContinuationSettings",
+    "Controller",
+    "Drawing",
+    "EnclosedEvent",
+    "EventSequence",
+    "Execution",
+    "ExecutionPlan",
+    "ExecutionWithError",
+    "Family",
+    "Friction",
+    "Gear",
+    "HBridge",
+    "HybridLagrangian",
+    "Identification",
+    "InputError",
+    "MaxMargin",
+    "MinEnergy",
+    "MinPeak",
+    "MinSpectralRadius",
+    "MotorBank",
+    "NearestGains",
+    "OrbitCertificate",
+    "OrbitFileError",
+    "OrbitNotFoundError",
+    "Output",
+    "ParameterMap",
+    "ParameterValues",
+    "PeriodEnclosure",
+    "Problem",
+    "Proof",
+    "ProofVerdict",
+    "PushSettings",
+    "Pushes",
+    "PwmSettings",
+    "Quantity",
+    "Recording",
+    "Recovery",
+    "RecoverySettings",
+    "Rig",
+    "RigRun",
+    "SearchResult",
+    "SearchSettings",
+    "Sensors",
+    "SimulationError",
+    "SimulationSettings",
+    "SpecialPointKind",
+    "StateLimit",
+    "TargetAmplitude",
+    "TargetPeriod",
+    "Truncation",
+    "VerificationSettings",
+    "WorkPrecision",
+    "WorkPrecisionSettings",
+    "Workers",
+    "ZenoCondition",
+    "ZenoOrbit",
+    "ZenoOrbitsError",
+    "__version__",
+    "bundled_problems",
+    "check_proof",
+    "circuit_drive",
+    "compare",
+    "compile_problem",
+    "continue_orbit",
+    "corrected_drive",
+    "crop",
+    "enclose_period",
+    "equilibrium_acceleration",
+    "execution_distance",
+    "explore",
+    "find_orbit",
+    "find_orbit_by_shooting",
+    "floquet_multipliers",
+    "full_drive",
+    "hybrid_system",
+    "ideal_torque_drive",
+    "identify",
+    "largest_push",
+    "load_problem",
+    "no_drive",
+    "orbit_from_json",
+    "parallel_map",
+    "parameter_map",
+    "plot",
+    "plot_zeno_neighbourhood",
+    "plot_zeno_set",
+    "prove",
+    "quasi_static_drive",
+    "read_orbit",
+    "read_recording",
+    "recovery",
+    "reduced_model_errors",
+    "sample_execution",
+    "save_figure",
+    "search_gains",
+    "simulate",
+    "simulate_experiment",
+    "simulate_rig",
+    "simulate_to_accuracy",
+    "simulate_with_error",
+    "verify",
+    "with_certificate",
+    "work_precision",
+    "write_orbit",
+    "write_recording",
+    "zeno_condition",
+]

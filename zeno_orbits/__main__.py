@@ -9,7 +9,7 @@ try:
     from zeno_orbits.cli import main
 except KeyboardInterrupt:
     # An interrupt while loading is an interrupt, too.
-    sys.stderr.write("zeno-orbits: interrupted; nothing was written\n")
+    sys.stderr.write("zeno-orbits: interrupted, nothing was written\n")
     sys.exit(130)
 
 if __name__ == "__main__":

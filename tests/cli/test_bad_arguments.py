@@ -30,78 +30,85 @@ def searching(*arguments: str) -> tuple[str, ...]:
 BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "unknown command": (("frobnicate",), ("frobnicate", "search")),
     "command with a slip": (("serach", "motor_pendulum"), ("`serach`. Did you mean `search`?",)),
-    "option with a slip": (searching("--gian", "Kp=2"), ("--gian", "Did you mean `--gain`?")),
+    "option with a slip": (searching("--vray", "Kp=1:2"), ("--vray", "Did you mean `--vary`?")),
     "choice with a slip": (simulating("--engine", "explict"), ("Did you mean `explicit`?",)),
     "problem with a slip": (("search", "motor_pendulm"), ("Did you mean `motor_pendulum`?",)),
-    "gain with a slip": (simulating("--gain", "kp=1"), ("`kp`. Did you mean `Kp`?",)),
+    "gain with a slip": (simulating("--set", "kp=1"), ("`kp`. Did you mean `Kp`?",)),
     "parameter with a slip": (simulating("--set", "restution=0"), ("mean `restitution`?",)),
-    "state with a slip": (simulating("--start", "thta2=1"), ("Did you mean `theta2`?",)),
+    "state with a slip": (simulating("--initial", "thta2=1"), ("Did you mean `theta2`?",)),
     "objective with a slip": (searching("--objective", "enrgy"), ("Did you mean `energy`?",)),
-    "gain with a wrong letter": (simulating("--gain", "Kq=1"), ("Did you mean `Kp`?",)),
-    "bound with a slip": (searching("--keep", "curent=:1"), ("Did you mean `current`?",)),
+    "gain with a wrong letter": (simulating("--set", "Kq=1"), ("Did you mean `Kp`?",)),
+    "bound with a slip": (searching("--bound", "curent=:1"), ("Did you mean `current`?",)),
     "part with a slip": (
         ("rig", "motor_pendulum", "--part", "contact.stifness=1e5"),
         ("Did you mean `contact.stiffness`?",),
     ),
     "family in an unknown number": (
-        ("continue", "motor_pendulum", "--in", "e=0:0.5"),
-        ("`in`", "`e`", "restitution"),
+        ("continue", "motor_pendulum", "--parameter", "e=0:0.5"),
+        ("--parameter", "`e`", "restitution"),
     ),
     "unknown option": (("problems", "--frobnicate"), ("--frobnicate",)),
     "no problem": (("simulate",), ("Missing: PROBLEM.",)),
-    "no value": (simulating("--until"), ("Argument `until` must have a value, but it has none.",)),
+    "no value": (simulating("--t-end"), ("--t-end: a value is missing.",)),
     "unknown problem": (("search", "pendulum"), ("`pendulum`", "motor_pendulum")),
-    "unknown problem, conditions": (("conditions", "pendulum"), ("`pendulum`", "motor_pendulum")),
+    "unknown problem, conditions": (
+        ("zeno-condition", "pendulum"),
+        ("`pendulum`", "motor_pendulum"),
+    ),
     "unknown parameter": (simulating("--set", "m3=1"), ("`m3`", "m2")),
-    "unknown gain": (simulating("--gain", "Ki=1"), ("`Ki`", "Kp")),
-    "unknown gain to search": (searching("--gain", "Ki=1:2"), ("`Ki`", "Kp")),
-    "unknown gain to fix": (searching("--fix", "Ki=1"), ("`Ki`", "Kp")),
-    "gain of a problem without gains": (("simulate", "bouncing_ball", "--gain", "Kp=1"), ("`Kp`",)),
-    "gain fixed and searched": (searching("--fix", "Kp=2", "--gain", "Kp=1:3"), ("`gain`", "Kp")),
-    "gain not a number": (searching("--fix", "Kp=abc"), ("`Kp`", "`abc`")),
-    "gain not finite": (searching("--fix", "Kp=inf"), ("`Kp`", "finite")),
-    "bounds reversed": (searching("--gain", "Kp=5:1"), ("`Kp`", "5:1")),
-    "bounds equal": (searching("--gain", "Kp=2:2"), ("`Kp`", "2:2")),
-    "bounds not finite": (searching("--gain", "Kp=1:inf"), ("`Kp`", "inf")),
-    "bounds twice": (searching("--gain", "Kp=1:5", "--gain", "Kp=2:3"), ("`Kp`", "twice")),
-    "parameter unknown": (searching("--free", "Q=1:2"), ("`free`", "`Q`", "restitution")),
-    "parameter beyond its range": (searching("--free", "restitution=0.1:1"), ("`restitution`",)),
-    "parameter reversed": (searching("--free", "R=4:2"), ("`R`", "4:2")),
-    "parameter starts outside": (searching("--free", "R=2:4", "--set", "R=9"), ("`R`", "9")),
-    "parameter without colon": (searching("--free", "R=1"), ("`free`", "LOW:HIGH")),
-    "gain free twice": (searching("--free", "Kp=1:2", "--gain", "Kp=1:2"), ("`free`", "Kp")),
-    "free and fixed": (searching("--free", "Kp=1:2", "--fix", "Kp=1"), ("`free`", "Kp")),
-    "bound unknown": (searching("--keep", "angle=:1"), ("`keep`", "`angle`", "theta2")),
-    "bound without colon": (searching("--keep", "theta2=1"), ("`keep`", "LOWER:UPPER")),
-    "bound of nothing": (searching("--keep", "theta2=:"), ("`theta2`", "finite")),
-    "bound reversed": (searching("--keep", "theta2=2:1"), ("`theta2`", "2:1")),
-    "bound twice": (searching("--keep", "period=:2", "--keep", "period=1:"), ("`keep`", "twice")),
-    "peak of nothing": (searching("--objective", "peak"), ("`objective`", "peak=SIGNAL")),
+    "unknown gain": (simulating("--set", "Ki=1"), ("`Ki`", "Kp")),
+    "unknown gain to search": (searching("--vary", "Ki=1:2"), ("`Ki`", "Kp")),
+    "unknown gain to fix": (searching("--set", "Ki=1"), ("`Ki`", "Kp")),
+    "gain of a problem without gains": (("simulate", "bouncing_ball", "--set", "Kp=1"), ("Kp",)),
+    "gain starts outside": (
+        searching("--set", "Kp=9", "--vary", "Kp=1:3"),
+        ("--set Kp=9:", "[1, 3]"),
+    ),
+    "gain not a number": (searching("--set", "Kp=abc"), ("Kp", "`abc`")),
+    "gain not finite": (searching("--set", "Kp=inf"), ("Kp", "finite")),
+    "bounds reversed": (searching("--vary", "Kp=5:1"), ("Kp", "5:1")),
+    "bounds equal": (searching("--vary", "Kp=2:2"), ("Kp", "2:2")),
+    "bounds not finite": (searching("--vary", "Kp=1:inf"), ("Kp", "inf")),
+    "bounds twice": (searching("--vary", "Kp=1:5", "--vary", "Kp=2:3"), ("Kp", "twice")),
+    "parameter unknown": (searching("--vary", "Q=1:2"), ("--vary", "`Q`", "restitution")),
+    "parameter beyond its range": (searching("--vary", "restitution=0.1:1"), ("restitution",)),
+    "parameter reversed": (searching("--vary", "R=4:2"), ("R", "4:2")),
+    "parameter starts outside": (searching("--vary", "R=2:4", "--set", "R=9"), ("R", "9")),
+    "parameter without colon": (searching("--vary", "R=1"), ("--vary", "LOW:HIGH")),
+    "bound unknown": (searching("--bound", "angle=:1"), ("--bound", "`angle`", "theta2")),
+    "bound without colon": (searching("--bound", "theta2=1"), ("--bound", "LOWER:UPPER")),
+    "bound of nothing": (searching("--bound", "theta2=:"), ("theta2", "finite")),
+    "bound reversed": (searching("--bound", "theta2=2:1"), ("theta2", "2:1")),
+    "bound twice": (
+        searching("--bound", "period=:2", "--bound", "period=1:"),
+        ("--bound", "twice"),
+    ),
+    "peak of nothing": (searching("--objective", "peak"), ("--objective", "peak=SIGNAL")),
     "peak unknown": (searching("--objective", "peak=torque"), ("`torque`", "voltage")),
     "contraction of what is fixed": (
         searching(*PUBLISHED_GAINS, "--objective", "contraction"),
-        ("`objective`", "contraction"),
+        ("--objective", "contraction"),
     ),
     "from nowhere": (searching("--from", "none.json"), ("none.json",)),
-    "candidates 0": (searching("--candidates", "0"), ("`candidates`", "`0`")),
-    "bounds without colon": (searching("--gain", "Kp=1"), ("LOW:HIGH", "`Kp=1`")),
-    "bounds not numbers": (searching("--gain", "Kp=a:b"), ("`Kp`", "`a`")),
-    "mass negative": (simulating("--set", "m1=-0.3"), ("`m1`", "greater than 0", "-0.3")),
-    "mass zero": (simulating("--set", "m1=0"), ("`m1`", "greater than 0")),
-    "restitution 1": (simulating("--set", "restitution=1"), ("`restitution`", "[0, 1)")),
-    "restitution 1.2": (simulating("--set", "restitution=1.2"), ("`restitution`", "1.2")),
-    "restitution -0.1": (simulating("--set", "restitution=-0.1"), ("`restitution`", "-0.1")),
-    "restitution nan": (simulating("--set", "restitution=nan"), ("`restitution`", "nan")),
-    "restitution inf": (simulating("--set", "restitution=inf"), ("`restitution`", "inf")),
+    "candidates 0": (searching("--candidates", "0"), ("--candidates", "`0`")),
+    "bounds without colon": (searching("--vary", "Kp=1"), ("LOW:HIGH", "`Kp=1`")),
+    "bounds not numbers": (searching("--vary", "Kp=a:b"), ("Kp", "`a`")),
+    "mass negative": (simulating("--set", "m1=-0.3"), ("m1", "greater than 0", "-0.3")),
+    "mass zero": (simulating("--set", "m1=0"), ("m1", "greater than 0")),
+    "restitution 1": (simulating("--set", "restitution=1"), ("restitution", "[0, 1)")),
+    "restitution 1.2": (simulating("--set", "restitution=1.2"), ("restitution", "1.2")),
+    "restitution -0.1": (simulating("--set", "restitution=-0.1"), ("restitution", "-0.1")),
+    "restitution nan": (simulating("--set", "restitution=nan"), ("restitution", "nan")),
+    "restitution inf": (simulating("--set", "restitution=inf"), ("restitution", "inf")),
     "restitution 1, conditions": (
-        ("conditions", "motor_pendulum", "--set", "restitution=1"),
-        ("`restitution`",),
+        ("zeno-condition", "motor_pendulum", "--set", "restitution=1"),
+        ("restitution",),
     ),
-    "parameter without value": (simulating("--set", "m1"), ("NAME=VALUE", "`m1`")),
+    "parameter without value": (simulating("--set", "m1"), ("NAME=VALUE", "m1")),
     "parameter without name": (simulating("--set", "=1"), ("NAME=VALUE", "`=1`")),
-    "parameter not a number": (simulating("--set", "m1=abc"), ("`m1`", "`abc`")),
-    "parameter empty": (simulating("--set", "m1="), ("`m1`", "number")),
-    "parameter twice": (simulating("--set", "m1=1", "--set", "m1=2"), ("`m1`", "twice")),
+    "parameter not a number": (simulating("--set", "m1=abc"), ("m1", "`abc`")),
+    "parameter empty": (simulating("--set", "m1="), ("m1", "number")),
+    "parameter twice": (simulating("--set", "m1=1", "--set", "m1=2"), ("m1", "twice")),
     "no rotor inertia: link 2 too long": (
         simulating("--set", "I2=0.02"),
         ("no rotor inertia", "0.355825", "1.48333"),
@@ -110,92 +117,104 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         simulating("--set", "lc1=3"),
         ("no rotor inertia", "J_rotor must not be negative"),
     ),
-    "until 0": (simulating("--until", "0"), ("`until`", "positive")),
-    "until negative": (simulating("--until", "-1"), ("`until`", "positive")),
-    "until nan": (simulating("--until", "nan"), ("`until`", "nan")),
-    "until infinite": (simulating("--until", "inf"), ("`until`", "inf")),
-    "until not a number": (simulating("--until", "soon"), ("`until`", "`soon`")),
-    "unknown state": (simulating("--start", "phi=1"), ("`phi`", "theta1")),
-    "start not finite": (simulating("--start", "theta1=nan"), ("`theta1`", "nan")),
-    "start inside the stop": (simulating("--start", "theta2=-0.1"), ("gap >= 0", "-0.1")),
-    "objective unknown": (searching("--objective", "speed"), ("`objective`", "`speed`", "energy")),
-    "objective empty": (searching("--objective", ""), ("`objective`", "energy")),
+    "until 0": (simulating("--t-end", "0"), ("--t-end", "positive")),
+    "until negative": (simulating("--t-end", "-1"), ("--t-end", "positive")),
+    "until nan": (simulating("--t-end", "nan"), ("--t-end", "nan")),
+    "until infinite": (simulating("--t-end", "inf"), ("--t-end", "inf")),
+    "until not a number": (simulating("--t-end", "soon"), ("--t-end", "`soon`")),
+    "unknown state": (simulating("--initial", "phi=1"), ("`phi`", "theta1")),
+    "start not finite": (simulating("--initial", "theta1=nan"), ("theta1", "nan")),
+    "start inside the stop": (simulating("--initial", "theta2=-0.1"), ("gap >= 0", "-0.1")),
+    "objective unknown": (searching("--objective", "speed"), ("--objective", "`speed`", "energy")),
+    "objective empty": (searching("--objective", ""), ("--objective", "energy")),
     "objective twice": (
         searching("--objective", "energy", "--objective", "margin"),
-        ("`objective`", "once", "energy, margin"),
+        ("--objective", "once", "energy, margin"),
     ),
-    "number with an underscore": (searching("--fix", "Kp=2_5"), ("`Kp`", "`2_5`")),
-    "bounds with an underscore": (searching("--gain", "Kp=1_0:20"), ("`Kp`", "`1_0`")),
+    "number with an underscore": (searching("--set", "Kp=2_5"), ("Kp", "`2_5`")),
+    "bounds with an underscore": (searching("--vary", "Kp=1_0:20"), ("Kp", "`1_0`")),
     "radius too small": (
-        searching("--keep", "spectral_radius=:1e-5"),
+        searching("--bound", "spectral_radius=:1e-5"),
         ("`spectral_radius`", "0.0001", ":1e-05"),
     ),
     "period without target": (searching("--objective", "period"), ("period", "number")),
-    "period negative": (searching("--objective", "period=-1"), ("`objective`", "-1")),
-    "period zero": (searching("--objective", "period=0"), ("`objective`", "positive")),
-    "period not finite": (searching("--objective", "period=nan"), ("`objective`", "nan")),
-    "amplitude negative": (searching("--objective", "amplitude=-2"), ("`objective`", "-2")),
-    "energy with a target": (searching("--objective", "energy=3"), ("`objective`",)),
+    "period negative": (searching("--objective", "period=-1"), ("--objective", "-1")),
+    "period zero": (searching("--objective", "period=0"), ("--objective", "positive")),
+    "period not finite": (searching("--objective", "period=nan"), ("--objective", "nan")),
+    "amplitude negative": (searching("--objective", "amplitude=-2"), ("--objective", "-2")),
+    "energy with a target": (searching("--objective", "energy=3"), ("--objective",)),
     "nearest an unknown gain": (searching("--objective", "nearest:Ki=1"), ("`Ki`", "Kp")),
     "nearest a fixed gain": (
-        searching("--fix", "Kp=2", "--objective", "nearest:Kp=3"),
-        ("`Kp`", "Kd"),
+        searching("--set", "Kp=2", "--objective", "nearest:Kp=3"),
+        ("Kp", "Kd"),
     ),
-    "nearest without value": (searching("--objective", "nearest:Kp"), ("NAME=VALUE", "`Kp`")),
+    "nearest without value": (searching("--objective", "nearest:Kp"), ("NAME=VALUE", "Kp")),
     "period with all gains fixed": (
         searching(*PUBLISHED_GAINS, "--objective", "period=1.8"),
-        ("`objective`", "free"),
+        ("--objective", "free"),
     ),
-    "starts 0": (searching("--starts", "0"), ("`starts`", "`0`")),
-    "starts negative": (searching("--starts", "-3"), ("`starts`", "`-3`")),
-    "seed not a number": (searching("--seed", "x"), ("`seed`", "`x`")),
+    "starts 0": (searching("--n-starts", "0"), ("--n-starts", "`0`")),
+    "starts negative": (searching("--n-starts", "-3"), ("--n-starts", "`-3`")),
+    "seed not a number": (searching("--seed", "x"), ("--seed", "`x`")),
     "seed negative": (searching("--seed", "-1"), ("seed",)),
     "search into a missing folder": (
         ("search", "motor_pendulum", "-o", "none/f.json"),
-        ("`output`", "none/f.json"),
+        ("-o ", "none/f.json"),
     ),
-    "search into a folder": (("search", "motor_pendulum", "-o", "."), ("`output`", "folder")),
-    "simulate into a missing folder": (simulating("-o", "none/f.png"), ("`output`", "none/f.png")),
-    "simulate into a folder": (simulating("-o", "."), ("`output`", "folder")),
-    "simulate into an unknown format": (simulating("-o", "f.gif"), ("`output`", ".png", "f.gif")),
-    "simulate into no format": (simulating("-o", "f"), ("`output`", ".png")),
+    "search into a folder": (("search", "motor_pendulum", "-o", "."), ("-o ", "folder")),
+    "simulate into a missing folder": (
+        simulating("--plot", "none/f.png"),
+        ("--plot ", "none/f.png"),
+    ),
+    "simulate into a folder": (simulating("-o", "."), ("-o ", "folder")),
+    "simulate into an unknown format": (
+        simulating("--plot", "f.gif"),
+        ("--plot ", ".png", "f.gif"),
+    ),
+    "simulate into no format": (simulating("--plot", "f"), ("--plot ", ".png")),
     "conditions into an unknown format": (
-        ("conditions", "motor_pendulum", "-o", "f.gif"),
-        ("`output`", ".png", "f.gif"),
+        ("zeno-condition", "motor_pendulum", "--plot", "f.gif"),
+        ("--plot ", ".png", "f.gif"),
     ),
     "conditions into a missing folder": (
-        ("conditions", "motor_pendulum", "-o", "none/f.png"),
-        ("`output`", "none/f.png"),
+        ("zeno-condition", "motor_pendulum", "--plot", "none/f.png"),
+        ("--plot ", "none/f.png"),
     ),
-    "trade for no time": (("trade", "bouncing_ball", "--until", "0"), ("`until`", "positive")),
-    "trade for nan": (("trade", "bouncing_ball", "--until", "nan"), ("`until`", "nan")),
-    "trade without end": (("trade", "bouncing_ball", "--until", "inf"), ("`until`", "inf")),
+    "trade for no time": (
+        ("work-precision", "bouncing_ball", "--t-end", "0"),
+        ("--t-end", "positive"),
+    ),
+    "trade for nan": (("work-precision", "bouncing_ball", "--t-end", "nan"), ("--t-end", "nan")),
+    "trade without end": (
+        ("work-precision", "bouncing_ball", "--t-end", "inf"),
+        ("--t-end", "inf"),
+    ),
     "trade into a missing folder": (
-        ("trade", "bouncing_ball", "-o", "none/t.json"),
-        ("`output`", "none/t.json"),
+        ("work-precision", "bouncing_ball", "-o", "none/t.json"),
+        ("-o ", "none/t.json"),
     ),
     "trade drawn into a missing folder": (
-        ("trade", "bouncing_ball", "--picture", "none/t.png"),
-        ("`picture`", "none/t.png"),
+        ("work-precision", "bouncing_ball", "--plot", "none/t.png"),
+        ("--plot", "none/t.png"),
     ),
     "trade drawn in an unknown format": (
-        ("trade", "bouncing_ball", "--picture", "t.gif"),
+        ("work-precision", "bouncing_ball", "--plot", "t.gif"),
         (".png", "t.gif"),
     ),
     "trade written and drawn into one file": (
-        ("trade", "bouncing_ball", "--picture", "t.png", "-o", "t.png"),
-        ("`picture`", "t.png"),
+        ("work-precision", "bouncing_ball", "--plot", "t.png", "-o", "t.png"),
+        ("--plot", "t.png"),
     ),
     **{
         f"accuracy {value} of {command[0]}": (
             (*command, f"--accuracy={value}"),
-            ("`accuracy`", "[1e-12, 0.01]", f"it is {value}."),
+            ("--accuracy", "[1e-12, 0.01]", f"it is {value}."),
         )
-        for command in (simulating("-o", "f.png"), searching(*PUBLISHED_GAINS))
+        for command in (simulating("--plot", "f.png"), searching(*PUBLISHED_GAINS))
         for value in ("nan", "inf", "0", "-1", "1e-20", "1", "2")
     },
-    "accuracy not a number": (simulating("--accuracy", "good"), ("`accuracy`", "`good`")),
-    "engine unknown": (simulating("--engine", "euler"), ("`engine`", "`euler`", "implicit")),
+    "accuracy not a number": (simulating("--accuracy", "good"), ("--accuracy", "`good`")),
+    "engine unknown": (simulating("--engine", "euler"), ("--engine", "`euler`", "implicit")),
     "plot into an unknown format": (("plot", "o.json", "--format", "gif"), ("gif", "svg")),
     "plot an unknown kind": (("plot", "o.json", "--kind", "pie"), ("pie", "portraits")),
     "verify nothing": (("verify",), ("ORBIT.json",)),
@@ -224,25 +243,25 @@ def test_bad_arguments_are_refused_in_one_line(case: str, here: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("verify", "orbit.json", "--tolerance", "0"), ("`tolerance`", "(0, 1)")),
-        (("verify", "orbit.json", "--tolerance=-1e-9"), ("`tolerance`",)),
-        (("verify", "orbit.json", "--tolerance", "nan"), ("`tolerance`",)),
-        (("verify", "orbit.json", "--tolerance", "1"), ("`tolerance`",)),
-        (("verify", "orbit.json", "--periods", "0"), ("`periods`", "`0`")),
-        (("verify", "orbit.json", "--model", "guessed"), ("`model`", "reference")),
+        (("verify", "orbit.json", "--tolerance", "0"), ("--tolerance", "(0, 1)")),
+        (("verify", "orbit.json", "--tolerance=-1e-9"), ("--tolerance",)),
+        (("verify", "orbit.json", "--tolerance", "nan"), ("--tolerance",)),
+        (("verify", "orbit.json", "--tolerance", "1"), ("--tolerance",)),
+        (("verify", "orbit.json", "--periods", "0"), ("--periods", "`0`")),
+        (("verify", "orbit.json", "--model", "guessed"), ("--model", "reference")),
         (("verify", "orbit.json", "--problem", "bouncing_ball"), ("bouncing_ball",)),
         (("verify", "orbit.json", "--problem", "none.py"), ("`none.py`",)),
         *(
-            (("verify", "orbit.json", f"--accuracy={value}"), ("`accuracy`", f"it is {value}."))
+            (("verify", "orbit.json", f"--accuracy={value}"), ("--accuracy", f"it is {value}."))
             for value in ("nan", "0", "-1", "1e-20", "1", "2")
         ),
         (
-            ("verify", "orbit.json", "--engine", "taylor", "--model", "reference"),
-            ("formulas", "Taylor"),
+            ("verify", "orbit.json", "--engine", "taylor"),
+            ("--engine: ", "`taylor`", "removed", "take `automatic`"),
         ),
         (("plot", "orbit.json", "--problem", "bouncing_ball", "-o", "p"), ()),
-        (("plot", "orbit.json", "-o", "orbit.json"), ("`output`", "folder")),
-        (("plot", "orbit.json", "-o", "orbit.json/p"), ("`output`", "folder")),
+        (("plot", "orbit.json", "-o", "orbit.json"), ("-o ", "folder")),
+        (("plot", "orbit.json", "-o", "orbit.json/p"), ("-o ", "folder")),
     ],
     ids=lambda value: " ".join(value[2:]) if value and value[0] in ("verify", "plot") else "",
 )
@@ -259,7 +278,7 @@ def test_a_good_orbit_with_bad_arguments_is_refused_in_one_line(
     "arguments",
     [
         ("search", "motor_pendulum", "-o", "closed/f.json"),
-        ("simulate", "motor_pendulum", "-o", "closed/f.png"),
+        ("simulate", "motor_pendulum", "--plot", "closed/f.png"),
         ("plot", "orbit.json", "-o", "closed"),
         ("plot", "orbit.json", "-o", "closed/pictures"),
     ],
@@ -272,7 +291,7 @@ def test_a_closed_folder_is_refused(
     if os.access(closed, os.W_OK):
         pytest.skip("this user may write anywhere")
     assert orbit_file.exists()
-    assert_refused(ask(*arguments), "`output`", "closed")
+    assert_refused(ask(*arguments), "-o ", "closed")
     assert list(closed.iterdir()) == []
 
 
@@ -280,8 +299,8 @@ def test_a_closed_folder_is_refused(
     "arguments",
     [
         ("map", "motor_pendulum", "--x", "Kp=1:5", "--y", "Kd=-2:0"),
-        ("trade", "bouncing_ball"),
-        ("continue", "motor_pendulum", "--in", "Kp=2:3"),
+        ("work-precision", "bouncing_ball"),
+        ("continue", "motor_pendulum", "--parameter", "Kp=2:3"),
     ],
     ids=lambda arguments: arguments[0],
 )
@@ -289,7 +308,35 @@ def test_a_closed_folder_is_refused(
 def test_a_picture_may_not_be_written_over_the_output(
     arguments: tuple[str, ...], picture: str, here: Path
 ) -> None:
-    answer = ask(*arguments, "-o", "a.png", "--picture", picture)
+    answer = ask(*arguments, "-o", "a.png", "--plot", picture)
     assert answer.code == MISUSE
-    assert "`picture` must be another file than `output`" in answer.err
+    assert f"--plot {picture}: must be another file than `output`" in answer.err
     assert contents(here) == {}
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (
+            ("--set", "Rr=3"),
+            "--set Rr=3: unknown gain or parameter `Rr`. Did you mean `R`? Known: Kp, ",
+        ),
+        (
+            ("--set=Rr=3",),
+            "--set=Rr=3: unknown gain or parameter `Rr`. Did you mean `R`? Known: Kp, ",
+        ),
+        (("--set", "Kp=2", "--set", "Ki=3"), "--set Ki=3: unknown gain or parameter `Ki`."),
+        (
+            ("--initial", "theta3=1"),
+            "--initial theta3=1: unknown state `theta3`. Did you mean `theta",
+        ),
+    ],
+)
+def test_an_unknown_name_is_told_as_it_was_typed_with_the_nearest_one_first(
+    words: tuple[str, ...], told: str
+) -> None:
+    answer = ask("simulate", "motor_pendulum", *words)
+    assert_refused(answer)
+    assert answer.err.startswith(f"zeno-orbits: {told}")
+    as_data = ask("simulate", "motor_pendulum", *words, "--json")
+    assert as_data.data["message"].startswith(told)

@@ -46,7 +46,7 @@ def _script() -> str:
         (("compare", "orbit.json", ""), {"run.csv", "sub/"}),
         (("search", "motor_pendulum", "--obj"), {"--objective"}),
         (("search", "motor_pendulum", "--from", ""), {"orbit.json", "sub/"}),
-        (("simulate", "motor_pendulum", "--engine", "tay"), {"taylor"}),
+        (("simulate", "motor_pendulum", "--engine", "ex"), {"explicit"}),
         (("map", "motor_pendulum", "--checkpoint", "s"), {"sub"}),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
@@ -83,4 +83,4 @@ def test_the_script_for_zsh_names_every_command_and_problem() -> None:
 
 
 def test_another_shell_is_refused() -> None:
-    assert_refused(ask("completion", "tcsh"), "`shell`", "bash, zsh", "`tcsh`")
+    assert_refused(ask("completion", "tcsh"), "shell: must be one of bash, zsh", "`tcsh`")

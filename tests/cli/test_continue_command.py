@@ -36,9 +36,9 @@ IMPACTS = [
     "stop=1",
     "--set",
     "restitution=0.8",
-    "--start",
+    "--initial",
     "speed=1",
-    "--start",
+    "--initial",
     "cosine=1",
 ]
 
@@ -48,8 +48,8 @@ def test_a_family_is_written_printed_and_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, picture = tmp_path / "family.json", tmp_path / "family.png"
-    words = ["continue", *IMPACTS, "--in", "A=0.05:1.1"]
-    assert main([*words, "-o", str(file), "--picture", str(picture)]) == 0
+    words = ["continue", *IMPACTS, "--parameter", "A=0.05:1.1"]
+    assert main([*words, "-o", str(file), "--plot", str(picture)]) == 0
     told = capsys.readouterr().out
     assert "first impact grazes" in told
     assert "fold" in told
@@ -75,15 +75,23 @@ def test_a_family_starts_at_an_orbit_file_and_prints_json(
     orbit = close_orbit(PENDULUM, PENDULUM.values()).unwrap()
     file = tmp_path / "orbit.json"
     write_orbit(orbit, file)
-    words = ["continue", "motor_pendulum", "--from", str(file), "--in", "Kp=2.4:2.6", "--json"]
+    words = [
+        "continue",
+        "motor_pendulum",
+        "--from",
+        str(file),
+        "--parameter",
+        "Kp=2.4:2.6",
+        "--json",
+    ]
     assert main(words) == 0
     (family,) = json.loads(capsys.readouterr().out)["families"]
     starts = [point for point in family["points"] if point["value"] == pytest.approx(2.5, abs=1e-9)]
     assert len(starts) == 1
     assert list(starts[0]["state"].values()) == pytest.approx(RELEASE, abs=1e-10)
     # An orbit file has all numbers; more would contradict it.
-    assert main([*words, "--gain", "Kp=2"]) == 2
-    assert "`from` cannot be combined with --gain or --set" in capsys.readouterr().err
+    assert main([*words, "--set", "Kp=2"]) == 2
+    assert f"--from {file}: cannot be combined with --set: " in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -92,7 +100,7 @@ def test_parameters_that_a_map_would_derive_anew_are_told_to_be_held(
 ) -> None:
     file = tmp_path / "orbit.json"
     write_orbit(close_orbit(PENDULUM, PENDULUM.values()).unwrap(), file)
-    words = ["continue", "motor_pendulum", "--from", str(file), "--in"]
+    words = ["continue", "motor_pendulum", "--from", str(file), "--parameter"]
     assert main([*words, "m1=0.2998:0.3002"]) == 0
     told = capsys.readouterr().out
     assert "Derived, and held at their initial values: J_rotor, K_torque, K_emf." in told
@@ -104,15 +112,29 @@ def test_parameters_that_a_map_would_derive_anew_are_told_to_be_held(
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["motor_pendulum", "--in", "Kd"], "must be NAME=LOW:HIGH"),
-        (["motor_pendulum", "--in", "Kd=-2:0", "--point", "fold"], "must come with --second"),
+        (["motor_pendulum", "--parameter", "Kd"], "must be NAME=LOW:HIGH"),
         (
-            ["motor_pendulum", "--in", "Kd=-2:0", "--second", "Kp=1:5", "--point", "cusp"],
+            ["motor_pendulum", "--parameter", "Kd=-2:0", "--kind", "fold"],
+            "--kind fold: needs --parameter2",
+        ),
+        (
+            [
+                "motor_pendulum",
+                "--parameter",
+                "Kd=-2:0",
+                "--parameter2",
+                "Kp=1:5",
+                "--kind",
+                "cusp",
+            ],
             "must be one of fold",
         ),
-        (["motor_pendulum", "--in", "Kd=-2:0", "--start", "theta1=1"], "--section impact"),
-        (["forced_oscillator", "--in", "A=1:2", "--section", "impact"], "must come with --start"),
-        (["motor_pendulum", "--in", "Kd=-2:0", "--picture", "a.jpg"], "must end in .png"),
+        (["motor_pendulum", "--parameter", "Kd=-2:0", "--initial", "theta1=1"], "--section impact"),
+        (
+            ["forced_oscillator", "--parameter", "A=1:2", "--section", "impact"],
+            "--section impact: needs --initial",
+        ),
+        (["motor_pendulum", "--parameter", "Kd=-2:0", "--plot", "a.jpg"], "must end in .png"),
     ],
 )
 def test_what_does_not_fit_is_refused_before_any_work(words: list[str], reason: str) -> None:
@@ -203,7 +225,7 @@ def test_giving_up_is_an_answer_of_no(
     lost = replace(family(SpecialPointKind.GAVE_UP).last, detail="the tangent turns too fast")
     found = Continuation(families=(replace(family(SpecialPointKind.BOUND), last=lost),))
     monkeypatch.setattr("zeno_orbits.continuation.continue_impacts", lambda *_, **__: found)
-    assert main(["continue", *IMPACTS, "--in", "A=0.5:1.1"]) == 1
+    assert main(["continue", *IMPACTS, "--parameter", "A=0.5:1.1"]) == 1
     told = capsys.readouterr().out
     assert "gave up: the tangent turns too fast" in told
 

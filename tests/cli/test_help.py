@@ -18,22 +18,39 @@ from tests.support.commands import (
     raising,
 )
 from zeno_orbits.cli import build_parser
+from zeno_orbits.cli.help import GROUPS
 from zeno_orbits.errors import ZenoOrbitsError
 
 pytestmark = pytest.mark.usefixtures("here")
 
 
 COMMANDS = (
-    *("problems", "conditions", "simulate", "fidelity", "search", "verify", "trade", "plot"),
+    *(
+        "problems",
+        "zeno-condition",
+        "simulate",
+        "reduced-models",
+        "search",
+        "verify",
+        "work-precision",
+        "plot",
+    ),
     *("map", "rig"),
 )
 
 
-EVERY = tuple(re.findall(r"^    ([a-z]+)(?: |$)", build_parser().format_help(), flags=re.MULTILINE))
+EVERY = tuple(
+    re.findall(
+        r"^  (?!zeno-orbits )([a-z][a-z-]*)(?: |$)",
+        build_parser().format_help(),
+        flags=re.MULTILINE,
+    )
+)
 
 
 def test_every_command_is_known_to_the_tests_of_its_examples() -> None:
-    elsewhere = {"new", "continue", "compare", "identify", "report", "figures", "prove"}
+    elsewhere = {"new", "continue", "compare", "identify", "report", "figures", "prove", "export"}
+    elsewhere |= {"push", "recovery"}
     assert set(EVERY) == {*COMMANDS, *elsewhere, "completion", "cache"}
 
 
@@ -50,8 +67,55 @@ def test_no_word_of_the_help_is_cut_in_eighty_columns(
     command: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    lines = ask(*filter(None, (command, "--help"))).out.splitlines()
-    assert [line for line in lines if len(line) > 80] == []
+    for word in ("--help", "--help-all") if command else ("--help",):
+        lines = ask(*filter(None, (command, word))).out.splitlines()
+        assert [line for line in lines if len(line) > 80] == []
+
+
+@pytest.mark.parametrize("command", EVERY)
+def test_the_help_of_common_options_fits_a_screen_and_names_the_rest(command: str) -> None:
+    short, whole = (ask(command, word).out for word in ("--help", "--help-all"))
+    assert len(short.splitlines()) <= 24
+    assert "--help-all" in short
+    options = set(re.findall(r"--[a-z0-9-]+", short))
+    assert options <= set(re.findall(r"--[a-z0-9-]+", whole))
+    assert "examples:" in short
+
+
+@pytest.mark.parametrize("command", EVERY)
+def test_the_short_help_cuts_no_sentence_inside_a_word(command: str) -> None:
+    whole = " ".join(ask(command, "--help-all").out.split())
+    lines = ask(command, "--help").out.splitlines()
+    told = [found[1] for line in lines if (found := re.match(r"  -\S.*?  +(\S.*)", line))]
+    assert told
+    for clause in told:
+        assert re.search(re.escape(clause) + r"(?!\w)", whole), clause
+
+
+@pytest.mark.parametrize("command", EVERY)
+def test_options_stand_in_groups_and_those_of_every_command_come_last(command: str) -> None:
+    lines = ask(command, "--help-all").out.splitlines()
+    titles = [line.removesuffix(":") for line in lines if re.fullmatch(r"[a-z ]+:", line)]
+    known = ["arguments", *GROUPS, "options"]
+    shown = [title for title in titles if title in known]
+    assert shown == [title for title in known if title in shown]
+    assert "output" in shown
+    options = [
+        found[1]
+        for line in lines
+        if (found := re.match(r"  (?:-\w(?: \w+)?, )?(--[a-z0-9-]+)", line))
+    ]
+    assert len(set(options)) == len(options)
+    common = ["--json", "--verbose", "--debug", "--help", "--help-all"]
+    assert [option for option in options if option in common] == common
+    own = options[options.index("--help-all") + 1 :]
+    alone = ("--with-motor", "--with-circuit", "--check", "--compile", "--clear")
+    assert all(option in alone for option in own)
+
+
+def test_an_option_stands_in_one_group_only() -> None:
+    names = [name for members in GROUPS.values() for name in members]
+    assert len(set(names)) == len(names)
 
 
 def test_the_bare_command_prints_the_help_and_is_misuse() -> None:
@@ -71,7 +135,7 @@ def test_the_help_of_the_program_names_every_command_and_the_exit_codes() -> Non
         assert command in answer.out
 
 
-LONG_WORDS = {"--objective", "reference", "--measure", "trade"}
+LONG_WORDS = {"--objective", "reference", "--measure", "work-precision"}
 
 
 # The examples of `map` take minutes, and one a cluster: `test_maps.py` runs smaller ones.
@@ -103,10 +167,8 @@ def test_a_long_example_of_the_help_is_understood(
 ) -> None:
     assert orbit_file.exists()
     reached = raising(ZenoOrbitsError("The work would begin here."))
-    monkeypatch.setattr("zeno_orbits.search.search_gains", reached)
-    monkeypatch.setattr("zeno_orbits.verification.verify", reached)
-    monkeypatch.setattr("zeno_orbits.precision.trade", reached)
-    monkeypatch.setattr("zeno_orbits.precision.reduction_costs", reached)
+    for name in ("search_gains", "verify", "work_precision", "reduced_model_errors"):
+        monkeypatch.setattr(f"zeno_orbits.api.{name}", reached)
     answer = ask(*example)
     assert answer.code == NO
     assert answer.err == "zeno-orbits: The work would begin here.\n"

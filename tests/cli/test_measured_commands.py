@@ -18,8 +18,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A recording as `simulate` writes it."""
     path = tmp_path_factory.mktemp("recorded") / "data.csv"
     answer = ask(
-        *("simulate", "motor_pendulum", "--until", "28", "--rate", "200"),
-        *("--data", path, "--noise", "1e-3"),
+        *("simulate", "motor_pendulum", "--t-end", "28", "--rate", "200"),
+        *("-o", path, "--noise", "1e-3"),
     )
     assert answer.code == YES, answer.err
     return path.read_bytes()
@@ -69,10 +69,10 @@ def test_the_examples_of_identify_run(folder: Path) -> None:
 def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
     text = (folder / "data.csv").read_text()
     (folder / "data.csv").write_text(text.replace("theta1 [rad]", "theta1 [deg]"))
-    answer = ask("compare", "orbit.json", "data.csv", "--from", "12")
+    answer = ask("compare", "orbit.json", "data.csv", "--t-start", "12")
     assert answer.code == NO
     assert "`theta1` looks like radians labelled as degrees" in answer.out
-    answer = ask("identify", "motor_pendulum", "data.csv", "--from", "12", "--fit", "R")
+    answer = ask("identify", "motor_pendulum", "data.csv", "--t-start", "12", "--fit", "R")
     assert answer.code == NO
     assert "radians labelled as degrees" in answer.err
     assert answer.err.count("\n") == 1
@@ -82,8 +82,8 @@ def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
     ("arguments", "reason"),
     [
         (("compare", "orbit.json", "none.csv"), "cannot be read"),
-        (("compare", "orbit.json", "data.csv", "--picture", "x.gif"), "must end in .png"),
-        (("compare", "orbit.json", "data.csv", "--from", "99"), "must leave two rows"),
+        (("compare", "orbit.json", "data.csv", "--plot", "x.gif"), "must end in .png"),
+        (("compare", "orbit.json", "data.csv", "--t-start", "99"), "must leave two rows"),
         (("identify", "motor_pendulum", "data.csv", "--fit", "R=2"), "must be NAME=LOW:HIGH"),
         (("identify", "motor_pendulum", "data.csv", "--fit", "R,,L"), "must be NAME or"),
         (("identify", "motor_pendulum", "data.csv", "--fit", "Kp"), "gains are known"),
@@ -94,17 +94,17 @@ def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
         ),
         (
             ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "./data.csv"),
-            "`output` must be another file than the one that is read",
+            "must be another file than the one that is read",
         ),
         (
             ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "f", "--orbit", "f"),
-            "`orbit` must be another file than `output`",
+            "--orbit f: must be another file than `output`",
         ),
-        (("simulate", "motor_pendulum", "--data", "d.csv", "--rate", "0"), "`rate` must be"),
-        (("simulate", "motor_pendulum", "--data", "d.csv", "--rate", "1e12"), "two to 10000000"),
-        (("simulate", "motor_pendulum", "--data", "d.csv", "--rate", "1e-3"), "two to 10000000"),
-        (("simulate", "motor_pendulum", "--data", "d.csv", "--noise", "-1"), "`noise` must be"),
-        (("simulate", "motor_pendulum", "--data", "no/d.csv"), "must be in a writable folder"),
+        (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "0"), "--rate 0: must be"),
+        (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "1e12"), "two to 10000000"),
+        (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "1e-3"), "two to 10000000"),
+        (("simulate", "motor_pendulum", "-o", "d.csv", "--noise", "-1"), "--noise -1: must be"),
+        (("simulate", "motor_pendulum", "-o", "no/d.csv"), "must be in a writable folder"),
     ],
 )
 def test_misuse_is_one_line(folder: Path, arguments: tuple[str, ...], reason: str) -> None:

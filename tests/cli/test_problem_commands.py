@@ -32,14 +32,14 @@ def test_problems_lists_every_problem_with_its_gains() -> None:
 
 
 def test_conditions_shows_the_two_published_coefficients() -> None:
-    answer = ask("conditions", "motor_pendulum")
+    answer = ask("zeno-condition", "motor_pendulum")
     assert answer.code == YES
     assert "2.92437" in answer.out
     assert "27.5697" in answer.out
 
 
 def test_conditions_as_json_has_the_published_coefficients_to_all_published_digits() -> None:
-    answer = ask("conditions", "motor_pendulum", "--json")
+    answer = ask("zeno-condition", "motor_pendulum", "--json")
     assert answer.code == YES
     coefficients = answer.data["coefficients"]
     assert set(coefficients) == {"current", "sin(theta1)"}
@@ -50,23 +50,23 @@ def test_conditions_as_json_has_the_published_coefficients_to_all_published_digi
 
 
 def test_conditions_of_a_falling_ball_are_minus_gravity() -> None:
-    answer = ask("conditions", "bouncing_ball", "--json")
+    answer = ask("zeno-condition", "bouncing_ball", "--json")
     assert answer.code == YES
     assert answer.data["coefficients"] == pytest.approx({"1": -9.81})
 
 
 def test_conditions_draws_the_region_when_asked(here: Path) -> None:
-    answer = ask("conditions", "motor_pendulum", "-o", "region.png")
+    answer = ask("zeno-condition", "motor_pendulum", "--plot", "region.png")
     assert answer.code == YES
     assert (here / "region.png").read_bytes().startswith(b"\x89PNG")
     assert "Written: region.png" in answer.out
 
 
 def test_fidelity_names_the_reduced_models_and_their_cost() -> None:
-    answer = ask("fidelity", "motor_pendulum")
+    answer = ask("reduced-models", "motor_pendulum")
     assert answer.code == YES
     assert "motor_pendulum@quasi_static" in answer.out
-    costs = ask("fidelity", "motor_pendulum", "--json").data
+    costs = ask("reduced-models", "motor_pendulum", "--json").data
     assert {cost["problem"].partition("@")[2] for cost in costs} == {"corrected", "quasi_static"}
 
 
@@ -91,7 +91,7 @@ def _machine(tmp_path: Path) -> Path:
 
 
 def test_a_problem_of_ones_own_is_simulated_by_its_path(machine: Path) -> None:
-    answer = ask("simulate", machine, "--until", "1", "--json")
+    answer = ask("simulate", machine, "--t-end", "1", "--json")
     assert answer.code == YES
     assert answer.data["problem"] == "my_machine"
 
@@ -125,7 +125,7 @@ def test_a_problem_of_ones_own_is_searched_verified_and_drawn(machine: Path, her
     ],
     ids=["raises", "syntax", "import", "type", "empty", "exits"],
 )
-@pytest.mark.parametrize("command", ["simulate", "search", "conditions"])
+@pytest.mark.parametrize("command", ["simulate", "search", "zeno-condition"])
 def test_a_problem_file_that_defines_no_problem_is_refused(
     text: str, words: tuple[str, ...], command: str, here: Path
 ) -> None:

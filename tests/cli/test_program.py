@@ -37,10 +37,10 @@ pytestmark = pytest.mark.usefixtures("here")
     "arguments",
     [
         ("problems",),
-        ("conditions", "motor_pendulum"),
-        ("conditions", "motor_pendulum", "-o", "region.png"),
-        ("simulate", "motor_pendulum", "--until", "2"),
-        ("simulate", "motor_pendulum", "--until", "2", "-o", "time.png"),
+        ("zeno-condition", "motor_pendulum"),
+        ("zeno-condition", "motor_pendulum", "--plot", "region.png"),
+        ("simulate", "motor_pendulum", "--t-end", "2"),
+        ("simulate", "motor_pendulum", "--t-end", "2", "--plot", "time.png"),
         ("search", "motor_pendulum", *PUBLISHED_GAINS),
         ("verify", "orbit.json", "--periods", "1"),
         ("plot", "orbit.json", "-o", "pictures", "--kind", "portraits"),
@@ -63,11 +63,11 @@ def test_json_is_all_that_standard_output_holds_and_progress_goes_elsewhere(
 
 def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "_PATIENCE", 1.0)
-    assert ask("simulate", "bouncing_ball", "--until", "0.1").err == ""
+    assert ask("simulate", "bouncing_ball", "--t-end", "0.1").err == ""
 
 
 def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zeno_orbits.model.load_problem", raising(RuntimeError("two\nlines")))
+    monkeypatch.setattr("zeno_orbits.api.known_problem", raising(RuntimeError("two\nlines")))
     answer = ask("simulate", "motor_pendulum")
     assert_refused(answer, "internal error", "RuntimeError: two lines", "--debug")
 
@@ -80,16 +80,16 @@ def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_refusal_is_data_for_programs_too(
     error: ZenoOrbitsError, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("zeno_orbits.model.load_problem", raising(error))
-    answer = ask("trade", "motor_pendulum", "--json")
+    monkeypatch.setattr("zeno_orbits.api.known_problem", raising(error))
+    answer = ask("work-precision", "motor_pendulum", "--json")
     assert answer.code == code
     assert answer.data == {"error": type(error).__name__, "message": str(error)}
     assert answer.err == f"zeno-orbits: {error}\n"
-    assert ask("trade", "motor_pendulum").out == ""
+    assert ask("work-precision", "motor_pendulum").out == ""
 
 
 def test_an_unexpected_error_is_data_for_programs_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zeno_orbits.model.load_problem", raising(RuntimeError("deep")))
+    monkeypatch.setattr("zeno_orbits.api.known_problem", raising(RuntimeError("deep")))
     answer = ask("simulate", "motor_pendulum", "--json")
     assert answer.code == MISUSE
     assert answer.data["error"] == "RuntimeError"
@@ -110,7 +110,7 @@ def test_a_refusal_is_told_where_there_is_no_room_for_its_data(here: Path) -> No
 def test_debug_shows_where_an_error_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="pendulum"):
         main(["simulate", "pendulum", "--debug"])
-    monkeypatch.setattr("zeno_orbits.model.load_problem", raising(RuntimeError("deep inside")))
+    monkeypatch.setattr("zeno_orbits.api.known_problem", raising(RuntimeError("deep inside")))
     with pytest.raises(RuntimeError, match="deep inside"):
         main(["simulate", "motor_pendulum", "--debug"])
 
@@ -130,7 +130,7 @@ def started(*arguments: str | Path, **streams: Any) -> subprocess.Popen[str]:
 
 
 def test_the_package_runs_as_a_module() -> None:
-    with started("simulate", "bouncing_ball", "--until", "1", "--json") as process:
+    with started("simulate", "bouncing_ball", "--t-end", "1", "--json") as process:
         out, err = process.communicate(timeout=60)
     assert process.returncode == YES
     assert err == ""
@@ -138,9 +138,9 @@ def test_the_package_runs_as_a_module() -> None:
 
 
 def test_misuse_of_the_module_is_an_exit_code_and_one_line() -> None:
-    with started("simulate", "bouncing_ball", "--until", "0") as process:
+    with started("simulate", "bouncing_ball", "--t-end", "0") as process:
         out, err = process.communicate(timeout=60)
-    assert_refused(Answer(process.returncode, out, err), "`until`")
+    assert_refused(Answer(process.returncode, out, err), "--t-end 0: ")
 
 
 @pytest.mark.parametrize("arguments", [("problems",), ("problems", "--json")], ids=" ".join)
@@ -180,6 +180,7 @@ def test_an_answer_does_not_depend_on_who_reads_it(
     assert "Error" not in found.stderr
 
 
+@pytest.mark.slow
 def test_a_yes_and_a_misuse_do_not_depend_on_it_either(here: Path) -> None:
     for streams in (">&-", "2>&-"):
         assert closed("problems", streams=streams).returncode == YES
@@ -206,7 +207,7 @@ def test_an_interrupt_from_the_keyboard_ends_a_search_without_a_file(here: Path)
     assert re.match(r" *\d+\.\d s  \w", progress)
     assert process.returncode == INTERRUPTED
     assert out == ""
-    assert rest.endswith("zeno-orbits: interrupted; nothing was written\n")
+    assert rest.endswith("zeno-orbits: interrupted, nothing was written\n")
     assert "Traceback" not in rest
     assert contents(here) == {}
 
@@ -223,5 +224,5 @@ def test_what_an_interrupt_leaves_half_done_is_told_as_an_interrupt(
 
     monkeypatch.setattr("zeno_orbits.report.terminal.print_problems", half_done)
     assert ask("problems") == Answer(
-        INTERRUPTED, "", "zeno-orbits: interrupted; nothing was written\n"
+        INTERRUPTED, "", "zeno-orbits: interrupted, nothing was written\n"
     )

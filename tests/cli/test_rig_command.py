@@ -88,7 +88,7 @@ def test_a_problem_runs_from_a_start_and_lists_its_contacts(tmp_path: Path) -> N
     written = tmp_path / "run.csv"
     answer = ask(
         *("rig", "bouncing_ball", "--set", "restitution=0.5", "--part", "contact.stiffness=1e6"),
-        *("--until", "1.5", "-o", written, "--json"),
+        *("--t-end", "1.5", "-o", written, "--json"),
     )
     assert answer.code == YES
     contacts = answer.data["contacts"]
@@ -115,16 +115,16 @@ def test_parts_are_left_out_and_numbers_changed(file: Path) -> None:
 
 
 def test_exact_pulses_ask_for_a_bridge(file: Path) -> None:
-    answer = ask("rig", file, "--only", "friction", "--exact")
-    assert refused(answer, "`exact` must come with a bridge, but the machine has none.")
+    answer = ask("rig", file, "--only", "friction", "--exact-pwm")
+    assert refused(answer, "--exact-pwm: needs a bridge, which the machine lacks.")
 
 
 @pytest.mark.slow
 def test_exact_pulses_tell_nearly_what_their_mean_tells() -> None:
     """A tenth of a second; a dead time and a ripple later the same within a per mille."""
-    common = ("rig", "motor_pendulum", "--only", "bridge", "--until", "0.4", "--json")
-    at = ("--start", "theta1=0.3", "--start", "theta2=0.02", "--start", "dtheta2=-1")
-    mean, exact = ask(*common, *at), ask(*common, *at, "--exact")
+    common = ("rig", "motor_pendulum", "--only", "bridge", "--t-end", "0.4", "--json")
+    at = ("--initial", "theta1=0.3", "--initial", "theta2=0.02", "--initial", "dtheta2=-1")
+    mean, exact = ask(*common, *at), ask(*common, *at, "--exact-pwm")
     first, other = mean.data["contacts"][0], exact.data["contacts"][0]
     assert other["start"] == pytest.approx(first["start"], rel=1e-3)
     assert other != first
@@ -134,17 +134,20 @@ def test_exact_pulses_tell_nearly_what_their_mean_tells() -> None:
     ("arguments", "message"),
     [
         (("--part", "contact.stiffness=-1"), "`stiffness` must be greater than 0, but it is -1."),
-        (("--part", "contact.softness=1"), "`part` must be one of contact.stiffness"),
-        (("--part", "contact.stiffness"), "`part` must be NAME=VALUE"),
+        (("--part", "contact.softness=1"), "must be one of contact.stiffness"),
+        (("--part", "contact.stiffness"), "--part: must be NAME=VALUE"),
         (("--part", "friction.knee.coulomb=1"), "`friction` must name one of theta1, theta2"),
-        (("--gain", "Kp=2"), "`gain` must not be given with an orbit, which has its own."),
-        (("--until", "3"), "`until` must not be given with an orbit, whose periods"),
-        (("--start", "theta1=2"), "`start` must not be given with an orbit"),
-        (("--until", "0"), "`until` must not be given with an orbit"),
-        (("--only", "sensors"), "`only` must name the controller with the sensors"),
-        (("--seed", "-1"), "`seed` must be a whole number of at least 0, but it is `-1`."),
-        (("--only", "motor"), "`only` must be one of friction, gears"),
-        (("-o", "no/such/folder/run.csv"), "`output` must be in a writable folder"),
+        (("--set", "Kp=2"), "--set Kp=2: must not be given with an orbit, which has its own."),
+        (("--t-end", "3"), "--t-end 3: must not be given with an orbit, whose periods"),
+        (("--initial", "theta1=2"), "--initial theta1=2: must not be given with an orbit"),
+        (("--t-end", "0"), "--t-end 0: must not be given with an orbit"),
+        (("--only", "sensors"), "--only sensors: must name the controller with the sensors"),
+        (("--seed", "-1"), "--seed: must be a whole number of at least 0, but it is `-1`."),
+        (("--only", "motor"), "--only: must be one of friction, gears"),
+        (
+            ("-o", "no/such/folder/run.csv"),
+            "-o no/such/folder/run.csv: must be in a writable folder",
+        ),
     ],
 )
 def test_misuse_is_one_line(file: Path, arguments: tuple[str, ...], message: str) -> None:
@@ -153,7 +156,7 @@ def test_misuse_is_one_line(file: Path, arguments: tuple[str, ...], message: str
 
 def test_the_orbit_that_is_read_is_not_written_over(file: Path) -> None:
     before = file.read_bytes()
-    other = "`output` must be another file than the one that is read"
+    other = "must be another file than the one that is read"
     assert refused(ask("rig", file, "-o", file), other)
     assert file.read_bytes() == before
 
@@ -162,10 +165,10 @@ def test_files_that_are_no_orbits_and_problems_that_are_none_are_refused(tmp_pat
     assert refused(ask("rig", tmp_path / "no.json"), "no.json` cannot be read")
     assert refused(ask("rig", "no_scene"), "`problem` must be one of")
     ball = ("rig", "bouncing_ball")
-    assert refused(ask(*ball, "--cycles", "2"), "`cycles` must come with an orbit")
-    assert refused(ask(*ball, "--until", "0"), "`until` must be a positive number, but it is 0.")
+    assert refused(ask(*ball, "--cycles", "2"), "--cycles 2: must come with an orbit")
+    assert refused(ask(*ball, "--t-end", "0"), "--t-end 0: must be a positive number, but it is 0.")
     plastic = ask("rig", "motor_pendulum", "--set", "restitution=0", "--only", "contact")
-    assert refused(plastic, "`restitution` must be greater than 0 for a contact")
+    assert refused(plastic, "restitution=0: must be greater than 0 for a compliant contact")
 
 
 def test_a_machine_without_such_cycles_is_a_no_and_leaves_no_file(
@@ -177,3 +180,49 @@ def test_a_machine_without_such_cycles_is_a_no_and_leaves_no_file(
     assert answer.code == NO
     assert "cycles with a lock where 9 were expected" in answer.err
     assert not written.exists()
+
+
+MACHINES = Path(__file__).parents[1] / "support" / "machines"
+
+
+def test_cycles_of_a_machine_are_the_orbits_and_its_default_stop_is_stiff(tmp_path: Path) -> None:
+    file, path, data = MACHINES / "juggler.py", tmp_path / "orbit.json", tmp_path / "data.csv"
+    assert ask("search", file, "-o", path).code == YES
+    answer = ask("rig", path, "--problem", file, "--json", "-o", data)
+    assert answer.code == YES
+    # The clock fixes the period; the highest gap is 65 mm, a thousandth of it is the stop's share.
+    assert answer.data["mean"]["period"] == pytest.approx(2 * np.pi / 15.0, rel=1e-9)
+    assert 0.0 < answer.data["penetration"] < 1e-3 * 0.0651
+    assert not answer.data["warnings"]
+    assert ask("compare", path, data, "--problem", file).code == YES
+
+
+def test_a_soft_stop_is_warned_of_and_cycles_that_scatter_are_none(tmp_path: Path) -> None:
+    file, path = MACHINES / "juggler.py", tmp_path / "orbit.json"
+    assert ask("search", file, "-o", path).code == YES
+    soft = ask("rig", path, "--problem", file, "--part", "contact.stiffness=1e5")
+    assert soft.code == NO
+    assert "the stop gives way by" in soft.out
+    assert "none of the orbit's kind" in soft.out
+    assert "10 settled cycles" not in soft.out
+    start = ask("rig", file, "--t-end", "1", "--part", "contact.stiffness=1e5")
+    assert "the stop gives way by" in start.out
+
+
+def test_a_machine_of_micrometres_and_microseconds_is_printed_with_prefixes(
+    tmp_path: Path,
+) -> None:
+    # The juggler a million times smaller and a thousand times faster, in SI units.
+    text = (MACHINES / "juggler.py").read_text(encoding="utf-8")
+    text = text.replace("default=0.075", "default=0.075e-6").replace(
+        '"omega", 15.0', '"omega", 15e3'
+    )
+    file, path = tmp_path / "small.py", tmp_path / "orbit.json"
+    file.write_text(text, encoding="utf-8")
+    assert ask("search", file, "-o", path).code == YES
+    answer = ask("rig", path, "--problem", file, "--cycles", "2")
+    assert answer.code == YES
+    row = next(line for line in answer.out.splitlines() if line.startswith("period"))
+    assert row.split()[1] == "us"
+    assert float(row.split()[2]) == pytest.approx(2 * np.pi / 15e3 * 1e6, rel=1e-6)
+    assert "0.000" not in row

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
+from zeno_orbits.api import SearchNotes
 from zeno_orbits.cli.program import build_parser
-from zeno_orbits.cli.search_output import SearchNotes, answer, map_command, on_the_optimum
+from zeno_orbits.cli.search_output import answer, map_command, on_the_optimum
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
@@ -80,8 +81,7 @@ def _options(**given: Any) -> argparse.Namespace:
         "until": None,
         "shape": None,
         "allow_unstable": False,
-        "fix": {"Kd": -1.0},
-        "set": {"R": 2.0},
+        "set": {"Kd": -1.0, "R": 2.0},
     }
     return argparse.Namespace(**usual | given)
 
@@ -109,15 +109,15 @@ def test_a_search_that_fails_names_the_numbers_that_may_be_in_another_unit(
         (
             SearchStatus.NO_GUESS,
             (
-                "--start",
-                "--until",
-                "--keep than period=:2",
+                "--initial",
+                "--max-time",
+                "--bound than period=:2",
                 "zeno-orbits map motor_pendulum --x Kp=1:5 --y Kd=-1.5:-0.4 --set R=2",
             ),
             ("--allow-unstable", "wider ranges"),
         ),
-        (SearchStatus.NOT_SOLVED, ("--keep", "wider ranges than Kp=1:5"), ("--start", "map")),
-        (SearchStatus.NOT_ACCEPTED, ("--keep",), ("--until", "map", "--allow-unstable")),
+        (SearchStatus.NOT_SOLVED, ("--bound", "wider ranges than Kp=1:5"), ("--initial", "map")),
+        (SearchStatus.NOT_ACCEPTED, ("--bound",), ("--max-time", "map", "--allow-unstable")),
     ],
 )
 def test_every_no_says_which_options_to_try_and_which_are_of_no_use(
@@ -148,7 +148,7 @@ def test_a_motion_that_rests_need_not_be_waited_for(
 ) -> None:
     rests = replace(NOTHING, detail="The motion comes to rest after 90 s.")
     answer(_options(), problem, rests, _notes([]))
-    assert "--until" not in capsys.readouterr().out
+    assert "--max-time" not in capsys.readouterr().out
 
 
 def test_a_search_for_one_shape_is_told_to_do_without(
@@ -162,7 +162,7 @@ def test_a_search_for_one_shape_is_told_to_do_without(
 def test_the_map_that_a_failed_search_names_can_be_made() -> None:
     notes = replace(_notes([]), free={"restitution": (0.1, 0.2)})
     for name in ("motor_pendulum", "bouncing_ball", "forced_oscillator"):
-        command = map_command(load_problem(name), _options(problem=name, fix={}, set={}), notes)
+        command = map_command(load_problem(name), _options(problem=name, set={}), notes)
         options = build_parser().parse_args(command.split()[1:])
         assert options.x[0] == "restitution"
         assert options.y[0] in load_problem(name).names
@@ -241,5 +241,5 @@ def test_an_optimum_at_an_end_of_its_range_is_told(problem: Problem, orbit: Zeno
 
 def test_fewer_candidates_than_asked_are_explained(problem: Problem, orbit: ZenoOrbit) -> None:
     said = _said(problem, _found(orbit, 2), LeastEnergy(), candidates=3)
-    assert "2 fewer than asked: 2 of 3 starts led to an orbit, no other one among them." in said
+    assert "2 fewer than requested: 3 starts and 0 initial states" in "".join(said)
     assert "fewer" not in _said(problem, _found(orbit, 2), LeastEnergy())

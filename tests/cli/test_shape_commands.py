@@ -33,7 +33,7 @@ def test_the_orbit_is_shown_phase_by_phase(capsys: pytest.CaptureFixture[str]) -
     assert main([*STRUCK]) == 0
     text = capsys.readouterr().out
     assert "impact*3" in text
-    assert "phase 3 starts" in text
+    assert "phase 3: first impact" in text
     assert "Verified: a stable periodic orbit without a Zeno point (shape impact*3)" in text
 
 
@@ -103,15 +103,15 @@ def test_pictures_of_an_orbit_without_a_zeno_point_are_those_it_has(
     assert {path.stem for path in tmp_path.iterdir()} == {"portraits", "time"}
     capsys.readouterr()
     assert main(["plot", str(file), "--kind", "zeno", "-o", str(tmp_path)]) == 2
-    _one_line(capsys, "`kind`", "without a Zeno point")
+    _one_line(capsys, "--kind zeno: ", "without a Zeno point")
 
 
 def test_a_family_of_another_shape_is_refused_in_one_line(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["continue", "impact_oscillator", "--in", "omega=0.4:0.6", "--from", str(file)]
+    words = ["continue", "impact_oscillator", "--parameter", "omega=0.4:0.6", "--from", str(file)]
     assert main(words) == 2
-    _one_line(capsys, "one Zeno point and one release a period", "`impact*3`")
+    _one_line(capsys, "one Zeno point or one impact a period", "`impact*3`")
 
 
 @pytest.mark.parametrize("shape", ["bounce", "zeno,impact", "plastic,impact", "zeno*0"])
@@ -121,7 +121,7 @@ def test_a_shape_that_is_none_is_refused_in_one_line(
     with pytest.raises(SystemExit) as left:
         main([*STRUCK, "--shape", shape])
     assert left.value.code == 2
-    _one_line(capsys, "`shape`", f"`{shape}`")
+    _one_line(capsys, "--shape: ", f"`{shape}`")
 
 
 def test_a_shape_that_is_not_there_is_a_no(capsys: pytest.CaptureFixture[str]) -> None:
@@ -142,6 +142,6 @@ def test_an_orbit_to_start_from_has_the_shape_that_is_asked_for(
 def test_a_margin_that_a_shape_has_not_is_no_bound_for_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    words = ["search", "impact_oscillator", "--free", "A=0.5:2", "--objective", "energy"]
-    assert main([*words, "--keep", "locked_time=0.1:"]) == 2
-    _one_line(capsys, "`keep`", "`impact`", "`locked_time`")
+    words = ["search", "impact_oscillator", "--vary", "A=0.5:2", "--objective", "energy"]
+    assert main([*words, "--bound", "locked_time=0.1:"]) == 2
+    _one_line(capsys, "--bound ", "`impact`", "`locked_time`")

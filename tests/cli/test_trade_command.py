@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.loop.agreement import needs_compiler
 from tests.support.commands import (
     INTERRUPTED,
     NO,
@@ -19,20 +20,19 @@ from tests.support.commands import (
     contents,
     raising,
 )
-from tests.support.compiling import needs_compiler
 from zeno_orbits.precision.work_precision import read_work_precision
 
 pytestmark = pytest.mark.usefixtures("here")
 
 
-TRADING = ("trade", "bouncing_ball", "--quick", "--until", "4.5")
+TRADING = ("work-precision", "bouncing_ball", "--quick", "--t-end", "4.5")
 
 
 @pytest.fixture(name="traded", scope="module")
 def _traded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Answer, Path]:
     """What `trade` prints as JSON, and the folder with what it writes."""
     folder = tmp_path_factory.mktemp("traded")
-    outputs = ("-o", folder / "trade.json", "--picture", folder / "trade.png")
+    outputs = ("-o", folder / "trade.json", "--plot", folder / "trade.png")
     return ask(*TRADING, "--json", *outputs), folder
 
 
@@ -49,14 +49,35 @@ def test_trade_writes_what_it_prints_and_draws_it(traded: tuple[Answer, Path]) -
 @pytest.mark.parametrize("problem", ["bouncing_ball", "motor_pendulum", "motor_pendulum@corrected"])
 @pytest.mark.slow
 def test_trade_shows_the_cheapest_values_of_each_accuracy(problem: str) -> None:
-    answer = ask("trade", problem, "--quick", "--until", "4.5")
+    answer = ask("trade", problem, "--quick", "--t-end", "4.5")
     assert answer.code == YES
     for words in ("cheapest setting", "SciPy LSODA", "plastic below", "Reference: ", "Work: 4.5 s"):
         assert words in answer.out
 
 
+def test_the_order_of_the_cut_is_that_of_the_events_that_are_compared(
+    traded: tuple[Answer, Path],
+) -> None:
+    # A ball is never released: the cut moves the Zeno point itself, by 2 w / (g (1 - e)).
+    assert traded[0].data["compared"] == "Zeno point"
+    assert traded[0].data["cut_order"] == pytest.approx(1.0, abs=0.05)
+    assert read_work_precision(traded[1] / "trade.json").expected_cut_order == 1
+
+
+@pytest.mark.slow
+def test_the_order_of_the_cut_is_three_for_releases() -> None:
+    # The second cut of a quick study leaves an error of rounding, which has no order.
+    answer = ask("work-precision", "motor_valve", "--t-end", "0.6")
+    assert answer.code == YES
+    assert "(theory: 3, of the releases)" in answer.out
+    order = float(answer.out.partition("plastic cuts in their speed: ")[2].split()[0])
+    assert order == pytest.approx(3.0, abs=0.2)
+
+
 def test_trade_where_nothing_happens_so_soon_is_a_no_in_one_line(here: Path) -> None:
-    answer = ask("trade", "bouncing_ball", "--until", "0.1", "-o", "t.json", "--picture", "t.png")
+    answer = ask(
+        "work-precision", "bouncing_ball", "--t-end", "0.1", "-o", "t.json", "--plot", "t.png"
+    )
     assert answer.code == NO
     assert answer.out == ""
     assert answer.err.startswith("zeno-orbits: There is nothing to compare")
@@ -74,22 +95,19 @@ def test_an_interrupted_trade_writes_nothing(
     measured = read_work_precision(traded[1] / "trade.json")
     monkeypatch.setattr("zeno_orbits.precision.trade", lambda *_, **__: measured)
     monkeypatch.setattr(f"zeno_orbits.{where}", raising(KeyboardInterrupt()))
-    answer = ask(*TRADING, "-o", "t.json", "--picture", "t.png")
+    answer = ask(*TRADING, "-o", "t.json", "--plot", "t.png")
     assert answer.code == INTERRUPTED
     assert answer.out == ""
-    assert answer.err == "zeno-orbits: interrupted; nothing was written\n"
+    assert answer.err == "zeno-orbits: interrupted, nothing was written\n"
     assert contents(here) == {}
 
 
 @pytest.mark.slow
 @needs_compiler
-def test_a_trade_shows_compiled_steps_beside_interpreted_ones_of_the_same_error(
+def test_a_trade_shows_the_compiled_loop_beside_the_reference_with_the_same_error(
     tmp_path: Path,
 ) -> None:
-    environment = os.environ | {
-        "ZENO_ORBITS_COMPILE": "background",
-        "ZENO_ORBITS_CACHE": str(tmp_path),
-    }
+    environment = os.environ | {"ZENO_ORBITS_CACHE": str(tmp_path)}
     command = [sys.executable, "-m", "zeno_orbits", *TRADING, "--json", "--verbose"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     trials = {(one["name"], one["value"]): one for one in json.loads(done.stdout)["trials"]}
@@ -101,4 +119,4 @@ def test_a_trade_shows_compiled_steps_beside_interpreted_ones_of_the_same_error(
         compiled = trials[name.removesuffix(", interpreted"), value]
         # Errors are those of the method: both are far above rounding, or both are rounding.
         assert abs(compiled["error"] - trials[name, value]["error"]) < 1e-13
-    assert "steps are compiled by" in done.stderr
+    assert "executions run in compiled code" in done.stderr

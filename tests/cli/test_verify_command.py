@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,8 +26,26 @@ pytestmark = pytest.mark.usefixtures("here")
 def test_verify_says_yes_to_what_the_search_wrote(orbit_file: Path) -> None:
     answer = ask("verify", orbit_file)
     assert answer.code == YES
-    assert "Verified: a stable Zeno periodic orbit" in answer.out
-    assert "Observed order of the cut" in answer.out
+    verdict, count, *_ = answer.out.splitlines()
+    assert verdict.startswith("Verified: a stable Zeno periodic orbit")
+    assert re.match(r"(\d+) of \1 checks passed\. Largest residual: \S+ \(\w+\), ", count)
+    assert "margin" not in answer.out
+    assert "Observed order" not in answer.out
+
+
+def test_verify_prints_margins_and_the_truncation_test_on_request(orbit_file: Path) -> None:
+    margins, truncation, everything = (
+        ask("verify", orbit_file, word).out for word in ("--margins", "--truncation", "--all")
+    )
+    assert "release_transversality" in margins
+    assert "Observed order" not in margins
+    # The order of the truncation error is 3 by theory (3).
+    order = re.search(r"Observed order of the truncation error: (\S+)", truncation)
+    assert order is not None
+    assert abs(float(order[1]) - 3.0) < 0.1
+    assert "release_transversality" not in truncation
+    assert "release_transversality" in everything
+    assert order[0] in everything
 
 
 def test_verify_prints_the_certificate_as_json(orbit_file: Path) -> None:
@@ -38,6 +57,7 @@ def test_verify_prints_the_certificate_as_json(orbit_file: Path) -> None:
     assert min(answer.data["margins"].values()) > 0
 
 
+@pytest.mark.slow
 def test_verify_on_the_hand_written_model_says_yes_too(orbit_file: Path) -> None:
     answer = ask("verify", orbit_file, "--model", "reference", "--periods", "1", "--json")
     assert answer.code == YES

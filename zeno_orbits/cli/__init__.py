@@ -1,13 +1,13 @@
-"""The command line: words to values, a call of the rooms below, and an answer for people or JSON.
+"""The command line: it parses arguments, calls `api`, and prints text or JSON.
 
-A module for each command, or for a few that read the same. Exit codes: 0, yes; 1, searched or
-checked and the answer is no; 2, wrong usage or input; 130, interrupted. A command imports what it
-runs when it runs: `--help` and a mistyped option need no CasADi.
+A module contains one command, or several commands with the same input. Exit codes: 0 for a positive
+result, 1 for a negative result of a search or a check, 2 for wrong usage or input, 130 for an
+interrupt. A command imports its dependencies when it runs. `--help` and a mistyped option do not
+load CasADi.
 
 Offers: `main` runs one command, `build_parser` returns the parser of all of them.
 
-Imports: api, report, experiment, precision, continuation, maps, search, proof, verification,
-orbits, simulation, model, integrators, kernels, work, arrays, errors.
+Imports: api, report, maps, simulation, loop, model, work, errors.
 """
 
 import lazy_loader as lazy

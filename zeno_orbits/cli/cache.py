@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from zeno_orbits.cli.options import NO, YES, add_command, print_json
+from zeno_orbits.errors import KernelError
 from zeno_orbits.report import terminal as report
 
 
@@ -15,7 +16,7 @@ def add_cache(commands: Any) -> None:
         commands,
         "cache",
         _run_cache,
-        "tell where compiled steps are kept, and how large they are; fill and clear the folder",
+        "print where compiled libraries are kept and how large they are; fill and clear the folder",
         [
             "zeno-orbits cache",
             "zeno-orbits cache --compile motor_pendulum",
@@ -23,25 +24,33 @@ def add_cache(commands: Any) -> None:
         ],
     )
     parser.add_argument(
-        "--compile", metavar="PROBLEM", help="compile the steps of a problem now, and wait for it"
+        "--compile",
+        metavar="PROBLEM",
+        help="compile the formulas of a problem now: runs are faster, and digits stay",
     )
     parser.add_argument("--clear", action="store_true", help="remove everything that is kept")
 
 
 def _run_cache(options: argparse.Namespace) -> int:
-    from zeno_orbits.kernels import complaints, kernel_folder, usable_compiler, when_to_compile
+    from zeno_orbits.loop import find_compiler, library_folder, may_compile
 
-    when, folder = when_to_compile(), kernel_folder()
+    when, folder = may_compile(), library_folder()
     removed = folder.clear() if options.clear else None
-    done = options.compile is None or _compiled(options.compile)
-    compiler = usable_compiler()
+    faults = list[str]()
+    if options.compile is not None:
+        faults += _compiled(options.compile)
+    try:
+        compiler = find_compiler()
+    except KernelError as error:
+        compiler = None
+        faults.append(str(error))
     facts = {
         "folder": str(folder.path),
         "libraries": len(folder.libraries()),
         "bytes": folder.size(),
         "compiler": None if compiler is None else " ".join(compiler.command[:2]),
         "compile": when.value,
-        "failures": list(dict.fromkeys((*folder.failures(), *complaints()))),
+        "failures": list(dict.fromkeys(faults)),
     }
     if removed is not None:
         facts["removed"] = removed
@@ -49,12 +58,14 @@ def _run_cache(options: argparse.Namespace) -> int:
         print_json(facts)
     else:
         report.print_kernels(facts)
-    return YES if done else NO
+    return NO if faults and options.compile is not None else YES
 
 
-def _compiled(name: str) -> bool:
-    """Compile the steps of a problem and return True if all of them are compiled."""
+def _compiled(name: str) -> list[str]:
+    """Compile the formulas of a problem, and return the reasons of a failure."""
+    from zeno_orbits.loop import compile_formulas
     from zeno_orbits.model import load_problem
 
     problem = load_problem(name)
-    return problem.compiled().build(problem.values().vector)
+    reason = compile_formulas(problem.compiled())
+    return [f"the formulas of `{problem.name}` are not compiled: {reason}"] if reason else []

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
+from zeno_orbits import api
 from zeno_orbits.cli.options import YES, add_command, print_json
 from zeno_orbits.report import terminal as report
 
@@ -49,9 +50,8 @@ def _run_completion(options: argparse.Namespace) -> int:
     import shtab
 
     from zeno_orbits.cli.program import build_parser
-    from zeno_orbits.model import bundled_problems, load_problem
 
-    names = [one.name for name in bundled_problems() for one in load_problem(name).ladder()]
+    names = [one.name for one in api.all_problems()]
     parser = build_parser()
     for action in _actions(parser):
         kind = _kind(action)
@@ -63,7 +63,7 @@ def _run_completion(options: argparse.Namespace) -> int:
             # The attribute that shtab reads.
             vars(action)["complete"] = complete
     functions = _SHELLS[options.shell].replace("NAMES", " ".join(names))
-    # The stub of shtab says `str`; it wants a shell's name with it.
+    # The stub of shtab has the type `str`, but the function needs the name of a shell.
     preamble: Any = {options.shell: functions}
     script = shtab.complete(parser, options.shell, preamble=preamble)
     if options.json:
@@ -84,7 +84,7 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 
 
 def _kind(action: argparse.Action) -> str:
-    """Return what completes an argument; nothing if only its reader knows."""
+    """Return the kind of completion of an argument, empty for arguments without completion."""
     metavar = action.metavar if isinstance(action.metavar, str) else ""
     if metavar == "PROBLEM":
         return "problem"

@@ -6,21 +6,21 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
-    add_gains,
     add_place,
     add_problem,
     add_start,
     hand_out,
+    numbers_of,
     place_of,
     require_outputs,
     run_resumable,
-    start_of,
 )
-from zeno_orbits.cli.parsing import Once, Range, read_grid, read_number, read_range
+from zeno_orbits.cli.parsing import Once, Range, read_grid, read_number, read_range, read_seed
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
@@ -34,16 +34,17 @@ def add_map(commands: Any) -> None:
         commands,
         "map",
         _run_map,
-        "map what motions settle to over a plane of two gains or parameters; exit code 1 if no "
-        "point of the map has a Zeno periodic orbit",
+        "map the attractors over a plane of two gains, parameters or initial states; exit code 1 "
+        "if no point of the map has a Zeno periodic orbit",
         [
-            "zeno-orbits map motor_pendulum --x Kp=1:5 --y Kd=-2:0 -o map.json --picture map.png",
-            "zeno-orbits map motor_pendulum --x restitution=0:0.5 --y Kd=-1.6:-0.4 --points 20x30",
+            "zeno-orbits map motor_pendulum --x Kp=1:5 --y Kd=-2:0 -o map.json --plot map.png",
+            "zeno-orbits map motor_pendulum --x restitution=0:0.5 --y Kd=-1.6:-0.4 --grid 20x30",
+            "zeno-orbits map motor_pendulum --orbit orbit.json --x theta1=-1:1 --y dtheta1=-12:12 "
+            "--grid 26x26 --refine 3 --plot basin.png",
             "zeno-orbits map motor_pendulum --x Kp=1:5 --y R=2:4 --scheduler tcp://host:8786",
         ],
     )
     add_problem(parser)
-    add_gains(parser)
     add_start(parser)
     for side, where in (("x", "horizontal"), ("y", "vertical")):
         parser.add_argument(
@@ -52,49 +53,75 @@ def add_map(commands: Any) -> None:
             type=read_range,
             required=True,
             metavar="NAME=LOW:HIGH",
-            help=f"the gain or parameter on the {where} axis",
+            help=f"the gain, parameter or initial state on the {where} axis",
         )
     parser.add_argument(
-        "--points",
+        "--grid",
+        dest="points",
         type=read_grid,
         default=(50, 50),
         metavar="NxM",
-        help="number of points along x and y; 50x50 by default",
+        help="number of points along x and y (default: 50x50)",
     )
     parser.add_argument(
-        "--until",
+        "--orbit",
+        type=Path,
+        metavar="ORBIT.json",
+        help="start where the period of this orbit starts, at its gains and parameters, but for "
+        "the axes, --set and --initial",
+    )
+    parser.add_argument(
+        "--refine",
+        type=read_seed,
+        default=0,
+        metavar="N",
+        help="halve the cells along boundaries N times, and compute no other points (default: 0)",
+    )
+    parser.add_argument(
+        "--max-time",
+        dest="until",
         type=read_number,
         metavar="T",
-        help="longest time for a motion to settle [s]; by default 300 periods of the problem's "
-        "clock, or 115 of its slowest oscillation, more above a restitution of 0.5",
+        help="longest time for a motion to settle [s] (default: 300 periods of the problem's "
+        "clock, or 115 of its slowest oscillation, more above a restitution of 0.5)",
     )
     add_place(parser)
-    parser.add_argument("--picture", type=Path, help="draw the map here")
+    parser.add_argument(
+        "--plot", dest="picture", type=Path, metavar="FILE", help="draw the map here"
+    )
     parser.add_argument(
         "--boundaries",
         type=Path,
         metavar="FAMILY.json",
-        help="draw the curves of this file, of `continue --second`, on top",
+        help="draw the curves of this file, of `continue --parameter2`, on top",
     )
     parser.add_argument("-o", "--output", type=Path, help="write the map here, as JSON")
 
 
 def _run_map(options: argparse.Namespace) -> int:
-    from zeno_orbits.maps import chunk_of, parameter_map, read_boundaries, require_plane, write_map
+    from zeno_orbits.maps import (
+        chunk_of,
+        parameter_map,
+        read_boundaries,
+        require_plane,
+        require_refinement,
+        write_map,
+    )
     from zeno_orbits.work import Plan
 
     plane = require_plane(_plane(options))
-    require_outputs(options)
+    require_refinement(plane, options.refine)
+    require_outputs(options, reads=[] if options.orbit is None else [options.orbit])
     boundaries: tuple[Boundary, ...] = ()
     if options.boundaries is not None:
         if options.picture is None:
-            raise InputError("Argument `boundaries` must come with `picture`, but it does not.")
+            raise InputError("Argument `boundaries` needs --plot.")
         boundaries = read_boundaries(options.boundaries, plane.x.name, plane.y.name)
     place, chunk = place_of(options), chunk_of(plane)
 
     def work(checkpoint: Path | None, progress: report.ProgressLine) -> ParameterMap:
         plan = Plan(place=place, chunk=chunk, checkpoint=checkpoint)
-        return parameter_map(plane, plan, on_progress=progress)
+        return parameter_map(plane, plan, refine=options.refine, on_progress=progress)
 
     def finish(found: ParameterMap) -> int:
         hand_out(
@@ -110,17 +137,15 @@ def _run_map(options: argparse.Namespace) -> int:
 
 
 def _plane(options: argparse.Namespace) -> Plane:
-    from zeno_orbits.maps import Plane
     from zeno_orbits.model import locate_problem
 
-    problem_file = locate_problem(options.problem)
-    return Plane(
-        source=problem_file,
+    return api.map_plane(
+        options.problem,
         x=_axis(options.x, options.points[0]),
         y=_axis(options.y, options.points[1]),
-        gains=options.gain,
-        parameters=options.set,
-        start=start_of(problem_file.load(), options),
+        **numbers_of(locate_problem(options.problem).load(), options),
+        start=options.start or None,
+        orbit=options.orbit,
         until=options.until,
     )
 

@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
+import os
 import re
 import sys
 import tempfile
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypedDict, TypeVar
 from uuid import uuid4
 
+from zeno_orbits import api
+from zeno_orbits.cli.help import help_of
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
 from zeno_orbits.errors import CheckpointError, InputError, WorkError, did_you_mean
-from zeno_orbits.integrators import ENGINES, Selective, engine_named
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import require_picture, require_writable, write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
-    from zeno_orbits.orbits import ZenoOrbit
-    from zeno_orbits.simulation import SimulationSettings
-    from zeno_orbits.verification import VerificationSettings
+    import zeno_orbits as zo
     from zeno_orbits.work import Place
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 
 _HELP_WIDTH = 78
+_LONGEST_NAME = 200
+"""Bytes of an output's name in the name of its checkpoint. File systems allow 255 bytes in all."""
 
 Result = TypeVar("Result")
 
@@ -38,13 +40,25 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, args: Any = None, namespace: Any = None
     ) -> Any:
-        """Return the options; a word that belongs to none of them is an error of this command."""
+        """Return the options. An unknown word is an error of this command."""
         found, rest = super().parse_known_args(args, namespace)
         if rest:
             known = [word for action in self._actions for word in action.option_strings]
             near = did_you_mean(rest[0].partition("=")[0], known)
             self.error(f"unrecognized arguments: {' '.join(rest)}.{near}")
         return found, rest
+
+    def format_help(self) -> str:
+        """Return the help of common options, in groups."""
+        return help_of(self, self._get_formatter)
+
+    def format_help_all(self) -> str:
+        """Return the help of all options, in groups."""
+        return help_of(self, self._get_formatter, everything=True)
+
+    def actions(self) -> list[argparse.Action]:
+        """Return the arguments and options."""
+        return self._actions
 
     def error(self, message: str) -> NoReturn:
         """Exit with the code of misuse."""
@@ -57,20 +71,41 @@ def _sentence(message: str) -> str:
     missing = re.fullmatch(r"the following arguments are required: (.*)", message)
     if missing is not None:
         return f"Missing: {missing[1]}."
-    found = re.fullmatch(r"argument (?:-\w/)?(?:--)?([^:]+): (.*)", message, flags=re.DOTALL)
+    found = re.fullmatch(r"argument (?:-\w/)?([^:]+): (.*)", message, flags=re.DOTALL)
     if found is None:
         return message[0].upper() + message[1:]
-    option, clause = found.groups()
+    label, clause = found.groups()
     if clause == "expected one argument":
-        clause = "must have a value, but it has none"
+        clause = "a value is missing"
     choice = re.fullmatch(r"invalid choice: '(.*)' \(choose from (.*)\)", clause, flags=re.DOTALL)
     if choice is not None:
         given, known = choice[1], re.findall(r"'([^']*)'", choice[2])
         clause = f"must be one of {', '.join(known)}, but it is `{given}`."
         clause += did_you_mean(given, known)
-    if clause.startswith("Argument "):
-        return clause
-    return f"Argument `{option}` {clause}{'' if clause.endswith(('.', '?')) else '.'}"
+    named = re.fullmatch(r"Argument `([^`]+)` (.*)", clause, flags=re.DOTALL)
+    if named is not None:
+        same = label == f"--{named[1]}"
+        label, clause = label if same else f"{label} {named[1]}", named[2]
+    return f"{label}: {clause}{'' if clause.endswith(('.', '?')) else '.'}"
+
+
+class _HelpAll(argparse.Action):
+    """Print the help of all options, and exit."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **kwargs: Any) -> None:
+        super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, **kwargs)
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,  # noqa: ARG002 (the form that `argparse` calls)
+        values: Any,  # noqa: ARG002
+        option_string: str | None = None,  # noqa: ARG002
+    ) -> None:
+        """Print the help and exit."""
+        if isinstance(parser, Parser):
+            sys.stdout.write(parser.format_help_all())
+        parser.exit()
 
 
 def add_command(
@@ -80,12 +115,12 @@ def add_command(
     summary: str,
     examples: Sequence[str],
 ) -> argparse.ArgumentParser:
-    """Return the parser of a command, with what all commands share.
+    """Return the parser of a command, with the options that all commands share.
 
     Args:
         commands: The program's commands, of ``add_subparsers``.
-        name: Its name.
-        run: From the parsed options to the exit code.
+        name: Name of the command.
+        run: Function from the parsed options to the exit code.
         summary: One line for the list of commands.
         examples: Command lines to show in its help.
     """
@@ -96,12 +131,11 @@ def add_command(
         epilog="\n".join(["examples:", *map(_folded_example, examples)]),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, parser=parser)
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
-    parser.add_argument(
-        "--verbose", action="store_true", help="say how steps were computed, and why"
-    )
+    parser.add_argument("-v", "--verbose", action="store_true", help="print integrator diagnostics")
     parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
+    parser.add_argument("--help-all", action=_HelpAll, help="show all options and examples")
     return parser
 
 
@@ -117,40 +151,52 @@ def _folded_example(command: str) -> str:
 
 
 def add_problem(parser: argparse.ArgumentParser) -> None:
-    """Add the problem and its parameters."""
+    """Add the problem, its gains and its parameters."""
     parser.add_argument(
         "problem",
         metavar="PROBLEM",
         help="a problem's name (NAME@FIDELITY for a reduced model) or Python file",
     )
-    add_parameters(parser)
+    add_values(parser)
 
 
-def _add_named(parser: argparse.ArgumentParser, option: str, form: str, meaning: str) -> None:
+def _add_named(
+    parser: argparse.ArgumentParser,
+    option: str,
+    form: str,
+    meaning: str,
+    *,
+    dest: str | None = None,
+) -> None:
     """Add an option that gives numbers by name and may be repeated."""
     parser.add_argument(
         option,
+        dest=dest or option.removeprefix("--"),
         action=Named,
         type=read_named_number,
         metavar=form,
-        help=f"{meaning}; may be repeated",
+        help=f"{meaning} (repeatable)",
     )
 
 
-def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """Add the parameters of a problem."""
-    _add_named(parser, "--set", "NAME=VALUE", "change a parameter of the problem")
-
-
-def add_gains(parser: argparse.ArgumentParser) -> None:
-    """Add the gains of a problem."""
-    _add_named(parser, "--gain", "NAME=VALUE", "change a gain")
+def add_values(parser: argparse.ArgumentParser) -> None:
+    """Add the gains and parameters of a problem."""
+    _add_named(parser, "--set", "NAME=VALUE", "set a gain or parameter")
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
     """Add the initial state."""
-    meaning = "initial value of a state, 0 for the others; by default the problem's first start"
-    _add_named(parser, "--start", "STATE=VALUE", meaning)
+    meaning = "initial value of a state, 0 for the others (default: the problem's first start)"
+    _add_named(parser, "--initial", "STATE=VALUE", meaning, dest="start")
+
+
+def add_at(parser: argparse.ArgumentParser) -> None:
+    """Add the state at which a theorem is looked at."""
+    meaning = (
+        "state Theorem 1 at this point, with a neighbourhood in which all impacts accumulate; "
+        "other states are 0, a clock has the cosine 1 (repeatable)"
+    )
+    _add_named(parser, "--at", "STATE=VALUE", meaning)
 
 
 def add_problem_file(parser: argparse.ArgumentParser) -> None:
@@ -171,20 +217,33 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--engine",
-        choices=tuple(ENGINES),
-        default=next(iter(ENGINES)),
-        help="the integrator; automatic takes explicit steps, and implicit ones where the problem "
-        "is stiff; taylor needs the extra `taylor`",
+        type=_read_engine,
+        choices=api.ENGINE_NAMES,
+        default=api.ENGINE_NAMES[0],
+        help="the integrator; automatic takes explicit steps, and implicit steps if the problem "
+        "is stiff",
     )
 
 
+def _read_engine(name: str) -> str:
+    """Return the name of an engine. Names that never existed are rejected by the parser.
+
+    Raises:
+        ArgumentTypeError: If the engine existed only in an earlier release.
+    """
+    if name in api.REMOVED_ENGINES:
+        raise argparse.ArgumentTypeError(api.engine_refusal(name))
+    return name
+
+
 def add_place(parser: argparse.ArgumentParser) -> None:
-    """Add where the work is done, and where what is finished is kept."""
+    """Add the options for workers and for the folder of finished work."""
     parser.add_argument(
+        "-j",
         "--workers",
         type=read_count,
         metavar="N",
-        help="number of processes; by default one per core",
+        help="number of processes (default: one per core)",
     )
     parser.add_argument(
         "--scheduler",
@@ -195,13 +254,13 @@ def add_place(parser: argparse.ArgumentParser) -> None:
         "--checkpoint",
         type=Path,
         metavar="FOLDER",
-        help="keep finished work in this folder and resume from it; by default a folder beside the "
-        "output, or a temporary one, removed when the work is done",
+        help="keep finished work in this folder and resume from it (default: a folder next to the "
+        "output, or a temporary one, removed when the work is done)",
     )
 
 
 def place_of(options: argparse.Namespace) -> Place:
-    """Return where the work is to be done."""
+    """Return the executor of the work."""
     from zeno_orbits.work import Cluster, Workers
 
     if options.scheduler is None:
@@ -219,15 +278,15 @@ def run_resumable(
     *,
     keep: bool = True,
 ) -> int:
-    """Do work whose finished parts outlive an interrupt, and return the exit code.
+    """Do work whose finished parts are kept at an interrupt, and return the exit code.
 
-    The parts are kept in the folder that was named, else beside the first output, else in a
-    temporary folder. A folder that nobody named is removed when it is of no more use.
+    The parts are kept in the named folder, else next to the first output, else in a temporary
+    folder. A folder that was not named is removed when it is not needed any more.
 
     Args:
         options: The parsed options.
-        work: From the folder, and a function to report progress to, to the result.
-        finish: From the result to the exit code: prints and writes it.
+        work: Function from the folder and a progress callback to the result.
+        finish: Function that prints and writes the result and returns the exit code.
         keep: Whether there are parts to keep, if no folder was named.
     """
     from zeno_orbits.work import keeps_nothing, remove_checkpoint
@@ -239,7 +298,7 @@ def run_resumable(
             found = work(folder, progress)
         code = finish(found)
     except KeyboardInterrupt:
-        report.print_error(f"interrupted; {_kept(options, folder) or 'nothing was written'}")
+        report.print_error(f"interrupted, {_kept(options, folder) or 'nothing was written'}")
         return INTERRUPTED
     except WorkError as error:
         kept = _kept(options, folder)
@@ -262,15 +321,18 @@ def _is_temporary(options: argparse.Namespace) -> bool:
 
 
 def _own_folder(options: argparse.Namespace) -> Path:
-    """Return a folder for finished work, by what the work is for."""
+    """Return a folder for finished work, determined by its purpose."""
     if _is_temporary(options):
         return Path(tempfile.gettempdir(), f"zeno-orbits-{uuid4().hex[:8]}")
     output = options.output or options.picture
-    return output.with_name(f"{output.name}.checkpoint")
+    name = os.fsencode(output.name)
+    if len(name) > _LONGEST_NAME:
+        name = name[:_LONGEST_NAME] + b"-" + hashlib.sha256(name).hexdigest()[:8].encode()
+    return output.with_name(f"{os.fsdecode(name)}.checkpoint")
 
 
 def _kept(options: argparse.Namespace, folder: Path | None) -> str:
-    """Return a clause on what is kept of unfinished work and how to go on, if anything is."""
+    """Return a clause on the kept parts of unfinished work and how to resume, or nothing."""
     from zeno_orbits.work import keeps_nothing, remove_checkpoint
 
     if folder is None:
@@ -301,65 +363,40 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
         help="a table of signals over time with headings `name [unit]`, one of them `time`",
     )
     parser.add_argument(
-        "--from", dest="since", type=read_number, metavar="T", help="ignore earlier data [s]"
+        "--t-start", dest="since", type=read_number, metavar="T", help="ignore earlier data [s]"
     )
-    parser.add_argument("--to", type=read_number, metavar="T", help="ignore later data [s]")
+    parser.add_argument(
+        "--t-end", dest="to", type=read_number, metavar="T", help="ignore later data [s]"
+    )
 
 
-def values_of(problem: Problem, options: argparse.Namespace) -> ParameterValues:
-    """Return the numbers that were asked for."""
-    return problem.values(gains=options.gain, parameters=options.set)
+class Numbers(TypedDict):
+    """Gains and parameters, by the names of the arguments of `api`."""
+
+    gains: dict[str, float]
+    parameters: dict[str, float]
 
 
-def start_of(problem: Problem, options: argparse.Namespace) -> tuple[float, ...]:
-    """Return the initial state that was asked for, ``(n_x,)``."""
-    return problem.state_vector(options.start or problem.starts[0])
+def numbers_of(problem: zo.Problem, options: argparse.Namespace) -> Numbers:
+    """Return the gains and parameters that were given, by the names of the arguments of `api`."""
+    gains, parameters = api.split_numbers(problem, options.set)
+    return {"gains": gains, "parameters": parameters}
 
 
-def simulation_of(options: argparse.Namespace) -> SimulationSettings:
-    """Return the simulator's settings for the engine that was asked for."""
-    from zeno_orbits.simulation import SimulationSettings
-
-    return SimulationSettings(engine=engine_named(options.engine))
+def values_of(problem: zo.Problem, options: argparse.Namespace) -> zo.ParameterValues:
+    """Return the values that were given, defaults filled in."""
+    return problem.values(numbers=options.set)
 
 
-def verification_of(options: argparse.Namespace, tolerance: float) -> VerificationSettings:
-    """Return how to check at the accuracy that was asked for, if one was."""
-    from zeno_orbits.orbits import LOOSER
-    from zeno_orbits.precision import FINEST, settings_for
-    from zeno_orbits.verification import VerificationSettings
-
-    simulation = simulation_of(options)
-    if options.accuracy is None:
-        return VerificationSettings(tolerance=tolerance, simulation=simulation)
-    settings_for(options.accuracy)
-    # The looser of the two integrations has to reach the accuracy, too.
-    fine = settings_for(max(options.accuracy / LOOSER, FINEST), simulation)
-    return VerificationSettings(tolerance=options.accuracy, simulation=fine)
+def start_of(problem: zo.Problem, options: argparse.Namespace) -> tuple[float, ...]:
+    """Return the initial state that was given, ``(n_x,)``."""
+    return problem.initial_state(options.start or None)
 
 
-def require_engine(options: argparse.Namespace, dynamics: HybridDynamics) -> None:
-    """Refuse an engine that cannot follow a system, before any work is done with it."""
-    engine = engine_named(options.engine)
-    if not isinstance(engine, Selective):
-        return
-    import numpy as np
-
-    # Some state off the stop and on it: what rests there is no part of the series.
-    off = np.ones(len(dynamics.state_names))
-    starts = (off, dynamics.on_stop(off), np.append(off, (1.0, 1.0)))
-    flows = (dynamics.free, dynamics.locked, dynamics.flight(1.0))
-    for flow, start in zip(flows, starts, strict=True):
-        engine.require(flow, start)
-
-
-def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
+def orbit_and_problem(options: argparse.Namespace) -> tuple[zo.ZenoOrbit, zo.Problem]:
     """Return the orbit of a file and its problem."""
-    from zeno_orbits.api import problem_of
-    from zeno_orbits.orbits import read_orbit
-
-    orbit = read_orbit(options.orbit)
-    return orbit, problem_of(orbit, options.problem)
+    orbit = api.as_orbit(options.orbit)
+    return orbit, api.problem_of(orbit, options.problem)
 
 
 def require_outputs(
@@ -368,7 +405,7 @@ def require_outputs(
     pictures: Sequence[str] = ("picture",),
     reads: Sequence[Path] = (),
 ) -> None:
-    """Refuse outputs that cannot all be written, before any work is done for them.
+    """Reject outputs that cannot all be written, before any work is done for them.
 
     Args:
         options: The parsed options.
@@ -377,7 +414,8 @@ def require_outputs(
         reads: Files that are read, and must stay.
 
     Raises:
-        InputError: If one cannot become a file, or would lie on another or on what is read.
+        InputError: If an output cannot become a file, or would overwrite another output or an
+            input.
     """
     taken = {path.resolve(): "the one that is read" for path in reads}
     for name in (*files, *pictures):
@@ -398,7 +436,7 @@ def print_json(data: Any) -> None:
 
 
 def json_text(data: Any) -> str:
-    """Return data as JSON; what is not finite is an error."""
+    """Return data as JSON. A nonfinite value is an error."""
     import json
 
     return json.dumps(data, indent=2, allow_nan=False)
@@ -408,10 +446,10 @@ def hand_out(
     options: argparse.Namespace,
     found: Any,
     show: Callable[[Any], None],
-    draw: Callable[[Any], Any],
+    draw: Callable[[Any], Any] | None = None,
     write: Callable[[Any, Path], None] | None = None,
 ) -> None:
-    """Draw, write and print a result, as far as ``--picture``, ``-o`` and ``--json`` ask for it.
+    """Draw, write and print a result, depending on ``--plot``, ``-o`` and ``--json``.
 
     The file comes after the picture: drawing takes long enough to be interrupted.
 
@@ -419,10 +457,11 @@ def hand_out(
         options: The parsed options.
         found: The result, with ``as_json``.
         show: Prints it for people.
-        draw: Returns its picture; takes `report.plots`, which is loaded only for it.
-        write: Writes its file; by default all of ``as_json``.
+        draw: Returns the figure of the result, if the command has ``--plot``. Its argument is
+            `report.plots`, which is loaded only for it.
+        write: Writes the file of the result, by default all of ``as_json``.
     """
-    if options.picture is not None:
+    if draw is not None and options.picture is not None:
         from zeno_orbits.report import plots
 
         plots.save_figure(draw(plots), options.picture)

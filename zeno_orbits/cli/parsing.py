@@ -14,14 +14,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zeno_orbits.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation import SpecialPointKind
-    from zeno_orbits.model import Problem
-    from zeno_orbits.orbits import Bound, OrbitShape
-    from zeno_orbits.search import Objective, ObjectiveWord
+    import zeno_orbits as zo
 
 
 class Named(argparse.Action):
-    """Collect the pairs of a repeated option in a mapping; each name may stand once."""
+    """Collect the pairs of a repeated option in a mapping. Each name may occur once."""
 
     def __init__(self, option_strings: Sequence[str], dest: str, **kwargs: Any) -> None:
         super().__init__(option_strings, dest, default={}, **kwargs)
@@ -42,7 +39,7 @@ class Named(argparse.Action):
 
 
 class Once(argparse.Action):
-    """Store the value of an option that may be given once; ``argparse`` keeps the last silently."""
+    """Store the value of an option that may be given once. ``argparse`` silently keeps the last."""
 
     def __call__(
         self,
@@ -77,7 +74,7 @@ def read_number(text: str) -> float:
 
 def _number(text: str, wanted: str) -> float:
     try:
-        # Python reads 1_5 as 15; whoever types it means 1.5 or a range.
+        # Python reads 1_5 as 15, but the user means 1.5 or a range.
         return float("" if "_" in text else text)
     except ValueError:
         message = f"must {wanted}, but it is `{text}`"
@@ -92,16 +89,21 @@ def read_share(text: str) -> float:
     return number
 
 
+def _is_whole(text: str) -> bool:
+    """Return True for a whole number of at most 18 digits: compiled code holds no longer one."""
+    return text.isdigit() and len(text) < 19
+
+
 def read_count(text: str) -> int:
     """Return a positive whole number."""
-    if not text.isdigit() or int(text) < 1:
+    if not _is_whole(text) or int(text) < 1:
         raise argparse.ArgumentTypeError(f"must be a positive whole number, but it is `{text}`")
     return int(text)
 
 
 def read_seed(text: str) -> int:
     """Return a whole number that is not negative."""
-    if not text.isdigit():
+    if not _is_whole(text):
         raise argparse.ArgumentTypeError(
             f"must be a whole number of at least 0, but it is `{text}`"
         )
@@ -124,6 +126,18 @@ def read_named_number(text: str) -> tuple[str, float]:
     return name, _number(value, f"have a number for `{name}`")
 
 
+def read_direction(text: str) -> dict[str, float]:
+    """Return a direction from ``NAME=VALUE,NAME=VALUE``, in which each name occurs once."""
+    entries: dict[str, float] = {}
+    for part in text.split(","):
+        name, value = read_named_number(part)
+        if name in entries:
+            message = f"must name `{name}` once, but it does so twice"
+            raise argparse.ArgumentTypeError(message)
+        entries[name] = value
+    return entries
+
+
 def read_interval(text: str) -> tuple[str, float, float]:
     """Return name, middle and radius of an interval ``NAME=VALUE:RADIUS``."""
     name, value, radius = _ends(text, "NAME=VALUE:RADIUS")
@@ -141,16 +155,16 @@ def read_range(text: str) -> Range:
     return Range(name, (_number(low, wanted), _number(high, wanted)))
 
 
-def read_bound(text: str) -> tuple[str, Bound]:
+def read_bound(text: str) -> tuple[str, zo.Bound]:
     """Return name and bound from ``NAME=LOWER:UPPER``, an open end left empty."""
-    from zeno_orbits.orbits import Bound
+    import zeno_orbits as zo
 
     name, low, high = _ends(text, "NAME=LOWER:UPPER, one end may be empty")
     wanted = f"have numbers for `{name}`"
     lower = _number(low, wanted) if low else -math.inf
     upper = _number(high, wanted) if high else math.inf
     try:
-        return name, Bound(name=name, lower=lower, upper=upper)
+        return name, zo.Bound(name=name, lower=lower, upper=upper)
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
 
@@ -180,57 +194,51 @@ def read_fit(text: str) -> Fit:
     return tuple(found)
 
 
-def read_shape(text: str) -> OrbitShape:
+def read_shape(text: str) -> zo.EventSequence:
     """Return the shape that a text such as ``zeno*2`` names."""
-    from zeno_orbits.orbits import OrbitShape
+    import zeno_orbits as zo
 
     try:
-        return OrbitShape.parsed(text)
+        return zo.EventSequence.parsed(text)
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def read_point_kind(text: str) -> SpecialPointKind:
+def read_point_kind(text: str) -> zo.SpecialPointKind:
     """Return the kind of special points that a word such as ``fold`` names."""
-    words = point_kinds()
+    from zeno_orbits import api
+
+    words = api.located_point_kinds()
     if text not in words:
         message = f"must be one of {', '.join(words)}, but it is `{text}`."
         raise argparse.ArgumentTypeError(message + did_you_mean(text, words))
     return words[text]
 
 
-def point_kinds() -> dict[str, SpecialPointKind]:
-    """Return word to kind of the special points that can be located."""
-    from zeno_orbits.continuation import SpecialPointKind
-
-    return {kind.name.lower().replace("_", "-"): kind for kind in SpecialPointKind if kind.located}
-
-
 class Wish(NamedTuple):
-    """An objective as it is asked for: a row of `OBJECTIVES` with its operand."""
+    """A requested objective: a row of `OBJECTIVES` with its operand."""
 
     text: str
     word: str
-    row: ObjectiveWord
+    row: Any
     operand: Any
 
     def __str__(self) -> str:
         """Return the words that `read_wish` reads."""
         return self.text
 
-    def objective(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> Objective:
+    def objective(self, problem: zo.Problem, free: Mapping[str, tuple[float, float]]) -> Any:
         """Return the objective.
 
         Args:
             problem: The problem.
-            free: Name to bounds of what is free.
+            free: Bounds of the decision variables by name.
 
         Raises:
-            InputError: If nothing is free that could serve it, or a target lies out of its range.
+            InputError: If no decision variable affects the objective, or a target is out of its
+                range.
         """
-        from zeno_orbits.search import Operand
-
-        if self.row.operand is Operand.NUMBERS:
+        if self.row.operand.name == "NUMBERS":
             _check_targets(self.operand, free)
         elif not free:
             message = f"must leave a gain or a parameter free for the {self.word}, but none is free"
@@ -239,24 +247,21 @@ class Wish(NamedTuple):
 
 
 def read_wish(text: str) -> Wish:
-    """Return what the words of ``--objective`` ask for."""
-    from zeno_orbits.search import OBJECTIVES, Operand
+    """Return the objective from the words of ``--objective``."""
+    from zeno_orbits import api
 
     word, _, rest = text.partition(":") if text.startswith("nearest") else text.partition("=")
-    known = OBJECTIVES.get(word)
-    takes = Operand.NOTHING if known is None else known.operand
-    if (
-        known is None
-        or (takes is Operand.NOTHING and rest)
-        or (takes is Operand.SIGNAL and not rest)
-    ):
-        *most, last = (one.usage for one in OBJECTIVES.values())
+    objectives = api.objective_words()
+    known = objectives.get(word)
+    takes = "NOTHING" if known is None else known.operand.name
+    if known is None or (takes == "NOTHING" and rest) or (takes == "SIGNAL" and not rest):
+        *most, last = (one.usage for one in objectives.values())
         message = f"must be {', '.join(most)} or {last}, but it is `{text}`."
-        raise argparse.ArgumentTypeError(message + did_you_mean(word, OBJECTIVES))
+        raise argparse.ArgumentTypeError(message + did_you_mean(word, objectives))
     operand: Any = rest
-    if takes is Operand.NUMBERS:
+    if takes == "NUMBERS":
         operand = _targets(rest)
-    elif takes is Operand.NUMBER:
+    elif takes == "NUMBER":
         operand = _number(rest, f"have a number for the {word}")
     return Wish(text, word, known, operand)
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits import api
 from zeno_orbits.cli.options import (
     YES,
     add_command,
@@ -21,13 +22,11 @@ from zeno_orbits.report import terminal as report
 from zeno_orbits.work import require_folder, write_all
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment import Counterpart
-    from zeno_orbits.model import Problem
-    from zeno_orbits.orbits import ZenoOrbit
+    import zeno_orbits as zo
     from zeno_orbits.report import plots
 
 _PICTURES = ("portraits", "time", "outputs", "zeno", "region")
-_FIGURES = ("graph", "region", "portraits", "beside", "animation")
+_FIGURES = ("graph", "mechanism", "region", "portraits", "beside", "animation")
 
 
 def add_plot(commands: Any) -> None:
@@ -48,7 +47,7 @@ def add_plot(commands: Any) -> None:
         action="append",
         choices=_PICTURES,
         help="picture to draw: phase portraits, states over time, outputs over time, zoom into "
-        "the Zeno point, region d2h/dt2 < 0; may be repeated; by default all that the problem has",
+        "the Zeno point, region d2h/dt2 < 0 (repeatable, default: all of the problem)",
     )
     parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png")
     parser.add_argument(
@@ -59,10 +58,9 @@ def add_plot(commands: Any) -> None:
 
 def _run_plot(options: argparse.Namespace) -> int:
     from zeno_orbits.report import motion_of, plots
-    from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = orbit_and_problem(options)
-    dynamics = problem_dynamics(orbit, problem)
+    dynamics = api.system_of(orbit, problem)
     require_folder(options.output)
     execution = motion_of(orbit, problem, dynamics, periods=options.periods)
     draw = {
@@ -81,12 +79,12 @@ def _run_plot(options: argparse.Namespace) -> int:
     kinds = options.kind or [kind for kind in _PICTURES if has.get(kind, True)]
     if "outputs" in kinds and not problem.outputs:
         raise InputError(
-            f"Argument `kind` must be a picture that `{problem.name}` has, but it has no outputs."
+            f"Argument `kind` must be a picture that `{problem.name}` has, but it lacks outputs."
         )
     if not rests and {"zeno", "region"} & {*kinds}:
         wanted = "must be a picture of an orbit without a Zeno point"
         raise InputError(f"Argument `kind` {wanted}, but it is `zeno` or `region`.")
-    # One that cannot be drawn leaves none behind.
+    # All figures are drawn before any file is written, so a failure leaves no files.
     files = {
         f"{kind}.{options.format}": plots.rendered(draw[kind](), options.format) for kind in kinds
     }
@@ -109,7 +107,7 @@ def add_figures(commands: Any) -> None:
         [
             "zeno-orbits figures orbit.json -o figures",
             "zeno-orbits figures motor_pendulum -o figures --kind graph --kind region",
-            "zeno-orbits figures orbit.json -o figures --kind beside --data recording.csv",
+            "zeno-orbits figures orbit.json -o figures --kind beside --recording recording.csv",
         ],
     )
     parser.add_argument(
@@ -123,22 +121,25 @@ def add_figures(commands: Any) -> None:
         "--kind",
         action="append",
         choices=_FIGURES,
-        help="figures to draw: the system and its completion as graphs, the region d2h/dt2 < 0, "
-        "phase portraits, five figures of the model beside the virtual rig, the machine in motion; "
-        "may be repeated; by default all that the problem has",
+        metavar="KIND",
+        help=f"figures to draw, one of {', '.join(_FIGURES)}: the system and its completion as "
+        "graphs, the mechanism and its circuit, the region d2h/dt2 < 0, phase portraits, five "
+        "figures of the model beside the virtual rig, the machine in motion "
+        "(repeatable, default: all of the problem)",
     )
     parser.add_argument(
-        "--data",
+        "--recording",
+        dest="data",
         type=Path,
         metavar="FILE.csv",
-        help="show the model beside this recording instead of the virtual rig",
+        help="show the model with this recording instead of the virtual rig",
     )
     parser.add_argument(
         "--periods",
         type=read_count,
         default=3,
         metavar="N",
-        help="number of periods to show beside another motion",
+        help="number of periods to show with another motion",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the figures")
 
@@ -160,7 +161,7 @@ def _run_figures(options: argparse.Namespace) -> int:
             try:
                 files |= plots.PAPER[kind](material)
             except (InputError, SimulationError) as error:
-                # What was asked for by name has to be there.
+                # Figures requested by name must exist.
                 if kind in wanted:
                     raise
                 left_out[kind] = str(error).removesuffix(".")
@@ -178,28 +179,13 @@ def _run_figures(options: argparse.Namespace) -> int:
 
 def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plots.Material:
     from zeno_orbits.report import motion_of, plots
-    from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = _orbit_and_problem(options, progress)
-    dynamics = problem_dynamics(orbit, problem)
+    dynamics = api.system_of(orbit, problem)
     one = motion_of(orbit, problem, dynamics)
     if not one.zeno_points:
         message = "must reach a Zeno point in its period, but it reaches none"
-        raise InputError(f"Argument `orbit` {message}; see `verify`.")
-
-    def other() -> Counterpart:
-        from zeno_orbits.experiment import (
-            measurable,
-            read_recording,
-            recording_counterpart,
-            rig_counterpart,
-        )
-
-        count = options.periods
-        if options.data is not None:
-            recording = read_recording(options.data, only=tuple(measurable(problem)))
-            return recording_counterpart(recording, orbit, problem, count)
-        return rig_counterpart(orbit, problem, count, on_progress=progress)
+        raise InputError(f"Argument `orbit` {message}. See `verify`.")
 
     return plots.Material(
         problem=problem,
@@ -208,22 +194,25 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plo
         period=orbit.period,
         one=one,
         several=motion_of(orbit, problem, dynamics, periods=options.periods),
-        other=other,
+        other=lambda: api.counterpart_of(
+            orbit,
+            problem,
+            recording=options.data,
+            periods=options.periods,
+            on_progress=progress,
+        ),
     )
 
 
 def _orbit_and_problem(
     options: argparse.Namespace, progress: report.ProgressLine
-) -> tuple[ZenoOrbit, Problem]:
-    """Return the orbit of a file, or the one of a problem at its own numbers."""
+) -> tuple[zo.ZenoOrbit, zo.Problem]:
+    """Return the orbit of a file, or the orbit of a problem at its default parameters."""
     if options.orbit.suffix == ".json":
         return orbit_and_problem(options)
-    from zeno_orbits.model import load_problem
-    from zeno_orbits.search import find_orbit
-
     if options.problem is not None:
         message = "must come with an orbit file, but a problem is named already"
         raise InputError(f"Argument `problem` {message}.")
-    problem = load_problem(str(options.orbit))
+    problem = api.known_problem(str(options.orbit))
     progress("searching for the orbit")
-    return find_orbit(problem, problem.values()).unwrap(), problem
+    return api.search_gains(problem, free={}, on_progress=progress).unwrap(), problem

@@ -6,22 +6,23 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
     YES,
+    add_at,
     add_command,
-    add_gains,
     add_problem,
+    numbers_of,
     print_json,
     say_written,
-    values_of,
 )
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import require_picture, write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.model import ParameterValues, Problem
+    import zeno_orbits as zo
 
 
 def add_problems(commands: Any) -> None:
@@ -36,9 +37,7 @@ def add_problems(commands: Any) -> None:
 
 
 def _run_problems(options: argparse.Namespace) -> int:
-    from zeno_orbits.model import bundled_problems, load_problem
-
-    problems = [one for name in bundled_problems() for one in load_problem(name).ladder()]
+    problems = api.all_problems()
     if options.json:
         print_json([_problem_json(problem) for problem in problems])
     else:
@@ -46,7 +45,7 @@ def _run_problems(options: argparse.Namespace) -> int:
     return YES
 
 
-def _problem_json(problem: Problem) -> dict[str, Any]:
+def _problem_json(problem: zo.Problem) -> dict[str, Any]:
     return {
         "name": problem.name,
         "title": problem.title,
@@ -70,37 +69,42 @@ def add_new(commands: Any) -> None:
         [
             "zeno-orbits new my_problem",
             "zeno-orbits new my_problem --with-motor",
+            "zeno-orbits new my_problem --with-circuit",
             "zeno-orbits search ./my_problem.py",
         ],
     )
     parser.add_argument("name", metavar="NAME", help="name of the new problem; its file is NAME.py")
-    parser.add_argument(
+    drive = parser.add_mutually_exclusive_group()
+    drive.add_argument(
         "--with-motor",
         action="store_true",
         help="let a DC motor under feedback drive it, in place of a periodic force",
     )
+    drive.add_argument(
+        "--with-circuit",
+        action="store_true",
+        help="let a motor with a current loop drive it: a circuit and a further state",
+    )
 
 
-def template(*, with_motor: bool) -> str:
+def template(*, with_motor: bool, with_circuit: bool = False) -> str:
     """Return a problem file that works, whose problem is called NAME."""
-    name = "motor" if with_motor else "periodic_force"
+    name = "motor" if with_motor else "circuit" if with_circuit else "periodic_force"
     path = Path(__file__).parent / "templates" / f"{name}.py.txt"
     return path.read_text(encoding="utf-8")
 
 
 def _run_new(options: argparse.Namespace) -> int:
-    from zeno_orbits.model import bundled_problems
-
     if not options.name.isidentifier():
         wanted = "must be a word of letters, digits and underscores"
         raise InputError(f"Argument `name` {wanted}, but it is `{options.name}`.")
-    if options.name in bundled_problems():
+    if options.name in api.bundled_names():
         wanted = "must not be the name of a bundled problem"
         raise InputError(f"Argument `name` {wanted}, but `{options.name}` is one.")
     path = Path(f"{options.name}.py")
     if path.exists():
         raise InputError(f"Argument `name` must name a new file, but `{path}` exists.")
-    content = template(with_motor=options.with_motor)
+    content = template(with_motor=options.with_motor, with_circuit=options.with_circuit)
     write_whole(path, content.replace("NAME", options.name))
     if options.json:
         print_json({"problem": str(path)})
@@ -113,59 +117,49 @@ def add_conditions(commands: Any) -> None:
     """Add the command `conditions`."""
     parser = add_command(
         commands,
-        "conditions",
+        "zeno-condition",
         _run_conditions,
         "Theorem 1: d2h/dt2 at the Zeno equilibria, in symbols and numbers",
         [
-            "zeno-orbits conditions motor_pendulum",
-            "zeno-orbits conditions motor_pendulum --set m2=0.12 -o region.png",
+            "zeno-orbits zeno-condition motor_pendulum",
+            "zeno-orbits zeno-condition motor_pendulum --set m2=0.12 --plot region.png",
+            "zeno-orbits zeno-condition motor_pendulum --at theta1=1.2 --at current=-0.4",
         ],
     )
     add_problem(parser)
-    add_gains(parser)
-    parser.add_argument("-o", "--output", type=Path, help="draw the region d2h/dt2 < 0 here")
+    add_at(parser)
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw the region d2h/dt2 < 0 here"
+    )
 
 
 def _run_conditions(options: argparse.Namespace) -> int:
-    from zeno_orbits.model import (
-        acceleration_formula,
-        load_problem,
-        six_digits,
-        with_numbers,
-    )
-
-    problem = load_problem(options.problem)
-    values = values_of(problem, options)
-    # What cannot be drawn is refused before anything is printed.
-    if options.output is not None:
-        _draw_region(problem, values, options.output)
-    formula = acceleration_formula(problem)
-    numbers = with_numbers(formula, values)
-    always = bool(numbers < 0) if numbers.is_number else None
+    if options.plot is not None:
+        require_picture(options.plot, "plot")
+    problem = api.known_problem(options.problem)
+    numbers = numbers_of(problem, options)
+    # A problem that cannot be drawn is rejected before anything is printed.
+    if options.plot is not None:
+        _draw_region(problem, problem.values(**numbers), options.plot)
+    found = api.zeno_condition(problem, **numbers, at=options.at)
+    point = found.equilibrium
     if options.json:
-        print_json(
-            {
-                "problem": problem.name,
-                "restitution": values.parameters["restitution"],
-                "formula": str(formula),
-                "numbers": six_digits(numbers),
-                "coefficients": {
-                    str(term): float(factor)
-                    for term, factor in numbers.as_coefficients_dict().items()
-                },
-                "parameters": dict(values.parameters),
-            }
-        )
+        print_json(found.as_json())
     else:
-        report.print_conditions(problem, values, str(formula), six_digits(numbers), always=always)
-    if options.output is not None:
-        say_written(options, [options.output])
-    return NO if always is False else YES
+        report.print_conditions(
+            problem, found.values, str(found.formula), found.text, always=found.always
+        )
+        if point is not None:
+            report.print_equilibrium(problem, point)
+    if options.plot is not None:
+        say_written(options, [options.plot])
+    if point is not None:
+        return YES if point.has_zeno_executions else NO
+    return NO if found.always is False else YES
 
 
-def _draw_region(problem: Problem, values: ParameterValues, path: Path) -> None:
+def _draw_region(problem: zo.Problem, values: zo.ParameterValues, path: Path) -> None:
     from zeno_orbits.report import plots
 
-    require_picture(path)
     dynamics = problem.dynamics(values)
     plots.save_figure(plots.plot_zeno_region(problem, dynamics), path)

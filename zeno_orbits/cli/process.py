@@ -1,9 +1,9 @@
-"""The process around a command: an interrupt that cannot be lost, and streams that may be closed.
+"""The process around a command: reliable interrupts, and streams that may be closed.
 
-An interrupt that arrives while CasADi looks at a Python object is lost in it; so it is also
-remembered, and raised again at the next occasion. A reader who has seen enough (`| head`) does not
-stop a command before its exit code is known, a closed stream takes nothing, and a full disk is an
-error of one line.
+CasADi loses an interrupt that arrives while it inspects a Python object. So the interrupt is also
+stored and raised again at the next opportunity. If the reader of the output closes its pipe
+(`| head`), the command still runs until its exit code is known. A closed stream accepts text
+silently, and a full disk is an error of one line.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from zeno_orbits.errors import InputError
 
 @contextmanager
 def patient_streams() -> Generator[None, None, None]:
-    """Put patient streams in place of the standard ones for as long as the context lasts."""
+    """Replace the standard streams by patient streams for as long as the context lasts."""
     out, err = cast("TextIO | None", sys.stdout), cast("TextIO | None", sys.stderr)
     sys.stdout, sys.stderr = _Patient(out, may_fail=True), _Patient(err, may_fail=False)
     try:
@@ -33,11 +33,11 @@ def patient_streams() -> Generator[None, None, None]:
 
 
 class _Patient(io.TextIOBase):
-    """A stream that accepts text even when its reader is gone.
+    """A stream that accepts text even if its reader has closed the pipe.
 
     Args:
-        stream: What it writes to; ``None`` if that was closed before the start.
-        may_fail: Whether a full disk is an error; not on the stream of error messages.
+        stream: The underlying stream, or ``None`` if it was closed before the start.
+        may_fail: Whether a full disk is an error. It is False for the stream of error messages.
     """
 
     def __init__(self, stream: TextIO | None, *, may_fail: bool) -> None:
@@ -46,7 +46,7 @@ class _Patient(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Encoding of what it writes to."""
+        """Encoding of the underlying stream."""
         return getattr(self._stream, "encoding", None) or "utf-8"
 
     def isatty(self) -> bool:
@@ -54,10 +54,10 @@ class _Patient(io.TextIOBase):
         return self._stream is not None and self._stream.isatty()
 
     def fileno(self) -> int:
-        """Return the number of its file.
+        """Return the file descriptor of the underlying stream.
 
         Raises:
-            OSError: If it has none.
+            OSError: If the underlying stream lacks a file descriptor.
         """
         if self._stream is None:
             raise io.UnsupportedOperation("fileno")
@@ -71,10 +71,18 @@ class _Patient(io.TextIOBase):
         """
         try:
             if self._stream is not None:
-                self._stream.write(text)
+                self._stream.write(self._encodable(text))
         except OSError as error:
             self._drop(error)
         return len(text)
+
+    def _encodable(self, text: str) -> str:
+        """Return text with escapes for characters that the stream cannot encode."""
+        try:
+            text.encode(self.encoding)
+        except UnicodeEncodeError:
+            return text.encode(self.encoding, "backslashreplace").decode(self.encoding)
+        return text
 
     def flush(self) -> None:
         """Flush, likewise.
@@ -89,7 +97,7 @@ class _Patient(io.TextIOBase):
             self._drop(error)
 
     def _drop(self, error: OSError) -> None:
-        """Write no more, not even what is left in the buffer at the end."""
+        """Discard all further output, including the rest of the buffer at the end."""
         stream, self._stream = self._stream, None
         if stream is not None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
@@ -99,20 +107,27 @@ class _Patient(io.TextIOBase):
 
 
 class Interrupts:
-    """Remember an interrupt for as long as the context lasts.
+    """Remember an interrupt, or a request to end, for as long as the context lasts.
+
+    Both are raised as `KeyboardInterrupt`, so that temporary files are removed on the way out.
 
     Attributes:
         seen: True if there was one.
+        signal: Its signal, SIGINT or SIGTERM.
     """
 
     def __init__(self) -> None:
         self.seen = False
-        self._before: Any = None
+        self.signal: int = signal.SIGINT
+        self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        """Begin to watch; only the main thread may."""
+        """Begin to watch for interrupts. This is possible only in the main thread."""
         if threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._see)
+            for number in (signal.SIGINT, signal.SIGTERM):
+                # An interrupt that is ignored, of a job in the background, stays ignored.
+                if signal.getsignal(number) is not signal.SIG_IGN:
+                    self._before[number] = signal.signal(number, self._see)
         return self
 
     def __exit__(
@@ -122,8 +137,8 @@ class Interrupts:
         trace: TracebackType | None,
     ) -> None:
         """Hand the signal back."""
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        for number, before in self._before.items():
+            signal.signal(number, before)
 
     def check(self) -> None:
         """Raise if an interrupt was seen.
@@ -134,6 +149,6 @@ class Interrupts:
         if self.seen:
             raise KeyboardInterrupt
 
-    def _see(self, _number: int, _frame: FrameType | None) -> None:
-        self.seen = True
+    def _see(self, number: int, _frame: FrameType | None) -> None:
+        self.seen, self.signal = True, number
         raise KeyboardInterrupt

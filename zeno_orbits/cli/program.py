@@ -12,25 +12,40 @@ from zeno_orbits.cli.cache import add_cache
 from zeno_orbits.cli.completion import add_completion
 from zeno_orbits.cli.continue_command import add_continue
 from zeno_orbits.cli.costs import add_fidelity, add_trade
+from zeno_orbits.cli.export import add_export
 from zeno_orbits.cli.map import add_map
+from zeno_orbits.cli.old_forms import in_new_forms
 from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser, print_json
 from zeno_orbits.cli.pictures import add_figures, add_plot
 from zeno_orbits.cli.problems import add_conditions, add_new, add_problems
 from zeno_orbits.cli.process import Interrupts, patient_streams
 from zeno_orbits.cli.prove import add_prove
+from zeno_orbits.cli.push import add_push
 from zeno_orbits.cli.recordings import add_compare, add_identify
+from zeno_orbits.cli.recovery import add_recovery
 from zeno_orbits.cli.report_command import add_report
 from zeno_orbits.cli.rig import add_rig
 from zeno_orbits.cli.search import add_search
 from zeno_orbits.cli.simulate import add_simulate
+from zeno_orbits.cli.typed import as_typed
 from zeno_orbits.cli.verify import add_verify
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.report import terminal as report
 
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
-    *(add_search, add_verify, add_prove, add_map, add_continue, add_trade, add_rig),
-    *(add_plot, add_report, add_figures, add_compare, add_identify, add_cache, add_completion),
+    *(add_search, add_verify, add_prove, add_map, add_continue, add_push),
+    *(add_recovery, add_trade, add_rig),
+    *(
+        add_export,
+        add_plot,
+        add_report,
+        add_figures,
+        add_compare,
+        add_identify,
+        add_cache,
+        add_completion,
+    ),
 )
 """In the order of the help."""
 
@@ -39,17 +54,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
     Args:
-        arguments: Its words; by default those of the process.
+        arguments: Words of the command line, by default the words of the process.
     """
     with patient_streams():
         try:
             parser = build_parser()
-            options = parser.parse_args(arguments)
+            words = in_new_forms(sys.argv[1:] if arguments is None else arguments)
+            options = parser.parse_args(words)
+            options.words = words
             if options.run is None:
                 parser.print_help()
                 return MISUSE
         except InputError as error:
-            # There is no room for what `--help` says.
+            # The output of `--help` cannot be written.
             report.print_error(str(error))
             return MISUSE
         except KeyboardInterrupt:
@@ -58,49 +75,56 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _answer(options: argparse.Namespace) -> int:
-    """Run one command; an error is one line on standard error, and an exit code."""
+    """Run one command. An error is one line on standard error, and an exit code."""
     try:
         with Interrupts() as interrupts:
             options.interrupts = interrupts
             code: int = options.run(options)
             # A disk may turn out to be full as late as here.
             sys.stdout.flush()
-            return code
+            return _of_signal(options) if code == INTERRUPTED else code
     except InputError as error:
         return _end(error, MISUSE, options)
     except ZenoOrbitsError as error:
         return _end(error, NO, options)
     except KeyboardInterrupt:
-        return _interrupted()
+        _interrupted()
+        return _of_signal(options)
     except Exception as error:
-        # What an interrupt leaves half done, an import for instance, fails afterwards.
+        # Code that an interrupt left unfinished, for instance an import, fails afterwards.
         if options.interrupts.seen:
-            return _interrupted()
+            _interrupted()
+            return _of_signal(options)
         # The last line of defence against a raw traceback.
         if options.debug:
             raise
-        text = f"internal error, please report it ({type(error).__name__}: {error}); see --debug"
+        text = f"internal error, please report it ({type(error).__name__}: {error}). See --debug"
         return _end(error, MISUSE, options, text)
     finally:
-        _tell_of_kernels(options)
+        _tell_of_loop(options)
 
 
-def _tell_of_kernels(options: argparse.Namespace) -> None:
-    """Say why steps were not compiled if something is wrong, or anyway if `--verbose` asks."""
-    if "zeno_orbits.kernels.requests" not in sys.modules:
+def _tell_of_loop(options: argparse.Namespace) -> None:
+    """Print why executions run in Python if they do, and with `--verbose` how they run."""
+    if "zeno_orbits.loop.library" not in sys.modules:
         return
-    from zeno_orbits.kernels import account, complaints
+    from zeno_orbits.loop import loop_account, loop_trouble, refusals
 
-    # A variable that says nothing known has been refused already.
-    with suppress(InputError):
-        if options.verbose and account():
-            report.print_note(f"{account()}.")
-        elif complaints():
-            report.print_note(f"{complaints()[0]}: steps are interpreted, as accurate and slower.")
+    if options.verbose:
+        if "zeno_orbits.loop.program" in sys.modules:
+            for clause in (loop_account(), *refusals()):
+                report.print_note(f"{clause}.")
+    elif loop_trouble():
+        report.print_note(f"executions run in Python, as accurate and slower: {loop_trouble()}.")
+
+
+def _of_signal(options: argparse.Namespace) -> int:
+    """Return the exit code that a shell gives to a command that a signal ended."""
+    return 128 + int(options.interrupts.signal)
 
 
 def _interrupted() -> int:
-    report.print_error("interrupted; nothing was written")
+    report.print_error("interrupted, nothing was written")
     return INTERRUPTED
 
 
@@ -108,7 +132,7 @@ def _end(error: Exception, code: int, options: argparse.Namespace, text: str = "
     """Tell an error, by its own words or others, to people and to programs."""
     if options.debug:
         raise error
-    said = text or str(error)
+    said = text or as_typed(str(error), options.words, options)
     report.print_error(said)
     if options.json:
         # A disk that is full does not hide the error.

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
     YES,
@@ -21,9 +22,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.model import Problem
-    from zeno_orbits.orbits import ZenoOrbit
-    from zeno_orbits.proof import ProofVerdict
+    import zeno_orbits as zo
 
 
 def add_prove(commands: Any) -> None:
@@ -37,7 +36,7 @@ def add_prove(commands: Any) -> None:
             "zeno-orbits prove orbit.json -o proof.json",
             "zeno-orbits prove --check proof.json",
             "zeno-orbits prove orbit.json --radius 1e-7",
-            "zeno-orbits prove orbit.json --over Kp=2.5:1e-8",
+            "zeno-orbits prove orbit.json --interval Kp=2.5:1e-8",
         ],
     )
     parser.add_argument("orbit", metavar="ORBIT.json", type=Path, nargs="?", help="an orbit file")
@@ -55,10 +54,11 @@ def add_prove(commands: Any) -> None:
         "--radius",
         type=read_share,
         metavar="R",
-        help="radius of the box, per size of a coordinate; found by itself by default",
+        help="relative radius of the box (chosen automatically by default)",
     )
     parser.add_argument(
-        "--over",
+        "--interval",
+        dest="over",
         type=read_interval,
         action="append",
         default=[],
@@ -73,12 +73,10 @@ def _run_prove(options: argparse.Namespace) -> int:
         raise InputError(f"Argument `ORBIT.json` must be given or `--check` must, but {given}.")
     if options.check is not None:
         return _check(options)
-    from zeno_orbits.api import prove
-
     require_outputs(options, pictures=(), reads=(options.orbit,))
     orbit, problem = orbit_and_problem(options)
     with report.ProgressLine(options.interrupts.check) as progress:
-        proof = prove(
+        proof = api.prove(
             orbit,
             problem=problem,
             over=_over(options, problem, {**orbit.gains, **orbit.parameters}),
@@ -87,9 +85,7 @@ def _run_prove(options: argparse.Namespace) -> int:
         )
     written = options.output if proof.proved else None
     if written is not None:
-        from zeno_orbits.proof import write_proof
-
-        write_proof(proof.certificate, written)
+        api.write_proof(proof.certificate, written)
     if options.json:
         print_json(proof.as_json())
     else:
@@ -100,9 +96,9 @@ def _run_prove(options: argparse.Namespace) -> int:
 
 
 def _over(
-    options: argparse.Namespace, problem: Problem, known: dict[str, float]
+    options: argparse.Namespace, problem: zo.Problem, known: dict[str, float]
 ) -> dict[str, float]:
-    """Return name to radius; the middle must be the orbit's own number."""
+    """Return the radii by name. The middle of each interval must be the orbit's own value."""
     over: dict[str, float] = {}
     for name, value, radius in options.over:
         problem.place(name, argument="over")
@@ -114,30 +110,21 @@ def _over(
 
 
 def _check(options: argparse.Namespace) -> int:
-    """Check a certificate on both levels, and print what holds."""
-    import json
+    """Check a certificate on both levels, and print the proved statements."""
     from dataclasses import asdict
 
-    from zeno_orbits.model import load_problem, locate_problem
-    from zeno_orbits.proof import check_proof, replay_proof
-
-    problem = None if options.problem is None else locate_problem(options.problem).load()
-    verdict = check_proof(options.check, problem)
-    data = json.loads(options.check.read_text(encoding="utf-8"))
-    replay = replay_proof(data, problem or load_problem(data["problem"]))
+    verdict, replay = api.check_certificate(options.check, problem=options.problem)
     holds = verdict.ok and (replay is None or replay.ok)
     if options.json:
-        claims = [claim._asdict() for claim in verdict.claims]
         levels = {"A": replay and {**asdict(replay), "ok": replay.ok}, "B": {"ok": verdict.ok}}
-        found = {"proved": holds, "problem": verdict.problem, "claims": claims, "levels": levels}
-        print_json(found)
+        print_json({"proved": holds, **verdict.as_json(), "levels": levels})
         return YES if holds else NO
     for claim in verdict.claims:
         report.print_lines([f"{'holds' if claim.ok else 'FAILS'}  {claim.name}: {claim.evidence}"])
-    evidence = "there is no hand-written model." if replay is None else replay.verdict()
-    report.print_lines(
-        [f"Level A, replay: {evidence}", f"Level B, inclusions: {verdict.verdict()}"]
-    )
+    evidence = "the problem lacks a hand-written model." if replay is None else replay.verdict()
+    level_b, *others = verdict.conclusions() or [verdict.verdict()]
+    told = [*verdict.theorem.hypotheses(), f"Level A, replay: {evidence}"]
+    report.print_lines([*told, f"Level B, inclusions: {level_b}", *others])
     what = "every claim holds" if holds else "a claim does not hold"
     report.print_lines([f"Certificate of `{verdict.problem}`: {what}."])
     return YES if holds else NO
@@ -154,15 +141,15 @@ def add_proof(parser: argparse.ArgumentParser) -> None:
 
 
 def proof_of(
-    options: argparse.Namespace, orbit: ZenoOrbit, problem: Problem
-) -> ProofVerdict | None:
-    """Return what a check of the orbit's certificate found; nothing without one.
+    options: argparse.Namespace, orbit: zo.ZenoOrbit, problem: zo.Problem
+) -> zo.ProofVerdict | None:
+    """Return the verdict on the orbit's certificate, or ``None`` without a certificate.
 
     Args:
         options: Options of the command, with the file of the certificate.
-        orbit: The orbit that it must be about.
+        orbit: The orbit that the certificate must refer to.
         problem: Its problem.
     """
-    from zeno_orbits.proof import check_proof_of
-
-    return None if options.proof is None else check_proof_of(orbit, problem, options.proof)
+    if options.proof is None:
+        return None
+    return api.check_certificate_of(orbit, options.proof, problem=problem)

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
-    add_gains,
     add_orbit,
     add_problem,
     add_recording,
+    numbers_of,
     orbit_and_problem,
     print_json,
     require_outputs,
     say_written,
-    values_of,
     write_json,
 )
-from zeno_orbits.cli.parsing import Fit, read_fit
+from zeno_orbits.cli.parsing import read_fit
 from zeno_orbits.report import terminal as report
-
-if TYPE_CHECKING:
-    from zeno_orbits.experiment import Recording, Unknown
-    from zeno_orbits.model import ParameterValues, Problem
 
 
 def add_compare(commands: Any) -> None:
@@ -36,27 +31,36 @@ def add_compare(commands: Any) -> None:
         commands,
         "compare",
         _run_compare,
-        "compare a recording of signals over time with an orbit; exit code 1 if the recording "
-        "does not show the orbit",
+        "compare a recording of signals over time with an orbit; exit code 0 if the recording "
+        "shows it or one of the machine with other values, 1 if it does not or cannot decide",
         [
-            "zeno-orbits compare orbit.json data.csv --from 5 --picture compared.png",
-            "zeno-orbits compare orbit.json data.csv --from 5 --json",
+            "zeno-orbits compare orbit.json data.csv --t-start 5 --plot compared.png",
+            "zeno-orbits compare orbit.json data.csv --t-start 5 --json",
         ],
     )
     add_orbit(parser)
     add_recording(parser)
-    parser.add_argument("--picture", type=Path, help="draw the recording over the orbit here")
+    parser.add_argument(
+        "--plot",
+        dest="picture",
+        type=Path,
+        metavar="FILE",
+        help="draw the recording over the orbit here",
+    )
 
 
 def _run_compare(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import compare
-
     require_outputs(options, files=(), reads=[options.orbit, options.data])
     orbit, problem = orbit_and_problem(options)
     with report.ProgressLine(options.interrupts.check) as progress:
-        recording = _recording(options, problem, progress)
-        progress("comparing")
-        found = compare(orbit, problem, recording)
+        found = api.compare(
+            orbit,
+            options.data,
+            problem=problem,
+            t_start=options.since,
+            t_end=options.to,
+            on_progress=progress,
+        )
     picture: Path | None = options.picture
     drawn = [] if picture is None or found.deviations is None else [picture]
     for path in drawn:
@@ -73,17 +77,6 @@ def _run_compare(options: argparse.Namespace) -> int:
     return YES if found.agrees else NO
 
 
-def _recording(
-    options: argparse.Namespace, problem: Problem, progress: report.ProgressLine
-) -> Recording:
-    """Return the part of the recording that counts."""
-    from zeno_orbits.experiment import cut, measurable, read_recording
-
-    progress("reading the recording")
-    recording = read_recording(options.data, only=tuple(measurable(problem)))
-    return cut(recording, options.since, options.to)
-
-
 def add_identify(commands: Any) -> None:
     """Add the command `identify`."""
     parser = add_command(
@@ -93,16 +86,15 @@ def add_identify(commands: Any) -> None:
         "estimate parameters of a machine from a recording of it; exit code 1 if the recording "
         "does not show an orbit of the problem",
         [
-            "zeno-orbits identify motor_pendulum data.csv --from 12 --fit R,restitution",
-            "zeno-orbits identify motor_pendulum data.csv --from 12 --set R=3.2 --fit R=2:4 "
+            "zeno-orbits identify motor_pendulum data.csv --t-start 12 --fit R,restitution",
+            "zeno-orbits identify motor_pendulum data.csv --t-start 12 --set R=3.2 --fit R=2:4 "
             "-o fitted.json --orbit fitted_orbit.json",
-            "zeno-orbits identify motor_pendulum data.csv --from 12 "
+            "zeno-orbits identify motor_pendulum data.csv --t-start 12 "
             "--fit K_torque+K_emf=0.02:0.05 --json",
         ],
     )
     add_problem(parser)
     add_recording(parser)
-    add_gains(parser)
     parser.add_argument(
         "--fit",
         type=read_fit,
@@ -111,26 +103,26 @@ def add_identify(commands: Any) -> None:
         help="parameters to estimate, each within this range; A+B share one value; the default "
         "range is a tenth to ten times the value",
     )
-    parser.add_argument("-o", "--output", type=Path, help="write the numbers here, as JSON")
+    parser.add_argument("-o", "--output", type=Path, help="write the results here, as JSON")
     parser.add_argument("--orbit", type=Path, help="write the orbit at the fitted numbers here")
 
 
 def _run_identify(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import identify
-    from zeno_orbits.model import load_problem
-    from zeno_orbits.orbits import write_orbit
+    import zeno_orbits as zo
 
-    problem = load_problem(options.problem)
-    values = values_of(problem, options)
-    unknowns = _unknowns(problem, values, options.fit)
+    problem = api.known_problem(options.problem)
+    problem.values(**numbers_of(problem, options))
     require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
     with report.ProgressLine(options.interrupts.check) as progress:
-        recording = _recording(options, problem, progress)
-        found = identify(problem, values, recording, unknowns, on_progress=progress)
+        recording = api.recording_for(problem, options.data, options.since, options.to, progress)
+        fit = {"+".join(names): box for names, box in options.fit}
+        found = api.identify(
+            problem, recording, fit, **numbers_of(problem, options), on_progress=progress
+        )
     if options.output is not None:
         write_json(found, options.output)
     if options.orbit is not None:
-        write_orbit(found.orbit, options.orbit)
+        zo.write_orbit(found.orbit, options.orbit)
     if options.json:
         print_json(found.as_json())
     else:
@@ -138,24 +130,3 @@ def _run_identify(options: argparse.Namespace) -> int:
         written = [path for path in (options.output, options.orbit) if path is not None]
         say_written(options, written)
     return YES
-
-
-_DECADE = 10.0
-
-
-def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unknown, ...]:
-    """Return what is to be found, in ranges that the problem allows."""
-    from zeno_orbits.experiment import Unknown
-
-    known = {quantity.name: quantity for quantity in problem.parameters}
-    found: list[Unknown] = []
-    for names, box in fit:
-        lower, upper = -math.inf, math.inf
-        for name in names:
-            if name in known:
-                lower, upper = max(lower, known[name].lower), min(upper, known[name].upper)
-        value = values.parameters.get(names[0], 0.0)
-        around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
-        low, high = box if box is not None else (max(lower, around[0]), min(upper, around[1]))
-        found.append(Unknown(names=names, lower=max(low, lower), upper=min(high, upper)))
-    return tuple(found)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
     YES,
@@ -22,11 +22,10 @@ from zeno_orbits.cli.parsing import read_count, read_share
 from zeno_orbits.cli.prove import add_proof, proof_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import write_whole
+from zeno_orbits.work import utf8, write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.orbits import ZenoOrbit
-    from zeno_orbits.precision import WorkPrecision
+    import zeno_orbits as zo
 
 _PAGES = (".html", ".htm")
 
@@ -60,7 +59,7 @@ def add_report(commands: Any) -> None:
         type=read_share,
         default=1e-9,
         metavar="TOL",
-        help="largest relative residual that passes; 1e-9 by default",
+        help="largest relative residual that passes (default: 1e-9)",
     )
     parser.add_argument(
         "--periods", type=read_count, default=3, metavar="N", help="periods to follow"
@@ -69,7 +68,6 @@ def add_report(commands: Any) -> None:
 
 def _run_report(options: argparse.Namespace) -> int:
     from zeno_orbits.report import Subject, load_bundle, page_of
-    from zeno_orbits.verification import VerificationSettings, problem_dynamics, verify
 
     given = (options.orbit, options.trade, options.proof)
     reads = [path for path in given if path is not None]
@@ -80,11 +78,11 @@ def _run_report(options: argparse.Namespace) -> int:
     bundle = load_bundle()
     orbit, problem = orbit_and_problem(options)
     trade, proved = _trade(options, orbit), proof_of(options, orbit, problem)
-    dynamics = problem_dynamics(orbit, problem)
-    settings = replace(VerificationSettings(tolerance=options.tolerance), n_periods=options.periods)
+    dynamics = api.system_of(orbit, problem)
+    settings = api.verification_settings(tolerance=options.tolerance, n_periods=options.periods)
     with report.ProgressLine(options.interrupts.check) as progress:
-        certificate = verify(
-            orbit, problem, settings=settings, dynamics=dynamics, on_progress=progress
+        certificate = api.verify(
+            orbit, problem=problem, settings=settings, dynamics=dynamics, on_progress=progress
         )
         progress("writing the page")
         subject = Subject(
@@ -100,7 +98,7 @@ def _run_report(options: argparse.Namespace) -> int:
             date=datetime.now(tz=UTC).date().isoformat(),
             proof=proved.verdict() if proved is not None and proved.ok else "",
         )
-        page = page_of(subject.followed(), bundle).encode()
+        page = utf8(page_of(subject.followed(), bundle))
     write_whole(options.output, page)
     if options.json:
         print_json(certificate.as_json() | {"page": str(options.output), "bytes": len(page)})
@@ -112,12 +110,10 @@ def _run_report(options: argparse.Namespace) -> int:
     return YES if certificate.passed and (proved is None or proved.ok) else NO
 
 
-def _trade(options: argparse.Namespace, orbit: ZenoOrbit) -> WorkPrecision | None:
-    from zeno_orbits.precision import read_work_precision
-
+def _trade(options: argparse.Namespace, orbit: zo.ZenoOrbit) -> zo.WorkPrecision | None:
     if options.trade is None:
         return None
-    found = read_work_precision(options.trade)
+    found = api.read_work_precision(options.trade)
     if found.problem != orbit.problem:
         message = f"must be of the problem `{orbit.problem}`, but it is of `{found.problem}`"
         raise InputError(f"Argument `trade` {message}.")

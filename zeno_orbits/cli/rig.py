@@ -3,37 +3,33 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
-    add_gains,
-    add_parameters,
     add_problem_file,
     add_start,
+    add_values,
+    numbers_of,
     orbit_and_problem,
     print_json,
     require_outputs,
     say_written,
-    start_of,
-    values_of,
 )
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number, read_seed
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment import RigRun, RigSettings
-    from zeno_orbits.model import Problem, Rig
+    import zeno_orbits as zo
 
 _PARTS = ("friction", "gears", "bridge", "controller", "sensors")
 
 _CYCLES = 10
-_UNTIL = 10.0
 
 
 def add_rig(commands: Any) -> None:
@@ -47,17 +43,16 @@ def add_rig(commands: Any) -> None:
             "zeno-orbits rig orbit.json -o run.csv",
             "zeno-orbits rig orbit.json --only friction --part contact.stiffness=1e5 --cycles 3",
             "zeno-orbits rig orbit.json --without gears --part controller.delay=0.003 --seed 1",
-            "zeno-orbits rig motor_pendulum --until 5 -o run.csv",
+            "zeno-orbits rig motor_pendulum --t-end 5 -o run.csv",
         ],
     )
     parser.add_argument(
         "target",
         metavar="ORBIT.json|PROBLEM",
-        help="an orbit file (the machine settles near its orbit) or a problem (see --start)",
+        help="an orbit file (the machine settles near its orbit) or a problem (see --initial)",
     )
     add_problem_file(parser)
-    add_gains(parser)
-    add_parameters(parser)
+    add_values(parser)
     add_start(parser)
     parser.add_argument(
         "--part",
@@ -65,7 +60,7 @@ def add_rig(commands: Any) -> None:
         type=read_named_number,
         metavar="PART.NAME=VALUE",
         help="change a number of the machine, for example contact.stiffness=1e5, "
-        "friction.COORDINATE.coulomb=0.01 or gears.MOTOR.play=0.01; may be repeated; "
+        "friction.COORDINATE.coulomb=0.01 or gears.MOTOR.play=0.01 (repeatable); "
         "docs/rig.md lists them",
     )
     parser.add_argument(
@@ -73,8 +68,8 @@ def add_rig(commands: Any) -> None:
         action="append",
         choices=(*_PARTS, "contact"),
         metavar="PART",
-        help=f"use this part only, beside the contact ({', '.join(_PARTS)}, or only contact); may "
-        "be repeated; by default all parts",
+        help=f"use this part only, in addition to the contact ({', '.join(_PARTS)}, or only "
+        "contact; repeatable, default: all parts)",
     )
     parser.add_argument(
         "--without",
@@ -82,23 +77,27 @@ def add_rig(commands: Any) -> None:
         default=[],
         choices=_PARTS,
         metavar="PART",
-        help="leave out a part; may be repeated",
+        help="leave out a part (repeatable)",
     )
     parser.add_argument(
-        "--exact", action="store_true", help="follow the bridge's pulses edge by edge"
+        "--exact-pwm",
+        dest="exact",
+        action="store_true",
+        help="follow the bridge's pulses edge by edge",
     )
     parser.add_argument("--seed", type=read_seed, default=0, metavar="N", help="seed of the noise")
     parser.add_argument(
         "--cycles",
         type=read_count,
         metavar="N",
-        help=f"number of settled cycles, with an orbit; {_CYCLES} by default",
+        help=f"number of settled cycles, with an orbit (default: {_CYCLES})",
     )
     parser.add_argument(
-        "--until",
+        "--t-end",
+        dest="until",
         type=read_number,
         metavar="T",
-        help=f"end of the simulation, with a problem [s]; {_UNTIL:g} by default",
+        help="end of the simulation, with a problem [s] (default: 10)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, help="write the measured signals here, as a recording"
@@ -113,103 +112,84 @@ def _run_rig(options: argparse.Namespace) -> int:
 
 
 def _near_orbit(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import compare_cycles, rig_cycles
-
-    for name in ("gain", "set", "start", "until"):
+    for name in ("set", "start", "until"):
         if getattr(options, name) not in (None, {}):
             has = "whose periods --cycles counts" if name == "until" else "which has its own"
             raise InputError(f"Argument `{name}` must not be given with an orbit, {has}.")
     options.orbit = Path(options.target)
     orbit, problem = orbit_and_problem(options)
-    rig = _rig_of(options, problem)
+    rig = _rig_of(options, problem, orbit=orbit)
     with report.ProgressLine(options.interrupts.check) as progress:
-        settled = rig_cycles(
+        settled = api.simulate_experiment(
             orbit,
-            problem,
-            rig,
+            problem=problem,
+            rig=rig,
             cycles=options.cycles or _CYCLES,
             seed=options.seed,
-            settings=_settings(rig),
+            settings=api.rig_settings(rig),
             on_progress=progress,
         )
-    comparison = compare_cycles(orbit, problem, settled)
+    comparison = api.compare_rig(orbit, problem, settled)
     if options.json:
         print_json(comparison.as_json())
     else:
         report.print_rig(comparison, problem.amplitude_of)
     _write(options, settled.run, problem)
-    return NO if comparison.drifting else YES
+    return NO if comparison.drifting or comparison.unlike else YES
 
 
 def _from_start(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import simulate_rig
-    from zeno_orbits.model import load_problem
-
     for name in ("cycles", "problem"):
         if getattr(options, name) is not None:
-            raise InputError(f"Argument `{name}` must come with an orbit, but there is none.")
-    problem = load_problem(options.target)
-    values = values_of(problem, options)
-    own_time = problem.dynamics(values).own.time
-    until = _UNTIL * own_time if options.until is None else options.until
-    rig = _rig_of(options, problem)
+            raise InputError(f"Argument `{name}` must come with an orbit, but it is missing.")
+    problem = api.known_problem(options.target)
+    rig = _rig_of(options, problem, values=problem.values(**numbers_of(problem, options)))
     with report.ProgressLine(options.interrupts.check) as progress:
-        run = simulate_rig(
+        run = api.simulate_rig(
             problem,
-            values,
             rig,
-            start_of(problem, options),
-            until,
+            until=options.until,
+            **numbers_of(problem, options),
+            start=options.start or None,
             seed=options.seed,
-            settings=_settings(rig),
             on_progress=progress,
         )
+    end = float(run.times[-1])
     touches = [
-        {"start": t.start, "end": min(t.end, until), "approach_rate": t.approach_rate}
+        {"start": t.start, "end": min(t.end, end), "approach_rate": t.approach_rate}
         for t in run.touches
     ]
     if options.json:
         print_json({"problem": problem.name, "source": "simulated", "contacts": touches})
     else:
-        report.print_contacts(problem.name, touches)
+        report.print_contacts(problem.name, touches, problem.gap_unit)
+        report.print_lines(f"Warning: {one}." for one in api.rig_warnings(run, problem))
     _write(options, run, problem)
     return YES
 
 
-def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
-    from dataclasses import replace
-
-    from zeno_orbits.experiment import default_rig
-    from zeno_orbits.model import PART_NAMES, Switching, rig_with_numbers, without_parts
-
-    left_out = options.without
-    if options.only is not None:
-        if "sensors" in options.only and "controller" not in options.only:
-            wanted = "must name the controller with the sensors, which it reads"
-            raise InputError(f"Argument `only` {wanted}, but it does not.")
-        left_out = [*left_out, *(name for name in PART_NAMES if name not in options.only)]
-    rig = rig_with_numbers(without_parts(default_rig(problem), left_out), options.part)
-    if not options.exact:
-        return rig
-    if rig.bridge is None:
-        raise InputError("Argument `exact` must come with a bridge, but the machine has none.")
-    return replace(rig, bridge=replace(rig.bridge, switching=Switching.EXACT))
+def _rig_of(
+    options: argparse.Namespace,
+    problem: zo.Problem,
+    *,
+    orbit: zo.ZenoOrbit | None = None,
+    values: zo.ParameterValues | None = None,
+) -> zo.Rig:
+    return api.machine_of(
+        problem,
+        orbit=orbit,
+        values=values,
+        numbers=options.part,
+        only=options.only,
+        without=options.without,
+        exact=options.exact,
+    )
 
 
-def _settings(rig: Rig) -> RigSettings:
-    """Return an accuracy that noise and rounding by sensors leave worth having."""
-    from zeno_orbits.experiment import RigSettings
-    from zeno_orbits.integrators import Tolerance
-
-    if rig.controller is None:
-        return RigSettings()
-    return RigSettings(tolerance=Tolerance(relative=1e-8, absolute=1e-10))
-
-
-def _write(options: argparse.Namespace, run: RigRun, problem: Problem) -> None:
+def _write(options: argparse.Namespace, run: zo.RigRun, problem: zo.Problem) -> None:
     if options.output is not None:
-        from zeno_orbits.experiment import recording_of, write_recording
+        import zeno_orbits as zo
 
-        notes: Mapping[str, str] = {"seed": str(options.seed)}
-        write_recording(recording_of(run, problem, notes), options.output)
+        recording = api.rig_recording(run, problem, seed=options.seed)
+        zo.write_recording(recording, options.output)
         say_written(options, [options.output])

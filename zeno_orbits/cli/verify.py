@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
     YES,
@@ -15,12 +15,13 @@ from zeno_orbits.cli.options import (
     add_orbit,
     orbit_and_problem,
     print_json,
-    require_engine,
-    verification_of,
 )
 from zeno_orbits.cli.parsing import read_count, read_share
 from zeno_orbits.cli.prove import add_proof, proof_of
 from zeno_orbits.report import terminal as report
+
+if TYPE_CHECKING:
+    import zeno_orbits as zo
 
 
 def add_verify(commands: Any) -> None:
@@ -33,6 +34,7 @@ def add_verify(commands: Any) -> None:
         [
             "zeno-orbits verify orbit.json",
             "zeno-orbits verify orbit.json --model reference --tolerance 1e-8 --json",
+            "zeno-orbits verify orbit.json --rigorous",
         ],
     )
     add_orbit(parser)
@@ -40,17 +42,27 @@ def add_verify(commands: Any) -> None:
         "--tolerance",
         type=read_share,
         metavar="TOL",
-        help="largest relative residual that passes; by default the accuracy, if given, or 1e-9",
+        help="largest relative residual that passes (default: the accuracy, if given, or 1e-9)",
     )
     add_proof(parser)
+    parser.add_argument(
+        "--rigorous",
+        action="store_true",
+        help="also enclose one period by inclusions, which exclude missed events; may take minutes",
+    )
     add_accuracy(parser)
     parser.add_argument(
         "--periods",
         type=read_count,
         default=3,
         metavar="N",
-        help="number of periods to integrate; 3 by default",
+        help="number of periods to integrate (default: 3)",
     )
+    parser.add_argument(
+        "--margins", action="store_true", help="print the distances to loss of existence"
+    )
+    parser.add_argument("--truncation", action="store_true", help="print the truncation-order test")
+    parser.add_argument("--all", action="store_true", help="print margins and truncation test")
     parser.add_argument(
         "--model",
         choices=("derived", "reference"),
@@ -60,40 +72,55 @@ def add_verify(commands: Any) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
-    from zeno_orbits.verification import problem_dynamics, verify
-
-    tolerance = options.tolerance
+    if options.rigorous:
+        api.require_proof_extra("Enclosures (`--rigorous`)")
     orbit, problem = orbit_and_problem(options)
-    settings = replace(
-        verification_of(options, 1e-9 if tolerance is None else tolerance),
+    settings = api.verification_settings(
+        accuracy=options.accuracy,
+        tolerance=options.tolerance,
+        engine=options.engine,
         n_periods=options.periods,
         use_reference=options.model == "reference",
     )
-    if tolerance is not None:
-        settings = replace(settings, tolerance=tolerance)
     proved = proof_of(options, orbit, problem)
-    dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
-    require_engine(options, dynamics)
+    dynamics = api.system_of(orbit, problem, use_reference=settings.use_reference)
     with report.ProgressLine(options.interrupts.check) as progress:
-        certificate = verify(
-            orbit, problem, settings=settings, dynamics=dynamics, on_progress=progress
+        certificate = api.verify(
+            orbit, problem=problem, settings=settings, dynamics=dynamics, on_progress=progress
         )
+    enclosure = _enclosure(options, orbit, problem, settings.tolerance)
     if options.json:
         error = certificate.orbit_error
         accuracy = {"error": error if isfinite(error) else None} if options.accuracy else {}
         claims = (
             {} if proved is None else {"proof": {"proved": proved.ok, "says": proved.verdict()}}
         )
-        print_json(certificate.as_json() | accuracy | claims)
+        rigorous = {} if enclosure is None else {"rigorous": enclosure.as_json()}
+        print_json(certificate.as_json() | accuracy | claims | rigorous)
     else:
-        report.print_certificate(certificate)
-        report.print_verdict(certificate)
+        report.print_certificate(
+            certificate,
+            margins=options.margins or options.all,
+            truncation=options.truncation or options.all,
+        )
         if proved is not None:
             report.print_lines([proved.verdict()])
+        if enclosure is not None:
+            report.print_lines([enclosure.verdict()])
         if options.accuracy is not None:
             report.print_error_estimate(certificate.orbit_error)
-    shown = proved is None or proved.ok
+    shown = (proved is None or proved.ok) and (enclosure is None or enclosure.enclosed)
     certain = options.accuracy is None or certificate.orbit_error <= options.accuracy
     if certificate.passed and not certain and not options.json:
         report.print_lines([f"That exceeds the requested accuracy {options.accuracy:.0e}."])
     return YES if certificate.passed and certain and shown else NO
+
+
+def _enclosure(
+    options: argparse.Namespace, orbit: zo.ZenoOrbit, problem: zo.Problem, tolerance: float
+) -> zo.PeriodEnclosure | None:
+    """Return the enclosure of one period, or None if it was not requested."""
+    if not options.rigorous:
+        return None
+    with report.ProgressLine(options.interrupts.check) as progress:
+        return api.enclose_period(orbit, problem=problem, tolerance=tolerance, on_progress=progress)

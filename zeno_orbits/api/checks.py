@@ -1,0 +1,244 @@
+"""Checks of an orbit: verification, proofs, enclosures and Floquet multipliers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits.api.inputs import (
+    Named,
+    Numbers,
+    as_orbit,
+    front_door,
+    known_problem,
+    problem_of,
+)
+from zeno_orbits.errors import finite_number, named_numbers, positive_number
+from zeno_orbits.model import Problem, load_problem
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.work import Progress, silent
+
+if TYPE_CHECKING:
+    from zeno_orbits.model import HybridDynamics
+    from zeno_orbits.orbits import Multipliers
+    from zeno_orbits.proof import PeriodEnclosure, Proof, ProofVerdict, Replay
+    from zeno_orbits.verification import OrbitCertificate, VerificationSettings
+
+
+@front_door
+def verify(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    settings: VerificationSettings | None = None,
+    dynamics: HybridDynamics | None = None,
+    on_progress: Progress = silent,
+) -> OrbitCertificate:
+    """Return the certificate of an orbit from an independent forward integration.
+
+    Args:
+        orbit: The orbit, or its file. Its own certificate and multipliers are ignored.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        settings: Tolerance, number of periods and accuracy.
+        dynamics: Dynamics at the gains and parameters of the orbit, if they are already built.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If the orbit's problem is not known, or the orbit does not fit the problem.
+        OrbitFileError: If the file is not an orbit file.
+    """
+    from zeno_orbits.verification import verifier
+
+    orbit = as_orbit(orbit)
+    known = problem_of(orbit, problem)
+    return verifier.verify(
+        orbit, known, settings=settings, dynamics=dynamics, on_progress=on_progress
+    )
+
+
+@front_door
+def prove(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    over: Numbers | None = None,
+    radius: float | None = None,
+    on_progress: Progress = silent,
+) -> Proof:
+    """Prove that an orbit exists and return the certificate, or the claim that cannot be proved.
+
+    Args:
+        orbit: The orbit, or its file. The certificate in it is ignored.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        over: Gain or parameter to the radius of its interval. The proof covers the whole interval.
+        radius: Radius of the box on the section, relative to the size of each coordinate. The
+            default is chosen automatically.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If python-flint is missing (the extra `proof`), the orbit's problem is not
+            known, or a value or name does not fit the problem.
+        TranslationError: If the problem's equations are not analytic.
+    """
+    from zeno_orbits.proof import require_flint
+
+    require_flint("Proofs")
+    from zeno_orbits.proof import ProofSettings
+    from zeno_orbits.proof import prove as proved
+
+    orbit = as_orbit(orbit)
+    known = problem_of(orbit, problem)
+    if radius is not None:
+        radius = positive_number("radius", radius)
+    over = {name: finite_number(name, half) for name, half in named_numbers("over", over).items()}
+    settings = ProofSettings(radius=radius)
+    return proved(orbit, known, over=over, settings=settings, on_progress=on_progress)
+
+
+@front_door
+def enclose_period(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    radius: float | None = None,
+    tolerance: float = 1e-9,
+    on_progress: Progress = silent,
+) -> PeriodEnclosure:
+    """Return an enclosure of one period: its events in order, without further contact in between.
+
+    Args:
+        orbit: The orbit, or its file. The certificate in it is ignored.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        radius: Radius of the box of initial states on the section, relative to the size of each
+            coordinate. The default is 1e-11, then 1e-14.
+        tolerance: Largest distance between the orbit and any execution of the box, for each event
+            time and state. Times are relative to the period, states to their size.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If python-flint is missing (the extra `proof`), the orbit's problem is not
+            known, or a value does not fit the problem.
+    """
+    from zeno_orbits.proof import require_flint
+
+    require_flint("Enclosures")
+    from zeno_orbits.proof import EnclosureSettings
+    from zeno_orbits.proof import enclose_period as enclosed
+
+    orbit = as_orbit(orbit)
+    known = problem_of(orbit, problem)
+    settings = EnclosureSettings(
+        radius=None if radius is None else positive_number("radius", radius),
+        tolerance=positive_number("tolerance", tolerance),
+    )
+    return enclosed(orbit, known, settings=settings, on_progress=on_progress)
+
+
+@front_door
+def check_certificate(
+    certificate: str | Path, *, problem: Named | None = None
+) -> tuple[ProofVerdict, Replay | None]:
+    """Check a certificate in both ways: the inclusions, and the replay.
+
+    Args:
+        certificate: The file of a certificate.
+        problem: The certificate's problem. The default is the bundled problem of its name.
+
+    Returns:
+        The check of the inclusions, and the replay with a hand-written model. The replay is None
+        for a problem without a hand-written model.
+
+    Raises:
+        InputError: If the file is not a certificate, or its problem is not known.
+    """
+    import json
+
+    from zeno_orbits.proof import check_proof, replay_proof
+
+    known = None if problem is None else known_problem(problem)
+    verdict = check_proof(certificate, known)
+    # The check has already refused names of problems that are not bundled.
+    data = json.loads(Path(certificate).read_text(encoding="utf-8"))
+    return verdict, replay_proof(data, known or load_problem(data["problem"]))
+
+
+@front_door
+def write_proof(certificate: Mapping[str, Any], path: str | Path) -> None:
+    """Write the certificate of a proof.
+
+    Args:
+        certificate: The certificate of a `Proof`.
+        path: The file.
+    """
+    from zeno_orbits.proof import proof_file
+
+    proof_file.write_proof(certificate, Path(path))
+
+
+def check_certificate_of(
+    orbit: ZenoOrbit, certificate: str | Path, *, problem: Named | None = None
+) -> ProofVerdict:
+    """Check a certificate that must belong to a given orbit.
+
+    Args:
+        orbit: The orbit.
+        certificate: The file of a certificate.
+        problem: The certificate's problem. The default is the bundled problem of its name.
+
+    Raises:
+        InputError: If the file is not a certificate, or belongs to another orbit.
+    """
+    from zeno_orbits.proof import check_proof_of
+
+    return check_proof_of(orbit, problem_of(orbit, problem), Path(certificate))
+
+
+def require_proof_extra(what: str) -> None:
+    """Raise an error for work that needs python-flint if it is not installed.
+
+    Args:
+        what: Name of the work in the message.
+
+    Raises:
+        InputError: If python-flint is missing.
+    """
+    from zeno_orbits.proof import require_flint
+
+    require_flint(what)
+
+
+def system_of(orbit: ZenoOrbit, problem: Problem, *, use_reference: bool = False) -> HybridDynamics:
+    """Return the dynamics of an orbit at its gains and parameters.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        use_reference: True selects the hand-written model of the problem.
+
+    Raises:
+        InputError: If `use_reference` is set for a problem without a hand-written model.
+    """
+    from zeno_orbits.verification import problem_dynamics
+
+    return problem_dynamics(orbit, problem, use_reference=use_reference)
+
+
+@front_door
+def floquet_multipliers(
+    orbit: ZenoOrbit | str | Path, *, problem: Named | None = None
+) -> Multipliers:
+    """Return the Floquet multipliers of an orbit, from exact derivatives, with their error.
+
+    Args:
+        orbit: The orbit, or its file.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+
+    Raises:
+        InputError: If the orbit's problem is not known, or the orbit does not fit the problem.
+        SimulationError: If the simulation does not return to the orbit.
+    """
+    from zeno_orbits.verification import multipliers_of
+
+    orbit = as_orbit(orbit)
+    return multipliers_of(orbit, problem_of(orbit, problem))

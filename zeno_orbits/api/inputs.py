@@ -1,0 +1,195 @@
+"""Arguments shared by the functions of the API: problems, orbits, ranges and counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import wraps
+from inspect import signature
+from operator import index
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from zeno_orbits.errors import InputError, any_number, shown
+from zeno_orbits.kinds import checked
+from zeno_orbits.model import (
+    Problem,
+    ProblemFile,
+    bundled_problems,
+    load_problem,
+    locate_problem,
+    split_fidelity,
+)
+from zeno_orbits.orbits import ZenoOrbit, read_orbit
+from zeno_orbits.work import Plan, Workers
+
+if TYPE_CHECKING:
+    from zeno_orbits.maps import Axis as MapAxis
+
+Named = str | Path | Problem
+"""A problem, the name of a bundled problem, or the path of its file."""
+
+Numbers = Mapping[str, float]
+"""Name to value. Names that are missing keep the problem's default."""
+
+Axis = tuple[str, float, float, int]
+"""Name of a gain or parameter, its range, and the number of points along it."""
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def front_door(work: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Check the types of arguments, and show progress in a notebook or terminal.
+
+    Progress is not shown if the caller passes an ``on_progress``.
+    """
+    work = checked(work)
+    tells = "on_progress" in signature(work).parameters
+
+    @wraps(work)
+    def shown(*args: _P.args, **options: _P.kwargs) -> _R:
+        from zeno_orbits.report import line_for_watcher
+
+        line = line_for_watcher() if tells and "on_progress" not in options else None
+        if line is None:
+            return work(*args, **options)
+        told: Any = work
+        with line:
+            return told(*args, **{**options, "on_progress": line})
+
+    return shown
+
+
+def plan_of(workers: int, plan: Plan | None) -> Plan | None:
+    """Return the plan of parallel work, or None if this process does all the work.
+
+    Args:
+        workers: Number of processes.
+        plan: A plan, which overrides ``workers``.
+
+    Raises:
+        InputError: If ``workers`` is not an integer of at least 0.
+    """
+    if plan is not None:
+        return plan
+    count = whole("workers", workers)
+    return None if count == 1 else Plan(place=Workers(count=count or None))
+
+
+def split_numbers(problem: Problem, numbers: Numbers) -> tuple[dict[str, float], dict[str, float]]:
+    """Split named values into gains and parameters.
+
+    Args:
+        problem: The problem that declares them.
+        numbers: Name to value.
+
+    Raises:
+        InputError: If the problem does not declare a name as a gain or parameter.
+    """
+    gains = {name: x for name, x in numbers.items() if problem.quantity(name) in problem.gains}
+    return gains, {name: x for name, x in numbers.items() if name not in gains}
+
+
+def problem_of(orbit: ZenoOrbit, problem: Named | None = None) -> Problem:
+    """Return the problem of an orbit, by its name or as given.
+
+    Args:
+        orbit: The orbit.
+        problem: The orbit's problem, required if it is not bundled.
+
+    Raises:
+        InputError: If the given problem is not the orbit's, or no problem is given and the orbit's
+            is not bundled.
+    """
+    name, fidelity = split_fidelity(orbit.problem)
+    if problem is None:
+        if name not in bundled_problems():
+            message = f"must name the file of problem `{name}`, but it is missing"
+            raise InputError(f"Argument `problem` {message}.")
+        return load_problem(orbit.problem)
+    known = known_problem(problem)
+    if fidelity is not None and known.name == name:
+        known = known.at_fidelity(fidelity)
+    if known.name != orbit.problem:
+        wanted = f"must be the problem `{orbit.problem}` of the orbit"
+        raise InputError(f"Argument `problem` {wanted}, but it is `{known.name}`.")
+    return known
+
+
+def as_range(argument: str, box: Any) -> tuple[float, float]:
+    """Return the ends of a range.
+
+    Raises:
+        InputError: If the range is not two numbers.
+    """
+    try:
+        low, high = box
+    except (TypeError, ValueError) as error:
+        wanted = "must hold a lower and an upper end"
+        raise InputError(f"Argument `{argument}` {wanted}, but it is {shown(box)}.") from error
+    return any_number(argument, low), any_number(argument, high)
+
+
+def as_axis(argument: str, axis: Any) -> MapAxis:
+    """Return an axis of a map.
+
+    Raises:
+        InputError: If the axis is not a name, two numbers and a count.
+    """
+    from zeno_orbits.maps import Axis as MapAxis
+
+    try:
+        name, low, high, count = axis
+    except (TypeError, ValueError) as error:
+        wanted = "must be (name, lower, upper, number of points)"
+        raise InputError(f"Argument `{argument}` {wanted}, but it is {shown(axis)}.") from error
+    low, high = as_range(argument, (low, high))
+    if not isinstance(name, str):
+        raise InputError(f"Argument `{argument}` must name a quantity, but it is {shown(name)}.")
+    return MapAxis(name=name, lower=low, upper=high, count=whole(argument, count))
+
+
+_LARGEST = 2**31
+"""Bound of all counts, far above any useful number of workers or points."""
+
+
+def whole(argument: str, value: Any) -> int:
+    """Return a count.
+
+    Raises:
+        InputError: If the value is not an integer of at least 0.
+    """
+    try:
+        number = index(value)
+    except TypeError:
+        number = -1
+    if isinstance(value, bool) or not 0 <= number < _LARGEST:
+        wanted = "must be a whole number of at least 0"
+        raise InputError(f"Argument `{argument}` {wanted}, but it is {shown(value)}.")
+    return number
+
+
+def known_problem(problem: Named) -> Problem:
+    """Return the problem given by a name, a file or the problem itself."""
+    return problem if isinstance(problem, Problem) else locate_problem(problem).load()
+
+
+def file_of(problem: Named) -> ProblemFile:
+    """Return the problem's file, which workers load themselves.
+
+    Raises:
+        InputError: If the problem was not loaded from a file, or differs from the declarations in
+            its file.
+    """
+    if not isinstance(problem, Problem):
+        return locate_problem(problem)
+    file = problem.file
+    if file is None:
+        reason = "made or changed in this program: save it to a file that defines `PROBLEM`"
+        raise InputError(f"Argument `problem`: several workers need a file, but it is {reason}.")
+    return file
+
+
+def as_orbit(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
+    """Return the orbit given by a file or the orbit itself."""
+    return orbit if isinstance(orbit, ZenoOrbit) else read_orbit(orbit)

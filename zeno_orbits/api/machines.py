@@ -1,0 +1,399 @@
+"""Real machines: a simulated test rig, and recordings for comparison and identification."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zeno_orbits.api.inputs import (
+    Named,
+    Numbers,
+    as_orbit,
+    as_range,
+    front_door,
+    known_problem,
+    problem_of,
+)
+from zeno_orbits.errors import InputError
+from zeno_orbits.model import ParameterValues, Problem, Rig
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.work import Progress, silent
+
+if TYPE_CHECKING:
+    from zeno_orbits.experiment import (
+        Comparison,
+        Counterpart,
+        Identification,
+        Recording,
+        RigComparison,
+        RigRun,
+        RigSettings,
+        SettledRig,
+        Unknown,
+    )
+
+Fit = Mapping[str, tuple[float, float] | None] | Sequence[str]
+"""Parameters to estimate, each with its range or None. ``A+B`` are two with one value."""
+
+RIG_TIME = 10.0
+"""Duration of a run without an orbit, in characteristic times of the problem."""
+
+
+@front_door
+def crop(
+    recording: Recording, t_start: float | None = None, t_end: float | None = None
+) -> Recording:
+    """Return the part of a recording between two times.
+
+    Args:
+        recording: The recording.
+        t_start: First time [s]. The default is the beginning.
+        t_end: Last time [s]. The default is the end.
+
+    Raises:
+        InputError: If fewer than two rows are left.
+    """
+    from zeno_orbits.experiment import cut
+
+    return cut(recording, t_start, t_end)
+
+
+@front_door
+def compare(
+    orbit: ZenoOrbit | str | Path,
+    recording: Recording | str | Path,
+    *,
+    problem: Named | None = None,
+    t_start: float | None = None,
+    t_end: float | None = None,
+    on_progress: Progress = silent,
+) -> Comparison:
+    """Return a recording compared with an orbit.
+
+    Args:
+        orbit: The orbit, or its file.
+        recording: The recording, or its file. Signals with the name of a state, motor or output of
+            the problem are compared.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        t_start: First time of the recording that counts [s].
+        t_end: Last time of the recording that counts [s].
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If the recording contains no signal of the problem, or a signal has a wrong
+            unit.
+        SimulationError: If the orbit does not return.
+    """
+    from zeno_orbits.experiment import compare as compared
+
+    orbit = as_orbit(orbit)
+    known = problem_of(orbit, problem)
+    data = recording_for(known, recording, t_start, t_end, on_progress)
+    on_progress("comparing", None)
+    return compared(orbit, known, data)
+
+
+@front_door
+def identify(
+    problem: Named,
+    recording: Recording | str | Path,
+    fit: Fit,
+    *,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    t_start: float | None = None,
+    t_end: float | None = None,
+    on_progress: Progress = silent,
+) -> Identification:
+    """Return the parameters for which the orbit of a problem is nearest to a recording.
+
+    Args:
+        problem: The problem, its name or its file.
+        recording: The recording of a settled machine over at least two periods, or its file.
+        fit: Parameters to estimate. ``A+B`` are two parameters with one value. Without a range, a
+            parameter may vary between a tenth and ten times its value.
+        gains: Gains that differ from their defaults.
+        parameters: Parameters that differ from their defaults.
+        t_start: First time of the recording that counts [s].
+        t_end: Last time of the recording that counts [s].
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown or a range does not fit the parameter.
+        UnfittableError: If the recording does not show such an orbit, or no orbit exists at the
+            initial parameter values.
+    """
+    from zeno_orbits.experiment import identify as identified
+
+    known = known_problem(problem)
+    values = known.values(gains=gains, parameters=parameters)
+    unknowns = _unknowns(known, values, fit)
+    data = recording_for(known, recording, t_start, t_end, on_progress)
+    return identified(known, values, data, unknowns, on_progress=on_progress)
+
+
+@front_door
+def simulate_rig(
+    problem: Named,
+    rig: Rig | None = None,
+    *,
+    until: float | None = None,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    seed: int = 0,
+    settings: RigSettings | None = None,
+    on_progress: Progress = silent,
+) -> RigRun:
+    """Return a run of the simulated test rig of a problem.
+
+    Args:
+        problem: The problem, its name or its file.
+        rig: The parts of the machine. The default is the rig that the problem declares.
+        until: End time [s]. The default is ten characteristic times of the problem.
+        gains: Gains that differ from their defaults.
+        parameters: Parameters that differ from their defaults.
+        start: State name to initial value, 0 for the others. The default is the problem's first
+            start.
+        seed: Random seed of the sensor noise.
+        settings: Accuracy. The default follows the parts of the machine.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown, or the rig does not fit the problem.
+        SimulationError: If the simulation of the machine cannot be continued.
+    """
+    from zeno_orbits.experiment import default_rig
+    from zeno_orbits.experiment import simulate_rig as simulated
+
+    known = known_problem(problem)
+    values = known.values(gains=gains, parameters=parameters)
+    parts = rig or default_rig(known, values=values)
+    end = RIG_TIME * known.dynamics(values).own.time if until is None else until
+    return simulated(
+        known,
+        values,
+        parts,
+        known.initial_state(start),
+        end,
+        seed=seed,
+        settings=settings or rig_settings(parts),
+        on_progress=on_progress,
+    )
+
+
+@front_door
+def simulate_experiment(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    rig: Rig | None = None,
+    cycles: int = 3,
+    settle: int | None = None,
+    seed: int = 0,
+    settings: RigSettings | None = None,
+    on_progress: Progress = silent,
+) -> SettledRig:
+    """Return cycles of the simulated test rig near an orbit, after its transient.
+
+    Args:
+        orbit: The orbit, or its file. The machine has its gains and parameters.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        rig: The parts of the machine. The default is the rig that the problem declares.
+        cycles: Number of cycles to return.
+        settle: Number of cycles before them. The default follows the Floquet multipliers.
+        seed: Random seed of the sensor noise.
+        settings: Accuracy.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If the rig does not fit the problem, or `cycles` is below 1.
+        SimulationError: If the machine does not move in cycles like the orbit's.
+    """
+    from zeno_orbits.experiment import rig_cycles
+
+    orbit = as_orbit(orbit)
+    return rig_cycles(
+        orbit,
+        problem_of(orbit, problem),
+        rig,
+        cycles=cycles,
+        settle=settle,
+        seed=seed,
+        settings=settings,
+        on_progress=on_progress,
+    )
+
+
+def compare_rig(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> RigComparison:
+    """Return the cycles of a machine compared with an orbit.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        settled: The machine after its transient.
+    """
+    from zeno_orbits.experiment import compare_cycles
+
+    return compare_cycles(orbit, problem, settled)
+
+
+def machine_of(
+    problem: Problem,
+    *,
+    orbit: ZenoOrbit | None = None,
+    values: ParameterValues | None = None,
+    numbers: Numbers | None = None,
+    only: Sequence[str] | None = None,
+    without: Sequence[str] = (),
+    exact: bool = False,
+) -> Rig:
+    """Return the rig of a problem with some parts and values changed.
+
+    Args:
+        problem: The problem.
+        orbit: The orbit whose impacts load the stop, if the problem declares no rig.
+        values: Gains and parameters, if `orbit` is None.
+        numbers: ``PART.NAME`` to value.
+        only: Parts to keep in addition to the contact.
+        without: Parts to leave out.
+        exact: True simulates each switching edge of the H-bridge.
+
+    Raises:
+        InputError: If a part or a name is unknown, or the parts do not fit each other.
+    """
+    from zeno_orbits.experiment import default_rig
+    from zeno_orbits.model import PART_NAMES, Switching, rig_with_numbers, without_parts
+
+    left_out = list(without)
+    if only is not None:
+        if "sensors" in only and "controller" not in only:
+            wanted = "must name the controller with the sensors, which it reads"
+            raise InputError(f"Argument `only` {wanted}.")
+        left_out += [name for name in PART_NAMES if name not in only]
+    whole = default_rig(problem, orbit=orbit, values=values)
+    rig = rig_with_numbers(without_parts(whole, left_out), numbers or {})
+    if not exact:
+        return rig
+    if rig.bridge is None:
+        raise InputError("Argument `exact` needs a bridge, which the machine lacks.")
+    return replace(rig, bridge=replace(rig.bridge, switching=Switching.EXACT))
+
+
+def rig_settings(rig: Rig) -> RigSettings:
+    """Return an accuracy that the noise and rounding of the sensors justify.
+
+    Args:
+        rig: The parts of the machine.
+    """
+    from zeno_orbits.experiment import RigSettings
+    from zeno_orbits.integrators import Tolerance
+
+    if rig.controller is None:
+        return RigSettings()
+    return RigSettings(tolerance=Tolerance(relative=1e-8, absolute=1e-10))
+
+
+def rig_recording(run: RigRun, problem: Problem, *, seed: int) -> Recording:
+    """Return the measured signals of a run as a recording.
+
+    Args:
+        run: The run.
+        problem: Its problem.
+        seed: Random seed of the sensor noise.
+    """
+    from zeno_orbits.experiment import recording_of
+
+    return recording_of(run, problem, {"seed": str(seed)})
+
+
+def rig_warnings(run: RigRun, problem: Problem) -> tuple[str, ...]:
+    """Return warnings about deep penetrations of the stop in a run.
+
+    Args:
+        run: The run.
+        problem: Its problem.
+    """
+    from zeno_orbits.experiment import penetration_warnings
+
+    return penetration_warnings(run, problem)
+
+
+def counterpart_of(
+    orbit: ZenoOrbit,
+    problem: Problem,
+    *,
+    recording: str | Path | None = None,
+    periods: int,
+    on_progress: Progress = silent,
+) -> Counterpart:
+    """Return another motion to draw with an orbit: a recording, or the simulated test rig.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        recording: The file of a recording. The default is the simulated test rig.
+        periods: Number of periods to show.
+        on_progress: Called with the stage and the part of it that is done.
+    """
+    from zeno_orbits.experiment import recording_counterpart, rig_counterpart
+
+    if recording is None:
+        return rig_counterpart(orbit, problem, periods, on_progress=on_progress)
+    return recording_counterpart(recording_for(problem, recording), orbit, problem, periods)
+
+
+def recording_for(
+    problem: Problem,
+    recording: Recording | str | Path,
+    t_start: float | None = None,
+    t_end: float | None = None,
+    on_progress: Progress = silent,
+) -> Recording:
+    """Return the part of a recording that counts, with the signals of a problem.
+
+    Args:
+        problem: The problem.
+        recording: The recording, or its file.
+        t_start: First time [s].
+        t_end: Last time [s].
+        on_progress: Called with the stage.
+
+    Raises:
+        DataFileError: If the file is not a recording.
+        InputError: If fewer than two rows are left.
+    """
+    from zeno_orbits.experiment import measurable, read_recording
+
+    if isinstance(recording, str | Path):
+        on_progress("reading the recording", None)
+        recording = read_recording(recording, only=tuple(measurable(problem)))
+    return crop(recording, t_start, t_end)
+
+
+_DECADE = 10.0
+
+
+def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unknown, ...]:
+    """Return the parameters to estimate, in ranges that the problem allows."""
+    from zeno_orbits.experiment import Unknown
+
+    asked = fit if isinstance(fit, Mapping) else dict.fromkeys(fit)
+    known = {quantity.name: quantity for quantity in problem.parameters}
+    found: list[Unknown] = []
+    for label, box in asked.items():
+        names = tuple(label.split("+"))
+        lower, upper = -math.inf, math.inf
+        for name in names:
+            if name in known:
+                lower, upper = max(lower, known[name].lower), min(upper, known[name].upper)
+        value = values.parameters.get(names[0], 0.0)
+        around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
+        low, high = max(lower, around[0]), min(upper, around[1])
+        if box is not None:
+            low, high = as_range("fit", box)
+        found.append(Unknown(names=names, lower=max(low, lower), upper=min(high, upper)))
+    return tuple(found)

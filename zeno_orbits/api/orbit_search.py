@@ -1,0 +1,309 @@
+"""Searches for orbits, each verified before it is accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits.api.inputs import (
+    Named,
+    Numbers,
+    as_orbit,
+    as_range,
+    file_of,
+    front_door,
+    known_problem,
+    plan_of,
+)
+from zeno_orbits.api.settings import verification_settings
+from zeno_orbits.errors import InputError, named_numbers
+from zeno_orbits.model import ParameterValues, Problem, ProblemFile
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.work import Plan, Progress, silent
+
+if TYPE_CHECKING:
+    from zeno_orbits.orbits import Bound, OrbitShape
+    from zeno_orbits.search import Candidate, Closing, Objective, SearchResult, SearchSettings
+    from zeno_orbits.simulation import SimulationSettings
+    from zeno_orbits.verification import VerificationSettings
+
+
+@front_door
+def find_orbit(
+    problem: Named,
+    *,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    shape: OrbitShape | None = None,
+    settings: SearchSettings | None = None,
+    allow_unstable: bool = False,
+    on_progress: Progress = silent,
+) -> SearchResult:
+    """Find the orbit at given values, and verify it.
+
+    Args:
+        problem: The problem, its name or its file.
+        gains: Gains that differ from their defaults.
+        parameters: Parameters that differ from their defaults.
+        start: State name to initial value of the simulation that leads to the orbit. The default is
+            each of the problem's starts.
+        shape: Mode sequence of the orbit. The default is the sequence that a simulation reaches.
+        settings: Limits and tolerances of the search.
+        allow_unstable: Accept an unstable orbit. The default rejects it, like the command.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Returns:
+        The result of the search. ``.unwrap()`` returns the verified orbit with its certificate and
+        Floquet multipliers, or raises `OrbitNotFoundError`.
+
+    Raises:
+        InputError: If a name is unknown or a value is out of range.
+    """
+    from zeno_orbits.search import SearchSettings as Settings
+
+    return search_gains(
+        problem,
+        free={},
+        gains=gains,
+        parameters=parameters,
+        start=start,
+        shape=shape,
+        settings=replace(settings or Settings(), n_starts=0),
+        allow_unstable=allow_unstable,
+        on_progress=on_progress,
+    )
+
+
+@front_door
+def search_gains(
+    problem: Named,
+    *,
+    free: Mapping[str, tuple[float, float]] | None = None,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    objective: Objective | None = None,
+    bounds: Sequence[Bound] = (),
+    near: ZenoOrbit | str | Path | None = None,
+    shape: OrbitShape | None = None,
+    settings: SearchSettings | None = None,
+    allow_unstable: bool = False,
+    accuracy: float | None = None,
+    engine: str | None = None,
+    workers: int = 1,
+    plan: Plan | None = None,
+    on_progress: Progress = silent,
+) -> SearchResult:
+    """Find gains, parameters and initial states of an orbit, and verify it.
+
+    Args:
+        problem: The problem, its name or its file.
+        free: Name to range of the gains and parameters to search. The default is every gain that
+            ``gains`` does not fix, in the range that the problem declares.
+        gains: Gains that differ from their defaults: the initial value of a free gain, the value of
+            a fixed gain.
+        parameters: Parameters that differ from their defaults, free or fixed in the same way.
+        start: State name to initial value of the simulations that lead to orbits.
+        objective: The objective. The default is the orbit with values nearest to their initial
+            values.
+        bounds: Bounds that the orbit must satisfy.
+        near: A known orbit to start from, or its file.
+        shape: Mode sequence of the orbit. The default is the sequence that a simulation reaches.
+        settings: Limits and tolerances of the search.
+        allow_unstable: Accept unstable orbits.
+        accuracy: Largest relative error of the orbit. The settings follow it.
+        engine: Name of the integrator of the verification. The default chooses automatically.
+        workers: Number of processes that try starts. Several processes need the name or the file
+            of the problem. The result is independent of their number.
+        plan: Executor of the work and folder of finished starts. It overrides ``workers``.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Returns:
+        The verified orbits, the best first, or the reason of the failure.
+
+    Raises:
+        InputError: If a name is unknown, a value is out of range, or the lower end of a range lies
+            above its upper end.
+        WorkError: If the workers cannot finish.
+    """
+    from zeno_orbits.search import SearchSettings as Settings
+    from zeno_orbits.search import search
+
+    known = known_problem(problem)
+    orbit = None if near is None else _near(near, known)
+    shared = plan_of(workers, plan)
+    spread = None
+    if shared is not None:
+        spread = search.StartWorkers(problem_file=file_of(problem), plan=shared, tell=on_progress)
+    judge = Verified(
+        problem=known if shared is None else file_of(problem),
+        settings=verification_settings(accuracy=accuracy, engine=engine),
+        allow_unstable=allow_unstable,
+        accuracy=accuracy,
+    )
+    if accuracy is not None:
+        settings = (settings or Settings()).for_accuracy(accuracy)
+    values = start_values(known, near=orbit, gains=gains, parameters=parameters)
+    result = search.search_gains(
+        known,
+        values,
+        free=_boxes(known, gains, free),
+        objective=objective,
+        bounds=bounds,
+        near=orbit,
+        settings=settings,
+        accept=judge,
+        on_progress=on_progress,
+        spread=spread,
+        shape=shape,
+        initial_states=() if start is None else (named_numbers("start", start),),
+    )
+    return _with_certificates(result, bounds)
+
+
+@front_door
+def find_orbit_by_shooting(
+    problem: Named,
+    *,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    near: ZenoOrbit | str | Path | None = None,
+    shape: OrbitShape | None = None,
+    settings: SimulationSettings | None = None,
+    on_progress: Progress = silent,
+) -> Closing:
+    """Return the orbit that a simulation reaches: faster than `find_orbit`, but not verified.
+
+    Args:
+        problem: The problem, its name or its file.
+        gains: Gains that differ from their defaults.
+        parameters: Parameters that differ from their defaults.
+        start: State name to initial value of the simulation. The default is each of the problem's
+            starts.
+        near: A known orbit to start from, or its file.
+        shape: Mode sequence of the orbit. The default is the sequence that the simulation reaches.
+        settings: Integrator and accuracy.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown or a value is out of range.
+    """
+    from zeno_orbits.search import closing
+
+    known = known_problem(problem)
+    if start is not None:
+        known.state_vector(start)
+        known = replace(known, starts=(dict(start),))
+    return closing.close_orbit(
+        known,
+        known.values(gains=gains, parameters=parameters),
+        near=as_orbit(near) if near is not None else None,
+        simulation=settings,
+        on_progress=on_progress,
+        shape=shape,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verified:
+    """Acceptance test of a search: an independent verification whose certificate is kept.
+
+    Attributes:
+        problem: The problem, or the file from which a worker loads it.
+        settings: Settings of the verification.
+        allow_unstable: True accepts unstable orbits.
+        accuracy: Largest relative error of the orbit, if it was requested.
+    """
+
+    problem: Problem | ProblemFile
+    settings: VerificationSettings | None = None
+    allow_unstable: bool = False
+    accuracy: float | None = None
+
+    def __call__(self, orbit: ZenoOrbit) -> Any:
+        """Return the certificate of an orbit and the reason against accepting it, if any."""
+        from zeno_orbits.search import Judgement
+        from zeno_orbits.verification import verifier
+
+        known = self.problem if isinstance(self.problem, Problem) else self.problem.load()
+        certificate = verifier.verify(orbit, known, settings=self.settings)
+        objection = ""
+        if not certificate.passed:
+            objection = certificate.verdict()
+        elif not (certificate.stable or self.allow_unstable):
+            radius = certificate.spectral_radius
+            objection = f"The orbit does not attract: its spectral radius is {radius:.4g}."
+        elif self.accuracy is not None and not certificate.orbit_error <= self.accuracy:
+            objection = f"Its numbers are certain to {certificate.orbit_error:.1e} only."
+        return Judgement(objection=objection, certificate=certificate)
+
+
+def start_values(
+    problem: Problem,
+    *,
+    near: ZenoOrbit | None = None,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+) -> ParameterValues:
+    """Return the values from which a search starts.
+
+    Args:
+        problem: The problem.
+        near: A known orbit. Its gains and parameters replace the defaults.
+        gains: Gains that differ from these values.
+        parameters: Parameters that differ from these values.
+
+    Raises:
+        InputError: If a name is unknown or a value is out of range.
+    """
+    if near is None:
+        return problem.values(gains=gains, parameters=parameters)
+    return problem.values(
+        gains={**near.gains, **named_numbers("gains", gains)},
+        parameters={**near.parameters, **named_numbers("parameters", parameters)},
+    )
+
+
+def _near(near: ZenoOrbit | str | Path, problem: Problem) -> ZenoOrbit:
+    """Return the known orbit of a search.
+
+    Raises:
+        InputError: If the orbit belongs to another problem.
+    """
+    orbit = as_orbit(near)
+    if orbit.problem != problem.name:
+        message = f"must be an orbit of `{problem.name}`, but it is of `{orbit.problem}`"
+        raise InputError(f"Argument `near` {message}.")
+    return orbit
+
+
+def _with_certificates(result: SearchResult, bounds: Sequence[Bound]) -> SearchResult:
+    """Return the result with the certificate, bounds and multipliers stored in each orbit."""
+    from zeno_orbits.orbits import asked_and_reached
+    from zeno_orbits.verification import certified
+
+    def with_certificate(one: Candidate) -> Candidate:
+        if one.certificate is None:
+            return one
+        asked = tuple(asked_and_reached(bounds, one.extents))
+        certificate = replace(one.certificate, asked=asked)
+        return replace(one, orbit=certified(one.orbit, certificate), certificate=certificate)
+
+    candidates = tuple(map(with_certificate, result.candidates))
+    best = candidates[0].orbit if candidates else result.orbit
+    return replace(result, orbit=best, candidates=candidates)
+
+
+def _boxes(
+    problem: Problem, gains: Numbers | None, free: Mapping[str, tuple[float, float]] | None
+) -> Mapping[str, tuple[float, float]]:
+    """Return the ranges of a search, by default the ranges of all gains that are not fixed."""
+    from zeno_orbits.search import free_gains
+
+    if free is None:
+        return free_gains(problem, fixed=gains or {})
+    return {name: as_range("free", box) for name, box in named_numbers("free", free).items()}

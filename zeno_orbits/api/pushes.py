@@ -1,0 +1,133 @@
+"""Robustness of an orbit: the largest impulses, and the recovery from disturbances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zeno_orbits.api.inputs import (
+    Named,
+    as_orbit,
+    file_of,
+    front_door,
+    plan_of,
+    problem_of,
+)
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.work import Plan, Progress, silent
+
+if TYPE_CHECKING:
+    from zeno_orbits.maps import Pushes, PushSettings, Recovery, RecoverySettings
+
+
+@front_door
+def largest_push(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    directions: Sequence[Mapping[str, float]] = (),
+    settings: PushSettings | None = None,
+    workers: int = 1,
+    plan: Plan | None = None,
+    on_progress: Progress = silent,
+) -> Pushes:
+    """Return the largest impulses from which the motion returns to an orbit.
+
+    The impulses act at equidistant phases of the period, in both senses of each direction. The
+    first lost impulse of a scan is located by bisection.
+
+    Args:
+        orbit: The orbit, or its file. It must be stable.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        directions: Coordinate to entry of the generalized force of each direction. The default is
+            one unit along each coordinate.
+        settings: Phases, scan and accuracy.
+        workers: Number of processes. Several processes need the name or the file of the problem.
+        plan: Executor of the work and folder of finished parts. It overrides ``workers``.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown, a direction moves no coordinate, or the orbit is unstable.
+        WorkError: If the work cannot be finished.
+    """
+    from zeno_orbits import maps
+
+    orbit = as_orbit(orbit)
+    known = problem_of(orbit, problem)
+    shared = plan_of(workers, plan)
+    source = known if shared is None else file_of(known if problem is None else problem)
+    return maps.largest_pushes(
+        source,
+        orbit,
+        directions=directions,
+        settings=settings,
+        plan=shared,
+        on_progress=on_progress,
+    )
+
+
+@front_door
+def recovery(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    settings: RecoverySettings | None = None,
+    on_progress: Progress = silent,
+) -> Recovery:
+    """Return the recovery of an orbit: its time, its norm, and a ball that maps into itself.
+
+    The ball is tested by sampling. The result states the bound of the share that leaves it.
+
+    Args:
+        orbit: The orbit, or its file. It must be stable.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        settings: Part of the decay, samples, confidence and accuracy.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If the orbit's problem is not known, or the orbit is not closed or unstable.
+        SimulationError: If the motion from its start does not have the shape of the orbit.
+    """
+    from zeno_orbits import maps
+
+    orbit = as_orbit(orbit)
+    return maps.recovery_of(
+        problem_of(orbit, problem), orbit, settings=settings, on_progress=on_progress
+    )
+
+
+def recovery_settings(
+    *, part: float, samples: int, confidence: float, error: float, seed: int = 0
+) -> RecoverySettings:
+    """Return the settings of a recovery.
+
+    Args:
+        part: Part to which a disturbance has to decay.
+        samples: Number of points of a test.
+        confidence: Confidence of the statement.
+        error: Relative step of the radius.
+        seed: Seed of the points.
+    """
+    from zeno_orbits.maps import RecoverySettings
+
+    return RecoverySettings(
+        part=part, samples=samples, confidence=confidence, error=error, seed=seed
+    )
+
+
+def push_settings(
+    *, phases: int, steps: int, reach: float, error: float, until: float | None = None
+) -> PushSettings:
+    """Return the settings of a search for the largest pushes.
+
+    Args:
+        phases: Number of equidistant phases.
+        steps: Impulses along a ray of the scan.
+        reach: End of the scan, relative to the impulse of the orbit's largest kinetic energy.
+        error: Largest relative error of a located impulse.
+        until: Longest time for a motion to return [s].
+    """
+    from zeno_orbits.maps import PushSettings
+
+    return PushSettings(phases=phases, steps=steps, reach=reach, error=error, until=until)

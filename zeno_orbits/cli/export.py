@@ -1,0 +1,139 @@
+"""The command `export`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits.cli.options import (
+    YES,
+    add_command,
+    add_problem,
+    add_start,
+    print_json,
+    say_written,
+    start_of,
+    values_of,
+)
+from zeno_orbits.cli.parsing import read_number
+from zeno_orbits.errors import InputError
+from zeno_orbits.report import terminal as report
+
+if TYPE_CHECKING:
+    from zeno_orbits.loop import ExportedRun, Program
+    from zeno_orbits.model import Problem
+
+
+def add_export(commands: Any) -> None:
+    """Add the command `export`."""
+    parser = add_command(
+        commands,
+        "export",
+        _run_export,
+        "write a problem as one C99 file that follows its executions without Python",
+        [
+            "zeno-orbits export motor_pendulum -o exported",
+            "zeno-orbits export bouncing_ball --set restitution=0.7 --t-end 5 -o exported",
+            "zeno-orbits export motor_pendulum --fmu -o exported",
+        ],
+    )
+    add_problem(parser)
+    add_start(parser)
+    parser.add_argument(
+        "--t-end",
+        dest="until",
+        type=read_number,
+        default=10.0,
+        metavar="T",
+        help="end of the example's execution [s] (default: 10)",
+    )
+    parser.add_argument(
+        "--fmu",
+        action="store_true",
+        help="write a co-simulation unit of FMI 3.0 instead, its library for this machine",
+    )
+    parser.add_argument(
+        "--input",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="with --fmu: a gain or parameter that is an input of the unit (repeatable)",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FOLDER",
+        help="write the code, its header and an example program here",
+    )
+
+
+def _run_export(options: argparse.Namespace) -> int:
+    import numpy as np
+
+    from zeno_orbits.loop import ExportedRun, exported_files, program_or_reason
+    from zeno_orbits.model import load_problem
+    from zeno_orbits.simulation import SimulationTask, run_settings
+    from zeno_orbits.work import require_folder, write_all
+
+    require_folder(options.output)
+    if options.input and not options.fmu:
+        raise InputError("Argument `--input` belongs to `--fmu`, which is missing.")
+    problem = load_problem(options.problem)
+    values = values_of(problem, options)
+    if not options.until > 0.0:
+        message = f"must be a positive number of seconds, but it is {options.until}"
+        raise InputError(f"Argument `until` {message}.")
+    task = SimulationTask(
+        dynamics=problem.dynamics(values),
+        state=np.array(start_of(problem, options)),
+        until=options.until,
+    )
+    program = program_or_reason(problem.compiled())
+    if isinstance(program, str):
+        raise InputError(f"Argument `problem` must be one that tapes can hold, but {program}.")
+    run = ExportedRun(
+        name=problem.name,
+        state_names=problem.state_names,
+        parameter_names=tuple(problem.symbols()),
+        values=np.array(values.vector),
+        state=task.state,
+        settings=run_settings(task),
+    )
+    warning = ""
+    if options.fmu:
+        files, warning = _unit(problem, program, run, options)
+    else:
+        files = {name: text.encode() for name, text in exported_files(program, run).items()}
+    write_all(options.output, files)
+    paths = [options.output / name for name in files]
+    if options.json:
+        print_json({"written": [str(path) for path in paths], "warning": warning or None})
+    elif warning:
+        report.print_lines([f"Warning: {warning}."])
+    say_written(options, paths)
+    return YES
+
+
+def _unit(
+    problem: Problem, program: Program, run: ExportedRun, options: argparse.Namespace
+) -> tuple[dict[str, bytes], str]:
+    """Return the co-simulation unit, file name to bytes, and why it holds no library, if so."""
+    from zeno_orbits import __version__
+    from zeno_orbits.loop import ExportedUnit, exported_unit
+
+    quantities = (*problem.gains, *problem.parameters)
+    states = zip(problem.state_names, problem.state_units, strict=True)
+    unit = ExportedUnit(
+        run=run,
+        units={**dict(states), **{one.name: one.unit for one in quantities}},
+        meanings={one.name: one.meaning for one in quantities},
+        tunable=tuple(gain.name for gain in problem.gains),
+        inputs=tuple(options.input),
+        generator=f"zeno_orbits {__version__}",
+    )
+    content, reason = exported_unit(program, unit)
+    warning = f"the unit holds its C code only, because {reason}" if reason else ""
+    return {f"{problem.name}.fmu": content}, warning

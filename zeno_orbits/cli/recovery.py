@@ -1,0 +1,78 @@
+"""The command `recovery`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from zeno_orbits import api
+from zeno_orbits.cli.options import YES, add_command, add_orbit, hand_out, require_outputs
+from zeno_orbits.cli.parsing import read_count, read_seed, read_share
+from zeno_orbits.report import terminal as report
+
+
+def add_recovery(commands: Any) -> None:
+    """Add the command `recovery`."""
+    parser = add_command(
+        commands,
+        "recovery",
+        _run_recovery,
+        "compute how fast a disturbance of an orbit decays, and a ball that maps into itself",
+        [
+            "zeno-orbits recovery orbit.json",
+            "zeno-orbits recovery orbit.json --decay 1e-3 --samples 3000 -o recovery.json",
+        ],
+    )
+    add_orbit(parser)
+    parser.add_argument(
+        "--decay",
+        dest="part",
+        type=read_share,
+        default=0.01,
+        metavar="SHARE",
+        help="part to which a disturbance has to decay (default: 0.01)",
+    )
+    parser.add_argument(
+        "--samples",
+        type=read_count,
+        default=300,
+        metavar="N",
+        help="number of points that test the ball (default: 300)",
+    )
+    parser.add_argument(
+        "--confidence",
+        type=read_share,
+        default=0.95,
+        metavar="C",
+        help="confidence of the statement about the ball (default: 0.95)",
+    )
+    parser.add_argument(
+        "--error",
+        type=read_share,
+        default=0.02,
+        metavar="REL",
+        help="relative step of the radius (default: 0.02)",
+    )
+    parser.add_argument(
+        "--seed", type=read_seed, default=0, metavar="N", help="seed of the points (default: 0)"
+    )
+    parser.add_argument("-o", "--output", type=Path, help="write the result here, as JSON")
+    parser.set_defaults(picture=None)
+
+
+def _run_recovery(options: argparse.Namespace) -> int:
+    require_outputs(options, reads=[options.orbit])
+    settings = api.recovery_settings(
+        part=options.part,
+        samples=options.samples,
+        confidence=options.confidence,
+        error=options.error,
+        seed=options.seed,
+    )
+    with report.ProgressLine(options.interrupts.check) as progress:
+        found = api.recovery(
+            options.orbit, problem=options.problem, settings=settings, on_progress=progress
+        )
+    hand_out(options, found, report.print_recovery)
+    return YES

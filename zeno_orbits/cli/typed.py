@@ -1,0 +1,86 @@
+"""Errors in the words that the user typed: options in place of the names of arguments."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+
+from zeno_orbits.cli.old_forms import OPTIONS
+
+_UNKNOWN = re.compile(
+    r"Argument `(?:parameter|gain|state|name|free)` must be one of (.*), but it is `([^`]*)`\."
+    r"( Did you mean `[^`]*`\?)?"
+)
+_ARGUMENT = re.compile(r"Argument `([^`]+)`:? (.*)", flags=re.DOTALL)
+_ROOM_NAMES = {
+    "free": "--vary",
+    "gain": "--set",
+    "keep": "--bound",
+    "most_steps": "--max-steps",
+    "name": "--set",
+    "near": "--from",
+    "parameter": "--set",
+    "picture": "--plot",
+    "state": "--initial",
+}
+"""Name of an argument in the package to the option that gives it."""
+_KINDS = {"--initial": "state", "--at": "state", "--set": "gain or parameter"}
+
+
+def as_typed(message: str, words: Sequence[str], options: argparse.Namespace) -> str:
+    """Return an error with the option as it was typed, if it is about an option.
+
+    Args:
+        message: The error of the package.
+        words: The command line.
+        options: The parsed options, with the parser of the command.
+    """
+    found = _UNKNOWN.fullmatch(message)
+    typed = "" if found is None else _option_of_name(found[2], words)
+    if found is not None and typed:
+        known, name, near = found.groups()
+        kind = _KINDS.get(re.split(r"[ =]", typed)[0], "name")
+        return f"{typed}: unknown {kind} `{name}`.{near or ''} Known: {known}."
+    about = _ARGUMENT.fullmatch(message)
+    if about is None:
+        return message
+    if about[1].startswith("--"):
+        return f"{about[1]}: {about[2]}"
+    label = _option_of(about[1], words, options) or _option_of_name(about[1], words)
+    return f"{label}: {about[2]}" if label else message
+
+
+def _option_of(argument: str, words: Sequence[str], options: argparse.Namespace) -> str:
+    """Return the option of an argument and its value as they were typed, or no text."""
+    strings = _strings(argument, options)
+    if argument in ("problem", "orbit", "target") and not strings & set(words):
+        return ""
+    for k in reversed(range(len(words))):
+        option, sign, _ = words[k].partition("=")
+        if option in strings:
+            value = words[k + 1 : k + 1 + (not sign)]
+            return " ".join([words[k], *(one for one in value if not one.startswith("--"))])
+    return ""
+
+
+def _strings(argument: str, options: argparse.Namespace) -> set[str]:
+    """Return the option strings of an argument in the command."""
+    command = options.parser.prog.split()[-1]
+    wanted = {f"--{argument.replace('_', '-')}", _ROOM_NAMES.get(argument, "")}
+    wanted |= {OPTIONS.get(command, {}).get(one, "") for one in tuple(wanted)}
+    found: set[str] = set()
+    for action in options.parser.actions():
+        if argument == action.dest or wanted & set(action.option_strings):
+            found |= set(action.option_strings)
+    return found
+
+
+def _option_of_name(name: str, words: Sequence[str]) -> str:
+    """Return the option and the words after it that give a value to a name, or no text."""
+    for option, word in pairwise(words):
+        if option.startswith("--") and word.startswith(f"{name}="):
+            return f"{option} {word}"
+    pattern = rf"--[a-z0-9-]+={re.escape(name)}="
+    return next((word for word in words if re.match(pattern, word)), "")
