@@ -14,10 +14,9 @@ from zeno_orbits import (
     CompletedSystem,
     HybridLagrangian,
     Problem,
-    complete,
+    Quantity,
+    hybrid_system,
     no_drive,
-    positive,
-    restitution,
 )
 
 
@@ -36,7 +35,7 @@ def lagrangian(p: Mapping[str, ca.SX]) -> HybridLagrangian:
 def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     """Return the completed system, with two states."""
     ball = lagrangian(p)
-    return complete(ball, no_drive(ball), p["restitution"])
+    return hybrid_system(ball, no_drive(ball), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -46,9 +45,9 @@ PROBLEM = Problem(
     state_names=("height", "speed"),
     state_units=("m", "m/s"),
     parameters=(
-        positive("m", 1.0, "kg", "mass"),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        restitution(0.8),
+        Quantity.positive("m", 1.0, "kg", "mass"),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.restitution(0.8),
     ),
     gains=(),
     model=model,

@@ -19,10 +19,8 @@ from zeno_orbits import (
     Output,
     Problem,
     Quantity,
-    complete,
+    hybrid_system,
     no_drive,
-    positive,
-    restitution,
 )
 
 
@@ -42,7 +40,7 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         applied_force=p["m"] * shake * ca.vertcat(ca.sin(p["lean"]), ca.cos(p["lean"])),
         clock=clock,
     )
-    return complete(ball, no_drive(ball), p["restitution"])
+    return hybrid_system(ball, no_drive(ball), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -52,19 +50,19 @@ PROBLEM = Problem(
     state_names=("x", "y", "dx", "dy", "cosine", "sine"),
     state_units=("m", "m", "m/s", "m/s", "1", "1"),
     parameters=(
-        positive("m", 0.05, "kg", "mass of the ball"),
-        positive("rho", 0.1, "m", "radius of curvature at the bottom of the bowl"),
+        Quantity.positive("m", 0.05, "kg", "mass of the ball"),
+        Quantity.positive("rho", 0.1, "m", "radius of curvature at the bottom of the bowl"),
         Quantity(name="c", unit="N s/m", meaning="drag of the air", default=0.05, lower=0.0),
         Quantity(name="A", unit="m", meaning="amplitude of the bowl", default=0.015, lower=0.0),
-        positive("omega", 30.0, "rad/s", "frequency of the bowl"),
+        Quantity.positive("omega", 30.0, "rad/s", "frequency of the bowl"),
         Quantity(
             name="lean",
             unit="rad",
             meaning="direction of the shaking, from the vertical",
             default=0.3,
         ),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        restitution(0.3),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.restitution(0.3),
     ),
     gains=(),
     model=model,

@@ -18,10 +18,8 @@ from zeno_orbits import (
     HybridLagrangian,
     Problem,
     Quantity,
-    complete,
+    hybrid_system,
     no_drive,
-    positive,
-    restitution,
 )
 
 
@@ -35,7 +33,7 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         potential=-p["m"] * p["g"] * p["lc"] * ca.cos(angle + p["stop"]),
         gap=angle,
     )
-    return complete(rod, no_drive(rod), p["restitution"])
+    return hybrid_system(rod, no_drive(rod), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -45,9 +43,9 @@ PROBLEM = Problem(
     state_names=("angle", "rate"),
     state_units=("rad", "rad/s"),
     parameters=(
-        positive("m", 0.2, "kg", "mass"),
-        positive("lc", 0.25, "m", "pivot to the centre of mass"),
-        positive("I", 0.004, "kg m^2", "inertia about the centre of mass"),
+        Quantity.positive("m", 0.2, "kg", "mass"),
+        Quantity.positive("lc", 0.25, "m", "pivot to the centre of mass"),
+        Quantity.positive("I", 0.004, "kg m^2", "inertia about the centre of mass"),
         Quantity(
             name="stop",
             unit="rad",
@@ -56,8 +54,8 @@ PROBLEM = Problem(
             lower=0.0,
             upper=3.0,
         ),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        restitution(0.6),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.restitution(0.6),
     ),
     gains=(),
     model=model,

@@ -17,10 +17,8 @@ from zeno_orbits import (
     HybridLagrangian,
     Problem,
     Quantity,
-    complete,
+    hybrid_system,
     no_drive,
-    positive,
-    restitution,
 )
 
 
@@ -43,7 +41,7 @@ def lagrangian(p: Mapping[str, ca.SX]) -> HybridLagrangian:
 def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     """Return the completed system: two states of the mass, two of the clock."""
     oscillator = lagrangian(p)
-    return complete(oscillator, no_drive(oscillator), p["restitution"])
+    return hybrid_system(oscillator, no_drive(oscillator), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -53,18 +51,18 @@ PROBLEM = Problem(
     state_names=("distance", "speed", "cosine", "sine"),
     state_units=("m", "m/s", "1", "1"),
     parameters=(
-        positive("m", 1.0, "kg", "mass"),
+        Quantity.positive("m", 1.0, "kg", "mass"),
         Quantity(name="c", unit="N s/m", meaning="damping", default=1.9, lower=0.0),
         Quantity(name="k", unit="N/m", meaning="stiffness of the spring", default=1.0, lower=0.0),
         Quantity(name="A", unit="N", meaning="amplitude of the force", default=1.0, lower=0.0),
-        positive("omega", 1.0, "rad/s", "frequency of the force"),
+        Quantity.positive("omega", 1.0, "rad/s", "frequency of the force"),
         Quantity(
             name="stop",
             unit="m",
             meaning="where the stop is, from the relaxed spring",
             default=-0.8,
         ),
-        restitution(0.5),
+        Quantity.restitution(0.5),
     ),
     gains=(),
     model=model,

@@ -14,15 +14,13 @@ import casadi as ca
 from zeno_orbits import (
     Clock,
     CompletedSystem,
+    Drawing,
     HybridLagrangian,
-    Lines,
     MotorBank,
     Problem,
     Quantity,
-    complete,
     full_drive,
-    positive,
-    restitution,
+    hybrid_system,
 )
 
 
@@ -56,10 +54,10 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         emf_constant=p["K_emf"],
         voltage=p["Kp"] * (p["A"] * clock.sine - q[0]) - p["Kd"] * v[0],
     )
-    return complete(cart, full_drive(cart, motor), p["restitution"])
+    return hybrid_system(cart, full_drive(cart, motor), p["restitution"])
 
 
-def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Lines:
+def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Drawing:
     """Return the cart, the link on its hinge to twice its centre of mass, and the stop [m]."""
     wide, lean = 0.4 * p["lc"], x["angle"] + p["tilt"]
     tip = (x["x"] + 2 * p["lc"] * ca.sin(lean), -2 * p["lc"] * ca.cos(lean))
@@ -83,10 +81,10 @@ PROBLEM = Problem(
     state_names=("x", "angle", "dx", "dangle", "current", "cosine", "sine"),
     state_units=("m", "rad", "m/s", "rad/s", "A", "1", "1"),
     parameters=(
-        positive("M", 0.8, "kg", "mass of the cart"),
-        positive("m", 0.1, "kg", "mass of the link"),
-        positive("lc", 0.15, "m", "hinge to the centre of mass of the link"),
-        positive("I", 0.00075, "kg m^2", "inertia of the link about its centre of mass"),
+        Quantity.positive("M", 0.8, "kg", "mass of the cart"),
+        Quantity.positive("m", 0.1, "kg", "mass of the link"),
+        Quantity.positive("lc", 0.15, "m", "hinge to the centre of mass of the link"),
+        Quantity.positive("I", 0.00075, "kg m^2", "inertia of the link about its centre of mass"),
         Quantity(
             name="tilt",
             unit="rad",
@@ -99,18 +97,18 @@ PROBLEM = Problem(
         Quantity(
             name="b", unit="N m s/rad", meaning="friction of the hinge", default=2e-4, lower=0.0
         ),
-        positive("r", 0.02, "m", "radius of the driving wheel"),
+        Quantity.positive("r", 0.02, "m", "radius of the driving wheel"),
         Quantity(
             name="J_rotor", unit="kg m^2", meaning="inertia of the rotor", default=2e-5, lower=0.0
         ),
-        positive("R", 1.5, "ohm", "resistance of the motor circuit"),
-        positive("L", 0.002, "H", "inductance of the motor circuit"),
-        positive("K_torque", 0.04, "N m/A", "torque constant"),
-        positive("K_emf", 0.04, "V s/rad", "back-EMF constant"),
-        positive("A", 0.15, "m", "amplitude that the voltage asks for"),
-        positive("omega", 6.0, "rad/s", "frequency of what the voltage asks for"),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        restitution(0.3),
+        Quantity.positive("R", 1.5, "ohm", "resistance of the motor circuit"),
+        Quantity.positive("L", 0.002, "H", "inductance of the motor circuit"),
+        Quantity.positive("K_torque", 0.04, "N m/A", "torque constant"),
+        Quantity.positive("K_emf", 0.04, "V s/rad", "back-EMF constant"),
+        Quantity.positive("A", 0.15, "m", "amplitude that the voltage asks for"),
+        Quantity.positive("omega", 6.0, "rad/s", "frequency of what the voltage asks for"),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.restitution(0.3),
     ),
     gains=(
         Quantity(

@@ -18,10 +18,8 @@ from zeno_orbits import (
     MotorBank,
     Problem,
     Quantity,
-    complete,
     full_drive,
-    positive,
-    restitution,
+    hybrid_system,
 )
 
 
@@ -44,7 +42,7 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         emf_constant=p["K_emf"],
         voltage=p["V0"] - p["Kp"] * opening - p["Kd"] * rate,
     )
-    return complete(valve, full_drive(valve, motor), p["restitution"])
+    return hybrid_system(valve, full_drive(valve, motor), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -54,16 +52,16 @@ PROBLEM = Problem(
     state_names=("opening", "rate", "current"),
     state_units=("rad", "rad/s", "A"),
     parameters=(
-        positive("J", 2e-4, "kg m^2", "inertia of valve and rotor"),
-        positive("k", 0.01, "N m/rad", "stiffness of the spring"),
-        positive("preload", 0.05, "N m", "torque of the spring at the seat"),
+        Quantity.positive("J", 2e-4, "kg m^2", "inertia of valve and rotor"),
+        Quantity.positive("k", 0.01, "N m/rad", "stiffness of the spring"),
+        Quantity.positive("preload", 0.05, "N m", "torque of the spring at the seat"),
         Quantity(name="c", unit="N m s/rad", meaning="friction", default=2e-4, lower=0.0),
-        positive("R", 0.5, "ohm", "resistance of the motor circuit"),
-        positive("L", 0.1, "H", "inductance of the motor circuit"),
-        positive("K_torque", 0.05, "N m/A", "torque constant"),
-        positive("K_emf", 0.05, "V s/rad", "back-EMF constant"),
-        positive("V0", 2.0, "V", "voltage at the seat"),
-        restitution(0.3),
+        Quantity.positive("R", 0.5, "ohm", "resistance of the motor circuit"),
+        Quantity.positive("L", 0.1, "H", "inductance of the motor circuit"),
+        Quantity.positive("K_torque", 0.05, "N m/A", "torque constant"),
+        Quantity.positive("K_emf", 0.05, "V s/rad", "back-EMF constant"),
+        Quantity.positive("V0", 2.0, "V", "voltage at the seat"),
+        Quantity.restitution(0.3),
     ),
     gains=(
         Quantity(

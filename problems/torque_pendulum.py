@@ -16,10 +16,8 @@ from zeno_orbits import (
     HybridLagrangian,
     Problem,
     Quantity,
-    complete,
+    hybrid_system,
     no_drive,
-    positive,
-    restitution,
 )
 
 
@@ -47,7 +45,7 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         applied_force=ca.vertcat(p["A"] * clock.cosine, 0),
         clock=clock,
     )
-    return complete(links, no_drive(links), p["restitution"])
+    return hybrid_system(links, no_drive(links), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -57,13 +55,13 @@ PROBLEM = Problem(
     state_names=("theta1", "theta2", "dtheta1", "dtheta2", "cosine", "sine"),
     state_units=("rad", "rad", "rad/s", "rad/s", "1", "1"),
     parameters=(
-        positive("L1", 0.20, "m", "length of link 1"),
-        positive("lc1", 0.06, "m", "shoulder to the centre of mass of link 1"),
-        positive("m1", 0.30, "kg", "mass of link 1"),
-        positive("I1", 0.019, "kg m^2", "inertia of link 1 about its centre of mass"),
-        positive("lc2", 0.15, "m", "knee to the centre of mass of link 2"),
-        positive("m2", 0.10, "kg", "mass of link 2"),
-        positive("I2", 0.00075, "kg m^2", "inertia of link 2 about its centre of mass"),
+        Quantity.positive("L1", 0.20, "m", "length of link 1"),
+        Quantity.positive("lc1", 0.06, "m", "shoulder to the centre of mass of link 1"),
+        Quantity.positive("m1", 0.30, "kg", "mass of link 1"),
+        Quantity.positive("I1", 0.019, "kg m^2", "inertia of link 1 about its centre of mass"),
+        Quantity.positive("lc2", 0.15, "m", "knee to the centre of mass of link 2"),
+        Quantity.positive("m2", 0.10, "kg", "mass of link 2"),
+        Quantity.positive("I2", 0.00075, "kg m^2", "inertia of link 2 about its centre of mass"),
         Quantity(
             name="b1", unit="N m s/rad", meaning="friction of the shoulder", default=0.1, lower=0.0
         ),
@@ -71,9 +69,9 @@ PROBLEM = Problem(
             name="b2", unit="N m s/rad", meaning="friction of the knee", default=0.0, lower=0.0
         ),
         Quantity(name="A", unit="N m", meaning="amplitude of the torque", default=0.3, lower=0.0),
-        positive("omega", 3.0, "rad/s", "frequency of the torque"),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        restitution(0.3),
+        Quantity.positive("omega", 3.0, "rad/s", "frequency of the torque"),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.restitution(0.3),
     ),
     gains=(),
     model=model,

@@ -18,10 +18,8 @@ from zeno_orbits import (
     MotorBank,
     Problem,
     Quantity,
-    complete,
     full_drive,
-    positive,
-    restitution,
+    hybrid_system,
 )
 
 
@@ -64,7 +62,7 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         emf_constant=ca.diag(ca.vertcat(p["K_emf"], p["K_emf2"])),
         voltage=voltage,
     )
-    return complete(links, full_drive(links, motors), p["restitution"])
+    return hybrid_system(links, full_drive(links, motors), p["restitution"])
 
 
 def _gain(
@@ -82,13 +80,13 @@ PROBLEM = Problem(
     state_names=("theta1", "theta2", "dtheta1", "dtheta2", "current1", "current2"),
     state_units=("rad", "rad", "rad/s", "rad/s", "A", "A"),
     parameters=(
-        positive("L1", 0.20, "m", "length of link 1"),
-        positive("lc1", 0.06, "m", "shoulder to the centre of mass of link 1"),
-        positive("m1", 0.30, "kg", "mass of link 1"),
-        positive("I1", 0.001, "kg m^2", "inertia of link 1 about its centre of mass"),
-        positive("lc2", 0.15, "m", "knee to the centre of mass of link 2"),
-        positive("m2", 0.10, "kg", "mass of link 2"),
-        positive("I2", 0.00075, "kg m^2", "inertia of link 2 about its centre of mass"),
+        Quantity.positive("L1", 0.20, "m", "length of link 1"),
+        Quantity.positive("lc1", 0.06, "m", "shoulder to the centre of mass of link 1"),
+        Quantity.positive("m1", 0.30, "kg", "mass of link 1"),
+        Quantity.positive("I1", 0.001, "kg m^2", "inertia of link 1 about its centre of mass"),
+        Quantity.positive("lc2", 0.15, "m", "knee to the centre of mass of link 2"),
+        Quantity.positive("m2", 0.10, "kg", "mass of link 2"),
+        Quantity.positive("I2", 0.00075, "kg m^2", "inertia of link 2 about its centre of mass"),
         Quantity(
             name="J_rotor",
             unit="kg m^2",
@@ -103,11 +101,11 @@ PROBLEM = Problem(
             default=0.0,
             lower=0.0,
         ),
-        positive("R", 3.0, "ohm", "resistance at the shoulder"),
-        positive("R2", 3.0, "ohm", "resistance at the knee"),
-        positive("L", 0.002, "H", "inductance at the shoulder"),
-        positive("L_coil2", 0.002, "H", "inductance at the knee"),
-        positive("K_torque", 0.03071770892865, "N m/A", "torque constant at the shoulder"),
+        Quantity.positive("R", 3.0, "ohm", "resistance at the shoulder"),
+        Quantity.positive("R2", 3.0, "ohm", "resistance at the knee"),
+        Quantity.positive("L", 0.002, "H", "inductance at the shoulder"),
+        Quantity.positive("L_coil2", 0.002, "H", "inductance at the knee"),
+        Quantity.positive("K_torque", 0.03071770892865, "N m/A", "torque constant at the shoulder"),
         Quantity(
             name="K_torque2",
             unit="N m/A",
@@ -132,8 +130,8 @@ PROBLEM = Problem(
         Quantity(
             name="rest", unit="rad", meaning="angle that the knee's motor pulls to", default=-1.0
         ),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        restitution(0.2),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.restitution(0.2),
     ),
     gains=(
         _gain("Kp", 2.5, 1.0, 6.0, "V/rad", "proportional gain at the shoulder"),

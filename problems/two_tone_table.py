@@ -20,10 +20,8 @@ from zeno_orbits import (
     Output,
     Problem,
     Quantity,
-    complete,
+    hybrid_system,
     no_drive,
-    positive,
-    restitution,
 )
 
 
@@ -42,7 +40,7 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         applied_force=p["m"] * pull,
         clock=clock,
     )
-    return complete(ball, no_drive(ball), p["restitution"])
+    return hybrid_system(ball, no_drive(ball), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -52,14 +50,14 @@ PROBLEM = Problem(
     state_names=("height", "speed", "cosine", "sine"),
     state_units=("m", "m/s", "1", "1"),
     parameters=(
-        positive("m", 0.05, "kg", "mass of the ball"),
+        Quantity.positive("m", 0.05, "kg", "mass of the ball"),
         Quantity(name="A", unit="m", meaning="amplitude of the table", default=0.002, lower=0.0),
         Quantity(
             name="B", unit="m", meaning="amplitude of its second tone", default=0.0035, lower=0.0
         ),
-        positive("omega", 30.0, "rad/s", "frequency of the table"),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        restitution(0.3),
+        Quantity.positive("omega", 30.0, "rad/s", "frequency of the table"),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.restitution(0.3),
     ),
     gains=(),
     model=model,

@@ -16,15 +16,13 @@ import casadi as ca
 from zeno_orbits import (
     Clock,
     CompletedSystem,
+    Drawing,
     HybridLagrangian,
-    Lines,
     Output,
     Problem,
     Quantity,
-    complete,
+    hybrid_system,
     no_drive,
-    positive,
-    restitution,
 )
 
 
@@ -41,10 +39,10 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         applied_force=p["m"] * p["A"] * p["omega"] ** 2 * clock.sine,
         clock=clock,
     )
-    return complete(ball, no_drive(ball), p["restitution"])
+    return hybrid_system(ball, no_drive(ball), p["restitution"])
 
 
-def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Lines:
+def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Drawing:
     """Return the ball as a point, and the table [m]."""
     table = p["A"] * x["sine"]
     return {"ball": [(0, x["height"] + table)], "stop": [(-p["A"], table), (p["A"], table)]}
@@ -57,11 +55,11 @@ PROBLEM = Problem(
     state_names=("height", "speed", "cosine", "sine"),
     state_units=("m", "m/s", "1", "1"),
     parameters=(
-        positive("m", 0.05, "kg", "mass of the ball"),
+        Quantity.positive("m", 0.05, "kg", "mass of the ball"),
         Quantity(name="A", unit="m", meaning="amplitude of the table", default=0.015, lower=0.0),
-        positive("omega", 30.0, "rad/s", "frequency of the table"),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        restitution(0.3),
+        Quantity.positive("omega", 30.0, "rad/s", "frequency of the table"),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.restitution(0.3),
     ),
     gains=(),
     model=model,

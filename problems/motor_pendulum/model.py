@@ -15,28 +15,26 @@ from pathlib import Path
 import casadi as ca
 
 from zeno_orbits import (
-    Bridge,
     CompletedSystem,
     Contact,
     Controller,
-    Escape,
+    Drawing,
     Friction,
     Gear,
+    HBridge,
     HybridLagrangian,
     InputError,
-    Lines,
     MotorBank,
     Output,
     Problem,
     Quantity,
     Rig,
     Sensors,
-    complete,
+    StateLimit,
     corrected_drive,
     full_drive,
-    positive,
+    hybrid_system,
     quasi_static_drive,
-    restitution,
 )
 
 CURRENT_COEFFICIENT = 2.92437
@@ -80,7 +78,7 @@ def motor(mechanism: HybridLagrangian, p: Mapping[str, ca.SX]) -> MotorBank:
 def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     """Return the completed system with the motor's current dynamics: five states."""
     mechanism = lagrangian(p)
-    return complete(mechanism, full_drive(mechanism, motor(mechanism, p)), p["restitution"])
+    return hybrid_system(mechanism, full_drive(mechanism, motor(mechanism, p)), p["restitution"])
 
 
 def quasi_static(p: Mapping[str, ca.SX]) -> CompletedSystem:
@@ -88,13 +86,15 @@ def quasi_static(p: Mapping[str, ca.SX]) -> CompletedSystem:
     mechanism = lagrangian(p)
     # The limit does not ask for an inductance, but a bank of motors has one.
     drive = quasi_static_drive(mechanism, motor(mechanism, {**p, "L": ca.SX(0)}))
-    return complete(mechanism, drive, p["restitution"])
+    return hybrid_system(mechanism, drive, p["restitution"])
 
 
 def corrected(p: Mapping[str, ca.SX]) -> CompletedSystem:
     """Return the completed system with the inductance to first order: four states."""
     mechanism = lagrangian(p)
-    return complete(mechanism, corrected_drive(mechanism, motor(mechanism, p)), p["restitution"])
+    return hybrid_system(
+        mechanism, corrected_drive(mechanism, motor(mechanism, p)), p["restitution"]
+    )
 
 
 def tip_height(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> ca.SX:
@@ -102,7 +102,7 @@ def tip_height(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> ca.SX:
     return -p["L1"] * ca.cos(x["theta1"]) - p["L2"] * ca.cos(x["theta1"] + x["theta2"])
 
 
-def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Lines:
+def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Drawing:
     """Return both links with their joints, and the stop that link 1 carries below the knee [m]."""
     knee = (p["L1"] * ca.sin(x["theta1"]), -p["L1"] * ca.cos(x["theta1"]))
     hand = x["theta1"] + x["theta2"]
@@ -185,7 +185,7 @@ MACHINE = Rig(
         "theta2": Friction(coulomb=1e-4, viscous=1e-5),
     },
     gears={1: Gear(rotor_inertia=0.0175, play=math.radians(0.2), stiffness=3000.0, loss=5.0)},
-    bridge=Bridge(supply=12.0, resistance=0.05, frequency=20e3, dead_time=5e-7, diode_drop=0.7),
+    bridge=HBridge(supply=12.0, resistance=0.05, frequency=20e3, dead_time=5e-7, diode_drop=0.7),
     controller=Controller(period=1e-3, delay=1e-3),
     sensors=Sensors(
         resolution=2 * math.pi / 8192, noise=1e-4, filter_time=2e-3, current_noise=0.01
@@ -200,14 +200,14 @@ FULL = Problem(
     state_names=("theta1", "theta2", "dtheta1", "dtheta2", "current"),
     state_units=("rad", "rad", "rad/s", "rad/s", "A"),
     parameters=(
-        positive("L1", 0.20, "m", "length of link 1"),
-        positive("lc1", 0.06, "m", "shoulder to the centre of mass of link 1"),
-        positive("m1", 0.30, "kg", "mass of link 1"),
-        positive("I1", 0.001, "kg m^2", "inertia of link 1 about its centre of mass"),
-        positive("L2", 0.30, "m", "length of link 2; for pictures only"),
-        positive("lc2", 0.15, "m", "knee to the centre of mass of link 2"),
-        positive("m2", 0.10, "kg", "mass of link 2"),
-        positive("I2", 0.00075, "kg m^2", "inertia of link 2 about its centre of mass"),
+        Quantity.positive("L1", 0.20, "m", "length of link 1"),
+        Quantity.positive("lc1", 0.06, "m", "shoulder to the centre of mass of link 1"),
+        Quantity.positive("m1", 0.30, "kg", "mass of link 1"),
+        Quantity.positive("I1", 0.001, "kg m^2", "inertia of link 1 about its centre of mass"),
+        Quantity.positive("L2", 0.30, "m", "length of link 2; for pictures only"),
+        Quantity.positive("lc2", 0.15, "m", "knee to the centre of mass of link 2"),
+        Quantity.positive("m2", 0.10, "kg", "mass of link 2"),
+        Quantity.positive("I2", 0.00075, "kg m^2", "inertia of link 2 about its centre of mass"),
         Quantity(
             name="J_rotor",
             unit="kg m^2",
@@ -215,15 +215,15 @@ FULL = Problem(
             default=None,
             lower=0.0,
         ),
-        positive("R", 3.0, "ohm", "resistance of the motor circuit"),
-        positive(
+        Quantity.positive("R", 3.0, "ohm", "resistance of the motor circuit"),
+        Quantity.positive(
             "L",
             0.002,
             "H",
             "inductance of the motor circuit",
             instead="For L = 0 take `motor_pendulum@quasi_static`.",
         ),
-        positive("K_torque", None, "N m/A", "torque constant at the shoulder; calibrated"),
+        Quantity.positive("K_torque", None, "N m/A", "torque constant at the shoulder; calibrated"),
         Quantity(
             name="K_emf",
             unit="V s/rad",
@@ -231,7 +231,7 @@ FULL = Problem(
             default=None,
             lower=0.0,
         ),
-        restitution(0.2),
+        Quantity.restitution(0.2),
         Quantity(
             name="g", unit="m/s^2", meaning="gravity", default=9.81, lower=0.0, excluded=(0.0,)
         ),
@@ -248,8 +248,8 @@ FULL = Problem(
     # Link 2 swings to half a turn and comes back; after a whole one it meets the stop from behind.
     # Link 1 never came back from the top in what was tried, but only a whole turn is beyond doubt.
     escapes={
-        "theta1": Escape(beyond=2 * math.pi, phrase="link 1 whirls"),
-        "theta2": Escape(beyond=2 * math.pi, phrase="link 2 goes over the top"),
+        "theta1": StateLimit(beyond=2 * math.pi, phrase="link 1 whirls"),
+        "theta2": StateLimit(beyond=2 * math.pi, phrase="link 2 goes over the top"),
     },
     outputs=(Output(name="tip_height", unit="m", formula=tip_height),),
     drawing=drawing,

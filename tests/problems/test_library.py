@@ -68,9 +68,9 @@ def test_every_problem_goes_through_every_command(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "orbit.json"
-    assert main(["conditions", name]) == 0
+    assert main(["zeno-condition", name]) == 0
     assert "d2h/dt2 = " in capsys.readouterr().out
-    assert main(["simulate", name, "--until", "1", "-o", str(tmp_path / "run.png")]) == 0
+    assert main(["simulate", name, "--t-end", "1", "-o", str(tmp_path / "run.png")]) == 0
     found = main(["search", name, "-o", str(file)])
     assert found == (1 if name in NO_ORBIT else 0)
     assert file.exists() == (name not in NO_ORBIT)
@@ -153,8 +153,8 @@ def test_the_pendulum_falls_on_its_stop_in_elliptic_integrals(
 ) -> None:
     run = _answer(
         capsys,
-        *("simulate", "falling_pendulum", "--until", "30"),
-        *("--start", f"angle={angle}", "--set", f"restitution={e}"),
+        *("simulate", "falling_pendulum", "--t-end", "30"),
+        *("--initial", f"angle={angle}", "--set", f"restitution={e}"),
     )
     known = truth.falling_pendulum(_parameters("falling_pendulum", restitution=e), angle)
     _hold_run(run, known)
@@ -170,8 +170,17 @@ def test_the_ball_thrown_into_a_bowl_bounces_as_parabolas_do(
 ) -> None:
     run = _answer(
         capsys,
-        *("simulate", "curved_surface", "--until", "2", "--set", "A=0", "--set", "c=0"),
-        *("--start", f"x={x}", "--start", f"y={y}", "--start", f"dx={dx}", "--start", "cosine=1"),
+        *("simulate", "curved_surface", "--t-end", "2", "--set", "A=0", "--set", "c=0"),
+        *(
+            "--initial",
+            f"x={x}",
+            "--initial",
+            f"y={y}",
+            "--initial",
+            f"dx={dx}",
+            "--initial",
+            "cosine=1",
+        ),
     )
     _hold_run(run, truth.bowl(_parameters("curved_surface", A=0, c=0), x, y, dx))
 
@@ -401,13 +410,13 @@ def test_an_output_of_a_problem_without_any_cannot_be_drawn(
     file = tmp_path / "orbit.json"
     write_orbit(_orbit("motor_valve"), file)
     assert main(["plot", str(file), "--kind", "outputs", "-o", str(tmp_path)]) == 2
-    assert "`motor_valve` has, but it has no outputs" in capsys.readouterr().err
+    assert "`motor_valve` has, but it lacks outputs" in capsys.readouterr().err
 
 
 def test_a_region_that_cannot_be_drawn_is_refused_before_anything_is_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["conditions", "vibrating_table", "-o", str(tmp_path / "region.png")]) == 2
+    assert main(["zeno-condition", "vibrating_table", "-o", str(tmp_path / "region.png")]) == 2
     shown = capsys.readouterr()
     assert shown.out == ""
     assert "nor a clock" in shown.err

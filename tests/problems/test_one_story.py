@@ -98,7 +98,7 @@ def test_a_stiff_machine_and_a_recording_tell_the_same_orbit(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [(), ("--with-motor",)])
+@pytest.mark.parametrize("options", [(), ("--with-motor",), ("--with-circuit",)])
 def test_a_new_problem_as_it_is_written(options: tuple[str, ...], tmp_path: Path) -> None:
     words = [sys.executable, "-m", "zeno_orbits", "new", "mine", *options]
     subprocess.run(words, cwd=tmp_path, check=True, capture_output=True)

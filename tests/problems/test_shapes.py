@@ -437,7 +437,7 @@ def test_one_impact_too_many_is_refused() -> None:
 
 
 def test_a_phase_without_its_impact_is_refused() -> None:
-    with pytest.raises(InputError, match="must have an impact in phase 2, but it has none"):
+    with pytest.raises(InputError, match="must have an impact in phase 2, but it lacks one"):
         checked(changed(struck_thrice(), 1, impacts=()))
 
 
@@ -536,7 +536,7 @@ def test_a_true_orbit_with_a_false_shape_is_refused() -> None:
     )
     seen = checked(replace(struck(), phases=(rested,)))
     assert not seen.passed
-    assert "There is no release" in seen.trouble
+    assert "No release occurs" in seen.trouble
 
 
 def test_a_plastic_impact_that_holds_passes_for_none_that_lets_go() -> None:
