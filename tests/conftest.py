@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -21,9 +22,9 @@ from zeno_orbits.verification.verifier import problem_dynamics, verify
 # Matrices are small: threads of linear algebra would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# Compiling takes seconds, and which steps it serves is a matter of time: tests interpret, but for
-# those of the compiled code itself (`tests/support/compiling.py`).
-os.environ.setdefault("ZENO_ORBITS_COMPILE", "never")
+# A shell makes its background jobs ignore interrupts, and their commands would inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The same examples every time, and no clock: a run that fails must fail again, on any machine.
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)

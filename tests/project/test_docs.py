@@ -25,7 +25,7 @@ def _anchors(document: Path) -> set[str]:
 
 def test_the_readme_is_short_and_shows_an_orbit_near_its_top() -> None:
     lines = (ROOT / "README.md").read_text().splitlines()
-    assert len(lines) < 150
+    assert len(lines) < 120
     assert any(line.startswith("![") for line in lines[:12])
 
 
@@ -79,18 +79,18 @@ def test_a_page_that_the_list_of_documents_lacks_comes_last(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_says_what_it_expects_asserts_it_and_ends_with_two_things_to_try(
-    path: Path,
-) -> None:
+def test_a_notebook_asks_predicts_asserts_and_ends_with_exercises(path: Path) -> None:
     cells = json.loads(path.read_text())["cells"]
     first, last = ("".join(cells[k]["source"]) for k in (0, -1))
     assert first.startswith("# ")
-    assert "| expected |" in first
+    assert re.search(r"\*{0,2}Question[.:]", first)
+    assert "prediction |" in first
     checks = cells[-2]
     assert checks["cell_type"] == "code"
+    assert "hide-input" in checks["metadata"]["tags"]
     assert "".join(checks["source"]).splitlines()[-1].strip().startswith("assert ")
-    assert last.startswith("## Two things to try\n")
-    assert len(re.findall(r"^\* ", last, re.MULTILINE)) == 2
+    assert last.startswith("## Exercises\n")
+    assert len(re.findall(r"^\d\. ", last.split("<details>")[0], re.MULTILINE)) == 2
 
 
 def test_pages_and_notebooks_import_from_the_front_door_alone() -> None:
@@ -118,7 +118,7 @@ def test_the_page_of_the_command_line_has_every_command_and_option() -> None:
     page = command_page()
     for name in ("search", "verify", "continue", "map"):
         assert f"## `{name}`" in page
-    assert "`--keep NAME=LOWER:UPPER`" in page
+    assert "`--bound NAME=LOWER:UPPER`" in page
     assert "zeno-orbits search motor_pendulum -o orbit.json" in page
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from tests.support.pages import ROOT, SHOWN, blocks, commands, run_page
 from zeno_orbits.cli import build_parser
+from zeno_orbits.cli.old_forms import in_new_forms
 
 PAGES = sorted(
     [
@@ -28,10 +30,11 @@ LEFT_OUT = {
     ("README.md", "not run: installs"): 1,
     ("README.md", "command: test"): 1,
     ("benchmarks/README.md", "not run: takes a quiet machine"): 1,
-    ("docs/extended.md", "not run: installs"): 1,
-    ("docs/performance.md", "not run: takes a quiet machine"): 3,
+    ("docs/performance.md", "not run: takes a quiet machine"): 4,
     ("docs/performance.md", "not run: a quarter of an hour"): 2,
+    ("docs/performance.md", "not run: three minutes"): 1,
     ("docs/performance.md", "not run: takes other people's simulators and a quiet machine"): 1,
+    ("docs/proof.md", "not run: takes minutes"): 1,
     ("docs/proof_file.md", "not run: needs a certificate"): 1,
     ("docs/rig.md", "not run: a quarter of an hour"): 1,
     ("docs/scale.md", "not run: minutes"): 1,
@@ -61,7 +64,7 @@ LONG = {
     f"{name}.md"
     for name in (
         *("README", "accuracy", "examples", "families", "mapping", "measured_data", "no_orbit"),
-        *("gallery", "own_tests", "problems", "report", "rig", "scale", "searching"),
+        *("export", "gallery", "own_tests", "problems", "report", "rig", "scale", "searching"),
         "tutorial",
     )
 }
@@ -102,13 +105,18 @@ def test_every_block_of_a_page_says_what_it_is(page: Path) -> None:
         assert block.mark in {"", "slow"} or block.left_out or block.code, block.mark
 
 
+def understood(words: Sequence[str]) -> None:
+    """Check that the command line parses some words, in a new form or an old one."""
+    build_parser().parse_args(in_new_forms(words))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_is_not_run_names_scripts_and_options_that_there_are(page: Path) -> None:
     for block in blocks(page):
         for line in commands(block) if block.language == "sh" else ():
             program, *words = shlex.split(line)
             if program == "zeno-orbits" and block.left_out:
-                build_parser().parse_args(words)
+                understood(words)
             elif program == "python":
                 script = (ROOT / words[0]).read_text()
                 for option in (word for word in words if word.startswith("--")):
@@ -119,7 +127,7 @@ def test_the_commands_in_the_table_of_the_readme_are_understood() -> None:
     rows = re.findall(r"^\| `zeno-orbits ([^`]+)` \|", (ROOT / "README.md").read_text(), re.M)
     assert len(rows) > 10
     for row in rows:
-        build_parser().parse_args(shlex.split(row))
+        understood(shlex.split(row))
 
 
 # The runner itself.

@@ -112,3 +112,26 @@ def test_a_map_shows_its_axes_and_counts_what_motions_settle_to() -> None:
     text = shown(found)
     assert "Kp from 1 to 3 in 100 points" in text
     assert "Zeno periodic orbit: 2999, rest: 1" in text
+
+
+def test_runs_and_recordings_show_their_span_and_their_size(orbit: zo.ZenoOrbit) -> None:
+    run = zo.simulate_rig("motor_pendulum", until=0.4)
+    assert shown(run).startswith("<RigRun of motor_pendulum from 0 to 0.4 s: times=")
+    settled = zo.simulate_experiment(orbit, cycles=1, settle=0)
+    assert shown(settled).startswith("<SettledRig of motor_pendulum: cycles=1, periods=1.8")
+    recording = zo.sample_execution("motor_pendulum", zo.simulate("motor_pendulum", until=0.4))
+    assert "times=201, signals=theta1, theta2, " in shown(recording)
+    assert shown(recording.signals[0]) == "<RecordedSignal theta1 [rad]: values=201>"
+
+
+@pytest.mark.slow
+def test_proofs_and_fits_show_their_verdicts(orbit: zo.ZenoOrbit) -> None:
+    pytest.importorskip("flint", reason="needs the extra `proof`")
+    assert shown(zo.prove(orbit)).startswith(
+        "<Proof of motor_pendulum: Proved by inclusions: the return map"
+    )
+    assert "No event is missed" in shown(zo.enclose_period(orbit))
+    problem = zo.load_problem("motor_pendulum")
+    recording = zo.sample_execution(problem, zo.simulate(problem, until=20.0), noise=1e-4)
+    fitted = zo.identify(problem, zo.crop(recording, 10.0), ["R"])
+    assert shown(fitted).startswith("<Identification of motor_pendulum: R=")

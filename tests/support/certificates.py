@@ -19,6 +19,8 @@ from zeno_orbits.model import Problem
 
 BITS = 192
 _SLACK = mp.mpf(2) ** -120
+_ROUNDING = mp.mpf(2) ** -40
+"""Room for derivatives that are found in hardware numbers."""
 _N = 4
 
 
@@ -158,7 +160,8 @@ class HandMade:
         grown = mp.mpf("1.001")
         self.z, self.C = z.copy(), slope * self.C
         self.r = size * self.r * grown + mp.matrix([_SLACK + wide] * _N)
-        extra = mp.matrix([[_SLACK + wide_slope] * len(self.spread)] * _N)
+        largest = max([abs(x) for x in self.C] or [0]) * _ROUNDING
+        extra = mp.matrix([[_SLACK + wide_slope + largest] * len(self.spread)] * _N)
         self.R = size * self.R * grown + extra
         self._forget(exact)
         self.records.append({**record, "set": self._set()})
@@ -219,7 +222,7 @@ class HandMade:
         centre = [text_of(self.centre[k]) for k in section["places"]]
         box = {"centre": centre, "radius": texts_of(self.spread), "others": dict(others)}
         return {
-            "format": 1,
+            "format": 2,
             "kind": "zeno_orbits proof",
             "problem": self.problem.name,
             "digest": digest_of(self.problem),
@@ -239,13 +242,17 @@ def around(x: Any, radius: Any) -> dict[str, str]:
     return {"low": text_of(x - radius), "high": text_of(x + radius)}
 
 
-def forced_oscillator(problem: Problem) -> dict[str, Any]:
+def forced_oscillator(problem: Problem, shift: float = 0.0) -> dict[str, Any]:
     """Return a certificate of the oscillator's Zeno periodic orbit, in closed form.
 
     Its section has no coordinates: the forcing alone says where the stop lets go.
+
+    Args:
+        problem: The oscillator.
+        shift: Of the cosine at the release; then the stop lets go at another place than it does.
     """
     with mp.workdps(80):
-        cosine = mp.mpf(float(problem.values().parameters["stop"]))
+        cosine = mp.mpf(float(problem.values().parameters["stop"])) + shift
         release = [mp.mpf(0), mp.mpf(0), cosine, mp.sqrt(1 - cosine**2)]
         made = HandMade(problem, release, mp.matrix(_N, 0), (), (0, 1))
         made.centre = release
@@ -278,8 +285,17 @@ def forced_oscillator(problem: Problem) -> dict[str, Any]:
         return made.certificate(section, others, claims)
 
 
-def impact_oscillator(problem: Problem) -> dict[str, Any]:
-    """Return a certificate of the orbit with one impact a turn, its section just after it."""
+def impact_oscillator(
+    problem: Problem, turns: int = 1, radius: float = 1e-9, beside: float = 0.0
+) -> dict[str, Any]:
+    """Return a certificate of the orbit with one impact a turn, its section just after it.
+
+    Args:
+        problem: The oscillator.
+        turns: After how many of them the map returns.
+        radius: Of the box.
+        beside: How far its centre is from the orbit.
+    """
     with mp.workdps(80):
         made = HandMade(problem, [0, 0, 0, 0], mp.matrix(_N, 2), (0, 0), ())
         turn, e = 2 * mp.pi / made.p["omega"], made.p["restitution"]
@@ -291,16 +307,20 @@ def impact_oscillator(problem: Problem) -> dict[str, Any]:
 
         # As published: phi = 0.07595216493831239, v = -1.3565863500759056, towards the stop.
         speed, phase = mp.findroot(closes, (mp.mpf("1.35658635"), mp.mpf("0.0759521649")))
-        start = [mp.mpf(0), speed, mp.cos(phase), mp.sin(phase)]
+        sine = mp.sin(phase) + beside
+        start = [mp.mpf(0), speed + beside, mp.sqrt(1 - sine**2), sine]
         C = mp.matrix([[0, 0], [1, 0], [0, -start[3] / start[2]], [0, 1]])
-        made = HandMade(problem, start, C, [mp.mpf("1e-9")] * 2, (0,), mp.mpf("1e-8"))
+        made = HandMade(problem, start, C, [mp.mpf(radius)] * 2, (0,), mp.mpf("1e-8"))
         made.centre = start
         h = mp.mpf(1) / 2
-        while made.time + h < turn:
-            made.step("free", h)
-        made.cross("free", h, mp.mpf("1e-6"), wide_slope=mp.mpf("1e-4"))
-        made.impact()
+        for k in range(turns):
+            while made.time + h < (k + 1) * turn:
+                made.step("free", h)
+            made.cross("free", h, mp.mpf("1e-6"), wide_slope=mp.mpf("1e-4"))
+            made.impact()
         tolerance, disc = mp.mpf("1e-15"), mp.mpf("1e-3")
+        if turns > 1:
+            tolerance, disc = mp.mpf("1e-9"), mp.mpf("0.1")
         eigenvalues, vectors = mp.eig(mp.matrix([list(made.C[1, :]), list(made.C[3, :])]))
         basis = {
             part: texts_of([[getattr(vectors[i, j], long) for j in range(2)] for i in range(2)])
@@ -317,7 +337,7 @@ def impact_oscillator(problem: Problem) -> dict[str, Any]:
                 "basis": basis,
                 "discs": [texts_of([x.real, x.imag, disc]) for x in eigenvalues],
             },
-            {"name": "period", "pass": 0, **around(turn, tolerance)},
+            {"name": "period", "pass": 0, **around(turns * turn, tolerance)},
             {
                 "name": "start_state",
                 "pass": 0,

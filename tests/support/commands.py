@@ -18,7 +18,7 @@ from zeno_orbits.cli import main
 from zeno_orbits.report.terminal import ProgressLine
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
-PUBLISHED_GAINS = ("--fix", "Kp=2.5", "--fix", "Kd=-1")
+PUBLISHED_GAINS = ("--set", "Kp=2.5", "--set", "Kd=-1")
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def assert_refused(answer: Answer, *words: str) -> None:
 
 def examples(command: str) -> list[list[str]]:
     """Return the example lines of a command's help, split as a shell would."""
-    answer = ask(command, "--help")
+    answer = ask(command, "--help-all")
     assert answer.code == YES
     lines = re.findall(r"^  zeno-orbits ((?:\\\n|.)+)$", answer.out, flags=re.MULTILINE)
     return [shlex.split(line.replace("\\\n", " ")) for line in lines]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from zeno_orbits.experiment.identification.folding import Folded
+from zeno_orbits.experiment.comparison.folding import Folded
 from zeno_orbits.experiment.identification.least_squares import Fit
 from zeno_orbits.experiment.identification.uncertainty import Spread, spread_of
 

@@ -138,7 +138,7 @@ def data_story_of(problem: str | Path) -> DataStory:
         problem: Its name or file.
     """
     known = zo.load_problem(problem)
-    orbit = zo.close_orbit(problem).unwrap()
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
     return DataStory(rig=_rigged(known, orbit), identified=_identified(known, orbit))
 
 

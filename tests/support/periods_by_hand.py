@@ -21,6 +21,7 @@ SCALE = np.array([1.0, 10.0, 100.0])
 def system(**parts: Any) -> Any:
     """Return a system whose state is the gap, its rate and the multiplier."""
     named = {
+        "n_q": 1,
         "restitution": 0.5,
         "gap": lambda x: float(x[0]),
         "gap_rate": lambda x: float(x[1]),

@@ -17,9 +17,9 @@ MISUSE = 2
 places_that_cannot_be_had = pytest.mark.parametrize(
     ("place", "told"),
     [
-        (("--workers", str(int(joblib.cpu_count()) + 1)), "`workers` must be at most"),
-        (("--scheduler", "tcp://127.0.0.1:1"), "`scheduler`"),
-        (("--scheduler", "tcp://127.0.0.1:1", "--workers", "1"), "`workers` must not be given"),
+        (("--workers", str(int(joblib.cpu_count()) + 1)), ": must be at most the "),
+        (("--scheduler", "tcp://127.0.0.1:1"), "--scheduler tcp://127.0.0.1:1: "),
+        (("--scheduler", "tcp://127.0.0.1:1", "--workers", "1"), "--workers 1: must not be given"),
     ],
 )
 

@@ -13,10 +13,8 @@ from zeno_orbits import (
     MotorBank,
     Problem,
     Quantity,
-    complete,
     full_drive,
-    positive,
-    restitution,
+    hybrid_system,
 )
 
 
@@ -41,7 +39,7 @@ def model(p: Mapping[str, ca.SX]) -> Any:
         emf_constant=p["K"],
         voltage=p["Kp"] * clock.cosine - p["Kd"] * rate,
     )
-    return complete(flap, full_drive(flap, motor), p["restitution"])
+    return hybrid_system(flap, full_drive(flap, motor), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -51,15 +49,15 @@ PROBLEM = Problem(
     state_names=("angle", "rate", "current", "cosine", "sine"),
     state_units=("rad", "rad/s", "A", "1", "1"),
     parameters=(
-        positive("J", 1e-4, "kg m^2", "inertia of flap and rotor"),
-        positive("k", 0.05, "N m/rad", "stiffness of the spring"),
-        positive("preload", 0.2, "rad", "turn of the spring at the stop"),
-        positive("c", 1e-4, "N m s/rad", "friction"),
-        positive("R", 1.0, "ohm", "resistance"),
-        positive("L", 0.02, "H", "inductance"),
-        positive("K", 0.03, "N m/A", "torque and back-EMF constant"),
-        positive("omega", 20.0, "rad/s", "frequency of the voltage"),
-        restitution(0.3),
+        Quantity.positive("J", 1e-4, "kg m^2", "inertia of flap and rotor"),
+        Quantity.positive("k", 0.05, "N m/rad", "stiffness of the spring"),
+        Quantity.positive("preload", 0.2, "rad", "turn of the spring at the stop"),
+        Quantity.positive("c", 1e-4, "N m s/rad", "friction"),
+        Quantity.positive("R", 1.0, "ohm", "resistance"),
+        Quantity.positive("L", 0.02, "H", "inductance"),
+        Quantity.positive("K", 0.03, "N m/A", "torque and back-EMF constant"),
+        Quantity.positive("omega", 20.0, "rad/s", "frequency of the voltage"),
+        Quantity.restitution(0.3),
     ),
     gains=(
         Quantity(

@@ -7,15 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from zeno_orbits import (
-    Clock,
-    HybridLagrangian,
-    Problem,
-    complete,
-    no_drive,
-    positive,
-    restitution,
-)
+from zeno_orbits import Clock, HybridLagrangian, Problem, Quantity, hybrid_system, no_drive
 
 
 def model(p: Mapping[str, ca.SX]) -> Any:
@@ -33,7 +25,7 @@ def model(p: Mapping[str, ca.SX]) -> Any:
         applied_force=eccentric * p["a"] * clock.cosine,
         clock=clock,
     )
-    return complete(follower, no_drive(follower), p["restitution"])
+    return hybrid_system(follower, no_drive(follower), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -43,13 +35,13 @@ PROBLEM = Problem(
     state_names=("lift", "speed", "cosine", "sine"),
     state_units=("m", "m/s", "1", "1"),
     parameters=(
-        positive("m", 0.3, "kg", "mass of the follower"),
-        positive("k", 1500.0, "N/m", "stiffness of the spring"),
-        positive("c", 3.0, "N s/m", "dashpot between follower and cam"),
-        positive("l0", 0.006, "m", "compression of the spring at the middle of the lift"),
-        positive("a", 0.005, "m", "eccentricity"),
-        positive("omega", 120.0, "rad/s", "speed of the cam"),
-        restitution(0.4),
+        Quantity.positive("m", 0.3, "kg", "mass of the follower"),
+        Quantity.positive("k", 1500.0, "N/m", "stiffness of the spring"),
+        Quantity.positive("c", 3.0, "N s/m", "dashpot between follower and cam"),
+        Quantity.positive("l0", 0.006, "m", "compression of the spring at the middle of the lift"),
+        Quantity.positive("a", 0.005, "m", "eccentricity"),
+        Quantity.positive("omega", 120.0, "rad/s", "speed of the cam"),
+        Quantity.restitution(0.4),
     ),
     gains=(),
     model=model,

@@ -7,16 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from zeno_orbits import (
-    HybridLagrangian,
-    MotorBank,
-    Problem,
-    Quantity,
-    complete,
-    full_drive,
-    positive,
-    restitution,
-)
+from zeno_orbits import HybridLagrangian, MotorBank, Problem, Quantity, full_drive, hybrid_system
 
 
 def model(p: Mapping[str, ca.SX]) -> Any:
@@ -38,7 +29,7 @@ def model(p: Mapping[str, ca.SX]) -> Any:
         emf_constant=p["K_motor"],
         voltage=p["V0"] - p["Kp"] * (angle - p["rest"]),
     )
-    return complete(flap, full_drive(flap, motor), p["restitution"])
+    return hybrid_system(flap, full_drive(flap, motor), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -48,17 +39,17 @@ PROBLEM = Problem(
     state_names=("angle", "rate", "current"),
     state_units=("rad", "rad/s", "A"),
     parameters=(
-        positive("J", 2e-4, "kg m^2", "inertia of flap, gear and rotor"),
-        positive("k", 0.01, "N m/rad", "stiffness of the spring"),
-        positive("preload", 5.0, "rad", "turn of the spring at the stop"),
-        positive("rest", 0.4, "rad", "angle of the stop"),
+        Quantity.positive("J", 2e-4, "kg m^2", "inertia of flap, gear and rotor"),
+        Quantity.positive("k", 0.01, "N m/rad", "stiffness of the spring"),
+        Quantity.positive("preload", 5.0, "rad", "turn of the spring at the stop"),
+        Quantity.positive("rest", 0.4, "rad", "angle of the stop"),
         Quantity(name="c", unit="N m s/rad", meaning="friction", default=2e-4, lower=0.0),
-        positive("R", 0.5, "ohm", "resistance of the motor circuit"),
-        positive("L", 0.1, "H", "inductance of the motor circuit"),
-        positive("K_motor", 0.025, "N m/A", "torque constant, and the back-EMF constant"),
-        positive("ratio", 2.0, "1", "turns of the motor a turn of the flap"),
-        positive("V0", 2.0, "V", "voltage at the stop"),
-        restitution(0.3),
+        Quantity.positive("R", 0.5, "ohm", "resistance of the motor circuit"),
+        Quantity.positive("L", 0.1, "H", "inductance of the motor circuit"),
+        Quantity.positive("K_motor", 0.025, "N m/A", "torque constant, and the back-EMF constant"),
+        Quantity.positive("ratio", 2.0, "1", "turns of the motor a turn of the flap"),
+        Quantity.positive("V0", 2.0, "V", "voltage at the stop"),
+        Quantity.restitution(0.3),
     ),
     gains=(
         Quantity(

@@ -7,15 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from zeno_orbits import (
-    Clock,
-    HybridLagrangian,
-    Problem,
-    complete,
-    no_drive,
-    positive,
-    restitution,
-)
+from zeno_orbits import Clock, HybridLagrangian, Problem, Quantity, hybrid_system, no_drive
 
 
 def model(p: Mapping[str, ca.SX]) -> Any:
@@ -31,7 +23,7 @@ def model(p: Mapping[str, ca.SX]) -> Any:
         applied_force=p["F"] * clock.cosine,
         clock=clock,
     )
-    return complete(hammer, no_drive(hammer), p["restitution"])
+    return hybrid_system(hammer, no_drive(hammer), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -41,11 +33,11 @@ PROBLEM = Problem(
     state_names=("height", "speed", "cosine", "sine"),
     state_units=("m", "m/s", "1", "1"),
     parameters=(
-        positive("m", 2.0, "kg", "mass of the hammer"),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        positive("F", 55.0, "N", "amplitude of the force"),
-        positive("omega", 25.0, "rad/s", "its frequency"),
-        restitution(0.35),
+        Quantity.positive("m", 2.0, "kg", "mass of the hammer"),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.positive("F", 55.0, "N", "amplitude of the force"),
+        Quantity.positive("omega", 25.0, "rad/s", "its frequency"),
+        Quantity.restitution(0.35),
     ),
     gains=(),
     model=model,

@@ -7,15 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from zeno_orbits import (
-    Clock,
-    HybridLagrangian,
-    Problem,
-    complete,
-    no_drive,
-    positive,
-    restitution,
-)
+from zeno_orbits import Clock, HybridLagrangian, Problem, Quantity, hybrid_system, no_drive
 
 
 def model(p: Mapping[str, ca.SX]) -> Any:
@@ -33,7 +25,7 @@ def model(p: Mapping[str, ca.SX]) -> Any:
         applied_force=ca.vertcat(p["F"] * clock.cosine, 0),
         clock=clock,
     )
-    return complete(pair, no_drive(pair), p["restitution"])
+    return hybrid_system(pair, no_drive(pair), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -43,15 +35,15 @@ PROBLEM = Problem(
     state_names=("carriage", "opening", "dcarriage", "dopening", "cosine", "sine"),
     state_units=("m", "m", "m/s", "m/s", "1", "1"),
     parameters=(
-        positive("M", 2.0, "kg", "mass of the carriage"),
-        positive("m", 0.2, "kg", "mass of the hammer"),
-        positive("K", 400.0, "N/m", "stiffness that holds the carriage"),
-        positive("k", 30.0, "N/m", "stiffness that holds the hammer"),
-        positive("preload", 0.05, "m", "stretch of that on the stop"),
-        positive("c", 4.0, "N s/m", "damping of the carriage"),
-        positive("F", 6.0, "N", "amplitude of the shaking force"),
-        positive("omega", 16.0, "rad/s", "its frequency"),
-        restitution(0.3),
+        Quantity.positive("M", 2.0, "kg", "mass of the carriage"),
+        Quantity.positive("m", 0.2, "kg", "mass of the hammer"),
+        Quantity.positive("K", 400.0, "N/m", "stiffness that holds the carriage"),
+        Quantity.positive("k", 30.0, "N/m", "stiffness that holds the hammer"),
+        Quantity.positive("preload", 0.05, "m", "stretch of that on the stop"),
+        Quantity.positive("c", 4.0, "N s/m", "damping of the carriage"),
+        Quantity.positive("F", 6.0, "N", "amplitude of the shaking force"),
+        Quantity.positive("omega", 16.0, "rad/s", "its frequency"),
+        Quantity.restitution(0.3),
     ),
     gains=(),
     model=model,

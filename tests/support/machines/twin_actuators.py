@@ -13,10 +13,8 @@ from zeno_orbits import (
     MotorBank,
     Problem,
     Quantity,
-    complete,
     full_drive,
-    positive,
-    restitution,
+    hybrid_system,
 )
 
 
@@ -43,7 +41,7 @@ def model(p: Mapping[str, ca.SX]) -> Any:
         emf_constant=p["k_E"] * ca.SX.eye(2),
         voltage=ca.vertcat(-p["Kp"] * (slide - wanted), -p["Kd"] * v[1]),
     )
-    return complete(machine, full_drive(machine, bank), p["restitution"])
+    return hybrid_system(machine, full_drive(machine, bank), p["restitution"])
 
 
 PROBLEM = Problem(
@@ -56,18 +54,18 @@ PROBLEM = Problem(
     ),
     state_units=("m", "m", "m/s", "m/s", "A", "A", "1", "1"),
     parameters=(
-        positive("M", 1.5, "kg", "mass of the slide"),
-        positive("m", 0.3, "kg", "mass of the pusher"),
-        positive("K", 900.0, "N/m", "stiffness that holds the slide"),
-        positive("g", 9.81, "m/s^2", "gravity"),
-        positive("c", 5.0, "N s/m", "damping of the slide"),
-        positive("stroke", 0.02, "m", "amplitude that is asked of the slide"),
-        positive("omega", 30.0, "rad/s", "frequency of that"),
-        positive("R", 2.0, "ohm", "resistance of each coil"),
-        positive("L", 0.002, "H", "inductance of each coil"),
-        positive("k_F", 8.0, "N/A", "force constant"),
-        positive("k_E", 8.0, "V s/m", "back-EMF constant"),
-        restitution(0.3),
+        Quantity.positive("M", 1.5, "kg", "mass of the slide"),
+        Quantity.positive("m", 0.3, "kg", "mass of the pusher"),
+        Quantity.positive("K", 900.0, "N/m", "stiffness that holds the slide"),
+        Quantity.positive("g", 9.81, "m/s^2", "gravity"),
+        Quantity.positive("c", 5.0, "N s/m", "damping of the slide"),
+        Quantity.positive("stroke", 0.02, "m", "amplitude that is asked of the slide"),
+        Quantity.positive("omega", 30.0, "rad/s", "frequency of that"),
+        Quantity.positive("R", 2.0, "ohm", "resistance of each coil"),
+        Quantity.positive("L", 0.002, "H", "inductance of each coil"),
+        Quantity.positive("k_F", 8.0, "N/A", "force constant"),
+        Quantity.positive("k_E", 8.0, "V s/m", "back-EMF constant"),
+        Quantity.restitution(0.3),
     ),
     gains=(
         Quantity(name="Kp", unit="V/m", meaning="slide", default=400.0, lower=200.0, upper=800.0),

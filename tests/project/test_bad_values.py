@@ -1,0 +1,137 @@
+"""Values of a wrong kind, at each argument: one line with the name of the argument."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from decimal import Decimal
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from zeno_orbits.errors import MapFileError
+from zeno_orbits.maps import read_map, write_map
+
+BAD: tuple[Any, ...] = (
+    None,
+    "2",
+    b"2",
+    [2.0],
+    {},
+    1 + 2j,
+    10**400,
+    -(10**5000),
+    float("nan"),
+    np.array([1.0, 2.0, 3.0]),
+    object(),
+)
+PENDULUM = "motor_pendulum"
+PLACES: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
+    "gain": ("Kp", lambda bad: zo.simulate(PENDULUM, gains={"Kp": bad})),
+    "parameter": ("R", lambda bad: zo.simulate(PENDULUM, parameters={"R": bad})),
+    "start": ("theta1", lambda bad: zo.simulate(PENDULUM, start={"theta1": bad})),
+    "until": ("until", lambda bad: zo.simulate(PENDULUM, until=bad)),
+    "gain of a search": ("Kd", lambda bad: zo.find_orbit(PENDULUM, gains={"Kd": bad})),
+    "start of a search": (
+        "theta1",
+        lambda bad: zo.find_orbit_by_shooting(PENDULUM, start={"theta1": bad}),
+    ),
+    "lower end": ("free", lambda bad: zo.search_gains(PENDULUM, free={"Kp": (bad, 3.0)})),
+    "upper end": ("free", lambda bad: zo.search_gains(PENDULUM, free={"Kp": (1.0, bad)})),
+    "range": ("free", lambda bad: zo.search_gains(PENDULUM, free={"Kp": bad})),
+    "bound": ("energy", lambda bad: zo.Bound(name="energy", lower=bad)),
+    "axis end": (
+        "x",
+        lambda bad: zo.parameter_map(PENDULUM, x=("Kp", bad, 3.0, 3), y=("Kd", -2.0, -1.0, 3)),
+    ),
+    "axis count": (
+        "y",
+        lambda bad: zo.parameter_map(PENDULUM, x=("Kp", 2.0, 3.0, 3), y=("Kd", -2.0, -1.0, bad)),
+    ),
+    "axis": (
+        "x",
+        lambda bad: zo.parameter_map(PENDULUM, x=bad, y=("Kd", -2.0, -1.0, 3)),
+    ),
+    "workers": ("workers", lambda bad: zo.search_gains(PENDULUM, workers=bad)),
+}
+
+
+@pytest.mark.parametrize("bad", BAD, ids=lambda bad: type(bad).__name__)
+@pytest.mark.parametrize("place", PLACES)
+def test_a_value_of_a_wrong_kind_is_one_line_with_the_name_of_the_argument(
+    place: str, bad: Any
+) -> None:
+    name, call = PLACES[place]
+    with pytest.raises(zo.InputError) as caught:
+        call(bad)
+    assert f"`{name}`" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("bad", [1.0, "Kp", [("Kp", 1.0)], {1: 2.0}], ids=repr)
+@pytest.mark.parametrize("argument", ["gains", "parameters", "start"])
+def test_names_must_be_texts_in_a_mapping(argument: str, bad: Any) -> None:
+    with pytest.raises(zo.InputError, match=f"`{argument}`"):
+        zo.simulate(PENDULUM, **{argument: bad})
+
+
+@pytest.mark.parametrize("box", [None, 3.0, (1.0,), (1.0, None), ("1", 2.0), (1, 2, 3)], ids=repr)
+def test_the_range_of_a_family_holds_two_numbers(box: Any, orbit: zo.ZenoOrbit) -> None:
+    with pytest.raises(zo.InputError, match=r"`(box|in)`"):
+        zo.continue_orbit(orbit, "Kp", box)
+
+
+@pytest.mark.parametrize(
+    "value", [2, np.float64(2.0), np.float32(2.0), np.int64(2), Fraction(2), Decimal(2)], ids=repr
+)
+def test_every_kind_of_real_number_is_taken(value: Any) -> None:
+    found = zo.simulate("bouncing_ball", parameters={"g": value}, until=np.float64(1.0))
+    assert found == zo.simulate("bouncing_ball", parameters={"g": 2.0}, until=1.0)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "told"),
+    [
+        ("returns", -1, "`points[0].returns`"),
+        ("returns", True, "`points[0].returns`"),
+        ("returns", 1.5, "`points[0].returns`"),
+        ("period", False, "`points[0].period`"),
+        ("period", -1.0, "`points[0].period`"),
+        ("period", float("nan"), "NaN"),
+        ("period", float("inf"), "Infinity"),
+        ("period", "nan", "`points[0].period`"),
+        ("multipliers", [[1.0, "x"]], "`points[0].multipliers"),
+        ("state", {"u": None}, "`points[0].state.u`"),
+    ],
+)
+def test_a_map_file_with_a_false_entry_is_refused_with_its_name(
+    entry: str, value: Any, told: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "map.json"
+    found = zo.parameter_map("bouncing_ball", x=("g", 5, 10, 2), y=("m", 1, 2, 2))
+    write_map(found, path)
+    assert read_map(path) == found
+    data = json.loads(path.read_text())
+    data["points"][0][entry] = value
+    path.write_text(json.dumps(data))
+    with pytest.raises(MapFileError) as caught:
+        read_map(path)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [("until", True), ("until", -1.0), ("x", {"name": "g"}), ("gains", {"a": "b"}), ("points", 3)],
+)
+def test_a_map_file_with_a_false_head_is_refused(entry: str, value: Any, tmp_path: Path) -> None:
+    path = tmp_path / "map.json"
+    found = zo.parameter_map("bouncing_ball", x=("g", 5, 10, 2), y=("m", 1, 2, 2))
+    path.write_text(json.dumps({**found.as_json(), entry: value}))
+    with pytest.raises(MapFileError):
+        read_map(path)
