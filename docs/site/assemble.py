@@ -21,7 +21,7 @@ import zeno_orbits
 from zeno_orbits.work import Displayed
 
 ROOT = Path(__file__).parents[2]
-ELSEWHERE = ("CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
+ELSEWHERE = ("CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
 READ_BY_DEVELOPERS = ("tests/README.md", "benchmarks/README.md")
 REFERENCE, COMMANDS = "docs/reference.md", "docs/commands.md"
 EXAMPLES = "docs/examples.md"
