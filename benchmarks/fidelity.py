@@ -76,7 +76,7 @@ def manifold_only(problem: Problem) -> Problem:
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         flowing, striking = corrected.model(p), static.model(p)
         direction = ca.substitute(striking.impulse_direction, striking.state, flowing.state)
-        return replace(flowing, impulse_direction=direction, restitution=striking.restitution)
+        return replace(flowing, impulse_direction=direction, law=striking.law)
 
     return replace(corrected, model=model)
 

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from identification import CYCLES, PROBLEM, RATE, SIGNALS, SOUGHT, noise_of
 
 from zeno_orbits.experiment.comparison.alignment import aligned
-from zeno_orbits.experiment.identification.folding import folded
+from zeno_orbits.experiment.comparison.folding import folded
 from zeno_orbits.experiment.identification.least_squares import Fit, weighed
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.stationarity import unsteady

@@ -1,36 +1,29 @@
 """Time a map of the reference problem on one core, and compare it with single simulations.
 
-The bound is 24 ms a point: 100 x 100 points on two cores in two minutes. Agreement: period and
+The bound is 12 ms a point: 100 x 100 points on two cores in a minute. Agreement: period and
 release of settled points against one period of a single simulation, fates against a long one.
-`--beside-interpreted` makes the map with compiled and with interpreted steps instead, quarter by
-quarter in turns, each in a process of its own, and compares time and answers.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import statistics
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.errors import RunawayError
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.classify import attractors_at, usual_time
+from zeno_orbits.maps.classify import attractors_at
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.simulation.batch.model import Columns
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
-BOUND = 24.0
+BOUND = 12.0
 """Processor time of a point [ms]."""
 
 FAR = 20 * np.pi
@@ -38,30 +31,6 @@ FAR = 20 * np.pi
 
 LONG = 200.0
 """Longest single simulation that a fate is compared with [s]."""
-
-N_PARTS = 4
-"""Parts of a map that take turns, as many as the command makes for two cores."""
-
-PERIODS_AGREE = 1e-9
-"""Relative difference of periods that compiling may make."""
-
-
-class TimedColumns:
-    """Adds up the processor time inside CasADi calls, Python around them included."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-        self.rows = 0
-        call = Columns.__call__
-
-        def timed(columns: Columns, *inputs: np.ndarray) -> tuple[np.ndarray, ...]:
-            started = time.process_time()
-            results = call(columns, *inputs)
-            self.seconds += time.process_time() - started
-            self.rows += len(inputs[0])
-            return results
-
-        Columns.__call__ = timed
 
 
 def settings_of(problem: Problem, size: int) -> list[ParameterValues]:
@@ -106,79 +75,6 @@ def same_fate(problem: Problem, values: ParameterValues, found: Attractor) -> bo
     )
 
 
-def ask_to_compile(when: str) -> None:
-    """Say to this process when kernels are compiled."""
-    os.environ["ZENO_ORBITS_COMPILE"] = when
-
-
-def timed_part(size: int, part: int) -> tuple[float, list[Attractor]]:
-    """Return the processor time of a part of the map [s], and what it finds."""
-    problem = load_problem("motor_pendulum")
-    settings = settings_of(problem, size)
-    until = usual_time(problem, settings, problem.state_vector(problem.starts[0]))
-    here = settings[part * len(settings) // N_PARTS : (part + 1) * len(settings) // N_PARTS]
-    started = time.process_time()
-    found = attractors_at(problem, here, until=until)
-    return time.process_time() - started, list(found)
-
-
-def discrete_part(found: Attractor) -> tuple[Any, ...]:
-    """Return what must not depend on how steps are taken, down to the byte."""
-    return found.fate, found.returns, found.escaped, found.phrase, found.detail, *found.margins
-
-
-def apart(pairs: Sequence[tuple[Attractor, Attractor]]) -> float:
-    """Return the largest relative difference of periods; those that are no number must agree."""
-    differences = [0.0]
-    for one, other in pairs:
-        known = (np.isfinite(one.period), np.isfinite(other.period))
-        if all(known):
-            differences.append(abs(one.period - other.period) / other.period)
-        elif any(known):
-            return float("inf")
-    return max(differences)
-
-
-def beside_interpreted(size: int) -> dict[str, Any]:
-    """Return how much faster compiled steps make a map, and by how much its answers differ."""
-    ways = ("wait", "never")
-    pools = {
-        way: ProcessPoolExecutor(
-            1,
-            mp_context=get_context("spawn"),
-            initializer=ask_to_compile,
-            initargs=(way,),
-        )
-        for way in ways
-    }
-    seconds: dict[str, list[float]] = {way: [] for way in ways}
-    found: dict[str, list[Attractor]] = {way: [] for way in ways}
-    for pool in pools.values():
-        # Loaded, compiled and warm before it counts.
-        pool.submit(timed_part, 2, 0).result()
-    for part in range(N_PARTS):
-        for way, pool in pools.items():
-            took, these = pool.submit(timed_part, size, part).result()
-            seconds[way].append(took)
-            found[way] += these
-    for pool in pools.values():
-        pool.shutdown()
-    pairs = list(zip(found["wait"], found["never"], strict=True))
-    whole = {way: sum(seconds[way]) for way in ways}
-    parts = [b / a for a, b in zip(seconds["wait"], seconds["never"], strict=True)]
-    return {
-        "points": size**2,
-        "compiled_ms_a_point": 1e3 * whole["wait"] / size**2,
-        "interpreted_ms_a_point": 1e3 * whole["never"] / size**2,
-        "times_faster": whole["never"] / whole["wait"],
-        "times_faster_by_part": f"{min(parts):.3g} to {max(parts):.3g}",
-        "discrete_parts_that_differ": sum(
-            discrete_part(one) != discrete_part(other) for one, other in pairs
-        ),
-        "periods_differ_by": apart(pairs),
-    }
-
-
 def print_figures(figures: dict[str, Any], *, as_json: bool) -> None:
     """Print one figure a line, or JSON."""
     if as_json:
@@ -197,24 +93,10 @@ def main() -> int:
     parser.add_argument("--orbits", type=int, default=50, metavar="N", help="orbits compared")
     parser.add_argument("--fates", type=int, default=20, metavar="N", help="fates compared")
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
-    parser.add_argument(
-        "--beside-interpreted",
-        action="store_true",
-        help="make the map with compiled and interpreted steps in turns, and compare",
-    )
     options = parser.parse_args()
-    if options.beside_interpreted:
-        both = beside_interpreted(options.size)
-        print_figures(both, as_json=options.json)
-        return int(
-            both["discrete_parts_that_differ"] > 0 or both["periods_differ_by"] > PERIODS_AGREE
-        )
-    # Compiled before and not in the middle, unless the variable says otherwise.
-    os.environ.setdefault("ZENO_ORBITS_COMPILE", "wait")
     problem = load_problem("motor_pendulum")
     settings = settings_of(problem, options.size)
     attractors_at(problem, settings[:1], until=1.0)
-    timed = TimedColumns()
     started = time.process_time()
     found = attractors_at(problem, settings)
     seconds = time.process_time() - started
@@ -228,8 +110,6 @@ def main() -> int:
         "points": len(found),
         "ms_a_point": 1e3 * seconds / len(found),
         "points_a_second": len(found) / seconds,
-        "share_in_casadi": timed.seconds / seconds,
-        "rows_a_point": timed.rows / len(found),
         "fates": dict(Counter(one.fate.value for one in found)),
         "period_miss_median": statistics.median(period for period, _ in pairs),
         "period_miss_largest": max(period for period, _ in pairs),

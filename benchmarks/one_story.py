@@ -16,6 +16,9 @@ import sys
 from pathlib import Path
 
 import zeno_orbits as zo
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from tests.support.one_story import data_story_of, story_of
 
 MACHINES = sorted((Path(__file__).parents[1] / "tests/support/machines").glob("[a-z]*.py"))

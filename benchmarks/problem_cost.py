@@ -88,7 +88,7 @@ def cost_of(name: str, runs: int) -> Cost:
         states=len(problem.state_names),
         functions=len(built),
         operations=sum(function.n_instructions() for function in built),
-        compiling=median_time(lambda: replace(problem).compiled(), runs),
+        compiling=median_time(lambda: replace(problem, origin=None).compiled(), runs),
         simulating=median_time(lambda: simulate(dynamics, start, until=until), runs),
         solving=solving,
     )

@@ -42,7 +42,7 @@ def main() -> int:
     print("|---|---|---|---|---|---|---|---|")
     for _, values in zip(range(options.orbits), random_orbits(options.seed), strict=False):
         numbers = {**values.gains, **values.parameters}
-        orbit = zo.close_orbit(
+        orbit = zo.find_orbit_by_shooting(
             pendulum, gains=dict(values.gains), parameters=dict(values.parameters)
         ).unwrap()
         radius = zo.verify(orbit, problem=pendulum).spectral_radius

@@ -56,13 +56,13 @@ conditions PROBLEM --json
 simulate PROBLEM --until 5 --json
 problems :: ; --json ; --loud
 conditions :: motor_pendulum -o region.png ; bouncing_ball --set g=-9.81 ; fly
-simulate motor_pendulum --until 6 :: ; --engine taylor --json ; --engine implicit --json ;
+simulate motor_pendulum --until 6 :: ; --engine explicit --json ; --engine implicit --json ;
     --set L=1e-6 --json ; --engine explicit --accuracy 1e-10 ; --set restitution=0.97 --json ;
     --start theta1=1.2 --gain Kp=3 -o run.svg ; --set m1=-0.3 ; --gain Ki=1 ; -o run.gif
 simulate :: bouncing_ball --until 600 --set restitution=0.999 --json ; @made/no_scene.py ; fly
 fidelity :: motor_pendulum --measure --json ; motor_pendulum --set L=0.02 ; bouncing_ball
 trade --quick :: bouncing_ball --until 5 --json ; vibrating_table ; bouncing_ball --until 0
-search motor_pendulum --fix Kp=2.5 --fix Kd=-1 :: --accuracy 1e-8 ; --engine taylor --json ;
+search motor_pendulum --fix Kp=2.5 --fix Kd=-1 :: --accuracy 1e-8 ; --engine explicit --json ;
     --set L=1e-5 --json ; --set restitution=0 --json ; --objective energy ; --free L1=0.198:0.202
     --objective peak=current --from @orbit ; --free R=2:4 --objective period=1.8 --json
 search motor_pendulum --starts 2 --fix Kp=2.5 :: --objective contraction ; --objective margin
@@ -77,7 +77,7 @@ search --starts 2 --json :: two_motors --fix Kp2=0 --objective energy ; @flap/fl
 search impact_oscillator --json :: --from @struck --set omega=0.51 ; --from @struck --shape zeno ;
     --set omega=0.5 --set stop=0.5 --shape impact ; --free A=0.5:2 --objective energy
 verify :: ; none.json ; @orbit ; @orbit --json ; @orbit --model reference --json ; @orbit
-    --engine taylor ; @orbit --accuracy 1e-8 ; @orbit --tolerance 1e-13 ; @orbit --tolerance 0 ;
+    --engine explicit ; @orbit --accuracy 1e-8 ; @orbit --tolerance 1e-13 ; @orbit --tolerance 0 ;
     @struck --json ; @motor_cart --json ; @two_motors --json ; @two_tone_table ;
     @motor_pendulum@corrected --model reference --json ; @found --problem @forced/forced.py
 verify :: @made/longer_period.json --json ; @made/wrong_sign.json --json ; @made/later_zeno.json ;

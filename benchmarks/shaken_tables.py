@@ -19,8 +19,12 @@ import random
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import zeno_orbits as zo
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from tests.reference.exact_flights import Truth, clearly_settled
 from zeno_orbits.maps import attractors_at
 

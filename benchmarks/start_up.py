@@ -26,7 +26,7 @@ MODULES = (
     ),
     *("zeno_orbits.search.search", "zeno_orbits.cli"),
 )
-SEARCH = ("search", "motor_pendulum", "--fix", "Kp=2.5", "--fix", "Kd=-1", "-o")
+SEARCH = ("search", "motor_pendulum", "--set", "Kp=2.5", "--set", "Kd=-1", "-o")
 HEAVY = (
     *("numpy", "casadi", "rich", "scipy", "scipy.integrate", "scipy.linalg", "scipy.optimize"),
     *("scipy.special", "scipy.stats", "heyoka", "matplotlib", "sympy"),

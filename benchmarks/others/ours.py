@@ -10,9 +10,8 @@ from functools import cache, partial
 import work
 from work import HORIZON, Method, Motion
 
-from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, Taylor
+from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta
 from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.integrators.taylor.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.completion import ZenoExtrapolation
@@ -34,8 +33,6 @@ def problem(name: str, rate: float | None = None) -> HybridDynamics:
     problem = load_problem(name)
     parameters = {} if rate is None else work.declared(rate)
     values = problem.values(parameters=parameters)
-    # What is measured must not be compiled in the middle of it.
-    problem.compiled().build(values.vector)
     return problem.dynamics(values)
 
 
@@ -83,7 +80,6 @@ METHODS = [
     method("automatic", Automatic(), grows=False),
     method("explicit", RungeKutta(), grows=True),
     method("implicit", Radau(), grows=False),
-    *([method("Taylor", Taylor(), grows=True)] if heyoka_is_installed() else []),
 ]
 
 if __name__ == "__main__":
