@@ -44,6 +44,7 @@ def test_none_of_10_000_random_balls_is_outside_of_what_is_printed() -> None:
     assert wide == 0
 
 
+@pytest.mark.slow
 def test_each_of_10_000_printed_hypotheses_is_part_of_its_ball() -> None:
     chance, narrow = random.Random(3), 0
     for _ in range(10_000):
@@ -54,6 +55,7 @@ def test_each_of_10_000_printed_hypotheses_is_part_of_its_ball() -> None:
     assert narrow == 0
 
 
+@pytest.mark.slow
 def test_none_of_10_000_random_discs_is_outside_of_what_is_printed() -> None:
     chance = random.Random(2)
     for _ in range(10_000):

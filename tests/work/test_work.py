@@ -15,6 +15,7 @@ from typing import Any
 
 import joblib
 import pytest
+from joblib.externals.loky import ProcessPoolExecutor
 
 from tests.support import chores
 from tests.support.chores import Deadly, Diary
@@ -259,6 +260,28 @@ def test_an_interrupt_ends_the_workers_and_keeps_what_is_finished(
     wait_until(lambda: not any(map(is_alive, slow.workers())))
     assert len(list((tmp_path / "kept").glob("chunk-*.json"))) >= 2
     assert list(spread(slow, POINTS, plan(tmp_path / "kept"))) == alone()
+
+
+def test_a_second_interrupt_waits_until_the_workers_have_ended(
+    tmp_path: Path, diary: Diary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow = Diary(folder=diary.folder, pause=0.1)
+    shutdown, ended = ProcessPoolExecutor.shutdown, list[bool]()
+
+    def interrupted(self: ProcessPoolExecutor, **how: bool) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        shutdown(self, **how)
+        ended.append(True)
+
+    def interrupt(_what: str, part: float) -> None:
+        if part >= 0.3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(ProcessPoolExecutor, "shutdown", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        spread(slow, POINTS, plan(tmp_path / "kept"), on_progress=interrupt)
+    assert ended == [True]
+    wait_until(lambda: not any(map(is_alive, slow.workers())))
 
 
 # ---------------------------------------------------------------------------- checkpoints

@@ -168,15 +168,19 @@ class _CorePool:
 
     def close(self) -> None:
         """End the processes and remove their progress files."""
-        self.end_processes()
-        self._folder.cleanup()
+        try:
+            self.end_processes()
+        finally:
+            self._folder.cleanup()
 
     def end_processes(self) -> None:
         """End the processes. New processes start when they are needed."""
         if self._executor is not None:
-            # Loky adds the second argument to the arguments of an executor.
-            self._executor.shutdown(wait=True, kill_workers=True)  # pyright: ignore[reportCallIssue]
-            self._executor = None
+            # A thread of loky that a second interrupt left behind would hold a lock at exit.
+            with _later_interrupts():
+                # Loky adds the second argument to the arguments of an executor.
+                self._executor.shutdown(wait=True, kill_workers=True)  # pyright: ignore[reportCallIssue]
+                self._executor = None
 
 
 @contextmanager
@@ -208,6 +212,24 @@ def _sheltered() -> Generator[None]:
             os.environ[_SAFE_PATH] = before
         if mask:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+@contextmanager
+def _later_interrupts() -> Generator[None]:
+    """Handle interrupts that arrive within the context at its end."""
+    seen: list[int] = []
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, lambda seen_, _: seen.append(seen_))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if seen:
+            signal.raise_signal(seen[0])
 
 
 def _begin(parent: int, notes: str) -> None:
