@@ -90,6 +90,7 @@ def test_cycles_on_a_stiff_stop_do_not_scatter() -> None:
     assert np.ptp([one.period for one in settled.cycles]) < 9.5e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["motor_pendulum", "two_motors"])
 def test_the_period_of_a_very_stiff_machine_exceeds_the_orbits_by_the_law(name: str) -> None:
     # The excess goes with k^(-1/2). The next order is smaller by another k^(-1/2): measured 2e-2 of

@@ -164,6 +164,7 @@ def test_compiled_formulas_are_found_by_later_programs_of_the_same_problem(
     assert not Program(library, system).is_compiled
 
 
+@pytest.mark.slow
 def test_formulas_that_are_compiled_in_the_middle_of_a_run_carry_it_on() -> None:
     task = _tasks("bouncing_ball", 2.0)[0]
     assert task.dynamics.formulas is not None

@@ -139,6 +139,7 @@ def _execution(name: str, until: float, **parameters: float) -> Execution:
     return zo.simulate(name, until=until, parameters=parameters)
 
 
+@pytest.mark.slow
 def test_fmpy_validates_a_unit_and_runs_it_through_eleven_zeno_points(export: Export) -> None:
     fmpy = pytest.importorskip("fmpy")
     validation = pytest.importorskip("fmpy.validation")
@@ -189,6 +190,7 @@ def test_states_do_not_depend_on_the_communication_points(export: Export) -> Non
     assert rows[0] == rows[1] == rows[2]
 
 
+@pytest.mark.slow
 def test_parameters_that_are_set_before_the_start_are_obeyed(export: Export) -> None:
     unit = Unit(export("bouncing_ball"))
     fall = math.sqrt(2 * 2.0 / 1.62)

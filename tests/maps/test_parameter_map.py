@@ -350,6 +350,7 @@ def test_an_interrupt_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None
     assert [path.name for path in tmp_path.iterdir()] == ["map.json.checkpoint"]
 
 
+@pytest.mark.slow
 def test_an_interrupt_without_an_output_keeps_what_is_done_in_a_temporary_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

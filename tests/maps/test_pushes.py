@@ -78,6 +78,7 @@ def test_a_push_that_ends_on_the_coexisting_orbit_is_lost_and_names_it() -> None
     assert found.least.beyond.startswith("another periodic orbit without a Zeno point")
 
 
+@pytest.mark.slow
 def test_the_least_push_of_the_pendulum_separates_return_from_loss(
     orbit: zo.ZenoOrbit, problem: zo.Problem
 ) -> None:

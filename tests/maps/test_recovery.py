@@ -93,6 +93,7 @@ def test_time_and_ball_of_a_state_with_a_closed_form(seed: int) -> None:
     assert [name for name, extent in found.extents.items() if extent > 1e-9] == ["z"]
 
 
+@pytest.mark.slow
 def test_a_derivative_contracts_in_the_norm_and_slower_than_its_eigenvalues() -> None:
     orbit, found = of_pendulum()
     slope = zo.floquet_multipliers(orbit).jacobian
@@ -170,6 +171,7 @@ def test_the_statement_about_the_share_is_that_of_all_tests_together() -> None:
     assert worse.lost_share > found.lost_share
 
 
+@pytest.mark.slow
 def test_the_recovery_is_the_same_in_other_units() -> None:
     orbit, found = of_pendulum()
     del orbit
@@ -189,6 +191,7 @@ def test_an_orbit_whose_section_is_a_point_recovers_in_one_period() -> None:
     assert found.as_json()["radius"] is None
 
 
+@pytest.mark.slow
 def test_the_command_prints_time_ball_and_share(tmp_path: Path) -> None:
     orbit, found = of_pendulum()
     path = tmp_path / "orbit.json"

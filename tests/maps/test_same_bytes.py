@@ -34,7 +34,8 @@ def map_file(folder: Path, words: tuple[str, ...], workers: int = 1, **chosen: s
     return made
 
 
-@pytest.mark.parametrize("words", [TABLE, pytest.param(PENDULUM, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [TABLE, PENDULUM])
 def test_a_map_is_the_same_file_whatever_has_been_compiled(
     tmp_path: Path, words: tuple[str, ...]
 ) -> None:

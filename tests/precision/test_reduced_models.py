@@ -428,6 +428,7 @@ def test_a_wrong_restitution_of_the_layer_is_noticed_by_the_hand_written_model(
     assert certificate.failed == ("second_model",)
 
 
+@pytest.mark.slow
 def test_gains_are_searched_with_the_restitution_that_they_change(problem: Problem) -> None:
     reduced = problem.at_fidelity(CORRECTED)
     # So large an inductance that a program with the restitution of its start does not get there.
@@ -480,6 +481,7 @@ def test_no_inductance_is_refused_with_the_problem_to_take_instead(
     assert ends[0] == pytest.approx(ends[1], rel=1e-11)
 
 
+@pytest.mark.slow
 def test_an_orbit_file_of_a_reduced_problem_is_found_drawn_and_verified(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

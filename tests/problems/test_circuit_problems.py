@@ -125,6 +125,7 @@ def test_the_relief_valve_obeys_equations_by_hand_under_another_integrator() -> 
     assert orbit.period == pytest.approx(time + (10 - state[2]) / (20 * 0.3), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_family_of_the_relief_valve_ends_where_it_no_longer_rests(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -283,7 +284,9 @@ def test_a_vanishing_filter_leaves_the_reference_orbit_at_first_order() -> None:
     assert np.max(np.abs(errors[-1])) < 4e-3
 
 
-@pytest.mark.parametrize("name", ["relief_valve", "solenoid", "filtered_pendulum"])
+@pytest.mark.parametrize(
+    "name", ["relief_valve", "solenoid", pytest.param("filtered_pendulum", marks=pytest.mark.slow)]
+)
 def test_fields_sources_and_further_states_balance_over_a_period(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -377,7 +380,9 @@ def test_the_orbit_of_the_relief_valve_is_proved_and_checked(
 # The rig of such problems.
 
 
-@pytest.mark.parametrize("name", ["relief_valve", str(OBSERVED)])
+@pytest.mark.parametrize(
+    "name", ["relief_valve", pytest.param(str(OBSERVED), marks=pytest.mark.slow)]
+)
 def test_a_rig_whose_stop_grows_stiff_tends_to_the_orbit(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -907,6 +907,7 @@ def test_a_folder_in_the_place_of_a_file_is_left_alone(tmp_path: Path) -> None:
     assert (tmp_path / "c.png").read_bytes() == b"new"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("parts")
 @pytest.mark.parametrize(
     ("command", "drawn"),

@@ -110,6 +110,7 @@ def test_simulation_and_collocation_find_the_same_orbit(problem: Problem) -> Non
         assert value == pytest.approx(found.release_state[name], rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_orbit_closed_by_one_engine_is_certified_on_the_hand_written_model(
     problem: Problem,
 ) -> None:
@@ -390,6 +391,7 @@ def test_a_state_that_vanishes_at_the_events_is_not_sized_by_rounding(
     assert np.all(at_events[others] > 0.1 * full[others])
 
 
+@pytest.mark.slow
 def test_an_orbit_beyond_an_escape_is_refused_in_the_words_of_the_problem(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:

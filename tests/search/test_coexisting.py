@@ -24,6 +24,7 @@ def impacts_per_turn(orbit: zo.ZenoOrbit, *, turns: int = 20) -> float:
     return len(run.impacts) / turns
 
 
+@pytest.mark.slow
 def test_both_attractors_of_a_table_are_found_from_other_initial_states() -> None:
     result = zo.search_gains(
         TABLE, free={}, parameters={"A": 0.02}, settings=zo.SearchSettings(candidates=3)

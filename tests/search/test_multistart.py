@@ -305,6 +305,7 @@ def test_what_is_finished_is_not_tried_again(
     assert contents(folder) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [0, 2])
 def test_a_start_that_was_lost_is_tried_again_and_gives_the_same(
     chunk: int, kept: tuple[Path, dict[str, Any]]

@@ -65,7 +65,7 @@ def _box(problem: Problem) -> dict[str, tuple[float, float]]:
 # At fixed gains.
 
 
-@pytest.mark.parametrize("inductance", [1e-6, 1e-8])
+@pytest.mark.parametrize("inductance", [1e-6, pytest.param(1e-8, marks=pytest.mark.slow)])
 def test_a_current_that_decays_within_nanoseconds_leaves_the_orbit_of_the_reduced_model(
     problem: Problem, inductance: float
 ) -> None:

@@ -45,6 +45,7 @@ def test_the_quantities_of_a_problem_are_its_states_its_motors_and_numbers(
     assert "current" not in quantity_names(load_problem("bouncing_ball"))
 
 
+@pytest.mark.slow
 def test_peaks_are_those_of_a_dense_simulation(
     problem: Problem, orbit: ZenoOrbit, machine: HybridDynamics
 ) -> None:

@@ -118,6 +118,7 @@ def test_every_residual_has_its_sentence(certificate: OrbitCertificate) -> None:
     assert set(certificate.residuals) <= set(RESIDUALS)
 
 
+@pytest.mark.slow
 def test_the_model_written_by_hand_gives_the_same_certificate(
     orbit: ZenoOrbit, problem: Problem, certificate: OrbitCertificate
 ) -> None:
@@ -522,6 +523,7 @@ class _Careless:
         return Automatic().follow(replace(leg, tolerance=coarse) if loose else leg)
 
 
+@pytest.mark.slow
 def test_a_return_that_a_looser_integration_does_not_confirm_fails_alone(
     orbit: ZenoOrbit, problem: Problem
 ) -> None:
