@@ -65,7 +65,7 @@ LONG = {
     for name in (
         *("README", "accuracy", "examples", "families", "mapping", "measured_data", "no_orbit"),
         *("export", "gallery", "own_tests", "problems", "report", "rig", "scale", "searching"),
-        "tutorial",
+        *("stability", "tutorial", "what_a_proof_proves", "zeno_model"),
     )
 }
 """Pages that take more than two seconds."""
