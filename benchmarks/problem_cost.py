@@ -1,7 +1,7 @@
 """Measure what a problem costs: states, formulas, and the time to compile, simulate and solve it.
 
 Only what a problem needs is modelled: without a motor there is no current, and a mechanism of one
-coordinate has the formulas of one. Prints the table of `docs/problems.md`.
+coordinate has the formulas of one. Prints the table of `docs/performance.md`.
 """
 
 from __future__ import annotations

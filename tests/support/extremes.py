@@ -1,13 +1,13 @@
-"""The rows of `docs/extremes.md`: what is asked, how the truth is known, what is promised.
+"""The cases of `docs/extremes.md`: what is asked, how the truth is known, what is promised.
 
-A row is data; `test_extremes.py` runs all of them alike. No truth here is stored output:
+A row is data, and a line of the page holds the rows that differ in one value; `test_extremes.py` runs all of them alike. No truth here is stored output:
 `independent.py` and `closed_forms.py` work it out anew.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -36,16 +36,17 @@ from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 CLOSED = "closed form"
-SECOND = "hand-written model under SciPy"
+SECOND = "hand-written model"
 SCALED = "the same machine in other units"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One entry of the table.
+    """One case.
 
     Attributes:
-        name: What is extreme, as the table has it.
+        kind: What is extreme, as the table has it.
+        at: The value at which it is tested, if several are.
         asked: What is compared.
         truth: How it is known.
         error: Run it and return the largest relative error of what is asked.
@@ -54,13 +55,19 @@ class Row:
         slow: It takes more than a few seconds.
     """
 
-    name: str
+    kind: str
+    at: str = ""
     asked: str
     truth: str
     error: Callable[[], float]
     tolerance: float = 0.0
     ends_in: type[ZenoOrbitsError] | None = None
     slow: bool = False
+
+    @property
+    def name(self) -> str:
+        """Kind and value."""
+        return f"{self.kind} {self.at}".strip()
 
     @property
     def promise(self) -> str:
@@ -124,11 +131,12 @@ def _contact_error() -> float:
     return max(abs(float(execution.state_at(time)[0])) for time in (0.0, 1e-7, 0.5, 1.0))
 
 
-BALL = "impact times and speeds, Zeno time"
+BALL = "impacts, Zeno time"
 BALL_ROWS = [
     *(
         Row(
-            name=f"ball, e = {e:g}",
+            kind="ball, e =",
+            at=f"{e:g}",
             asked=BALL,
             truth=CLOSED,
             error=partial(_ball_error, e),
@@ -137,7 +145,8 @@ BALL_ROWS = [
         for e in (0.0, 1e-6, 0.2, 0.5, 0.9, 0.99)
     ),
     Row(
-        name="ball, e = 0.999",
+        kind="ball, e =",
+        at="0.999",
         asked=BALL,
         truth=CLOSED,
         error=partial(_ball_error, 0.999),
@@ -145,15 +154,16 @@ BALL_ROWS = [
         slow=True,
     ),
     Row(
-        name="ball dropped from 1e-12 m, the height that counts as contact",
-        asked="height, which is that of a ball at rest",
+        kind="ball dropped from the height that counts as contact",
+        asked="height of a ball at rest",
         truth=CLOSED,
         error=_contact_error,
         tolerance=1e-12,
     ),
     *(
         Row(
-            name=f"ball dropped from {height:g} m",
+            kind="ball dropped from a height [m]",
+            at=f"{height:g}",
             asked=BALL,
             truth=CLOSED,
             error=partial(_ball_error, 0.5, height),
@@ -163,7 +173,8 @@ BALL_ROWS = [
     ),
     *(
         Row(
-            name=f"ball in {words}",
+            kind="ball in",
+            at=words,
             asked=BALL,
             truth=CLOSED,
             error=partial(_ball_error, 0.5, unit, 0.0, 9.81 * unit),
@@ -173,7 +184,8 @@ BALL_ROWS = [
     ),
     *(
         Row(
-            name=f"ball, gravity {g:g} m/s^2",
+            kind="ball, gravity [m/s^2]",
+            at=f"{g:g}",
             asked=BALL,
             truth=CLOSED,
             error=partial(_ball_error, 0.5, 1.0, 0.0, g),
@@ -183,7 +195,8 @@ BALL_ROWS = [
     ),
     *(
         Row(
-            name=f"ball of {m:g} kg",
+            kind="ball, mass [kg]",
+            at=f"{m:g}",
             asked=BALL,
             truth=CLOSED,
             error=partial(_ball_error, 0.5, 1.0, 0.0, 9.81, m),
@@ -193,7 +206,8 @@ BALL_ROWS = [
     ),
     *(
         Row(
-            name=f"ball thrown down at {-v:g} m/s from {h:g} m",
+            kind=f"ball thrown down from {h:g} m, speed [m/s]",
+            at=f"{-v:g}",
             asked=BALL,
             truth=CLOSED,
             error=partial(_ball_error, 0.5, h, v),
@@ -203,7 +217,8 @@ BALL_ROWS = [
     ),
     *(
         Row(
-            name=f"ball, impacts followed to {slowest:g} m/s, e = {e:g}",
+            kind=f"ball, e = {e:g}, impacts followed to [m/s]",
+            at=f"{slowest:g}",
             asked="impact speeds",
             truth=CLOSED,
             error=partial(_deep_ball_error, e, slowest),
@@ -238,8 +253,9 @@ def _grazing_error(dip: float, restitution: float = 0.5) -> float:
 
 GRAZING_ROWS = [
     Row(
-        name=f"first impact grazes: the swing passes the stop by {dip:g}",
-        asked="time and speed of the impact, times the speed",
+        kind="first impact grazes, depth of the swing past the stop",
+        at=f"{dip:g}",
+        asked="impact, times its speed",
         truth=CLOSED,
         error=partial(_grazing_error, dip),
         tolerance=1e-12,
@@ -288,7 +304,8 @@ def _orbit_error(periods: int) -> float:
 HORIZON_ROWS = [
     *(
         Row(
-            name=f"pendulum on its orbit for {periods} periods",
+            kind="pendulum on its orbit, periods",
+            at=f"{periods}",
             asked="last Zeno time and state, for each period",
             truth="Taylor integration (`reference_orbit.py`)",
             error=partial(_orbit_error, periods),
@@ -298,14 +315,16 @@ HORIZON_ROWS = [
         for periods in (50, 500)
     ),
     Row(
-        name="forced oscillator for 16 turns (100 s)",
+        kind="forced oscillator, turns",
+        at="16",
         asked="last Zeno time and end, for each turn",
         truth=CLOSED,
         error=partial(_horizon_error, 16),
         tolerance=1e-12,
     ),
     Row(
-        name="forced oscillator for 1592 turns (1e4 s)",
+        kind="forced oscillator, turns",
+        at="1592",
         asked="last Zeno time and end, for each turn",
         truth=CLOSED,
         error=partial(_horizon_error, 1592),
@@ -313,14 +332,14 @@ HORIZON_ROWS = [
         slow=True,
     ),
     Row(
-        name="ball at rest until 1e4 s",
+        kind="ball at rest until 1e4 s",
         asked="Zeno time and rest",
         truth=CLOSED,
         error=partial(_long_ball_error, 1e4),
         tolerance=1e-12,
     ),
     Row(
-        name="free swing for 1e4 s",
+        kind="free swing for 1e4 s",
         asked="end, for each radian",
         truth=CLOSED,
         error=partial(_swing_error, 1e4),
@@ -411,7 +430,8 @@ def _vanishing_error(part: float) -> float:
 
 VANISHING_ROWS = [
     Row(
-        name=f"d2h/dt2 -> 0 at the Zeno point: {part:+.0e} of the speed that ends at the release",
+        kind="d2h/dt2 -> 0 at the Zeno point, relative offset from the critical speed",
+        at=f"{part:+.0e}",
         asked="impacts, Zeno time, first impact after the release",
         truth=CLOSED,
         error=partial(_vanishing_error, part),
@@ -546,7 +566,7 @@ def _feed_energy() -> float:
 EVENTS = "events and end"
 PENDULUM_ROWS = [
     Row(
-        name="pendulum, L = 0 (quasi-static)",
+        kind="pendulum, L = 0 (quasi-static)",
         asked=EVENTS,
         truth=SECOND,
         error=partial(_quasi_static_error, 1.5),
@@ -554,7 +574,8 @@ PENDULUM_ROWS = [
     ),
     *(
         Row(
-            name=f"pendulum, L = {inductance:g} H",
+            kind="pendulum, L [H]",
+            at=f"{inductance:g}",
             asked=EVENTS,
             truth=SECOND,
             error=partial(
@@ -571,7 +592,8 @@ PENDULUM_ROWS = [
     ),
     *(
         Row(
-            name=f"pendulum, e = {e:g}",
+            kind="pendulum, e =",
+            at=f"{e:g}",
             asked=EVENTS,
             truth=SECOND,
             error=partial(_pendulum_error, {"restitution": e}, until=1.5),
@@ -581,7 +603,8 @@ PENDULUM_ROWS = [
     ),
     *(
         Row(
-            name=f"pendulum, Zeno point at e = {e:g}, from 1e-3 rad/s",
+            kind="pendulum, Zeno point from 1e-3 rad/s, e =",
+            at=f"{e:g}",
             asked=EVENTS,
             truth=SECOND,
             error=partial(_pendulum_error, {"restitution": e}, until=0.1, state=LIFTED),
@@ -592,7 +615,8 @@ PENDULUM_ROWS = [
     ),
     *(
         Row(
-            name=f"pendulum, link 2 {ratio:g} times as heavy",
+            kind="pendulum, mass of link 2, relative",
+            at=f"{ratio:g}",
             asked=EVENTS,
             truth=SECOND,
             error=partial(_pendulum_error, {"m2": 0.1 * ratio, "I2": 0.00075 * ratio}),
@@ -602,7 +626,8 @@ PENDULUM_ROWS = [
     ),
     *(
         Row(
-            name=f"pendulum, link 1 {ratio:g} times as heavy",
+            kind="pendulum, mass of link 1, relative",
+            at=f"{ratio:g}",
             asked=EVENTS,
             truth=SECOND,
             error=partial(
@@ -614,7 +639,8 @@ PENDULUM_ROWS = [
         for ratio in (1e-3, 1e3, 1e6)
     ),
     Row(
-        name="pendulum, link 1 1e-06 times as heavy",
+        kind="pendulum, mass of link 1, relative",
+        at="1e-06",
         asked=EVENTS,
         truth=SECOND,
         error=partial(
@@ -625,7 +651,8 @@ PENDULUM_ROWS = [
     ),
     *(
         Row(
-            name=f"pendulum, Kp = {gain:g} V/rad",
+            kind="pendulum, Kp [V/rad]",
+            at=f"{gain:g}",
             asked=EVENTS,
             truth=SECOND,
             error=partial(_pendulum_error, {}, {"Kp": gain}),
@@ -634,7 +661,8 @@ PENDULUM_ROWS = [
         for gain in (1e-6, 1e-3, 1e3)
     ),
     Row(
-        name="pendulum, Kp = 1e+06 V/rad",
+        kind="pendulum, Kp [V/rad]",
+        at="1e+06",
         asked=EVENTS,
         truth=SECOND,
         error=partial(_pendulum_error, {}, {"Kp": 1e6}, until=0.02),
@@ -642,7 +670,8 @@ PENDULUM_ROWS = [
     ),
     *(
         Row(
-            name=f"pendulum, Kd = {gain:g} V s/rad",
+            kind="pendulum, Kd [V s/rad]",
+            at=f"{gain:g}",
             asked=EVENTS,
             truth=SECOND,
             error=partial(_pendulum_error, {}, {"Kd": gain}, until=until),
@@ -651,7 +680,8 @@ PENDULUM_ROWS = [
         for gain, until in ((-1e-6, 1.0), (1e-6, 1.0), (1.0, 1.0), (1e3, 1.0), (1e6, 0.1))
     ),
     Row(
-        name="pendulum, Kd = -1e+06 V s/rad, within 20000 steps",
+        kind="pendulum, within 20000 steps, Kd [V s/rad]",
+        at="-1e+06",
         asked="an end",
         truth="the motion grows without bound",
         error=_feed_energy,
@@ -659,7 +689,8 @@ PENDULUM_ROWS = [
     ),
     *(
         Row(
-            name=f"pendulum, locked arc shrinks: e = {e:g}",
+            kind="pendulum, locked arc shrinks, e =",
+            at=f"{e:g}",
             asked=EVENTS,
             truth=SECOND,
             error=partial(_pendulum_error, {"restitution": e}, until=6.0, state=ZENO_STATE),
@@ -714,7 +745,8 @@ def _circle_error(units: Units, angle: float = 0.5) -> float:
 
 UNIT_ROWS = [
     Row(
-        name=f"pendulum in {words}",
+        kind="pendulum in",
+        at=words,
         asked=EVENTS,
         truth=SCALED,
         error=partial(_units_error, units),
@@ -728,13 +760,13 @@ UNIT_ROWS = [
         ("milliseconds", Units(time=1e3)),
         ("microseconds", Units(time=1e6)),
         ("hours", Units(time=1 / 3600)),
-        ("mm, g, ms", Units(mass=1e3, length=1e3, time=1e3)),
+        ("mm-g-ms", Units(mass=1e3, length=1e3, time=1e3)),
     )
 ]
 
 UNIT_ROWS += [
     Row(
-        name="bob on a circle in micrometres, its start rounded in the last digit",
+        kind="bob on a circle in micrometres, its start rounded in the last digit",
         asked=EVENTS,
         truth=SCALED,
         error=partial(_circle_error, Units(length=1e6), 1.1),
@@ -742,7 +774,8 @@ UNIT_ROWS += [
     ),
     *(
         Row(
-            name=f"bob on a circle (holonomic) in {words}",
+            kind="bob on a circle (holonomic) in",
+            at=words,
             asked=EVENTS,
             truth=SCALED,
             error=partial(_circle_error, units),
@@ -778,7 +811,8 @@ def _search_error(restitution: float) -> float:
 SEARCH_ROWS = [
     *(
         Row(
-            name=f"orbit of the pendulum at e = {e:g}",
+            kind="orbit of the pendulum, e =",
+            at=f"{e:g}",
             asked="closure after a period",
             truth=SECOND,
             error=partial(_search_error, e),
@@ -788,9 +822,10 @@ SEARCH_ROWS = [
         for e in (0.0, 1e-6, 0.41, 0.4165)
     ),
     Row(
-        name="orbit of the pendulum at e = 0.42, past the end of the family",
+        kind="orbit of the pendulum past the end of the family, e =",
+        at="0.42",
         asked="an orbit with a Zeno point",
-        truth="there is none (locked arcs above)",
+        truth="none exists (locked arcs above)",
         error=partial(_search_error, 0.42),
         ends_in=OrbitNotFoundError,
         slow=True,
@@ -806,3 +841,14 @@ ROWS = [
     *UNIT_ROWS,
     *SEARCH_ROWS,
 ]
+
+
+def lines(rows: Sequence[Row]) -> Mapping[str, Sequence[Row]]:
+    """Return the lines of the page, up to what is seen, with their rows: those of one promise."""
+    alike: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        alike.setdefault((row.kind, row.asked, row.truth, row.promise), []).append(row)
+    return {
+        f"| {kind} | {', '.join(row.at for row in found)} | {asked} | {truth} | {promise} |": found
+        for (kind, asked, truth, promise), found in alike.items()
+    }

@@ -94,7 +94,7 @@ def simulate(
 def simulator_in_use() -> str:
     """Return the name of the simulator of this process, for the identity of work that is kept.
 
-    The loop and the reference agree to rounding, not in every digit (`docs/performance.md`).
+    The loop and the reference agree to rounding, not in every digit (`docs/compiled_code.md`).
     """
     return "Python" if loop_library() is None else "loop"
 
