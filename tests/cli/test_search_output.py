@@ -156,7 +156,7 @@ def test_a_search_for_one_shape_is_told_to_do_without(
 ) -> None:
     for shape, told in ((None, False), (OrbitShape.parsed("zeno*3"), True)):
         answer(_options(shape=shape), problem, NOTHING, _notes([]))
-        assert ("Try: no --shape" in capsys.readouterr().out) == told
+        assert ("Try: omit --shape" in capsys.readouterr().out) == told
 
 
 def test_the_map_that_a_failed_search_names_can_be_made() -> None:

@@ -1,7 +1,8 @@
 """The cases of `docs/extremes.md`: what is asked, how the truth is known, what is promised.
 
-A row is data, and a line of the page holds the rows that differ in one value; `test_extremes.py` runs all of them alike. No truth here is stored output:
-`independent.py` and `closed_forms.py` work it out anew.
+A row is data, and a line of the page holds the rows that differ in one value. `test_extremes.py`
+runs all rows alike. No truth here is stored output: `independent.py` and `closed_forms.py` work it
+out anew.
 """
 
 from __future__ import annotations

@@ -104,8 +104,8 @@ def problem_of(orbit: ZenoOrbit, problem: Named | None = None) -> Problem:
     name, fidelity = split_fidelity(orbit.problem)
     if problem is None:
         if name not in bundled_problems():
-            message = f"must name the file of problem `{name}`, but it is missing"
-            raise InputError(f"Argument `problem` {message}.")
+            remedy = "If it is yours, pass its file with --problem FILE.py (`problem=` in Python)."
+            raise InputError(f"Unknown problem `{name}`. {remedy}")
         return load_problem(orbit.problem)
     known = known_problem(problem)
     if fidelity is not None and known.name == name:

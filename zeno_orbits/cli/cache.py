@@ -16,7 +16,7 @@ def add_cache(commands: Any) -> None:
         commands,
         "cache",
         _run_cache,
-        "print where compiled libraries are kept and how large they are; fill and clear the folder",
+        "show, fill or clear the cache of compiled code",
         [
             "zeno-orbits cache",
             "zeno-orbits cache --compile motor_pendulum",

@@ -34,7 +34,7 @@ def add_map(commands: Any) -> None:
         commands,
         "map",
         _run_map,
-        "map the attractors over a plane of two gains, parameters or initial states; exit code 1 "
+        "classify the attractor on a grid of two gains, parameters or initial states; exit code 1 "
         "if no point of the map has a Zeno periodic orbit",
         [
             "zeno-orbits map motor_pendulum --x Kp=1:5 --y Kd=-2:0 -o map.json --plot map.png",

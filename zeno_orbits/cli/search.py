@@ -134,7 +134,7 @@ def add_search(commands: Any) -> None:
         type=read_count,
         default=12,
         metavar="N",
-        help="most starts after the first, at the best of many points of the box",
+        help="maximum number of further starts, taken from a scan of the search box",
     )
     parser.add_argument(
         "--seed", type=read_seed, default=0, help="seed of these points (default: 0)"

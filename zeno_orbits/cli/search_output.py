@@ -151,7 +151,7 @@ def _levers(
             found.append("--max-time T, to wait longer for a motion to repeat.")
         found.append(f"{map_command(problem, options, notes)}, to see where orbits are.")
         if options.shape is not None:
-            found.append("no --shape, to take the orbits that motions settle to.")
+            found.append("omit --shape, to accept any orbit that the simulation converges to.")
     if result.repels:
         found.append("--allow-unstable, to take an orbit that does not attract.")
     if notes.bounds:

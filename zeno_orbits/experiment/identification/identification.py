@@ -326,9 +326,9 @@ def _remarks(fitted: Sequence[Fitted], found: Fit) -> list[str]:
         )
     if found.spread.misfit > _MISFIT:
         remarks.append(
-            f"the model does not follow the recording: what repeats of the deviations is "
-            f"{math.sqrt(found.spread.misfit):.2g} times noise, and the values may be biased "
-            f"by more than their intervals say"
+            f"systematic misfit: the repeatable part of the residuals is "
+            f"{math.sqrt(found.spread.misfit):.2g} times the noise, so the estimates may be biased "
+            f"beyond their intervals"
         )
     late = abs(float(found.residuals[-1]))
     if late > _LATE:
