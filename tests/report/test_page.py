@@ -159,7 +159,7 @@ def test_every_event_of_the_period_stands_on_the_page(page: str, subject: Subjec
     text = _Reader(page).words
     assert subject.execution is not None
     for impact in subject.execution.impacts:
-        assert f"{impact.time:.12g}hit{-impact.approach_rate:.6g}" in text
+        assert f"{impact.time:.12g}impact{-impact.approach_rate:.6g}" in text
     assert f"{subject.execution.zeno_points[0].time:.12g}Zeno point" in text
 
 
@@ -774,7 +774,7 @@ def test_pages_of_other_orbits_open_too(
     press(browser, "zeno", "in")
     low, high = range_of(browser, "zeno")
     assert low < 0.0 < high
-    # A single hit is no sequence: nothing to see on logarithmic axes.
+    # A single impact is no sequence: nothing to see on logarithmic axes.
     alone = problem.values(parameters=parameters).parameters["restitution"] == 0.0
     logarithmic = browser.run("return document.querySelectorAll('#plot-gaps, #plot-speeds').length")
     assert logarithmic == (0 if alone else 2)
@@ -849,7 +849,7 @@ def test_an_orbit_of_several_hits_is_told_to_have_many(
     orbit = replace(subject.orbit, phases=(replace(phase, impacts=phase.impacts[:n]),))
     text = words.story(orbit, subject.certificate, subject.execution)
     assert ("in the end each time 5 times slower" in text) is many
-    assert ("That one hit takes all of its speed" in text) is not many
+    assert ("That one impact takes all of its speed" in text) is not many
 
 
 def test_the_commands_of_a_problem_of_ones_own_name_its_file(subject: Subject) -> None:

@@ -308,7 +308,7 @@ def test_every_cell_of_the_events(tables: dict[str, Table[Any]], execution: Exec
     found = cells(tables["events"])
     times, words, speeds = found.values()
     assert near(times, [event.time for event in execution.events], 12)
-    hits = [k for k, word in enumerate(words) if word == "hit"]
+    hits = [k for k, word in enumerate(words) if word == "impact"]
     rates = [-impact.state_minus[3] for impact in execution.impacts]
     assert [float(speeds[k]) for k in hits] == pytest.approx(rates, rel=1e-5)
     assert [speeds[k] for k in range(len(words)) if k not in hits] == [""] * 2
@@ -331,7 +331,7 @@ def test_every_tile(subject: Subject, execution: Execution) -> None:
     found = {name: (float(number), unit) for name, number, unit in tiles_of(subject)}
     assert found == {
         "period": (pytest.approx(subject.orbit.period, rel=1e-9), "s"),
-        "first hit after": (pytest.approx(execution.impacts[0].time, rel=1e-8), "s"),
+        "first impact after": (pytest.approx(execution.impacts[0].time, rel=1e-8), "s"),
         "Zeno point after": (pytest.approx(point.time, rel=1e-9), "s"),
         "rests on the stop for": (pytest.approx(release.time - point.time, rel=1e-5), "s"),
         "a small push is multiplied by": (0.559, "per period"),
@@ -372,8 +372,8 @@ def test_the_browser_draws_the_portraits_of_the_data(
         assert trace == (words[arc["kind"]], arc["x"], arc["y"])
     named = {name: (x, y) for name, x, y in found[len(data["arcs"]) + 1 :]}
     assert named == {
-        "before a hit": (data["before"]["x"], data["before"]["y"]),
-        "after a hit": (data["after"]["x"], data["after"]["y"]),
+        "before an impact": (data["before"]["x"], data["before"]["y"]),
+        "after an impact": (data["after"]["x"], data["after"]["y"]),
         "release": (data["release"]["x"], data["release"]["y"]),
         "Zeno point": (data["zeno"]["x"], data["zeno"]["y"]),
     }

@@ -188,7 +188,7 @@ def test_tiles_are_the_main_numbers_of_a_period() -> None:
     shown = _execution(*HITS, LIMIT, RELEASE, arcs=[rests, FLIGHT, REST])
     assert tiles_of(_subject(execution=shown)) == (
         ("period", "2", "s"),
-        ("first hit after", "0.5", "s"),
+        ("first impact after", "0.5", "s"),
         ("Zeno point after", "1.25", "s"),
         ("rests on the stop for", "1", "s"),
         ("a small push is multiplied by", "0.25", "per period"),
@@ -201,7 +201,7 @@ def test_no_more_than_three_zeno_points_have_tiles_and_none_no_rest() -> None:
     assert names.count("Zeno point after") == 3
     for execution in (None, _execution(*HITS)):
         names = [name for name, _, _ in tiles_of(_subject(execution=execution))]
-        assert names == ["period", "first hit after", "a small push is multiplied by"]
+        assert names == ["period", "first impact after", "a small push is multiplied by"]
 
 
 def test_numbers_are_told_to_ten_digits_and_an_unknown_radius_as_unknown() -> None:
@@ -228,22 +228,22 @@ def test_a_table_of_events_is_cut_in_its_middle_where_it_is_long() -> None:
     hits = [impact(k / 8, (0.0, -1.0 - k, 0.0)) for k in range(41)]
     whole = events_table(_execution(*hits[:40]), "m")
     assert len(whole.rows) == 40
-    assert [column.heading for column in whole.columns][2] == "speed of the hit [m/s]"
+    assert [column.heading for column in whole.columns][2] == "speed of the impact [m/s]"
     cut = events_table(_execution(*hits, LIMIT, RELEASE), "m")
     assert len(cut.rows) == 41
     assert cut.rows[19:22] == (
-        ("2.375", "hit", "20"),
+        ("2.375", "impact", "20"),
         ("...", "and 3 more", ""),
-        ("2.875", "hit", "24"),
+        ("2.875", "impact", "24"),
     )
-    assert cut.rows[0] == ("0", "hit", "1")
-    assert cut.rows[-2] == ("1.25", "Zeno point, 0.12 s after the last hit followed", "")
+    assert cut.rows[0] == ("0", "impact", "1")
+    assert cut.rows[-2] == ("1.25", "Zeno point, 0.12 s after the last impact followed", "")
     assert cut.rows[-1] == ("2", "release", "")
 
 
 def test_times_and_speeds_of_events_have_their_digits() -> None:
     third = impact(1.0 / 3.0, (0.0, -1.0 / 3.0, 0.0))
-    assert events_table(_execution(third), "m").rows == (("0.333333333333", "hit", "0.333333"),)
+    assert events_table(_execution(third), "m").rows == (("0.333333333333", "impact", "0.333333"),)
 
 
 def test_residuals_up_to_the_tolerance_pass_in_causal_order() -> None:
@@ -360,7 +360,7 @@ def test_tables_that_a_subject_lacks_are_left_out() -> None:
     assert headings["checks"] == ["in plain words", "passed", "residual [1]", "for the expert"]
     assert headings["energies"] == ["part", "energy [J]"]
     assert headings["versions"] == ["package", "that found the orbit", "that wrote this page"]
-    assert headings["events"] == ["time [s]", "event", "speed of the hit [m/s]"]
+    assert headings["events"] == ["time [s]", "event", "speed of the impact [m/s]"]
 
 
 def test_gains_and_parameters_have_twelve_digits_their_units_and_their_order() -> None:
@@ -540,10 +540,10 @@ def test_a_page_shows_as_many_pictures_of_a_zeno_point_as_there_are_flights() ->
     hop = arc(Mode.FREE, [0.5, 0.75], [(0, 2, 0), (0, -2, 0)])
     page = _page(execution=_execution(*HITS, LIMIT, RELEASE, arcs=[FLIGHT, hop, REST]))
     assert 'id="plot-gaps"' in page
-    assert "A single hit" not in page
+    assert "A single impact" not in page
     page = _page(execution=_execution(HITS[0], LIMIT, RELEASE))
     assert 'id="plot-gaps"' not in page
-    assert "A single hit leads to the Zeno point" in page
+    assert "A single impact leads to the Zeno point" in page
     for execution in (_execution(*HITS), None):
         page = _page(execution=execution)
         assert 'id="plot-zeno"' not in page

@@ -62,7 +62,7 @@
     return { color: colour.free, width: 2, simplify: false };
   }
 
-  const wordOf = { free: "off the stop", locked: "on the stop", tail: "tail of the hits" };
+  const wordOf = { free: "off the stop", locked: "on the stop", tail: "tail of the impacts" };
 
   function draw(name, traces, shape) {
     const place = byId("plot-" + name);
@@ -91,8 +91,8 @@
       const x = [], y = [];
       before.x.forEach((value, i) => { x.push(value, after.x[i], null); y.push(before.y[i], after.y[i], null); });
       traces.push({ x, y, mode: "lines", type: "scatter", hoverinfo: "skip", line: { color: colour.soft, width: 1.2, dash: "dash" } });
-      traces.push(spots(before, "before a hit", { symbol: "circle-open", size: 8, line: { width: 1.5 } }));
-      traces.push(spots(after, "after a hit", { size: 4 }));
+      traces.push(spots(before, "before an impact", { symbol: "circle-open", size: 8, line: { width: 1.5 } }));
+      traces.push(spots(after, "after an impact", { size: 4 }));
       traces.push(spots(portrait.release, "release", { symbol: "square-open", size: 12, color: colour.release, line: { width: 2.5 } }));
       traces.push(spots(portrait.zeno, "Zeno point", { symbol: "star", size: 14, color: colour.zeno, line: { width: 1, color: colour.ink } }));
       draw("portrait-" + k, traces, {
@@ -164,11 +164,11 @@
     });
     const speeds = [
       { x: zeno.law.x, y: zeno.law.y, mode: "lines", type: "scatter", line: law, name: "first-order law", hoverinfo: "name" },
-      { ...spots(zeno.speeds, "hit", { symbol: "circle-open", size: 9, line: { width: 1.8 } }), hovertemplate: "%{x:.6g} s left: %{y:.6g}<extra>hit</extra>" },
+      { ...spots(zeno.speeds, "impact", { symbol: "circle-open", size: 9, line: { width: 1.8 } }), hovertemplate: "%{x:.6g} s left: %{y:.6g}<extra>impact</extra>" },
     ];
     draw("speeds", speeds, {
       xaxis: decades(left, [...zeno.law.x, ...zeno.speeds.x], reversed),
-      yaxis: decades("speed of the hit [" + zeno.unit + "/s]", [...zeno.law.y, ...zeno.speeds.y]),
+      yaxis: decades("speed of the impact [" + zeno.unit + "/s]", [...zeno.law.y, ...zeno.speeds.y]),
     });
   }
 

@@ -48,7 +48,7 @@ def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
     push = "unknown" if math.isnan(radius) else shown_number(radius, 4)
     return (
         ("period", f"{orbit.period:.10g}", "s"),
-        ("first hit after", f"{orbit.impacts[0].time:.10g}", "s"),
+        ("first impact after", f"{orbit.impacts[0].time:.10g}", "s"),
         *(("Zeno point after", f"{point.time:.10g}", "s") for point in points[:3]),
         *([("rests on the stop for", f"{resting:.6g}", "s")] if points else []),
         ("a small push is multiplied by", push, "per period"),
@@ -118,7 +118,7 @@ def events_table(execution: Execution, unit: str) -> Table[Any]:
     columns: list[Column[Event]] = [
         number_column("time [s]", lambda event: shown_number(event.time, 12)),
         text_column("event", _event_name),
-        number_column(f"speed of the hit [{unit}/s]", _hit_speed),
+        number_column(f"speed of the impact [{unit}/s]", _hit_speed),
     ]
     table = table_of("Events of one period, times since its start", columns, execution.events)
     if len(table.rows) <= _MOST_EVENTS:
@@ -130,9 +130,9 @@ def events_table(execution: Execution, unit: str) -> Table[Any]:
 
 def _event_name(event: Event) -> str:
     if isinstance(event, Impact):
-        return "hit"
+        return "impact"
     if isinstance(event, ZenoPoint):
-        return f"Zeno point, {event.tail:.2g} s after the last hit followed"
+        return f"Zeno point, {event.tail:.2g} s after the last impact followed"
     return "release"
 
 

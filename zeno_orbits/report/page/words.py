@@ -35,12 +35,12 @@ CHECKS: Mapping[str, str] = {
 
 MARGINS: Mapping[str, tuple[str, str]] = {
     "gap_acceleration": (
-        "how hard the moving part is drawn to the stop where the hits pile up. At zero it would "
-        "lift off there",
+        "how hard the moving part is drawn to the stop where the impacts accumulate. At zero it "
+        "would lift off there",
         "{gap}/s^2",
     ),
     "first_impact_speed": (
-        "how fast the first hit is. At zero the part would only graze the stop",
+        "how fast the first impact is. At zero the part would only graze the stop",
         "{gap}/s",
     ),
     "release_transversality": (
@@ -58,7 +58,7 @@ ENERGIES: Mapping[str, str] = {
     "input_work": "put in by the source",
     "copper_loss": "lost as heat in the windings",
     "other_loss": "lost to friction and the like",
-    "impact_loss": "lost in the hits",
+    "impact_loss": "lost in the impacts",
     "energy_gain": "left over after the period",
 }
 """Name of an energy to its meaning."""
@@ -161,7 +161,7 @@ def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution 
         )
     return (
         f"{said}{repeats} The moving part hits its stop {count} times that could be followed one "
-        f"by one; {points} times infinitely many hits accumulate, and it stays on the stop "
+        f"by one; {points} times infinitely many impacts accumulate, and it stays on the stop "
         "for a while."
     )
 
@@ -172,11 +172,11 @@ def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
     if len(orbit.impacts) > 1 and e > 0.0:
         hits = (
             f"It bounces and hits again and again, in the end each time {1 / e:.3g} times slower: "
-            f"infinitely many hits fit into {zeno - first:.4g} s. The moment at which they "
+            f"infinitely many impacts fit into {zeno - first:.4g} s. The moment at which they "
             "have all happened is the Zeno point."
         )
     else:
-        hits = "That one hit takes all of its speed: the Zeno point is there at once."
+        hits = "That one impact takes all of its speed: the Zeno point is there at once."
     rest = (
         f"Then the part stays on the stop for {orbit.period - zeno:.4g} s and is carried along, "
         "until it is released and the cycle repeats."
