@@ -101,7 +101,7 @@ def test_functions_of_an_orbit_take_its_file_and_find_its_problem(
 
 
 def test_an_orbit_of_a_problem_that_is_not_bundled_asks_for_its_file(orbit: zo.ZenoOrbit) -> None:
-    with pytest.raises(zo.InputError, match="Unknown problem `mine`. If it is yours, pass its file"):
+    with pytest.raises(zo.InputError, match="Unknown problem `mine`"):
         zo.verify(replace(orbit, problem="mine"))
 
 
