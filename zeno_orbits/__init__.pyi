@@ -97,6 +97,7 @@ from .search.objectives import FastestContraction as MinSpectralRadius
 from .search.objectives import LeastEnergy as MinEnergy
 from .search.objectives import LeastPeak as MinPeak
 from .report.exploration.explore import explore as explore
+from .search.objectives import MaxPush as MaxPush
 from .search.objectives import NearestGains as NearestGains
 from .search.objectives import TargetAmplitude as TargetAmplitude
 from .search.objectives import TargetPeriod as TargetPeriod
@@ -141,6 +142,7 @@ __all__ = [
     "Identification",
     "InputError",
     "MaxMargin",
+    "MaxPush",
     "MinEnergy",
     "MinPeak",
     "MinSpectralRadius",

@@ -37,6 +37,7 @@ from zeno_orbits.search.objectives import (
     FastestContraction,
     LeastEnergy,
     LeastPeak,
+    MaxPush,
     NearestGains,
     Objective,
     Operand,
@@ -258,7 +259,9 @@ def test_every_word_makes_its_objective(problem: Problem) -> None:
     made = {
         word: one.objective(problem, operand)
         for (word, one), operand in zip(
-            OBJECTIVES.items(), [{"Kp": 2.0}, 1.8, 0.5, None, "current", None, None], strict=True
+            OBJECTIVES.items(),
+            [{"Kp": 2.0}, 1.8, 0.5, None, "current", None, None, {"theta2": 1.0}, {}],
+            strict=True,
         )
     }
     assert made == {
@@ -269,6 +272,8 @@ def test_every_word_makes_its_objective(problem: Problem) -> None:
         "peak": LeastPeak(signal="current"),
         "contraction": FastestContraction(),
         "margin": WidestMargin(),
+        "push": MaxPush(direction={"theta2": 1.0}),
+        "robustness": MaxPush(),
     }
 
 
@@ -281,12 +286,15 @@ def test_help_names_every_word_with_its_operand() -> None:
         "peak=SIGNAL": Operand.SIGNAL,
         "contraction": Operand.NOTHING,
         "margin": Operand.NOTHING,
+        "push": Operand.DIRECTION,
+        "robustness": Operand.DIRECTION,
     }
     assert {one.usage: one.operand for one in OBJECTIVES.values()} == words
     told = objective_help()
     assert told.startswith("nearest (to the problem's gains), nearest:NAME=VALUE,..., period=")
     assert ", peak=SIGNAL (least peak of current, voltage or a state), contraction (" in told
-    assert told.endswith(", or margin (widest range of the free values before the orbit is lost)")
+    assert ", margin (widest range of the free values before the orbit is lost), push or " in told
+    assert told.endswith(", or robustness (the same over all corners of the ranges of --uncertain)")
 
 
 # Objectives, each against a scan by simulation.

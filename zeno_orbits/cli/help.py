@@ -25,7 +25,7 @@ COMMANDS = {
 GROUPS = {
     "problem": ("--set", "--vary", "--initial", "--at", "--from", "--t-start", "--problem"),
     "machine": ("--part", "--only", "--without", "--exact-pwm", "--cycles"),
-    "objective": ("--objective", "--bound", "--shape", "--allow-unstable", "--fit"),
+    "objective": ("--objective", "--uncertain", "--bound", "--shape", "--allow-unstable", "--fit"),
     "range": (
         *(
             "--x",

@@ -250,7 +250,7 @@ def read_wish(text: str) -> Wish:
     """Return the objective from the words of ``--objective``."""
     from zeno_orbits import api
 
-    word, _, rest = text.partition(":") if text.startswith("nearest") else text.partition("=")
+    word, _, rest = text.partition(":") if text.startswith(_WITH_NAMES) else text.partition("=")
     objectives = api.objective_words()
     known = objectives.get(word)
     takes = "NOTHING" if known is None else known.operand.name
@@ -259,11 +259,15 @@ def read_wish(text: str) -> Wish:
         message = f"must be {', '.join(most)} or {last}, but it is `{text}`."
         raise argparse.ArgumentTypeError(message + did_you_mean(word, objectives))
     operand: Any = rest
-    if takes == "NUMBERS":
+    if takes in ("NUMBERS", "DIRECTION"):
         operand = _targets(rest)
     elif takes == "NUMBER":
         operand = _number(rest, f"have a number for the {word}")
     return Wish(text, word, known, operand)
+
+
+_WITH_NAMES = ("nearest", "push", "robustness")
+"""Objectives that names with numbers may follow, after a colon."""
 
 
 def _targets(text: str) -> dict[str, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +57,9 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum --set Kp=4.3 --set Kd=-1.53 --shape 'zeno*2'",
             "zeno-orbits search motor_pendulum --objective energy --candidates 3 -o orbit.json",
             "zeno-orbits search motor_pendulum --objective energy --scheduler tcp://host:8786",
+            "zeno-orbits search motor_pendulum --set Kp=2.5 --objective push",
+            "zeno-orbits search motor_pendulum --set Kp=2.5 --objective robustness "
+            "--uncertain restitution=0.15:0.25",
         ],
     )
     add_problem(parser)
@@ -73,6 +77,14 @@ def add_search(commands: Any) -> None:
         type=read_wish,
         metavar="WISH",
         help=f"choice among the orbits; {api.objective_help()}",
+    )
+    parser.add_argument(
+        "--uncertain",
+        action=Named,
+        type=read_range,
+        metavar="NAME=LOW:HIGH",
+        help="range of an uncertain parameter: --objective robustness takes the worst of its "
+        "corners (repeatable)",
     )
     parser.add_argument(
         "--bound",
@@ -156,6 +168,8 @@ def _run_search(options: argparse.Namespace) -> int:
     _require_starts_inside(options.set, free)
     wish = options.objective or read_wish("nearest")
     objective = wish.objective(problem, free)
+    if options.uncertain or wish.word == "robustness":
+        objective = _over_ranges(wish.word, objective, options.uncertain)
     bounds = tuple(options.keep.values())
     if near is not None:
         near.shape.agreed(options.shape)
@@ -194,6 +208,19 @@ def _run_search(options: argparse.Namespace) -> int:
 
     # With nothing free there is one start, which is done or not.
     return run_resumable(options, work, finish, keep=bool(free))
+
+
+def _over_ranges(word: str, objective: Any, uncertain: Mapping[str, tuple[float, float]]) -> Any:
+    """Return an objective over uncertain ranges.
+
+    Raises:
+        InputError: If only one of objective and ranges is given.
+    """
+    if word != "robustness":
+        raise InputError("Argument `--uncertain` must have --objective robustness.")
+    if not uncertain:
+        raise InputError("Argument `--objective robustness` must have --uncertain NAME=LOW:HIGH.")
+    return replace(objective, uncertain=uncertain)
 
 
 def _require_starts_inside(

@@ -24,6 +24,8 @@ from .pushes import Push as Push
 from .pushes import Pushes as Pushes
 from .pushes import PushSettings as PushSettings
 from .pushes import largest_pushes as largest_pushes
+from .pushes import least_push as least_push
+from .pushes import push_units as push_units
 from .recovery import Recovery as Recovery
 from .recovery import RecoverySettings as RecoverySettings
 from .recovery import recovery_of as recovery_of

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -247,37 +248,43 @@ class _Rays:
 
     def __call__(self, rays: Sequence[Any]) -> list[dict[str, Any]]:
         """Return the largest impulse, its error and the motion beyond per ray, as plain data."""
+        problem = self.source.load() if isinstance(self.source, ProblemFile) else self.source
+        values = problem.values(gains=self.gains, parameters=self.parameters)
+        lost = _loss(problem, values, self.orbit, self.until)
         found: list[dict[str, Any]] = []
         for ray in rays:
-            found.append(self._along(ray))
+            found.append(self._along(partial(lost, ray), ray["reach"] / self.steps))
             tell_part(len(found) / len(rays))
         return found
 
-    def _along(self, ray: Mapping[str, Any]) -> dict[str, Any]:
-        problem = self.source.load() if isinstance(self.source, ProblemFile) else self.source
-        values = problem.values(gains=self.gains, parameters=self.parameters)
-        dynamics = problem.dynamics(values)
-        state, change = np.array(ray["state"]), np.array(ray["change"])
-
-        def lost(impulse: float) -> Attractor | None:
-            """Return the attractor after an impulse, or None if it is the orbit."""
-            after = pushed(dynamics, state, change * impulse, locked=ray["locked"])
-            (reached,) = attractors_from(
-                problem,
-                [(values, after)],
-                until=self.until,
-                accuracy=OF_BASINS,
-                known=(self.orbit,),
-            )
-            return None if returns_to(self.orbit, reached, problem.state_names) else reached
-
-        kept, step = 0.0, ray["reach"] / self.steps
+    def _along(self, lost: Callable[[float], Attractor | None], step: float) -> dict[str, Any]:
+        kept = 0.0
         for k in range(1, self.steps + 1):
             beyond = lost(k * step)
             if beyond is not None:
                 return _located(lost, kept, k * step, beyond, self.error)
             kept = k * step
         return {"largest": None, "error": None, "beyond": ""}
+
+
+def _loss(
+    problem: Problem, values: ParameterValues, orbit: KnownOrbit, until: float
+) -> Callable[[Mapping[str, Any], float], Attractor | None]:
+    """Return the function of a ray and an impulse that returns the attractor of a lost motion.
+
+    It returns ``None`` if the motion returns to the orbit.
+    """
+    dynamics = problem.dynamics(values)
+
+    def lost(ray: Mapping[str, Any], impulse: float) -> Attractor | None:
+        state, change = np.array(ray["state"]), np.array(ray["change"])
+        after = pushed(dynamics, state, change * impulse, locked=ray["locked"])
+        (reached,) = attractors_from(
+            problem, [(values, after)], until=until, accuracy=OF_BASINS, known=(orbit,)
+        )
+        return None if returns_to(orbit, reached, problem.state_names) else reached
+
+    return lost
 
 
 def _located(
@@ -345,12 +352,7 @@ def largest_pushes(
     settings = settings or PushSettings()
     problem = source.load() if isinstance(source, ProblemFile) else source
     values = orbit.values(problem)
-    known = _attracting(problem, values, orbit)
-    moments = _moments(problem, values, orbit, settings.phases)
-    until = settings.until
-    if until is None:
-        until = usual_time(problem, [values], np.array(moments[0].state))
-    asked = _rays_from(problem, moments, directions, settings.reach)
+    known, until, asked = _prepared(problem, values, orbit, directions, settings)
     task = _Rays(
         source=source,
         gains=dict(orbit.gains),
@@ -378,6 +380,103 @@ def largest_pushes(
         pushes=tuple(pushes),
         versions=versions(),
     )
+
+
+def least_push(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    *,
+    directions: Sequence[Mapping[str, float]] = (),
+    settings: PushSettings | None = None,
+) -> Push:
+    """Compute the smallest of the largest pushes of an orbit.
+
+    The impulses of all rays are tested in increasing order. After a loss the other rays are tested
+    up to the smallest impulse with a loss only.
+
+    Args:
+        problem: The problem of the orbit.
+        orbit: The orbit.
+        directions: As in `largest_pushes`. They must have the same unit.
+        settings: Settings of the search.
+
+    Returns:
+        The smallest push. Without a loss, the push whose scan ends first.
+
+    Raises:
+        InputError: As `largest_pushes`.
+        SimulationError: If the problem does not follow the orbit.
+    """
+    settings = settings or PushSettings()
+    values = orbit.values(problem)
+    known, until, asked = _prepared(problem, values, orbit, directions, settings)
+    lost = _loss(problem, values, known, until)
+    kept = [0.0] * len(asked)
+    least: Push | None = None
+    parts = [k / settings.steps for k in range(1, settings.steps + 1)]
+    scan = [(part * push.searched, n) for n, (push, _) in enumerate(asked) for part in parts]
+    for impulse, n in sorted(scan):
+        tried = impulse if least is None else min(impulse, least.largest)
+        push, ray = asked[n]
+        if tried <= kept[n]:
+            continue
+        beyond = lost(ray, tried)
+        if beyond is None:
+            kept[n] = tried
+            continue
+        found = _located(partial(lost, ray), kept[n], tried, beyond, settings.error)
+        kept[n] = math.inf
+        least = replace(
+            push, largest=found["largest"], error=found["error"], beyond=found["beyond"]
+        )
+    return least or min((push for push, _ in asked), key=lambda push: push.searched)
+
+
+def push_units(
+    problem: Problem, direction: Mapping[str, float], argument: str = "direction"
+) -> set[str]:
+    """Return the units of the impulses along a direction, or along each coordinate without one.
+
+    Args:
+        problem: The problem.
+        direction: Coordinate to entry of the generalized force. Empty for each coordinate.
+        argument: Name of the argument in messages.
+
+    Raises:
+        InputError: If a coordinate is unknown, or the force is zero or infinite.
+    """
+    names = problem.state_names[: problem.compiled().n_q]
+    for name in direction:
+        if name not in names:
+            raise InputError(unknown(argument, name, names))
+    if not direction:
+        return {_unit(problem, {name: 1.0}) for name in names}
+    _require_length(direction, argument)
+    return {_unit(problem, direction)}
+
+
+def _require_length(direction: Mapping[str, float], argument: str) -> None:
+    """Refuse a generalized force of zero or infinite length."""
+    entries = [any_number(argument, entry) for entry in direction.values()]
+    if not all(map(math.isfinite, entries)) or not any(entries):
+        wanted = "must have a finite length above zero"
+        raise InputError(f"Argument `{argument}` {wanted}, but it is {dict(direction)}.")
+
+
+def _prepared(
+    problem: Problem,
+    values: ParameterValues,
+    orbit: ZenoOrbit,
+    directions: Sequence[Mapping[str, float]],
+    settings: PushSettings,
+) -> tuple[KnownOrbit, float, list[tuple[Push, dict[str, Any]]]]:
+    """Return the known orbit, the time limit of a motion, and the rays."""
+    known = _attracting(problem, values, orbit)
+    moments = _moments(problem, values, orbit, settings.phases)
+    until = settings.until
+    if until is None:
+        until = usual_time(problem, [values], np.array(moments[0].state))
+    return known, until, _rays_from(problem, moments, directions, settings.reach)
 
 
 def _rays_from(
@@ -535,11 +634,15 @@ def _force(
         if name not in names:
             raise InputError(unknown("direction", name, names))
         force[names.index(name)] = any_number("direction", entry)
-    if not np.all(np.isfinite(force)) or not np.any(force):
-        wanted = "must have a finite length above zero"
-        raise InputError(f"Argument `direction` {wanted}, but it is {dict(direction)}.")
+    _require_length(direction, "direction")
     if not all(float(force @ one.mobility @ force) > 0.0 for one in moments):
         wanted = "must move the mechanism at every phase"
         raise InputError(f"Argument `direction` {wanted}, but {dict(direction)} does not.")
+    return force, _unit(problem, direction)
+
+
+def _unit(problem: Problem, direction: Mapping[str, float]) -> str:
+    """Return the unit of an impulse along a direction."""
+    names = problem.state_names
     units = {problem.state_units[names.index(name)] for name, entry in direction.items() if entry}
-    return force, problem.impulse_unit(units.pop() if len(units) == 1 else "1")
+    return problem.impulse_unit(units.pop() if len(units) == 1 else "1")

@@ -6,7 +6,7 @@ check. `close_orbit` closes an orbit by simulation alone.
 Offers: `find_orbit` and `search_gains` (with `SearchSettings`, a `SearchResult` of `Candidate`
 orbits, `Judgement` for checks, `StartWorkers`), `close_orbit`, `close_cycle` and `close_near`, and
 the objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`, `LeastEnergy`, `LeastPeak`,
-`FastestContraction`, `WidestMargin`.
+`FastestContraction`, `WidestMargin`, `MaxPush`.
 
 Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, kinds, errors.
 """

@@ -16,6 +16,7 @@ from .number_notes import is_driven as is_driven
 from .objectives import FastestContraction as FastestContraction
 from .objectives import LeastEnergy as LeastEnergy
 from .objectives import LeastPeak as LeastPeak
+from .objectives import MaxPush as MaxPush
 from .objectives import NearestGains as NearestGains
 from .objectives import Objective as Objective
 from .objectives import TargetAmplitude as TargetAmplitude

@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import InputError
@@ -34,6 +35,8 @@ LEAST_RADIUS = 1e-4
 
 PERSISTENCE = "persistence"
 """Name of the smallest distance in the free values to the loss of an orbit, in units of ranges."""
+PUSH = "push"
+"""Name of the least push: the smallest impulse on an orbit after which the motion is lost."""
 
 
 class Objective(ABC):
@@ -50,6 +53,11 @@ class Objective(ABC):
     def quantities(self) -> tuple[str, ...]:
         """Names of the quantities that the score of an orbit needs."""
         return ()
+
+    @property
+    def is_sampled(self) -> bool:
+        """True if the quantity follows from many motions and is not part of a program."""
+        return False
 
     @property
     def least(self) -> float:
@@ -344,7 +352,28 @@ class FastestContraction(Objective):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WidestMargin(Objective):
+class Sampled(Objective):
+    """Base of objectives whose quantity follows from many motions."""
+
+    @property
+    def is_sampled(self) -> bool:
+        """True."""
+        return True
+
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Return the squared distance of the free values from their start.
+
+        The quantity is not part of a program.
+        """
+        return terms.nearness.distance(terms.free, self.goal)
+
+    def rank(self, extent: Extent) -> float:
+        """Return minus the quantity."""
+        return -extent.lowest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WidestMargin(Sampled):
     """The widest margin to a loss of the orbit: the largest smallest distance (theory (32)).
 
     Each free value is changed alone, in both directions, until the orbit loses its shape or becomes
@@ -366,16 +395,74 @@ class WidestMargin(Objective):
         """Minus a whole range."""
         return -1.0
 
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return the squared distance of the free values from their start.
 
-        The margin is not part of a program. It is measured along families of orbits.
-        """
-        return terms.nearness.distance(terms.free, self.goal)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MaxPush(Sampled, Checked):
+    """The largest least push: the smallest impulse that is lost is as large as possible.
 
-    def rank(self, extent: Extent) -> float:
-        """Return minus the smallest distance."""
-        return -extent.lowest
+    Attributes:
+        direction: Coordinate to entry of the generalized force of the impulse. The default is one
+            unit along each coordinate. Its sense has no effect.
+        uncertain: Name to range of uncertain parameters. The least push is then the smallest one at
+            the search's own values and at all corners of the ranges. The orbit must exist and
+            attract at each of them.
+    """
+
+    direction: Mapping[str, float] = field(default_factory=dict[str, float])
+    uncertain: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict[str, tuple[float, float]]
+    )
+
+    @property
+    def wish(self) -> str:
+        """The objective as a clause."""
+        ranges = ", ".join(
+            f"{k} = {low:g} to {high:g}" for k, (low, high) in self.uncertain.items()
+        )
+        return f"the largest push{f' for {ranges}' if ranges else ''}"
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """The least push."""
+        return (PUSH,)
+
+    @property
+    def corners(self) -> list[dict[str, float]]:
+        """The corners of the uncertain ranges, name to value. Empty without a range."""
+        if not self.uncertain:
+            return []
+        return [
+            dict(zip(self.uncertain, one, strict=True)) for one in product(*self.uncertain.values())
+        ]
+
+    def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
+        """Reject impulses of different units, and ranges without a meaning."""
+        from zeno_orbits.maps import push_units
+        from zeno_orbits.model import unknown
+
+        units = push_units(problem, self.direction, "objective")
+        if len(units) > 1:
+            wanted = "must name a direction, such as push:NAME=1"
+            said = f"the impulses along the coordinates have the units {', '.join(sorted(units))}"
+            raise InputError(f"Argument `objective` {wanted}, as {said}.")
+        if len(self.uncertain) > _MOST_UNCERTAIN:
+            wanted = f"must have at most {_MOST_UNCERTAIN} ranges, but it has {len(self.uncertain)}"
+            raise InputError(f"Argument `uncertain` {wanted}.")
+        known = tuple(one.name for one in problem.parameters)
+        for name, (low, high) in self.uncertain.items():
+            if name not in known:
+                raise InputError(unknown("uncertain", name, known))
+            if name in free:
+                raise InputError(f"Argument `uncertain` must not name the unknown `{name}`.")
+            if not low < high:
+                wanted = f"must have a lower end below its upper end for `{name}`"
+                raise InputError(f"Argument `uncertain` {wanted}, but it is {low:g}:{high:g}.")
+        for corner in self.corners:
+            problem.values(parameters=corner)
+
+
+_MOST_UNCERTAIN = 4
+"""Largest number of uncertain parameters. Each doubles the time."""
 
 
 class Operand(Enum):
@@ -385,6 +472,7 @@ class Operand(Enum):
     NUMBER = "a positive number"
     SIGNAL = "the name of a signal"
     NUMBERS = "names with numbers, or nothing"
+    DIRECTION = "coordinates with numbers, or nothing"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -439,6 +527,18 @@ OBJECTIVES: Mapping[str, ObjectiveWord] = {
         usage="margin",
         meaning=" (widest range of the free values before the orbit is lost)",
         objective=lambda _, __: WidestMargin(),
+    ),
+    "push": ObjectiveWord(
+        usage="push",
+        meaning=" or push:NAME=VALUE,... (largest least push, along a direction)",
+        operand=Operand.DIRECTION,
+        objective=lambda _, direction: MaxPush(direction=direction),
+    ),
+    "robustness": ObjectiveWord(
+        usage="robustness",
+        meaning=" (the same over all corners of the ranges of --uncertain)",
+        operand=Operand.DIRECTION,
+        objective=lambda _, direction: MaxPush(direction=direction),
     ),
 }
 """The words of ``--objective``, in the order of its help."""

@@ -21,7 +21,7 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind, cycle_of, objection_to, placed
 from zeno_orbits.search.closing import orbit_of
 from zeno_orbits.search.guess import SettlingSettings
-from zeno_orbits.search.objectives import Target, WidestMargin
+from zeno_orbits.search.objectives import Target
 from zeno_orbits.search.search_problem import SearchProblem, clipped
 from zeno_orbits.simulation import Extent, simulate
 from zeno_orbits.verification import measure
@@ -65,7 +65,7 @@ def start_order(search: SearchProblem) -> tuple[int, ...]:
     """
     places, attractors = _places(search), _attractors(search)
     ranks = [_rank(search, *pair) for pair in zip(places, attractors, strict=True)]
-    if isinstance(search.objective, WidestMargin):
+    if search.objective.is_sampled:
         ranks = _by_distance(search, places, attractors, ranks)
     by_rank = sorted(range(len(places)), key=lambda k: ranks[k])
     if not any(rank.group == 0 for rank in ranks):
@@ -194,7 +194,7 @@ def is_of_shape(attractor: Attractor, shape: OrbitShape) -> bool:
 def _scored(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> _Rank:
     """Return the rank of an orbit, from the quantities of its map point and from a simulation."""
     objective = search.objective
-    asked = () if isinstance(objective, WidestMargin) else objective.quantities
+    asked = () if objective.is_sampled else objective.quantities
     names = [*asked, *(bound.name for bound in search.bounds)]
     told = {"period": attractor.period, **attractor.margins}
     if attractor.multipliers:
@@ -210,7 +210,7 @@ def _scored(search: SearchProblem, values: ParameterValues, attractor: Attractor
     score = 0.0
     if target is not None and cycle is not None:
         score = target.miss(cycle)
-    elif not isinstance(objective, WidestMargin):
+    elif not objective.is_sampled:
         score = search.score(values, extents)
     return _Rank(0, bool(objection_to(search.bounds, extents)), score)
 

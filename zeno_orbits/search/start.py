@@ -9,12 +9,13 @@ from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, Cycle, ZenoOrbit, objection_to
 from zeno_orbits.search.number_notes import far_from_own
-from zeno_orbits.search.objectives import PERSISTENCE, NearestGains
+from zeno_orbits.search.objectives import PERSISTENCE, PUSH, MaxPush, NearestGains
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
 from zeno_orbits.search.persistence import persistence
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import SearchStart, beside, from_cycle, from_start
+from zeno_orbits.search.strength import orbits_at_corners, strength
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import measure
 
@@ -113,7 +114,7 @@ def _judged(
     judgement = Judgement(objection=objection_to(search.bounds, extents))
     if not judgement.objection and accept is not None:
         search.tell(f"{name}: verifying")
-        judgement = accept(orbit)
+        judgement = _accepted(search, orbit, accept)
     if judgement.objection:
         refused = replace(
             outcome,
@@ -126,6 +127,20 @@ def _judged(
     certificate = judgement.certificate
     candidate = Candidate(orbit=orbit, score=score, extents=extents, certificate=certificate)
     return replace(outcome, candidate=candidate), judgement
+
+
+def _accepted(search: SearchProblem, orbit: ZenoOrbit, accept: Accept) -> Judgement:
+    """Check an orbit, and the orbits at all corners of uncertain ranges."""
+    judgement = accept(orbit)
+    if judgement.objection or not isinstance(search.objective, MaxPush) or not search.free:
+        return judgement
+    at_corners = orbits_at_corners(search, orbit.values(search.problem), orbit)
+    for place, other, reason in list(at_corners)[1:]:
+        objection = f"{reason}." if other is None else accept(other).objection
+        if objection:
+            numbers = {one: place.number(one) for one in search.objective.uncertain}
+            return replace(judgement, objection=f"At {listed(numbers)}: {objection}")
+    return judgement
 
 
 _ATTRACTS = 0.99
@@ -259,9 +274,11 @@ def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str
     if not names:
         return {}
     search.tell(f"{name}: measuring {', '.join(dict.fromkeys(names))}")
-    extents = measure(orbit, search.problem, [one for one in names if one != PERSISTENCE])
-    if PERSISTENCE in names:
-        extents[PERSISTENCE] = persistence(search, orbit.values(search.problem), orbit).extent
+    sampled = {PERSISTENCE: persistence, PUSH: strength}
+    extents = measure(orbit, search.problem, [one for one in names if one not in sampled])
+    for one, sample in sampled.items():
+        if one in names:
+            extents[one] = sample(search, orbit.values(search.problem), orbit).extent
     return extents
 
 

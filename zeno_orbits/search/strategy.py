@@ -22,7 +22,7 @@ from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.fixed_point import close_near
 from zeno_orbits.search.guess import FollowedMotion, settle
 from zeno_orbits.search.homotopy import Followed, follow
-from zeno_orbits.search.objectives import NearestGains, Target, TowardTarget, WidestMargin
+from zeno_orbits.search.objectives import MaxPush, NearestGains, Target, TowardTarget
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.persistence import widest
 from zeno_orbits.search.refinement import (
@@ -34,6 +34,7 @@ from zeno_orbits.search.refinement import (
 )
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
+from zeno_orbits.search.strength import strongest
 from zeno_orbits.search.trust_region import LastStep, trust_region_steps
 from zeno_orbits.search.way import all_kept, best_on_the_way, kept_and_exceeded
 from zeno_orbits.simulation import SimulationSettings
@@ -223,8 +224,8 @@ def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> 
     objective = search.objective
     if isinstance(objective, Target):
         return _to_target(search, values, cycle, objective)
-    if isinstance(objective, WidestMargin) and search.free:
-        return _to_widest(search, values, cycle)
+    if objective.is_sampled and search.free:
+        return _by_samples(search, values, cycle)
     held = replace(search, free={})
     nearest = isinstance(objective, NearestGains)
     if nearest and all(values.number(n) == v for n, v in objective.target.items()):
@@ -257,13 +258,15 @@ def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> 
     return best_on_the_way(search, values, last) or outcome
 
 
-def _to_widest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome:
-    """Return the orbit that persists over the largest range of the free values."""
+def _by_samples(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome:
+    """Return the orbit with the best sampled quantity."""
     if search.bounds:
         values, cycle, lacking = _where_bounds_are_kept(search, values, cycle)
         if lacking is not None:
             return lacking
-    best = widest(search, values, cycle)
+    best = (strongest if isinstance(search.objective, MaxPush) else widest)(search, values, cycle)
+    if best.lost:
+        return StartOutcome(status=SearchStatus.NO_GUESS, detail=best.text)
     around = best.cycle if isinstance(best.cycle, Cycle) else cycle
     outcome = refine(replace(search, free={}), best.values, around, search.objective)
     if outcome.status is not SearchStatus.FOUND:

@@ -1,0 +1,187 @@
+"""Gains for the largest push: laws of scale, corners, brute force, and refusals."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.antidamped_spring import LIFTED, SETS, numbers
+from tests.support.commands import MISUSE, NO, YES, ask
+from zeno_orbits.maps import PushSettings, least_push
+
+PUSHES = PushSettings(phases=6, steps=12, error=1e-3)
+"""What the search asks of an orbit (docs/pushes.md)."""
+ONCE = zo.SearchSettings(n_starts=0)
+SPRING = {**numbers(*SETS[3]), "mass": 1.0}
+PENDULUM = {"Kp": 2.5, "Kd": -1.0}
+
+
+def pushed(
+    problem: zo.Problem, free: Mapping[str, tuple[float, float]], **asked: object
+) -> tuple[zo.ZenoOrbit, float, str]:
+    """Return the orbit with the largest push, the push, and the sentences about it."""
+    result = zo.search_gains(problem, free=free, settings=ONCE, **asked)  # type: ignore[arg-type]
+    return result.unwrap(), result.candidates[0].extents["push"].lowest, result.detail
+
+
+def spring_push(weight: float) -> float:
+    """Return the least push of the lifted mass, from the rays of `largest_push`."""
+    orbit = zo.find_orbit_by_shooting(LIFTED, parameters={**SPRING, "weight": weight}).unwrap()
+    least = zo.largest_push(orbit, problem=LIFTED, settings=PUSHES).least
+    assert least is not None
+    return least.largest
+
+
+def test_the_least_push_scales_with_the_weight_of_the_mass() -> None:
+    # With x in units of the weight the equation of motion has no weight: pushes scale with it.
+    least: list[float] = []
+    for weight in (1.0, 4.0):
+        orbit = zo.find_orbit_by_shooting(LIFTED, parameters={**SPRING, "weight": weight}).unwrap()
+        least.append(least_push(LIFTED, orbit, settings=PUSHES).largest / weight)
+    assert least[1] == pytest.approx(least[0], rel=1e-3)
+    assert least[0] == pytest.approx(spring_push(1.0), rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["motor_pendulum", "two_motors", "motor_valve"])
+def test_the_least_push_is_the_smallest_of_all_rays(name: str) -> None:
+    problem = zo.load_problem(name)
+    orbit = zo.find_orbit(problem).unwrap()
+    settings = PushSettings(phases=3, steps=8, error=1e-4)
+    every = zo.largest_push(orbit, settings=settings).least
+    one = least_push(problem, orbit, settings=settings)
+    if every is None:
+        assert np.isnan(one.largest)
+        assert not one.beyond
+    else:
+        assert one.largest == pytest.approx(every.largest, abs=one.error + every.error)
+        assert one.largest / one.searched <= 1.0
+
+
+@pytest.mark.slow
+def test_a_push_in_proportion_to_the_weight_is_largest_at_the_largest_weight() -> None:
+    at_one = spring_push(1.0)
+    orbit, push, detail = pushed(
+        LIFTED, {"weight": (0.5, 2.0)}, parameters=SPRING, objective=zo.MaxPush()
+    )
+    assert orbit.parameters["weight"] == pytest.approx(2.0, abs=1e-6)
+    assert push == pytest.approx(2.0 * at_one, rel=2e-3)
+    assert "Beyond it: the oscillation grows." in detail
+
+
+@pytest.mark.slow
+def test_over_uncertain_weights_the_smallest_weight_decides() -> None:
+    wish, start = zo.MaxPush(uncertain={"weight": (0.5, 2.0)}), {**SPRING, "weight": 1.0}
+    _, push, detail = pushed(LIFTED, {"mass": (0.999, 1.001)}, parameters=start, objective=wish)
+    assert push == pytest.approx(0.5 * spring_push(1.0), rel=4e-3)
+    assert "(at weight = 0.5)" in detail
+
+
+@pytest.mark.slow
+def test_the_largest_push_of_the_pendulum_is_that_of_brute_force() -> None:
+    problem = zo.load_problem("motor_pendulum")
+    best = 0.0
+    for kd in np.linspace(-1.1, -0.5, 25):
+        orbit = zo.find_orbit_by_shooting(problem, gains={"Kp": 2.5, "Kd": float(kd)}).unwrap()
+        best = max(best, least_push(problem, orbit, settings=PUSHES).largest)
+    result = zo.search_gains(
+        problem,
+        free={"Kd": (-1.1, -0.5)},
+        gains=PENDULUM,
+        objective=zo.MaxPush(),
+        settings=zo.SearchSettings(n_starts=4),
+    )
+    found = result.candidates[0]
+    assert found.extents["push"].lowest >= 0.99 * best
+    again = zo.largest_push(found.orbit, settings=PUSHES).least
+    assert again is not None
+    assert again.largest == pytest.approx(found.extents["push"].lowest, abs=2 * again.error)
+
+
+@pytest.mark.slow
+def test_over_an_uncertain_box_the_push_is_the_least_of_its_corners() -> None:
+    problem = zo.load_problem("motor_pendulum")
+    box = {"restitution": (0.15, 0.25), "R": (2.9, 3.1)}
+    orbit, push, _ = pushed(
+        problem, {"Kd": (-1.05, -0.9)}, gains=PENDULUM, objective=zo.MaxPush(uncertain=box)
+    )
+    corners = [{}, *({"restitution": e, "R": r} for e in box["restitution"] for r in box["R"])]
+    least: list[float] = []
+    for corner in corners:
+        there = zo.find_orbit(problem, gains=orbit.gains, parameters=corner).unwrap()
+        assert there.verified
+        least.append(least_push(problem, there, settings=PUSHES).largest)
+    assert push == pytest.approx(min(least), rel=3e-3)
+
+
+@pytest.mark.slow
+def test_a_bound_is_kept_by_the_gains_of_the_largest_push() -> None:
+    problem = zo.load_problem("motor_pendulum")
+    bounds = [zo.Bound(name="spectral_radius", upper=0.3)]
+    orbit, push, _ = pushed(
+        problem, {"Kd": (-1.1, -0.5)}, gains=PENDULUM, objective=zo.MaxPush(), bounds=bounds
+    )
+    assert max(map(abs, orbit.floquet_multipliers)) <= 0.3 * (1 + 1e-6)
+    # The least push grows with Kd from the start on.
+    assert orbit.gains["Kd"] > PENDULUM["Kd"]
+    assert push > 0.0160
+
+
+def test_an_orbit_that_some_corner_loses_is_no_answer() -> None:
+    # A force of 0.7 does not lift the mass off its stop at all: 0.8 is needed.
+    said = ask(
+        *("search", "forced_oscillator", "--vary", "k=0.99:1.01", "--n-starts", "1"),
+        *("--objective", "robustness", "--uncertain", "A=0.7:1.1"),
+    )
+    assert said.code == NO
+    assert "The orbit is not kept (at A = 0.7): the release is not transversal." in said.out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--objective", "robustness"), "must have --uncertain NAME=LOW:HIGH"),
+        (("--objective", "push", "--uncertain", "R=2:3"), "must have --objective robustness"),
+        (("--objective", "push:theta3=1"), "must be one of theta1, theta2, but it is `theta3`"),
+        (("--objective", "push:theta1=0"), "must have a finite length above zero"),
+        (("--objective", "push=1"), "push or robustness, but it is `push=1`"),
+        (
+            ("--objective", "robustness", "--uncertain", "restitution=0.5:1.5"),
+            "--uncertain restitution=0.5:1.5: must lie in [0, 1)",
+        ),
+        (("--objective", "robustness", "--uncertain", "Kp=1:2"), "but it is `Kp`"),
+        (
+            ("--vary", "R=2:4", "--objective", "robustness", "--uncertain", "R=2:3"),
+            "must not name the unknown `R`",
+        ),
+    ],
+)
+def test_a_wish_without_a_meaning_is_refused_in_one_line(
+    words: tuple[str, ...], message: str
+) -> None:
+    said = ask("search", "motor_pendulum", *words)
+    assert said.code == MISUSE
+    assert message in said.err
+    assert "\n" not in said.err.strip()
+
+
+def test_impulses_of_different_units_need_a_direction() -> None:
+    said = ask("search", "motor_cart", "--objective", "push")
+    assert said.code == MISUSE
+    assert "must name a direction, such as push:NAME=1" in said.err
+    assert "N m s, N s" in said.err
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_verified_orbit(tmp_path: Path) -> None:
+    out = tmp_path / "orbit.json"
+    words = ("--set", "Kp=2.5", "--vary", "Kd=-1.05:-0.95", "--objective", "push:theta2=1")
+    said = ask("search", "motor_pendulum", *words, "--n-starts", "1", "-o", str(out))
+    assert said.code == YES
+    assert "The least push is 0.0" in said.out
+    assert json.loads(out.read_text())["verification"]["passed"] is True

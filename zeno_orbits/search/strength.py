@@ -1,0 +1,220 @@
+r"""Least pushes of orbits, and the orbit with the largest least push.
+
+The least push of an orbit is the smallest impulse, over phases and directions, after which the
+motion is lost. With uncertain parameters it is the smallest of the least pushes at the search's own
+values and at all corners of the uncertain ranges. Where the orbit does not exist or does not
+attract, it is zero.
+
+The least push is continuous, but has kinks where another phase or direction becomes the weakest. It
+is maximised without derivatives, by the trust-region method COBYQA [Ragonneau2022]_. The
+optimum is local.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.maps import Push, PushSettings, least_push
+from zeno_orbits.model import ParameterValues
+from zeno_orbits.orbits import Cycle, ZenoOrbit, excess
+from zeno_orbits.search.closing import orbit_of
+from zeno_orbits.search.homotopy import follow
+from zeno_orbits.search.objectives import MaxPush
+from zeno_orbits.search.search_problem import SearchProblem, listed
+from zeno_orbits.search.way import bounded_extents
+from zeno_orbits.simulation import Extent
+
+_PUSHES = PushSettings(phases=6, steps=12, error=1e-3)
+"""Phases and impulses of one evaluation."""
+_REGION, _SMALLEST_REGION = 0.2, 2e-3
+"""First and last radius of the trust region, in units of the ranges."""
+_EVALUATIONS = 24
+"""Largest number of evaluations for each free value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strength:
+    """The least push of an orbit.
+
+    Attributes:
+        values: Values of the orbit.
+        cycle: One simulated period of the orbit.
+        place: Values at which the least push occurs: a corner of the uncertain ranges, or
+            ``values``.
+        push: The least push, or ``None`` if an orbit is missing at ``place``.
+        reason: Reason why an orbit is missing. Empty otherwise.
+    """
+
+    values: ParameterValues
+    cycle: Cycle | ZenoOrbit
+    place: ParameterValues
+    push: Push | None
+    reason: str = ""
+
+    @property
+    def lost(self) -> bool:
+        """True if the orbit does not exist or does not attract somewhere."""
+        return self.push is None
+
+    @property
+    def impulse(self) -> float:
+        """The least impulse. Zero without an orbit, the end of the scan without a loss."""
+        if self.push is None:
+            return 0.0
+        return self.push.largest if math.isfinite(self.push.largest) else self.push.searched
+
+    @property
+    def extent(self) -> Extent:
+        """The least impulse with its error."""
+        error = 0.0 if self.push is None or math.isnan(self.push.error) else self.push.error
+        return Extent(lowest=self.impulse, highest=self.impulse, error=error)
+
+    @property
+    def text(self) -> str:
+        """The least push, where it occurs, and the motion beyond it, as sentences."""
+        changed = {
+            name: value
+            for name, value in self.place.numbers.items()
+            if value != self.values.number(name)
+        }
+        at = f" (at {listed(changed)})" if changed else ""
+        if self.push is None:
+            return f"The orbit is not kept{at}: {self.reason}."
+        said = f"{self.impulse:.4g} {self.push.unit} along {self.push.name}"
+        if not self.push.beyond:
+            return f"No push up to {said} is lost."
+        phase = f"phase {self.push.phase:.4g}"
+        return f"The least push is {said} at {phase}{at}. Beyond it: {self.push.beyond}."
+
+
+def strength(search: SearchProblem, values: ParameterValues, near: Cycle | ZenoOrbit) -> Strength:
+    """Compute the least push of an orbit, over all corners of the uncertain ranges.
+
+    Args:
+        search: The search, with the objective `MaxPush`.
+        values: Values of the orbit.
+        near: The orbit.
+    """
+    objective = _objective(search)
+    directions = (objective.direction,) if objective.direction else ()
+    least: Strength | None = None
+    for place, orbit, reason in orbits_at_corners(search, values, near):
+        push: Push | None = None
+        if orbit is not None:
+            try:
+                push = least_push(search.problem, orbit, directions=directions, settings=_PUSHES)
+            except InputError as error:
+                reason = str(error).removesuffix(".")
+        here = Strength(values=values, cycle=near, place=place, push=push, reason=reason)
+        if least is None or here.impulse < least.impulse:
+            least = here
+        if push is None:
+            break
+    if least is None:
+        raise ValueError("Argument `values` must have an orbit.")
+    return least
+
+
+def orbits_at_corners(
+    search: SearchProblem, values: ParameterValues, near: Cycle | ZenoOrbit
+) -> Iterator[tuple[ParameterValues, ZenoOrbit | None, str]]:
+    """Yield values, orbit and reason of its absence, at an orbit and at all uncertain corners.
+
+    Args:
+        search: The search, with the objective `MaxPush`.
+        values: Values of the orbit.
+        near: The orbit.
+    """
+    for corner in ({}, *_objective(search).corners):
+        place = values.replaced(corner)
+        path = follow(search, near, values, place, attracting=True)
+        if path.cycle is not None and path.arrived:
+            yield place, orbit_of(path.cycle, search.problem, place), ""
+        else:
+            yield place, None, path.loss or "no orbit is near"
+
+
+def _objective(search: SearchProblem) -> MaxPush:
+    if not isinstance(search.objective, MaxPush):
+        raise TypeError("Argument `search` must have the objective `MaxPush`.")
+    return search.objective
+
+
+def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> Strength:
+    """Return the orbit with the largest least push within the bounds. The optimum is local.
+
+    Args:
+        search: The search, with the objective `MaxPush`.
+        values: Values of an orbit that satisfies the bounds.
+        cycle: One simulated period of the orbit.
+    """
+    # The import of SciPy's optimizers is slow, and few searches need them.
+    from scipy.optimize import Bounds, NonlinearConstraint, minimize
+
+    low, high = np.array(list(search.free.values())).T
+    best = strength(search, values, cycle)
+    size = best.impulse or 1.0
+    kept: dict[bytes, tuple[float, Vector]] = {}
+
+    def evaluated(z: Vector) -> tuple[float, Vector]:
+        """Return the least push and the distances from the bounds, negative outside."""
+        nonlocal best
+        key = np.asarray(z).tobytes()
+        if key not in kept:
+            there = _moved(search, best, np.clip(low + z * (high - low), low, high))
+            slack = np.full(len(search.bounds), -1.0)
+            if there is None:
+                return kept.setdefault(key, (0.0, slack))
+            found, slack = there
+            kept[key] = found.impulse, slack
+            if found.impulse > best.impulse and np.all(slack >= 0.0):
+                best = found
+            search.tell(f"{len(kept)} gains tried: least push {best.extent.lowest:.4g}")
+        return kept[key]
+
+    start = (np.array([values.number(name) for name in search.free]) - low) / (high - low)
+    constraints: list[Any] = []
+    if search.bounds:
+        inside = NonlinearConstraint(lambda z: evaluated(z)[1], 0.0, np.inf)
+        constraints.append(inside)
+    minimize(
+        lambda z: -evaluated(z)[0] / size,
+        start,
+        method="COBYQA",
+        bounds=Bounds(np.zeros(low.size), np.ones(low.size)),
+        constraints=constraints,
+        options={
+            "initial_tr_radius": _REGION,
+            "final_tr_radius": _SMALLEST_REGION,
+            "maxfev": _EVALUATIONS * low.size,
+        },
+    )
+    return best
+
+
+def _moved(search: SearchProblem, best: Strength, free: Vector) -> tuple[Strength, Vector] | None:
+    """Return the least push at other values, and the distances from the bounds.
+
+    Return ``None`` if the orbit is lost on the way there.
+    """
+    named = dict(zip(search.free, free.tolist(), strict=True))
+    wanted = best.values.replaced(named)
+    path = follow(search, best.cycle, best.values, wanted, attracting=True)
+    if path.cycle is None or not path.arrived:
+        return None
+    try:
+        found = strength(search, wanted, path.cycle)
+        extents: Mapping[str, Extent] = {}
+        if search.bounds:
+            extents = bounded_extents(search, wanted, path.cycle)
+    except ZenoOrbitsError:
+        return None
+    slack = [-excess(bound, extents[bound.name]) for bound in search.bounds]
+    return found, np.array(slack)
