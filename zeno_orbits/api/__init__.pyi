@@ -38,7 +38,6 @@ from .models import all_problems as all_problems
 from .models import compile_problem as compile_problem
 from .models import bundled_names as bundled_names
 from .models import equilibrium_acceleration as equilibrium_acceleration
-from .models import read_work_precision as read_work_precision
 from .models import reduced_model_errors as reduced_model_errors
 from .models import work_precision as work_precision
 from .models import zeno_condition as zeno_condition
@@ -47,6 +46,7 @@ from .orbit_search import find_orbit_by_shooting as find_orbit_by_shooting
 from .orbit_search import find_orbit as find_orbit
 from .orbit_search import search_gains as search_gains
 from .orbit_search import start_values as start_values
+from .pages import report_subject as report_subject
 from .pictures import plot as plot
 from .pushes import largest_push as largest_push
 from .pushes import push_settings as push_settings

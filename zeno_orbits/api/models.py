@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.api.inputs import Named, Numbers, front_door, known_problem
@@ -217,21 +216,6 @@ def reduced_model_errors(
         message = f"must have reduced models, but `{known.name}` lacks them"
         raise InputError(f"Argument `problem` {message}.")
     return list(reduction_costs(known, values, measure=measure).values())
-
-
-@front_door
-def read_work_precision(path: str | Path) -> WorkPrecision:
-    """Return the work-precision study of a file.
-
-    Args:
-        path: The file, as the command line writes it.
-
-    Raises:
-        InputError: If the file is missing, cut short or of a wrong type.
-    """
-    from zeno_orbits.precision import work_precision as studies
-
-    return studies.read_work_precision(Path(path))
 
 
 @front_door

@@ -41,7 +41,8 @@ GROUPS = {
     ),
     "effort": (
         *("--t-end", "--max-time", "--n-starts", "--candidates", "--max-points", "--max-steps"),
-        *("--periods", "--steps", "--quick", "--measure", "--settle", "--trade", "--seed"),
+        *("--periods", "--steps", "--quick", "--measure", "--settle", "--seed"),
+        *("--trade", "--pushes", "--recovery"),
     ),
     "accuracy": (
         *("--accuracy", "--tolerance", "--engine", "--truncation", "--model", "--radius"),

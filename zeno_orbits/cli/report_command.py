@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from zeno_orbits import api
 from zeno_orbits.cli.options import (
@@ -24,9 +25,6 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import utf8, write_whole
 
-if TYPE_CHECKING:
-    import zeno_orbits as zo
-
 _PAGES = (".html", ".htm")
 
 
@@ -41,6 +39,8 @@ def add_report(commands: Any) -> None:
         [
             "zeno-orbits report orbit.json -o report.html",
             "zeno-orbits report orbit.json -o report.html --trade trade.json",
+            "zeno-orbits report orbit.json -o report.html --pushes pushes.json "
+            "--recovery recovery.json",
         ],
     )
     add_orbit(parser)
@@ -52,6 +52,18 @@ def add_report(commands: Any) -> None:
         type=Path,
         metavar="TRADE.json",
         help="also show the figures of this file, written by `trade -o`",
+    )
+    parser.add_argument(
+        "--pushes",
+        type=Path,
+        metavar="PUSHES.json",
+        help="also show the largest pushes of this file, written by `push -o`",
+    )
+    parser.add_argument(
+        "--recovery",
+        type=Path,
+        metavar="RECOVERY.json",
+        help="also show the recovery of this file, written by `recovery -o`",
     )
     add_proof(parser)
     parser.add_argument(
@@ -67,9 +79,9 @@ def add_report(commands: Any) -> None:
 
 
 def _run_report(options: argparse.Namespace) -> int:
-    from zeno_orbits.report import Subject, load_bundle, page_of
+    from zeno_orbits.report import load_bundle, page_of
 
-    given = (options.orbit, options.trade, options.proof)
+    given = (options.orbit, options.trade, options.pushes, options.recovery, options.proof)
     reads = [path for path in given if path is not None]
     require_outputs(options, pictures=(), reads=reads)
     if options.output.suffix.lower() not in _PAGES:
@@ -77,20 +89,21 @@ def _run_report(options: argparse.Namespace) -> int:
         raise InputError(f"Argument `output` {ends}.")
     bundle = load_bundle()
     orbit, problem = orbit_and_problem(options)
-    trade, proved = _trade(options, orbit), proof_of(options, orbit, problem)
-    dynamics = api.system_of(orbit, problem)
     settings = api.verification_settings(tolerance=options.tolerance, n_periods=options.periods)
     with report.ProgressLine(options.interrupts.check) as progress:
-        certificate = api.verify(
-            orbit, problem=problem, settings=settings, dynamics=dynamics, on_progress=progress
-        )
-        progress("writing the page")
-        subject = Subject(
-            orbit=orbit,
+        subject = api.report_subject(
+            orbit,
             problem=problem,
-            dynamics=dynamics,
-            certificate=certificate,
-            trade=trade,
+            settings=settings,
+            trade=options.trade,
+            pushes=options.pushes,
+            recovery=options.recovery,
+            on_progress=progress,
+        )
+        proved = proof_of(options, orbit, problem)
+        progress("writing the page")
+        subject = replace(
+            subject,
             file=options.orbit.name,
             problem_file=options.problem or "",
             content=options.orbit.read_text(encoding="utf-8"),
@@ -100,6 +113,7 @@ def _run_report(options: argparse.Namespace) -> int:
         )
         page = utf8(page_of(subject.followed(), bundle))
     write_whole(options.output, page)
+    certificate = subject.certificate
     if options.json:
         print_json(certificate.as_json() | {"page": str(options.output), "bytes": len(page)})
     else:
@@ -110,16 +124,6 @@ def _run_report(options: argparse.Namespace) -> int:
     return YES if certificate.passed and (proved is None or proved.ok) else NO
 
 
-def _trade(options: argparse.Namespace, orbit: zo.ZenoOrbit) -> zo.WorkPrecision | None:
-    if options.trade is None:
-        return None
-    found = api.read_work_precision(options.trade)
-    if found.problem != orbit.problem:
-        message = f"must be of the problem `{orbit.problem}`, but it is of `{found.problem}`"
-        raise InputError(f"Argument `trade` {message}.")
-    return found
-
-
 def _command(options: argparse.Namespace) -> tuple[str, ...]:
     """Return the words of this command, defaults left out."""
     words = ["zeno-orbits", "report", options.orbit.name, "-o", options.output.name]
@@ -127,6 +131,10 @@ def _command(options: argparse.Namespace) -> tuple[str, ...]:
         words += ["--problem", options.problem]
     if options.trade is not None:
         words += ["--trade", options.trade.name]
+    if options.pushes is not None:
+        words += ["--pushes", options.pushes.name]
+    if options.recovery is not None:
+        words += ["--recovery", options.recovery.name]
     if options.proof is not None:
         words += ["--proof", options.proof.name]
     if options.tolerance != 1e-9:

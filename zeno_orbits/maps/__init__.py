@@ -5,7 +5,7 @@ a `Fate`; `attractors_at` for any list of numbers, `attractors_from` for any lis
 are compared with a `KnownOrbit` of `known_orbits`; `read_map`, `write_map`, `read_boundaries`;
 `largest_pushes` of an orbit: the `Pushes`, each a `Push`, by `PushSettings`; the `least_push` of
 them, in the `push_units` of a direction; `recovery_of` an orbit: a `Recovery`, by
-`RecoverySettings`.
+`RecoverySettings`; `read_pushes` and `read_recovery`.
 
 Imports: orbits, simulation, model, integrators, work, arrays, kinds, errors.
 """

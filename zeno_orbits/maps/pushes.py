@@ -207,7 +207,10 @@ class Pushes(Displayed):
             "parameters": dict(self.parameters),
             "period": self.period,
             "spectral_radius": self.spectral_radius,
+            "phases": self.settings.phases,
             "steps": self.settings.steps,
+            "reach": self.settings.reach,
+            "error": self.settings.error,
             "until": self.until,
             "pushes": [push.as_json() for push in self.pushes],
             "least": None if least is None else least.as_json(),
@@ -450,9 +453,9 @@ def push_units(
         if name not in names:
             raise InputError(unknown(argument, name, names))
     if not direction:
-        return {_unit(problem, {name: 1.0}) for name in names}
+        return {unit_of_push(problem, {name: 1.0}) for name in names}
     _require_length(direction, argument)
-    return {_unit(problem, direction)}
+    return {unit_of_push(problem, direction)}
 
 
 def _require_length(direction: Mapping[str, float], argument: str) -> None:
@@ -638,11 +641,16 @@ def _force(
     if not all(float(force @ one.mobility @ force) > 0.0 for one in moments):
         wanted = "must move the mechanism at every phase"
         raise InputError(f"Argument `direction` {wanted}, but {dict(direction)} does not.")
-    return force, _unit(problem, direction)
+    return force, unit_of_push(problem, direction)
 
 
-def _unit(problem: Problem, direction: Mapping[str, float]) -> str:
-    """Return the unit of an impulse along a direction."""
-    names = problem.state_names
-    units = {problem.state_units[names.index(name)] for name, entry in direction.items() if entry}
+def unit_of_push(problem: Problem, direction: Mapping[str, float]) -> str:
+    """Return the unit of an impulse along a direction.
+
+    Args:
+        problem: The problem.
+        direction: Coordinate to entry of the generalized force.
+    """
+    known = dict(zip(problem.state_names, problem.state_units, strict=True))
+    units = {known[name] for name, entry in direction.items() if entry}
     return problem.impulse_unit(units.pop() if len(units) == 1 else "1")

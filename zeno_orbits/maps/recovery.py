@@ -174,9 +174,13 @@ class Recovery(Displayed):
             "directions": self.directions.tolist(),
             "radius": self.radius if bounded else None,
             "extents": dict(self.extents) if bounded else None,
+            "units": dict(self.units),
+            "tests": self.tests,
             "samples": self.settings.samples,
             "confidence": self.settings.confidence,
             "lost_share": None if math.isnan(self.lost_share) else self.lost_share,
+            "error": self.settings.error,
+            "seed": self.settings.seed,
             "versions": dict(self.versions),
         }
 

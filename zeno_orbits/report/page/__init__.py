@@ -5,7 +5,7 @@ The input is values, and the output is the text of the page. ``page.html`` is it
 contains plotly's bundle. Values and text are visible without it.
 
 Offers: ``Subject`` (the subject of the report), ``load_bundle`` (plotly's script), ``page_of`` (the
-page). Imports: precision, verification, orbits, simulation, model, arrays, errors.
+page). Imports: precision, maps, verification, orbits, simulation, model, arrays, errors.
 """
 
 import lazy_loader as lazy

@@ -184,6 +184,27 @@
     });
   }
 
+  function drawPushes() {
+    (data.pushes || []).forEach((panel, k) => {
+      const { lost, kept, step } = panel;
+      const bars = {
+        x: [...lost.x, ...kept.x], y: [...lost.y, ...kept.y], type: "bar", width: 0.8 * step, name: "returns",
+        marker: { color: colour.free, opacity: 0.35 }, hoverinfo: "skip",
+      };
+      const ends = { ...spots(lost, "largest push", { size: 8, color: colour.locked }), text: lost.beyond };
+      ends.hovertemplate = "phase %{x:.4g}: %{y:.6g}<extra>beyond: %{text}</extra>";
+      const open = spots(kept, "end of the scan", { symbol: "circle-open", size: 8, line: { width: 1.5 } });
+      draw("pushes-" + k, [bars, ends, open], {
+        barmode: "overlay", xaxis: axis("phase [1]", { range: panel.range }),
+        yaxis: axis(panel.label, { zeroline: true, zerolinecolor: colour.ink }),
+        shapes: panel.contact.map((phase) => ({
+          type: "rect", xref: "x", yref: "paper", x0: phase - step / 2, x1: phase + step / 2, y0: 0, y1: 1,
+          fillcolor: colour.tint, line: { width: 0 }, layer: "below",
+        })),
+      });
+    });
+  }
+
   function drawTrade() {
     const found = data.trade;
     if (!found) return;
@@ -323,6 +344,7 @@
     drawSeries();
     drawZeno();
     drawStability();
+    drawPushes();
     drawTrade();
   }
 

@@ -11,11 +11,13 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.report.disturbances import least_push_line, recovery_lines, scan_line
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.page.tables import tables_of, tiles_of
+from zeno_orbits.report.push_panels import push_panels
 from zeno_orbits.report.zeno_neighbourhood import close_up
 
 if TYPE_CHECKING:
@@ -68,6 +70,11 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
             certificate=certificate,
             execution=execution,
             trade=subject.trade,
+            recovered=recovery_lines(subject.recovery) if subject.recovery else (),
+            pushed=(least_push_line(subject.pushes), scan_line(subject.pushes))
+            if subject.pushes
+            else (),
+            panels=push_panels(subject.pushes) if subject.pushes else (),
             answer={"kind": kind, "mark": _MARKS[kind]},
             tiles=tiles_of(subject),
             tables=tables_of(subject, bundle),
@@ -87,6 +94,7 @@ def _contents(subject: Subject) -> dict[str, str]:
         "asked": "What was asked",
         "motion": "The motion",
         "stability": "Stability",
+        "disturbances": "Disturbances" if subject.has_disturbances else "",
         "checks": "Can it be trusted?",
         "margins": "Margins" if subject.certificate.margins else "",
         "trade": "What accuracy costs" if subject.trade is not None else "",

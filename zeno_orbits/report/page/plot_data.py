@@ -16,6 +16,7 @@ from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.motion import STOP, frame_of, machine_motion
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
+from zeno_orbits.report.push_panels import PushPanel, push_panels
 from zeno_orbits.report.symbols import html_symbol
 from zeno_orbits.report.trade_lines import front_line, trade_lines
 from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
@@ -44,6 +45,8 @@ def curves_of(subject: Subject) -> dict[str, Any]:
         }
     if subject.trade is not None:
         curves["trade"] = _trade(subject.trade)
+    if subject.pushes is not None:
+        curves["pushes"] = [_pushes(subject.problem, one) for one in push_panels(subject.pushes)]
     if execution is None:
         return curves
     curves["portraits"] = _portraits(subject.problem, execution)
@@ -163,6 +166,27 @@ def _trade(trade: WorkPrecision) -> dict[str, Any]:
         for line in (*trade_lines(trade), front_line(trade))
     ]
     return {"lines": lines, "front": front}
+
+
+def _pushes(problem: Problem, panel: PushPanel) -> dict[str, Any]:
+    """Return one direction, with phases and impulses as they are in the file."""
+    along, names = panel.along, problem.state_names
+    symbol = html_symbol(along, names) if along in names else escape(along)
+    return {
+        "label": f"impulse along {symbol} [{escape(panel.unit)}]",
+        "range": [panel.phases[0] - panel.step / 2, panel.phases[-1] + panel.step / 2],
+        "step": panel.step,
+        "contact": list(panel.contact),
+        "lost": {
+            "x": [phase for phase, _ in panel.lost],
+            "y": [impulse for _, impulse in panel.lost],
+            "beyond": [escape(beyond) for beyond in panel.beyond],
+        },
+        "kept": {
+            "x": [phase for phase, _ in panel.kept],
+            "y": [impulse for _, impulse in panel.kept],
+        },
+    }
 
 
 def _paths(execution: Execution) -> list[ArcPath]:

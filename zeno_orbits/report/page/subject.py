@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.maps import Pushes, Recovery
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
@@ -26,6 +27,8 @@ class Subject:
             simulation and after a failed simulation.
         trouble: Reason of the failure, or an empty string.
         trade: The problem's work-precision measurements, if there are any.
+        pushes: The orbit's largest pushes, if they are known.
+        recovery: The orbit's recovery from disturbances, if it is known.
         file: Name of the orbit's file.
         problem_file: Path of the problem's file, or an empty string for a bundled problem.
         content: The orbit's file itself.
@@ -41,12 +44,19 @@ class Subject:
     execution: Execution | None = None
     trouble: str = ""
     trade: WorkPrecision | None = None
+    pushes: Pushes | None = None
+    recovery: Recovery | None = None
     file: str = "orbit.json"
     problem_file: str = ""
     content: str = ""
     command: tuple[str, ...] = ()
     date: str = ""
     proof: str = ""
+
+    @property
+    def has_disturbances(self) -> bool:
+        """True if pushes or a recovery are known."""
+        return self.pushes is not None or self.recovery is not None
 
     def followed(self) -> Subject:
         """Return the subject with one period simulated."""

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast
 
+from zeno_orbits.maps import Push, Pushes, Recovery
 from zeno_orbits.model import Problem, Quantity
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
+from zeno_orbits.report.disturbances import PUSHES, extent_columns, extents_of, least_pushes
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
@@ -72,6 +74,11 @@ def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
         tables["events"] = events_table(subject.execution, problem.gap_unit)
     if subject.trade is not None:
         tables["trade"] = trade_table(subject.trade)
+    if subject.pushes is not None:
+        tables["least_pushes"] = least_pushes_table(subject.pushes)
+        tables["pushes"] = table_of("Largest pushes", PUSHES, subject.pushes.pushes)
+    if subject.recovery is not None:
+        tables["extents"] = extents_table(subject.recovery)
     return tables
 
 
@@ -217,6 +224,36 @@ def energies_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
 def trade_table(trade: WorkPrecision) -> Table[Any]:
     """Return the cheapest setting for each accuracy."""
     return table_of("Cheapest setting that reaches an accuracy", CHEAPEST, cheapest_of(trade))
+
+
+def least_pushes_table(found: Pushes) -> Table[Any]:
+    """Return the least push per direction and sense over all phases."""
+    columns: list[Column[Push]] = [
+        text_column("direction", lambda push: push.name),
+        number_column("least push", _least),
+        number_column("error", lambda push: f"{push.error:.1g}" if _is_lost(push) else ""),
+        text_column("unit", lambda push: push.unit),
+        number_column("phase [1]", lambda push: f"{push.phase:.4g}" if _is_lost(push) else "all"),
+        text_column("the part is", lambda push: words.MODES[push.mode] if _is_lost(push) else ""),
+        text_column("after a larger push", lambda push: push.beyond if _is_lost(push) else "-"),
+    ]
+    return table_of("Least push per direction over all phases", columns, least_pushes(found))
+
+
+def _least(push: Push) -> str:
+    if _is_lost(push):
+        return f"{push.largest:.6g}"
+    return f"none lost up to {push.searched:.4g}"
+
+
+def _is_lost(push: Push) -> bool:
+    return math.isfinite(push.largest)
+
+
+def extents_table(found: Recovery) -> Table[Any]:
+    """Return the states that vary inside the ball."""
+    caption = "Largest difference from the orbit inside the ball, to first order"
+    return table_of(caption, extent_columns(found), extents_of(found))
 
 
 def versions_table(orbit: ZenoOrbit, bundle: Bundle) -> Table[Any]:

@@ -63,6 +63,8 @@ ENERGIES: Mapping[str, str] = {
 }
 """Name of an energy to its meaning."""
 
+MODES: Mapping[str, str] = {"free": "off the stop", "locked": "on the stop"}
+"""Mode of the orbit in plain words."""
 
 LAWS: tuple[tuple[int, str, str], ...] = (
     (

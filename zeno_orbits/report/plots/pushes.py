@@ -4,15 +4,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from zeno_orbits.maps import Push, Pushes
+from zeno_orbits.maps import Pushes
 from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, PALETTE, TINTS
+from zeno_orbits.report.push_panels import PushPanel, push_panels
 from zeno_orbits.simulation import Mode
 
 _ROOM = 1.12
@@ -27,61 +27,43 @@ def plot_pushes(found: Pushes, *, width: float = FULL_WIDTH, axes: Sequence[Axes
         width: Width of the picture [in].
         axes: Panels to draw into, one for each direction. The default is a new figure.
     """
-    groups: dict[frozenset[tuple[str, float]], list[Push]] = {}
-    for push in found.pushes:
-        line = frozenset((name, abs(entry)) for name, entry in push.direction.items())
-        groups.setdefault(line, []).append(push)
-    panels = panels_of(width, len(groups), height=2.4, axes=axes)
-    for ax, pushes in zip(panels, groups.values(), strict=True):
-        _draw(ax, pushes)
-        along = next(push.name.lstrip("+") for push in pushes if push.is_positive)
-        ax.set(xlabel="phase [1]", ylabel=f"impulse along {along} [{pushes[0].unit}]")
+    shown = push_panels(found)
+    panels = panels_of(width, len(shown), height=2.4, axes=axes)
+    for ax, panel in zip(panels, shown, strict=True):
+        _draw(ax, panel)
+        ax.set(xlabel="phase [1]", ylabel=f"impulse along {panel.along} [{panel.unit}]")
     return panels.finished()
 
 
-def _draw(ax: Axes, pushes: Sequence[Push]) -> None:
+def _draw(ax: Axes, panel: PushPanel) -> None:
     """Draw both signs of one direction: returning pushes are filled, lost pushes are marked."""
-    phases = sorted({push.phase for push in pushes})
-    step = phases[1] - phases[0] if len(phases) > 1 else 1.0
-    for push in pushes:
-        if push.mode == Mode.LOCKED.value and push.is_positive:
-            ax.axvspan(
-                push.phase - step / 2,
-                push.phase + step / 2,
-                color=TINTS[Mode.LOCKED],
-                lw=0,
-                label="contact",
-            )
-    for positive, sense in ((True, 1.0), (False, -1.0)):
-        half = [push for push in pushes if push.is_positive is positive]
-        ends = [
-            sense * (push.searched if math.isnan(push.largest) else push.largest) for push in half
-        ]
-        at = [push.phase for push in half]
-        ax.bar(at, ends, width=0.8 * step, color=PALETTE[0], alpha=0.35, lw=0, label="returns")
-        lost = [(push.phase, sense * push.largest) for push in half if math.isfinite(push.largest)]
-        open_ = [(push.phase, sense * push.searched) for push in half if math.isnan(push.largest)]
-        if lost:
-            ax.plot(
-                *zip(*lost, strict=True),
-                ls="",
-                marker="o",
-                ms=4,
-                color=PALETTE[1],
-                label="lost beyond",
-            )
-        if open_:
-            ax.plot(
-                *zip(*open_, strict=True),
-                ls="",
-                marker="o",
-                ms=4,
-                mfc="none",
-                color=INK,
-                label="end of the scan",
-            )
+    step = panel.step
+    for phase in panel.contact:
+        ax.axvspan(
+            phase - step / 2, phase + step / 2, color=TINTS[Mode.LOCKED], lw=0, label="contact"
+        )
+    at, ends = zip(*panel.lost, *panel.kept, strict=True)
+    ax.bar(at, ends, width=0.8 * step, color=PALETTE[0], alpha=0.35, lw=0, label="returns")
+    if panel.lost:
+        ax.plot(
+            *zip(*panel.lost, strict=True),
+            ls="",
+            marker="o",
+            ms=4,
+            color=PALETTE[1],
+            label="lost beyond",
+        )
+    if panel.kept:
+        ax.plot(
+            *zip(*panel.kept, strict=True),
+            ls="",
+            marker="o",
+            ms=4,
+            mfc="none",
+            color=INK,
+            label="end of the scan",
+        )
     ax.axhline(0.0, color=INK, lw=0.6)
-    top = _ROOM * max(
-        push.searched if math.isnan(push.largest) else push.largest for push in pushes
-    )
-    ax.set(xlim=(phases[0] - step / 2, phases[-1] + step / 2), ylim=(-top, top))
+    top = _ROOM * max(abs(end) for end in ends)
+    low, high = panel.phases[0] - step / 2, panel.phases[-1] + step / 2
+    ax.set(xlim=(low, high), ylim=(-top, top))

@@ -7,6 +7,14 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
+from zeno_orbits.report.disturbances import (
+    PUSHES,
+    extent_columns,
+    extents_of,
+    least_push_line,
+    recovery_lines,
+    scan_line,
+)
 from zeno_orbits.report.table import (
     Column,
     name_column,
@@ -19,7 +27,7 @@ from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
-    from zeno_orbits.maps import Attractor, ParameterMap, Push, Pushes, Recovery
+    from zeno_orbits.maps import Attractor, ParameterMap, Pushes, Recovery
     from zeno_orbits.precision import ReductionCost, Trial, WorkPrecision
 
 _ROUNDING = 1e-12
@@ -145,66 +153,18 @@ def print_attractor(found: Attractor) -> None:
 
 def print_pushes(found: Pushes) -> None:
     """Print the largest pushes of an orbit, the least one first."""
-    least = found.least
-    first = "No impulse of the scan is lost."
-    if least is not None:
-        first = (
-            f"Least push: {least.largest:.6g} {least.unit} along {least.name} at phase "
-            f"{least.phase:.4g}, +- {least.error:.1g}; beyond it: {least.beyond}."
-        )
-    print_lines([first])
-    columns: list[Column[Push]] = [
-        number_column("phase", lambda push: f"{push.phase:.4f}"),
-        text_column("mode", lambda push: push.mode),
-        text_column("direction", lambda push: push.name),
-        number_column("largest", lambda push: _finite(push.largest, ".6g")),
-        number_column("error", lambda push: _finite(push.error, ".1g")),
-        number_column("searched", lambda push: f"{push.searched:.4g}"),
-        text_column("unit", lambda push: push.unit),
-        text_column("beyond", lambda push: push.beyond),
-    ]
-    print_table(columns, found.pushes)
-    scan = f"{found.settings.steps} impulses scanned in each direction and sense"
-    print_lines([f"{scan}. Each motion was simulated for {found.until:g} s at most."])
+    print_lines([least_push_line(found)])
+    print_table(PUSHES, found.pushes)
+    print_lines([scan_line(found)])
 
 
 def print_recovery(found: Recovery) -> None:
     """Print the recovery of an orbit, its time first."""
-    part, wait = found.settings.part, counted(found.periods, "period")
-    lines = [
-        f"A small disturbance decays to {100 * part:g} % in {wait} ({found.time:.6g} s): factor "
-        f"{found.contraction:.4g} per period, spectral radius {found.spectral_radius:.4g}."
-    ]
-    if not len(found.norm):
-        print_lines([*lines, "The section of the orbit is a single point."])
-        return
-    if found.radius in (0.0, math.inf):
-        ends = "The smallest ball fails the test."
-        if found.radius:
-            ends = "Every ball of the search maps into itself."
-        print_lines([*lines, ends])
-        return
-    share = f"at most {100 * found.lost_share:.2g} % of the ball leaves it"
-    print_lines(
-        [
-            *lines,
-            f"Largest ball that maps into itself: radius {found.radius:.4g}.",
-            f"{found.settings.samples} samples return: with confidence "
-            f"{100 * found.settings.confidence:g} %, {share}.",
-            "",
-        ]
-    )
-    rows = [(name, extent) for name, extent in found.extents.items() if extent]
-    columns: list[Column[tuple[str, float]]] = [
-        text_column("state", lambda row: row[0]),
-        number_column("extent", lambda row: f"{row[1]:.4g}"),
-        text_column("unit", lambda row: found.units[row[0]]),
-    ]
-    print_table(columns, rows)
-
-
-def _finite(value: float, form: str) -> str:
-    return f"{value:{form}}" if math.isfinite(value) else "none lost"
+    print_lines(recovery_lines(found))
+    extents = extents_of(found)
+    if extents:
+        print_lines([""])
+        print_table(extent_columns(found), extents)
 
 
 def _range(values: Sequence[float]) -> str:

@@ -1,0 +1,107 @@
+"""The report page of an orbit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zeno_orbits.api.inputs import Named, as_orbit, front_door, problem_of
+from zeno_orbits.errors import InputError
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.work import Progress, silent
+
+if TYPE_CHECKING:
+    from zeno_orbits.maps import Pushes, Recovery
+    from zeno_orbits.model import Problem
+    from zeno_orbits.precision import WorkPrecision
+    from zeno_orbits.report import Subject
+    from zeno_orbits.verification import VerificationSettings
+
+
+@front_door
+def report_subject(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    settings: VerificationSettings | None = None,
+    trade: WorkPrecision | str | Path | None = None,
+    pushes: Pushes | str | Path | None = None,
+    recovery: Recovery | str | Path | None = None,
+    on_progress: Progress = silent,
+) -> Subject:
+    """Return the subject of a report page: the orbit with a fresh verification report.
+
+    Args:
+        orbit: The orbit, or its file.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        settings: Tolerance, number of periods and accuracy of the verification.
+        trade: A work-precision study of the problem, or its file.
+        pushes: The largest pushes of the orbit, or their file.
+        recovery: The recovery of the orbit, or its file.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If the orbit's problem is not known, or a file is of another kind, problem or
+            orbit.
+    """
+    from zeno_orbits.report import Subject
+    from zeno_orbits.verification import problem_dynamics, verifier
+
+    found = as_orbit(orbit)
+    known = problem_of(found, problem)
+    study = _trade_of(found, trade)
+    pushed = _pushes_of(found, known, pushes)
+    recovered = _recovery_of(found, known, recovery)
+    dynamics = problem_dynamics(found, known)
+    certificate = verifier.verify(
+        found, known, settings=settings, dynamics=dynamics, on_progress=on_progress
+    )
+    subject = Subject(
+        orbit=found,
+        problem=known,
+        dynamics=dynamics,
+        certificate=certificate,
+        trade=study,
+        pushes=pushed,
+        recovery=recovered,
+    )
+    if isinstance(orbit, ZenoOrbit):
+        return subject
+    return replace(subject, file=Path(orbit).name, content=Path(orbit).read_text(encoding="utf-8"))
+
+
+def _trade_of(orbit: ZenoOrbit, trade: WorkPrecision | str | Path | None) -> WorkPrecision | None:
+    """Return a work-precision study, which must be of the orbit's problem."""
+    if isinstance(trade, str | Path):
+        from zeno_orbits.precision import read_work_precision
+
+        trade = read_work_precision(Path(trade))
+    if trade is not None and trade.problem != orbit.problem:
+        message = f"must be of the problem `{orbit.problem}`, but it is of `{trade.problem}`"
+        raise InputError(f"Argument `trade` {message}.")
+    return trade
+
+
+def _pushes_of(
+    orbit: ZenoOrbit, problem: Problem, pushes: Pushes | str | Path | None
+) -> Pushes | None:
+    """Return the largest pushes, which must be those of the orbit."""
+    from zeno_orbits.maps import read_pushes, require_pushes_of
+
+    found = read_pushes(Path(pushes)) if isinstance(pushes, str | Path) else pushes
+    if found is not None:
+        require_pushes_of(orbit, problem, found)
+    return found
+
+
+def _recovery_of(
+    orbit: ZenoOrbit, problem: Problem, recovery: Recovery | str | Path | None
+) -> Recovery | None:
+    """Return the recovery, which must be that of the orbit."""
+    from zeno_orbits.maps import read_recovery, require_recovery_of
+
+    found = read_recovery(Path(recovery)) if isinstance(recovery, str | Path) else recovery
+    if found is not None:
+        require_recovery_of(orbit, problem, found)
+    return found

@@ -1,0 +1,99 @@
+"""Disturbances of an orbit as sentences and tables, for terminal and page."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from zeno_orbits.errors import counted
+from zeno_orbits.report.table import Column, number_column, text_column
+
+if TYPE_CHECKING:
+    from zeno_orbits.maps import Push, Pushes, Recovery
+
+
+def least_pushes(found: Pushes) -> list[Push]:
+    """Return the least push per direction and sense.
+
+    Without a loss it is the push with the shortest scan.
+    """
+    groups: dict[frozenset[tuple[str, float]], list[Push]] = {}
+    for push in found.pushes:
+        groups.setdefault(frozenset(push.direction.items()), []).append(push)
+    return [min(pushes, key=_rank) for pushes in groups.values()]
+
+
+def _rank(push: Push) -> tuple[bool, float]:
+    """Return the order of pushes: lost pushes first, then by size."""
+    kept = math.isnan(push.largest)
+    return kept, push.searched if kept else push.largest
+
+
+def least_push_line(found: Pushes) -> str:
+    """Return the least push of all as a sentence."""
+    least = found.least
+    if least is None:
+        return "No impulse of the scan is lost."
+    return (
+        f"Least push: {least.largest:.6g} {least.unit} along {least.name} at phase "
+        f"{least.phase:.4g}, +- {least.error:.1g}; beyond it: {least.beyond}."
+    )
+
+
+def scan_line(found: Pushes) -> str:
+    """Return the extent of the search as sentences."""
+    scan = f"{found.settings.steps} impulses scanned in each direction and sense"
+    return f"{scan}. Each motion was simulated for {found.until:g} s at most."
+
+
+PUSHES: list[Column[Push]] = [
+    number_column("phase [1]", lambda push: f"{push.phase:.4f}"),
+    text_column("mode", lambda push: push.mode),
+    text_column("direction", lambda push: push.name),
+    number_column("largest", lambda push: _finite(push.largest, ".6g")),
+    number_column("error", lambda push: _finite(push.error, ".1g")),
+    number_column("searched", lambda push: f"{push.searched:.4g}"),
+    text_column("unit", lambda push: push.unit),
+    text_column("beyond", lambda push: push.beyond),
+]
+"""Columns of a table of pushes."""
+
+
+def _finite(value: float, form: str) -> str:
+    return f"{value:{form}}" if math.isfinite(value) else "none lost"
+
+
+def recovery_lines(found: Recovery) -> list[str]:
+    """Return the time of the recovery and the ball as sentences."""
+    part, wait = found.settings.part, counted(found.periods, "period")
+    first = (
+        f"A small disturbance decays to {100 * part:g} % in {wait} ({found.time:.6g} s): factor "
+        f"{found.contraction:.4g} per period, spectral radius {found.spectral_radius:.4g}."
+    )
+    if not len(found.norm):
+        return [first, "The section of the orbit is a single point."]
+    if found.radius == 0.0:
+        return [first, "The smallest ball fails the test."]
+    if found.radius == math.inf:
+        return [first, "Every ball of the search maps into itself."]
+    share = f"at most {100 * found.lost_share:.2g} % of the ball leaves it"
+    return [
+        first,
+        f"Largest ball that maps into itself: radius {found.radius:.4g}.",
+        f"{found.settings.samples} samples return: with confidence "
+        f"{100 * found.settings.confidence:g} %, {share}.",
+    ]
+
+
+def extents_of(found: Recovery) -> list[tuple[str, float]]:
+    """Return the states that vary inside the ball, each with its largest difference."""
+    return [(name, extent) for name, extent in found.extents.items() if 0.0 < extent < math.inf]
+
+
+def extent_columns(found: Recovery) -> list[Column[tuple[str, float]]]:
+    """Return the columns of a table of extents."""
+    return [
+        text_column("state", lambda row: row[0]),
+        number_column("extent", lambda row: f"{row[1]:.4g}"),
+        text_column("unit", lambda row: found.units[row[0]]),
+    ]
