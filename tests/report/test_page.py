@@ -24,6 +24,8 @@ import pytest
 
 from tests.support import browser as browsers
 from tests.support.browser import Browser, need_browser
+from tests.support.commands import examples
+from tests.support.disturbances import pushes_of, recovery_of
 from tests.support.orbits import changed
 from zeno_orbits.cli import main
 from zeno_orbits.errors import StepSizeError
@@ -82,6 +84,8 @@ def subject(
         dynamics=machine,
         certificate=certificate,
         trade=trade_of("motor_pendulum"),
+        pushes=pushes_of(orbit),
+        recovery=recovery_of(orbit, problem),
         content=json.dumps(orbit.as_json()),
         command=("zeno-orbits", "report", "orbit.json", "-o", "report.html"),
     ).followed()
@@ -173,7 +177,7 @@ def test_the_page_has_the_problem_for_its_heading_a_date_and_its_contents(
     assert "checked on 2026-02-03" in page_of(replace(subject, date="2026-02-03"), load_bundle())
     sections = re.findall(r'<section id="([^"]+)"', page)
     assert re.findall(r'<li><a href="#([^"]+)">', page) == sections
-    assert len(sections) == 10
+    assert len(sections) == 11
 
 
 def test_no_table_repeats_the_title_that_it_stands_under(page: str) -> None:
@@ -315,11 +319,16 @@ def hostile(subject: Subject) -> Subject:
     )
     named = replace(trade_of(EVIL), work=EVIL, truth=EVIL)
     trials = tuple(replace(trial, name=EVIL) for trial in named.trials)
+    pushes = pushes_of(subject.orbit, directions=({EVIL: 1.0},), lost=1.0)
+    pushed = tuple(replace(push, unit=EVIL, beyond=EVIL) for push in pushes.pushes)
+    recovery = replace(recovery_of(subject.orbit, problem), extents={EVIL: 1.0}, units={EVIL: EVIL})
     return replace(
         subject,
         orbit=orbit,
         problem=problem_file,
         trade=replace(named, trials=trials),
+        pushes=replace(pushes, pushes=pushed),
+        recovery=recovery,
         certificate=replace(subject.certificate, trouble=EVIL),
         file=EVIL,
         problem_file=EVIL,
@@ -374,17 +383,26 @@ def test_report_writes_a_page_and_says_yes(orbit_file: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_example_of_the_help_runs(orbit_file: Path) -> None:
-    Path("trade.json").write_text(json.dumps(trade_of("motor_pendulum").as_json()))
-    code, out, _ = ask("report", "--help")
-    shown = [line.split() for line in out.partition("examples:")[2].splitlines() if line.strip()]
-    assert code == YES
+def test_every_example_of_the_help_runs(
+    orbit_file: Path, orbit: ZenoOrbit, problem: Problem
+) -> None:
+    made = {
+        "trade.json": trade_of("motor_pendulum"),
+        "pushes.json": pushes_of(orbit),
+        "recovery.json": recovery_of(orbit, problem),
+    }
+    for name, one in made.items():
+        Path(name).write_text(json.dumps(one.as_json()))
+    shown = examples("report")
     assert len(shown) > 1
+    pages: list[str] = []
     for line in shown:
         assert orbit_file.exists()
-        assert line[:2] == ["zeno-orbits", "report"]
-        assert ask(*line[1:])[0] == YES
-    assert 'id="trade"' in Path("report.html").read_text(encoding="utf-8")
+        assert line[0] == "report"
+        assert ask(*line)[0] == YES
+        pages.append(Path("report.html").read_text(encoding="utf-8"))
+    assert any('id="trade"' in page for page in pages)
+    assert any('id="disturbances"' in page for page in pages)
 
 
 @pytest.mark.slow
@@ -590,7 +608,10 @@ def press(browser: Browser, plot: str, step: str) -> None:
     button.click()
 
 
-PLOTS = (*("portrait-0", "portrait-1", "series", "zeno", "gaps", "speeds", "stability", "trade"),)
+PLOTS = (
+    *("portrait-0", "portrait-1", "series", "zeno", "gaps", "speeds", "stability", "trade"),
+    *("pushes-0", "pushes-1"),
+)
 
 
 def test_the_page_opens_without_a_word_in_the_console(opened: Browser) -> None:

@@ -64,6 +64,7 @@ def _subject(**parts: Any) -> Any:
         "dynamics": system(restitution=E, gap_acceleration=lambda _: -PULL),
         "orbit": SimpleNamespace(period=2.0, values=lambda _: "numbers"),
         "trade": None,
+        "pushes": None,
     }
     return SimpleNamespace(**{**named, **parts})
 

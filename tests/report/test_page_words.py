@@ -88,6 +88,8 @@ def _subject(**parts: Any) -> Any:
         "certificate": GOOD,
         "execution": _execution(*HITS, LIMIT, RELEASE),
         "trade": None,
+        "pushes": None,
+        "recovery": None,
         "problem_file": "",
         "file": "orbit.json",
         "command": ("zeno-orbits", "report"),

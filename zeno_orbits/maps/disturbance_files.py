@@ -120,6 +120,8 @@ def read_pushes(path: Path) -> Pushes:
         return _pushes(file)
     except EntryError as error:
         raise _refused("push", "pushes", _fault(error)) from error
+    except InputError as error:
+        raise _refused("push", "pushes", _invalid_settings(error)) from error
 
 
 def read_recovery(path: Path) -> Recovery:
@@ -137,6 +139,8 @@ def read_recovery(path: Path) -> Recovery:
         return _recovery(file)
     except EntryError as error:
         raise _refused("recovery", "recovery", _fault(error)) from error
+    except InputError as error:
+        raise _refused("recovery", "recovery", _invalid_settings(error)) from error
 
 
 def require_pushes_of(orbit: ZenoOrbit, problem: Problem, found: Pushes) -> None:
@@ -186,14 +190,19 @@ def _require_same(orbit: ZenoOrbit, found: Pushes | Recovery, command: str, argu
         ("parameter", orbit.parameters, found.parameters),
     ):
         for name in (*own, *(name for name in other if name not in own)):
-            here, there = own.get(name, math.nan), other.get(name, math.nan)
-            if not math.isclose(here, there, rel_tol=_SAME_VALUE):
-                differs = f"its {kind} `{name}` is {there!r} and not {here!r}"
-                reason = f"must be of this orbit, but {differs}"
+            here, there = own.get(name), other.get(name)
+            if here is None or there is None or not math.isclose(here, there, rel_tol=_SAME_VALUE):
+                values = f"is {_told(here)} in the orbit and {_told(there)} in the {argument}"
+                reason = f"must be of this orbit, but {kind} `{name}` {values}"
                 raise InputError(f"Argument `{argument}` {reason}. {remedy}.")
     if not math.isclose(found.period, orbit.period, rel_tol=_SAME_PERIOD):
-        differs = f"its period is {found.period!r} s and not {orbit.period!r} s"
-        raise InputError(f"Argument `{argument}` must be of this orbit, but {differs}. {remedy}.")
+        values = f"is {orbit.period!r} s in the orbit and {found.period!r} s in the {argument}"
+        reason = f"must be of this orbit, but the period {values}"
+        raise InputError(f"Argument `{argument}` {reason}. {remedy}.")
+
+
+def _told(value: float | None) -> str:
+    return "missing" if value is None else repr(value)
 
 
 def _read(command: str, argument: str, kind: type[_Entries], path: Path) -> _Entries:
@@ -216,6 +225,10 @@ def _fault(error: EntryError) -> str:
     return f"entry `{error.name}` is {error.found} and not {error.wanted}"
 
 
+def _invalid_settings(error: InputError) -> str:
+    return f"its settings are invalid: {str(error).removesuffix('.')}"
+
+
 def _require(holds: bool, name: str, wanted: str, found: object) -> None:
     """Raise an error for an entry without a valid value."""
     if not holds:
@@ -231,16 +244,13 @@ def _require_orbit(file: _PushesFile | _RecoveryFile) -> None:
 def _pushes(file: _PushesFile) -> Pushes:
     _require_orbit(file)
     _require(file.until > 0.0, "until", "positive", file.until)
-    try:
-        settings = PushSettings(
-            phases=file.phases,
-            steps=file.steps,
-            reach=file.reach,
-            error=file.error,
-            until=file.until,
-        )
-    except InputError as error:
-        raise EntryError("settings", "valid", f"invalid ({error})") from error
+    settings = PushSettings(
+        phases=file.phases,
+        steps=file.steps,
+        reach=file.reach,
+        error=file.error,
+        until=file.until,
+    )
     for k, entry in enumerate(file.pushes):
         _require_push(entry, f"pushes[{k}]")
     _require_complete(file)
@@ -295,16 +305,13 @@ def _recovery(file: _RecoveryFile) -> Recovery:
     _require(0.0 <= file.contraction < 1.0, "contraction", "in [0, 1)", file.contraction)
     _require(file.periods >= 1, "periods", "at least 1", file.periods)
     _require(file.tests >= 1, "tests", "at least 1", file.tests)
-    try:
-        settings = RecoverySettings(
-            part=file.part,
-            samples=file.samples,
-            confidence=file.confidence,
-            error=file.error,
-            seed=file.seed,
-        )
-    except InputError as error:
-        raise EntryError("settings", "valid", f"invalid ({error})") from error
+    settings = RecoverySettings(
+        part=file.part,
+        samples=file.samples,
+        confidence=file.confidence,
+        error=file.error,
+        seed=file.seed,
+    )
     norm, directions = _matrices(file)
     radius = math.inf if file.radius is None else file.radius
     _require(radius >= 0.0, "radius", "at least 0", radius)

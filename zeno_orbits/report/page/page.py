@@ -89,12 +89,13 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
 
 def _contents(subject: Subject) -> dict[str, str]:
     """Return the names and titles of the sections that the subject has, in order."""
+    disturbed = subject.pushes is not None or subject.recovery is not None
     titles = {
         "happens": "What happens",
         "asked": "What was asked",
         "motion": "The motion",
         "stability": "Stability",
-        "disturbances": "Disturbances" if subject.has_disturbances else "",
+        "disturbances": "Disturbances" if disturbed else "",
         "checks": "Can it be trusted?",
         "margins": "Margins" if subject.certificate.margins else "",
         "trade": "What accuracy costs" if subject.trade is not None else "",

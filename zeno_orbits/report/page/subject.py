@@ -53,11 +53,6 @@ class Subject:
     date: str = ""
     proof: str = ""
 
-    @property
-    def has_disturbances(self) -> bool:
-        """True if pushes or a recovery are known."""
-        return self.pushes is not None or self.recovery is not None
-
     def followed(self) -> Subject:
         """Return the subject with one period simulated."""
         try:
