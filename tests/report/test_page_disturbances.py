@@ -362,7 +362,7 @@ def test_directions_and_states_of_another_machine_are_one_line(
     for option, found, told in (
         ("pushes", turned, "direction `+theta3` [N m s] does not belong to the problem"),
         ("pushes", replace(pushes_of(orbit), pushes=metric), "direction `+theta1` [N s] does not"),
-        ("recovery", degrees, "its states differ from those of the problem"),
+        ("recovery", degrees, "its states and units differ from the problem"),
     ):
         write(found, "other.json")
         answer = ask("report", "orbit.json", "-o", "report.html", f"--{option}", "other.json")

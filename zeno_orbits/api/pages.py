@@ -72,7 +72,7 @@ def report_subject(
 
 
 def _trade_of(orbit: ZenoOrbit, trade: WorkPrecision | str | Path | None) -> WorkPrecision | None:
-    """Return a work-precision study, which must be of the orbit's problem."""
+    """Return the work-precision study of the orbit's problem."""
     if isinstance(trade, str | Path):
         from zeno_orbits.precision import read_work_precision
 
@@ -86,7 +86,7 @@ def _trade_of(orbit: ZenoOrbit, trade: WorkPrecision | str | Path | None) -> Wor
 def _pushes_of(
     orbit: ZenoOrbit, problem: Problem, pushes: Pushes | str | Path | None
 ) -> Pushes | None:
-    """Return the largest pushes, which must be those of the orbit."""
+    """Return the largest pushes of the orbit."""
     from zeno_orbits.maps import read_pushes, require_pushes_of
 
     found = read_pushes(Path(pushes)) if isinstance(pushes, str | Path) else pushes
@@ -98,7 +98,7 @@ def _pushes_of(
 def _recovery_of(
     orbit: ZenoOrbit, problem: Problem, recovery: Recovery | str | Path | None
 ) -> Recovery | None:
-    """Return the recovery, which must be that of the orbit."""
+    """Return the recovery of the orbit."""
     from zeno_orbits.maps import read_recovery, require_recovery_of
 
     found = read_recovery(Path(recovery)) if isinstance(recovery, str | Path) else recovery

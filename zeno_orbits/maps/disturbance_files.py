@@ -177,7 +177,7 @@ def require_recovery_of(orbit: ZenoOrbit, problem: Problem, found: Recovery) -> 
     """
     _require_same(orbit, found, "recovery", "recovery")
     if dict(found.units) != dict(zip(problem.state_names, problem.state_units, strict=True)):
-        raise _refused("recovery", "recovery", "its states differ from those of the problem")
+        raise _refused("recovery", "recovery", "its states and units differ from the problem")
 
 
 def _require_same(orbit: ZenoOrbit, found: Pushes | Recovery, command: str, argument: str) -> None:
