@@ -17,6 +17,7 @@ from .api import plot as plot
 from .api import prove as prove
 from .api import recovery as recovery
 from .api import reduced_model_errors as reduced_model_errors
+from .api import report_page as report_page
 from .api import sample_execution as sample_execution
 from .api import search_gains as search_gains
 from .api import simulate as simulate
@@ -219,6 +220,7 @@ __all__ = [
     "read_recording",
     "recovery",
     "reduced_model_errors",
+    "report_page",
     "sample_execution",
     "save_figure",
     "search_gains",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import json
 import math
@@ -16,7 +17,6 @@ import pytest
 import zeno_orbits as zo
 from tests.support.commands import YES, ask, assert_refused
 from tests.support.disturbances import pushes_of, recovery_of
-from zeno_orbits import api
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.report import Subject, load_bundle, page_of
 from zeno_orbits.report.plots import plot_pushes
@@ -272,13 +272,16 @@ def test_the_python_function_takes_objects_and_files(
 ) -> None:
     pushes, recovery = pushes_of(orbit), recovery_of(orbit, problem)
     one = zo.VerificationSettings(n_periods=1)
-    by_file = api.report_subject(
+    by_file = zo.report_page(
         "orbit.json", pushes="pushes.json", recovery=folder / "recovery.json", settings=one
     )
-    by_object = api.report_subject(orbit, pushes=pushes, recovery=recovery, settings=one)
-    assert (by_file.file, by_file.content) == ("orbit.json", Path("orbit.json").read_text())
-    sections = [section_of(page_of(found, load_bundle())) for found in (by_file, by_object)]
-    assert sections[0] == sections[1] != ""
+    by_object = zo.report_page(orbit, pushes=pushes, recovery=recovery, settings=one)
+    assert section_of(by_file) == section_of(by_object) != ""
+    assert by_file == by_object
+    # The orbit is inside the page, and no command is said to have written it.
+    (file,) = re.findall(r'href="data:application/json;base64,([^"]+)"', by_object)
+    assert base64.b64decode(file) == Path("orbit.json").read_bytes()
+    assert "wrote this page." not in by_object
 
 
 @pytest.mark.slow
@@ -349,7 +352,7 @@ def test_a_file_of_another_orbit_is_one_line(
     # The object is refused like its file.
     arguments: dict[str, Any] = {option: found}
     with pytest.raises(zo.InputError, match=f"Argument `{option}` must be of th"):
-        api.report_subject(orbit, **arguments)
+        zo.report_page(orbit, **arguments)
 
 
 def test_directions_and_states_of_another_machine_are_one_line(

@@ -46,6 +46,7 @@ from .orbit_search import find_orbit_by_shooting as find_orbit_by_shooting
 from .orbit_search import find_orbit as find_orbit
 from .orbit_search import search_gains as search_gains
 from .orbit_search import start_values as start_values
+from .pages import report_page as report_page
 from .pages import report_subject as report_subject
 from .pictures import plot as plot
 from .pushes import largest_push as largest_push

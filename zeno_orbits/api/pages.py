@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,47 @@ if TYPE_CHECKING:
 
 
 @front_door
+def report_page(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    settings: VerificationSettings | None = None,
+    trade: WorkPrecision | str | Path | None = None,
+    pushes: Pushes | str | Path | None = None,
+    recovery: Recovery | str | Path | None = None,
+    on_progress: Progress = silent,
+) -> str:
+    """Verify an orbit and return the results as one page for a browser, in HTML.
+
+    Args:
+        orbit: The orbit, or its file.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        settings: Tolerance, number of periods and accuracy of the verification.
+        trade: A work-precision study of the problem, or its file.
+        pushes: The largest pushes of the orbit, or their file.
+        recovery: The recovery of the orbit, or its file.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If the extra `report` is not installed, the orbit's problem is not known, or a
+            file is of another kind, problem or orbit.
+    """
+    from zeno_orbits.report import load_bundle, page_of
+
+    bundle = load_bundle()
+    subject = report_subject(
+        orbit,
+        problem=problem,
+        settings=settings,
+        trade=trade,
+        pushes=pushes,
+        recovery=recovery,
+        on_progress=on_progress,
+    )
+    on_progress("writing the page", None)
+    return page_of(subject.followed(), bundle)
+
+
 def report_subject(
     orbit: ZenoOrbit | str | Path,
     *,
@@ -33,13 +75,13 @@ def report_subject(
     """Return the subject of a report page: the orbit with a fresh verification report.
 
     Args:
-        orbit: The orbit, or its file.
-        problem: The orbit's problem. The default is the bundled problem of its name.
-        settings: Tolerance, number of periods and accuracy of the verification.
-        trade: A work-precision study of the problem, or its file.
-        pushes: The largest pushes of the orbit, or their file.
-        recovery: The recovery of the orbit, or its file.
-        on_progress: Called with the stage and the part of it that is done.
+        orbit: As in `report_page`.
+        problem: As in `report_page`.
+        settings: As in `report_page`.
+        trade: As in `report_page`.
+        pushes: As in `report_page`.
+        recovery: As in `report_page`.
+        on_progress: As in `report_page`.
 
     Raises:
         InputError: If the orbit's problem is not known, or a file is of another kind, problem or
@@ -57,7 +99,7 @@ def report_subject(
     certificate = verifier.verify(
         found, known, settings=settings, dynamics=dynamics, on_progress=on_progress
     )
-    subject = Subject(
+    return Subject(
         orbit=found,
         problem=known,
         dynamics=dynamics,
@@ -65,10 +107,11 @@ def report_subject(
         trade=study,
         pushes=pushed,
         recovery=recovered,
+        file="orbit.json" if isinstance(orbit, ZenoOrbit) else Path(orbit).name,
+        problem_file=str(problem) if isinstance(problem, str | Path) else "",
+        content=json.dumps(found.as_json(), indent=2, allow_nan=False) + "\n",
+        date=datetime.now(tz=UTC).date().isoformat(),
     )
-    if isinstance(orbit, ZenoOrbit):
-        return subject
-    return replace(subject, file=Path(orbit).name, content=Path(orbit).read_text(encoding="utf-8"))
 
 
 def _trade_of(orbit: ZenoOrbit, trade: WorkPrecision | str | Path | None) -> WorkPrecision | None:

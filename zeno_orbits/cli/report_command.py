@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +107,6 @@ def _run_report(options: argparse.Namespace) -> int:
             problem_file=options.problem or "",
             content=options.orbit.read_text(encoding="utf-8"),
             command=_command(options),
-            date=datetime.now(tz=UTC).date().isoformat(),
             proof=proved.verdict() if proved is not None and proved.ok else "",
         )
         page = utf8(page_of(subject.followed(), bundle))

@@ -124,7 +124,8 @@ def commands_of(subject: Subject) -> tuple[tuple[str, ...], ...]:
     where = ("--problem", subject.problem_file) if subject.problem_file else ()
     check = ("zeno-orbits", "verify", subject.file, *where)
     tolerance = ("--tolerance", f"{subject.certificate.tolerance:g}")
-    return ((*search, "-o", subject.file), (*check, *tolerance), subject.command)
+    report = (subject.command,) if subject.command else ()
+    return ((*search, "-o", subject.file), (*check, *tolerance), *report)
 
 
 def template_environment() -> Environment:

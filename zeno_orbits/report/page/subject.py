@@ -32,7 +32,7 @@ class Subject:
         file: Name of the orbit's file.
         problem_file: Path of the problem's file, or an empty string for a bundled problem.
         content: The orbit's file itself.
-        command: The words of the command that wrote the report.
+        command: The words of the command that wrote the report, if a command wrote it.
         date: Day of the check as text, or an empty string to omit it.
         proof: Statement proved by an accepted certificate, or an empty string.
     """
