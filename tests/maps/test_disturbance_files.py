@@ -35,6 +35,15 @@ def test_pushes_read_back(orbit: zo.ZenoOrbit, tmp_path: Path, lost: float) -> N
         assert (one.direction, one.phase, one.unit) == (two.direction, two.phase, two.unit)
 
 
+def test_a_direction_that_was_given_twice_or_reversed_reads_back(
+    orbit: zo.ZenoOrbit, tmp_path: Path
+) -> None:
+    path = tmp_path / "pushes.json"
+    for again in ({"theta1": 1.0}, {"theta1": -1.0}):
+        data = written(pushes_of(orbit, directions=({"theta1": 1.0}, again)), path)
+        assert read_pushes(path).as_json() == data
+
+
 @pytest.mark.parametrize("radius", [0.25, 0.0, math.inf])
 @pytest.mark.parametrize("size", [0, 1, 2])
 def test_a_recovery_reads_back(
@@ -120,6 +129,8 @@ def test_a_file_without_an_entry_is_refused_by_its_name(
         (entry("phases", value=10**12), "`phases` must be"),
         (entry("error", value=1.0), "`error` must"),
         (entry("gains", "Kp", value=None), "`gains.Kp`"),
+        (entry("gains", "Kp", value="nan"), '`gains.Kp` is "nan" and not a finite number'),
+        (entry("pushes", 1, "searched", value="inf"), '`pushes[1].searched` is "inf"'),
         (entry("parameters", value=[1.0]), "`parameters`"),
         (entry("versions", "numpy", value=1), "`versions.numpy`"),
         (entry("pushes", value=[]), "`pushes` is empty"),
@@ -182,6 +193,8 @@ def test_pushes_with_a_false_entry_are_refused_by_its_name(
         (entry("norm", 0, 0, value=-1.0), "`norm`"),
         (entry("norm", 0, 0, value="a"), "`norm[0][0]`"),
         (entry("directions", 0, value=[1.0]), "`directions`"),
+        (entry("directions", 1, 1, value="nan"), "`directions[1][1]`"),
+        (entry("parameters", "g", value="inf"), "`parameters.g`"),
         (entry("seed", value=0.5), "`seed`"),
     ],
 )

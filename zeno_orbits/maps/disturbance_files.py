@@ -288,7 +288,10 @@ def _require_push(entry: _PushEntry, name: str) -> None:
 
 
 def _require_complete(file: _PushesFile) -> None:
-    """Raise an error unless each sense of each direction has one push at each phase."""
+    """Raise an error unless both senses of each direction have a push at each phase.
+
+    A direction that was given twice has two.
+    """
     rays: dict[frozenset[tuple[str, float]], list[float]] = {}
     for entry in file.pushes:
         rays.setdefault(frozenset(entry.direction.items()), []).append(entry.phase)
@@ -296,7 +299,8 @@ def _require_complete(file: _PushesFile) -> None:
     phases = [k / file.phases for k in range(file.phases)]
     for direction, found in rays.items():
         opposite = frozenset((name, -entry) for name, entry in direction)
-        complete = sorted(found) == phases and opposite in rays
+        times = len(found) // len(phases)
+        complete = sorted(found) == sorted(phases * times) == sorted(rays.get(opposite, ()))
         _require(complete, "pushes", "a push per phase, direction and sense", "incomplete")
 
 
