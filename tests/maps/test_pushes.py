@@ -68,7 +68,6 @@ def test_below_its_first_flip_the_shaken_ball_returns_from_every_push() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_a_push_that_ends_on_the_coexisting_orbit_is_lost_and_names_it() -> None:
     # At A = 0.02 the table has an orbit with a Zeno point and one with one impact per period.
     result = zo.find_orbit("vibrating_table", parameters={"A": 0.02})

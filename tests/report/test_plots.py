@@ -566,6 +566,14 @@ def test_a_map_of_one_fate_has_no_contours() -> None:
     assert list(_legend(figure)) == ["Zeno periodic orbit, period 1"]
 
 
+def test_rounding_of_a_period_that_the_clock_fixes_is_no_contour() -> None:
+    points = [(i / 19, k / 19) for k in range(20) for i in range(20)]
+    rounded = small_map(*(_zeno(6.28 + 1e-9 * x, 0.95 * y) for x, y in points), columns=20)
+    legend = _legend(plot_map(rounded))
+    assert "spectral radius [1]" in legend
+    assert "period [s]" not in legend
+
+
 def sloping_map(n: int) -> ParameterMap:
     """Return a map whose period rises to the right and whose spectral radius rises upwards."""
     points = [(i / (n - 1), k / (n - 1)) for k in range(n) for i in range(n)]

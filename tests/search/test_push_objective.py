@@ -14,7 +14,7 @@ from tests.support.antidamped_spring import LIFTED, SETS, numbers
 from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.maps import PushSettings, least_push
 
-PUSHES = PushSettings(phases=6, steps=12, error=1e-3)
+PUSHES = PushSettings(phases=6, steps=24, error=1e-3)
 """What the search asks of an orbit (docs/pushes.md)."""
 ONCE = zo.SearchSettings(n_starts=0)
 SPRING = {**numbers(*SETS[3]), "mass": 1.0}

@@ -56,9 +56,9 @@ def add_push(commands: Any) -> None:
     parser.add_argument(
         "--steps",
         type=read_count,
-        default=24,
+        default=96,
         metavar="N",
-        help="number of impulses in the scan of each direction (default: 24)",
+        help="number of impulses in the scan of each direction (default: 96)",
     )
     parser.add_argument(
         "--reach",

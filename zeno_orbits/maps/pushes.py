@@ -67,7 +67,7 @@ class PushSettings:
     """
 
     phases: int = 12
-    steps: int = 24
+    steps: int = 96
     reach: float = 2.0
     error: float = 1e-3
     until: float | None = None

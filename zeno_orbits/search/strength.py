@@ -31,7 +31,7 @@ from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.way import bounded_extents
 from zeno_orbits.simulation import Extent
 
-_PUSHES = PushSettings(phases=6, steps=12, error=1e-3)
+_PUSHES = PushSettings(phases=6, steps=24, error=1e-3)
 """Phases and impulses of one evaluation."""
 _REGION, _SMALLEST_REGION = 0.2, 2e-3
 """First and last radius of the trust region, in units of the ranges."""

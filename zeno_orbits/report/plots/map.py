@@ -215,8 +215,8 @@ def _draw_contours(ax: Axes, found: ParameterMap, curves: Sequence[Vector]) -> l
     drawn: list[tuple[QuadContourSet, list[list[Vector]]]] = []
     for values, levels, look, label in fields:
         shown = np.ma.masked_where(~inside | ~np.isfinite(values), values)
-        # A contour needs a cell with four corners, and a field that changes.
-        if shown.count() < _CORNERS or float(np.ma.ptp(shown)) == 0.0:
+        # A contour needs a cell with four corners, and a field that changes by more than its error.
+        if shown.count() < _CORNERS or np.ma.ptp(shown) <= _ERROR * np.ma.max(np.abs(shown)):
             continue
         lines = ax.contour(found.x.values(), found.y.values(), shown, levels=levels, **look)
         pieces = _long_pieces(ax, lines)
@@ -235,6 +235,8 @@ def _draw_contours(ax: Axes, found: ParameterMap, curves: Sequence[Vector]) -> l
 _FEWEST = 12
 """Points along an axis from which on contours are more than a guess between cells."""
 _CORNERS = 4
+_ERROR = 1e-6
+"""Relative error of the numbers of a map."""
 _SHORT = 0.15
 """Part of an axis below which a piece of a contour is a speck between cells, and is left out."""
 _LONG = 0.6
