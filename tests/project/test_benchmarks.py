@@ -33,6 +33,10 @@ REDUCED = {
     "problem_cost": ("--runs", "1"),
     "proof_table": ("motor_valve", "--restitutions", "0.3", "--check"),
     "proofs": ("--orbits", "1"),
+    "pushes": (
+        *("--grid", "9", "--pushes", "20", "--rig", "2", "--sets", "1"),
+        *("--phases", "2", "--steps", "4", "--workers", "1"),
+    ),
     "random_machines": ("--machines", "2", "--turns", "150"),
     "restitution_near_one": ("--repeats", "1"),
     "rig_convergence": ("--only", "portrait", "--points", "3"),
