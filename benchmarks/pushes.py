@@ -530,7 +530,10 @@ def rows_of(path: str, options: argparse.Namespace) -> Iterator[Row]:
         elif part == "spring":
             yield from spring(options)
         else:
-            found = found or located(path, options)
+            if found is None:
+                found = located(path, options)
+                measure = f"processor time of `largest_push`, {options.steps} steps"
+                yield Row(part=part, measure=measure, value=f"{seconds() - used:.0f} s")
             yield from (pushes if part == "pushes" else rig)(path, found, options)
         wall, processor = time.perf_counter() - started, seconds() - used
         value = f"{wall:.0f} s, {processor:.0f} s"
