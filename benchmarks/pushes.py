@@ -509,7 +509,7 @@ def options_of() -> argparse.Namespace:
     parser.add_argument(
         "--phases", type=count, default=12, metavar="N", help="phases of the pushes"
     )
-    parser.add_argument("--steps", type=count, default=24, metavar="N", help="steps of the scan")
+    parser.add_argument("--steps", type=count, default=96, metavar="N", help="steps of the scan")
     parser.add_argument(
         "--seed", type=int, default=1, metavar="N", help="random seed of the pushes"
     )
