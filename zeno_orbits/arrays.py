@@ -20,7 +20,7 @@ def null_space(matrix: Array, rcond: float | None = None) -> Array:
     r"""Return an orthonormal basis of the vectors that a matrix sends to zero.
 
     With :math:`A = U \Sigma V^\top` they are the rows of :math:`V^\top` whose singular value is at
-    most ``rcond`` times the largest one, or that have none.
+    most ``rcond`` times the largest one, or that lack a singular value.
 
     Args:
         matrix: `A`, ``(m, n)``.

@@ -192,7 +192,7 @@ def test_an_output_that_finds_no_room_is_no_yes(arguments: tuple[str, ...]) -> N
     found = closed(*arguments, streams="> /dev/full")
     assert found.returncode == MISUSE
     assert re.fullmatch(
-        r"zeno-orbits: Standard output must be writable.*No space left.*\n", found.stderr
+        r"zeno-orbits: Standard output is not writable.*No space left.*\n", found.stderr
     )
 
 

@@ -33,7 +33,7 @@ def refused(answer: Answer, message: str) -> bool:
 def test_a_machine_is_printed_beside_the_orbit_as_simulated(file: Path) -> None:
     answer = ask("rig", file, *QUICK, "--cycles", "2")
     assert answer.code == YES
-    too_few = "2 cycles, too few to tell whether it has settled."
+    too_few = "2 cycles, too few to decide whether it has settled."
     assert f"Simulated, not measured: {too_few}" in answer.out
     for row in ("first impact", "Zeno point, or end of chatter", "period", "1.813713"):
         assert row in answer.out

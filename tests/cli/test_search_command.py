@@ -95,7 +95,7 @@ def test_search_at_gains_without_an_orbit_answers_no_with_the_reason(here: Path)
     answer = ask("search", "motor_pendulum", *gains, "-o", "f.json")
     assert answer.code == NO
     assert "No simulation settled" in answer.out
-    assert "the motion dies out" in answer.out
+    assert "the motion decays" in answer.out
     assert ".." not in answer.out
     assert contents(here) == {}
 

@@ -177,7 +177,7 @@ def test_a_failed_search_says_that_the_file_it_would_have_written_is_older(
     older.write_text("{}")
     answer(_options(output=older), problem, NOTHING, _notes([]))
     said = " ".join(capsys.readouterr().out.split())
-    assert "was not written: what it holds is older." in said
+    assert "was not written: it holds an older result." in said
     answer(_options(output=older, json=True), problem, NOTHING, _notes([]))
     assert json.loads(capsys.readouterr().out)["older_output"] is True
 

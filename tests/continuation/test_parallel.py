@@ -287,7 +287,9 @@ def test_an_interrupt_keeps_the_jobs_that_are_finished(
     with interrupted_when(lambda stage, _: stage.startswith("1 of 2 directions")):
         answer = ask(*words)
     assert answer.code == INTERRUPTED
-    assert "family.json.checkpoint` keeps what is finished: the same command goes on" in answer.err
+    assert (
+        "family.json.checkpoint` keeps the finished work: the same command continues" in answer.err
+    )
     assert len(list((tmp_path / "family.json.checkpoint").rglob("chunk-*"))) == 1
     assert ask(*words).data == kept[1]
     assert [path.name for path in tmp_path.iterdir()] == ["family.json"]
@@ -326,7 +328,7 @@ def test_a_problem_that_workers_would_not_see_is_refused(tmp_path: Path) -> None
             on_progress=silent,
         )
         with pytest.raises(
-            InputError, match="`problem` must be what the `problem` of `crew` loads"
+            InputError, match="`problem` must be the problem that the workers of `crew` load"
         ):
             continue_orbit(problem, orbit, "A", (0.5, 1.2), crew=crew)
     assert not (tmp_path / "kept").exists()

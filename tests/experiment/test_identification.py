@@ -161,7 +161,7 @@ def test_unseen_combinations_are_read_off_the_information() -> None:
 @pytest.mark.parametrize(
     ("sought", "reason"),
     [
-        ((), "must name a parameter, but it names none"),
+        ((), "must name a parameter"),
         ((Unknown(names=("Kp",), lower=1, upper=3),), "names `Kp`; gains are known"),
         ((Unknown(names=("x",), lower=1, upper=3),), "but it names `x`"),
         ((Unknown(names=("R", "R"), lower=1, upper=3),), "must name `R` once"),

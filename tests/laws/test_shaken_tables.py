@@ -102,4 +102,4 @@ def test_a_map_names_no_period_that_its_own_errors_decide(
     values = problem.values(parameters=shaken)
     (found,) = attractors_at(problem, [values], until=100 * TURN / 30.0)
     assert math.isnan(found.period)
-    assert found.detail == "what it settles to depends on the smallest errors"
+    assert found.detail == "its attractor depends on the smallest errors"

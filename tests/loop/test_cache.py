@@ -155,7 +155,7 @@ def test_a_folder_or_file_that_others_may_write_to_is_not_trusted(tmp_path: Path
     for path in (file.parent, file):
         mode = path.stat().st_mode
         path.chmod(mode | 0o022)
-        assert f"`{path}` must be the user's alone" in noted(tmp_path)
+        assert f"other users can write to `{path}`" in noted(tmp_path)
         path.chmod(mode)
     simulated(tmp_path)
 

@@ -199,7 +199,7 @@ def test_a_velocity_that_grows_without_end_ends_both() -> None:
     require_equal(task)
     error = looped(task).error
     assert isinstance(error, RunawayError)
-    assert "grows without end" in error.reason
+    assert "grows without bound" in error.reason
 
 
 def test_impacts_without_a_zeno_point_end_both() -> None:

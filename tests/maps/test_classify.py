@@ -300,7 +300,7 @@ def test_an_orbit_is_not_that_of_a_motion_whose_errors_led_to_it():
     assert attractors_at(table, [values], until=240 * turn)[0].fate is Fate.UNSETTLED
     (found,) = attractors_at(table, [values], until=240 * turn, accuracy=coarse)
     assert found.fate is Fate.UNSETTLED
-    assert found.detail == "what it settles to depends on the smallest errors"
+    assert found.detail == "its attractor depends on the smallest errors"
     truth = settled(acceleration, restitution, 600)
     assert truth.turns != 10
     # Where accuracy does not matter, no finer simulation is needed to be sure.

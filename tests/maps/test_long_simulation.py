@@ -117,7 +117,7 @@ def test_an_oscillation_that_dies_slowly_is_told_with_its_factor_a_period() -> N
     # The maxima of exp(-c t / 2) cos(w t) follow each other at 2 pi / w.
     damped = math.sqrt(1 - 0.1**2 / 4)
     assert found.trend == pytest.approx(math.exp(-0.05 * 2 * math.pi / damped), rel=1e-4)
-    assert found.phrase.endswith("dying out")
+    assert found.phrase.endswith("decaying")
 
 
 def test_an_oscillation_that_grows_slowly_is_told_so_and_one_that_died_rests() -> None:

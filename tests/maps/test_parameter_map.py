@@ -129,7 +129,7 @@ def test_a_point_whose_derived_numbers_do_not_exist_fails_by_itself() -> None:
             {"x": Axis(name="m", lower=1.0, upper=2.0, count=10_000_000)},
             "`points` must ask for at most 10000000 points",
         ),
-        ({"parameters": {"m": 1.0}}, "`x` must name what is not fixed, but `m` is"),
+        ({"parameters": {"m": 1.0}}, "`x` must name a free quantity, but `m` is"),
         ({"parameters": {"mass": 1.0}}, "`parameter` must be one of"),
     ],
 )
@@ -346,7 +346,7 @@ def test_an_interrupt_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None
     with interrupted_when(lambda _, part: part == 1.0):
         answer = ask(*BALL, "--workers", "1", "-o", out)
     assert answer.code == 130
-    assert "map.json.checkpoint` keeps what is finished: the same command goes on" in answer.err
+    assert "map.json.checkpoint` keeps the finished work: the same command continues" in answer.err
     assert [path.name for path in tmp_path.iterdir()] == ["map.json.checkpoint"]
 
 

@@ -219,5 +219,5 @@ def test_a_push_that_makes_no_sense_is_one_line(
 def test_an_orbit_that_repels_is_refused_though_the_one_that_attracts_has_its_period() -> None:
     problem = hard_to_prove.double_well()
     orbit = zo.find_orbit_by_shooting(problem).unwrap()
-    with pytest.raises(InputError, match="must attract, but"):
+    with pytest.raises(InputError, match="must be stable, but"):
         zo.largest_push(orbit, problem=problem)

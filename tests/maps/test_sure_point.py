@@ -83,14 +83,14 @@ def test_a_motion_that_ends_elsewhere_more_accurately_is_followed_a_third_time(a
     # The second answer is held against the third, not the first one.
     answer, _ = told_by((ORBIT, LATE), again, (ORBIT, LATE))
     assert answer.fate is Fate.UNSETTLED
-    assert answer.detail == "what it settles to depends on the smallest errors"
+    assert answer.detail == "its attractor depends on the smallest errors"
 
 
 def test_a_motion_that_settles_only_inaccurately_is_not_settled() -> None:
     growing = Attractor(fate=Fate.UNSETTLED, trend=1.2)
     answer, used = told_by((ORBIT, LATE), (growing, None))
     assert (answer.fate, answer.trend, len(used)) == (Fate.UNSETTLED, 1.2, 2)
-    assert answer.detail == "what it settles to depends on the smallest errors"
+    assert answer.detail == "its attractor depends on the smallest errors"
 
 
 def test_a_way_is_shared_up_to_where_it_comes_nearer_only() -> None:

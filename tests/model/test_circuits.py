@@ -314,7 +314,7 @@ def _circuit(**changes: Any) -> Circuit:
         ({"incidence": ca.SX(2, 1)}, r"`incidence` must be of shape \(1, 1\), but it is \(2, 1\)"),
         ({"resistance": ca.SX(2, 2)}, r"`resistance` must be of shape \(1, 1\)"),
         ({"conductance": ca.SX(1, 2)}, r"`conductance` must be of shape \(1, 1\)"),
-        ({"source": ca.SX([1, 2])}, "`source` must have 1 entries, one a current, but it has 2"),
+        ({"source": ca.SX([1, 2])}, "`source` must have 1 entries, one per current, but it has 2"),
         ({"currents": 2 * COIL}, "`currents` must hold symbols"),
         ({"currents": ca.SX(0, 1), "voltages": ca.SX(0, 1)}, "`currents` must hold the symbol"),
         ({"coenergy": ca.SX([1, 2])}, "`coenergy` must be one energy"),
@@ -338,7 +338,7 @@ def test_a_state_without_inductance_or_charge_is_refused() -> None:
 
 def test_a_state_without_an_equation_is_refused() -> None:
     z = ca.SX.sym("z", 2)
-    with pytest.raises(ValueError, match="`rate` must have 2 entries, one a state, but it has 1"):
+    with pytest.raises(ValueError, match="`rate` must have 2 entries, one per state, but it has 1"):
         Auxiliary(states=z, rate=-z[0])
 
 

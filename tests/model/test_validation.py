@@ -81,7 +81,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "parameter that is not declared": (
         *(FORCED, 'p["k"] *', 'p["stiffness"] *'),
-        "must use declared gains and parameters, but it asks for `stiffness`",
+        "must use declared gains and parameters, but it uses `stiffness`",
     ),
     "symbol that is no parameter": (
         *(FORCED, 'p["F"] *', 'ca.SX.sym("wind") *'),
@@ -149,7 +149,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "no restitution": (
         *(FORCED, "        Quantity.restitution(0.5),  # of the stop, in [0, 1)\n", ""),
-        "must hold a `restitution`.*it holds none",
+        "must hold a `restitution`.*the entry is missing",
     ),
     "restitution of one": (
         *(FORCED, "Quantity.restitution(0.5)", "Quantity.restitution(1.0)"),
@@ -159,7 +159,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
         FORCED,
         "Quantity.restitution(0.5),",
         'Quantity(name="restitution", unit="1", meaning="", default=0.5),',
-        "must hold a `restitution`.*its range differs",
+        "must hold a `restitution`.*its range is different",
     ),
     "default outside its range": (
         *(FORCED, "default=1.0, lower=0.0", "default=-1.0, lower=0.0"),
@@ -193,7 +193,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
         FORCED,
         'hybrid_system(mechanism, no_drive(mechanism), p["restitution"])',
         "mechanism",
-        "`model` must return what `complete` makes, but it returns a `HybridLagrangian`",
+        "`model` must return a `CompletedSystem` from `complete`, but it returns a `Hybrid",
     ),
     "no problem": (*(FORCED, "PROBLEM =", "SCENE ="), "it lacks a `PROBLEM`"),
     "no Python": (*(FORCED, "def model(p):", "def model(p)"), "raises SyntaxError"),

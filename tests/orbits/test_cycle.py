@@ -154,7 +154,7 @@ def test_a_period_without_a_zeno_point_or_its_locked_arc_has_neither(
     (phase,) = turn.phases
     without = replace(turn, phases=(replace(phase, **{missing: None}),))
     for name in ("zeno", "locked"):
-        with pytest.raises(ValueError, match="a Zeno point where the stop holds"):
+        with pytest.raises(ValueError, match="a Zeno point with a contact phase"):
             getattr(without, name)
 
 

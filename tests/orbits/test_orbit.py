@@ -425,7 +425,7 @@ def _spoilt(*path: str | int, to: Any) -> str:
             "`phases[1].kind` must be one of zeno, plastic, impact, but it is ",
         ),
         (("phases", 1, "kind"), "impact", "is `impact`, and yet there is a Zeno point"),
-        (("phases", 1, "kind"), "plastic", "its phases are no shape: "),
+        (("phases", 1, "kind"), "plastic", "its phases are not a valid shape: "),
         (
             ("phases", 1, "zeno_time"),
             None,
@@ -470,7 +470,7 @@ def test_a_file_of_several_phases_that_contradicts_itself_is_refused(
 
 def test_why_phases_are_no_shape_is_told_with_one_full_stop(tmp_path: Path) -> None:
     message = _refusal(tmp_path, _spoilt("phases", 1, "kind", to="plastic"))
-    assert "its phases are no shape: " in message
+    assert "its phases are not a valid shape: " in message
     assert message.endswith("`zeno,plastic`.")
 
 
@@ -619,7 +619,7 @@ def test_what_belongs_to_one_zeno_point_is_refused_by_an_orbit_of_two(name: str)
 def test_an_orbit_whose_zeno_point_lacks_its_time_or_state_has_neither(
     name: str, missing: str
 ) -> None:
-    with pytest.raises(InputError, match="must have a Zeno point"):
+    with pytest.raises(InputError, match="lacks a Zeno point"):
         getattr(changed(SMALL, **{missing: None}), name)
 
 

@@ -108,12 +108,12 @@ def test_a_period_of_another_shape_is_refused(
         striker, _strike(), OrbitShape.parsed("impact*2"), horizon=20.0, settings=settings
     )
     assert cycle.end.time == pytest.approx(2 * TURN, rel=1e-9)
-    with pytest.raises(SimulationError, match="another shape than `zeno`"):
+    with pytest.raises(SimulationError, match="shape of the motion is not `zeno`"):
         cycle_of(striker, _strike(), ONE_ZENO, horizon=20.0, settings=settings)
     # Too short a time for two.
     twice = OrbitShape.parsed("zeno*2")
     start = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
-    with pytest.raises(SimulationError, match="another shape than `zeno\\*2`: zeno"):
+    with pytest.raises(SimulationError, match="shape of the motion is not `zeno\\*2`: zeno"):
         cycle_of(oscillator, start, twice, horizon=8.0, settings=settings)
 
 

@@ -247,7 +247,7 @@ def test_a_restitution_that_would_change_along_the_stop_is_refused() -> None:
 def test_a_correction_as_large_as_what_it_corrects_is_refused_in_one_line() -> None:
     problem = load_problem("motor_pendulum@corrected")
     values = problem.values(gains={"Kd": 8.0}, parameters={"L": 1.0})
-    with pytest.raises(InputError, match="take the full problem"):
+    with pytest.raises(InputError, match="use the full problem"):
         problem.dynamics(values)
 
 

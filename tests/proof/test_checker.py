@@ -552,7 +552,7 @@ def test_a_record_of_another_shape_is_refused_by_whatever_process_meets_it(
     _orders_that_are_none(spoiled)
     # All records are met by workers, as those of a long certificate are.
     monkeypatch.setattr(judged, "_CHUNK", 5)
-    with pytest.raises(InputError, match="does not fit together"):
+    with pytest.raises(InputError, match="is invalid"):
         check_proof(spoiled)
 
 
@@ -560,7 +560,7 @@ def test_what_claims_nothing_is_no_proof(impact: Certificate) -> None:
     silent = {**impact, "claims": []}
     verdict = check_proof(silent)
     assert not verdict.ok
-    assert verdict.verdict() == "Not proved: no claim says that there is an orbit."
+    assert verdict.verdict() == "Not proved: no claim states that an orbit exists."
 
 
 def _twice_as_fast(system: Any) -> Any:
@@ -592,14 +592,14 @@ def test_a_problem_that_the_lemmas_are_not_about_is_refused(
 def test_a_pipe_is_no_certificate(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path):
-        with pytest.raises(InputError, match="must hold a certificate"):
+        with pytest.raises(InputError, match="is not a certificate"):
             check_proof(path)
 
 
 def test_a_file_that_is_cut_short_is_refused(tmp_path: Path, impact: Certificate) -> None:
     path = tmp_path / "proof.json"
     path.write_text(json.dumps(impact)[:-1000])
-    with pytest.raises(InputError, match="must hold a certificate"):
+    with pytest.raises(InputError, match="is not a certificate"):
         check_proof(path)
 
 

@@ -99,7 +99,7 @@ def _no_period(data: Any) -> None:
         (_wide_below, "at its start, but it encloses -1.0 to "),
         (_wide_above, " to 2.0."),
         (_wide_period, "but it encloses 0.0 to 6.28"),
-        (_no_period, "must claim a `period`"),
+        (_no_period, "lacks a claim `period`"),
     ],
 )
 def test_a_certificate_that_encloses_more_than_the_orbit_is_refused(

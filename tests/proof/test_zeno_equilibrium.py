@@ -135,7 +135,7 @@ def test_a_state_where_the_equations_have_no_value_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["zeno-condition", "relief_valve", "--at", "pressure=-5"]) == 2
-    assert "where the rates are finite" in capsys.readouterr().err
+    assert "a rate that is not finite" in capsys.readouterr().err
 
 
 PUSHED = """

@@ -48,7 +48,7 @@ def test_the_widget_follows_one_of_two_stable_orbits() -> None:
 
 def test_a_motion_that_dies_out_is_named_and_left_again(pendulum: Any) -> None:
     pendulum.values = {"Kp": 2.5, "Kd": 0.5}
-    assert "dies out" in pendulum.view["name"]
+    assert "decays" in pendulum.view["name"]
     assert pendulum.view["facts"] == []
     assert pendulum.view["panels"]
     pendulum.values = {"Kp": 2.5, "Kd": -1.0}

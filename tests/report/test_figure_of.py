@@ -168,7 +168,7 @@ def test_one_panel_takes_one_axes(ball: zo.Execution) -> None:
         zo.plot(ball, ax=ax)
     with pytest.raises(zo.InputError, match="must not come together"):
         zo.plot(TRADE, ax=ax, axes=[ax])
-    with pytest.raises(zo.InputError, match="`width` must come without axes"):
+    with pytest.raises(zo.InputError, match="`width` must not be given with axes"):
         zo.plot(TRADE, ax=ax, width=3.4)
     assert float(zo.plot(TRADE, width=3.4).get_figwidth()) == 3.4
 

@@ -131,7 +131,7 @@ def test_an_orbit_without_a_restitution_has_a_plastic_stop() -> None:
 
 def test_other_numbers_of_zeno_points_are_counted() -> None:
     told = words.story(_orbit(0.5), GOOD, _execution(*HITS))
-    assert "flies on, 2 times a period" in told
+    assert "flies on, 2 times per period" in told
     told = words.story(_orbit(0.5), GOOD, _execution(*HITS, LIMIT, LIMIT, LIMIT))
     assert "hits its stop 2 times that" in told
     assert "3 times infinitely many" in told
@@ -139,7 +139,7 @@ def test_other_numbers_of_zeno_points_are_counted() -> None:
 
 def test_a_false_orbit_is_told_as_what_its_file_says() -> None:
     refused = replace(GOOD, trouble="It is late")
-    assert words.story(_orbit(0.5), refused, None).startswith("So says the file")
+    assert words.story(_orbit(0.5), refused, None).startswith("The file states this")
     assert words.story(_orbit(0.5), GOOD, None) == "The same motion repeats every 2 s."
 
 

@@ -442,11 +442,11 @@ def test_a_motion_whose_first_impacts_fade_dies_out(told: Told) -> None:
         for since, speed in ((1.0, 1.0), (2.0, 0.9e-3))
     ]
     found = _followed(told, *fading)
-    assert found == FollowedMotion(cycle=None, reason="the motion dies out")
+    assert found == FollowedMotion(cycle=None, reason="the motion decays")
     assert len(told.asked) == 2
     # It is told when there is a return only.
     quiet = _followed(told, *fading[:1], _piece(1.0, releases=[(1.0, START)]))
-    assert quiet.reason != "the motion dies out"
+    assert quiet.reason != "the motion decays"
 
 
 def test_a_coordinate_that_runs_away_is_told_in_the_words_of_the_problem_or_of_the_simulation(

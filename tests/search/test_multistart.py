@@ -392,7 +392,7 @@ def test_an_interrupt_keeps_the_starts_that_are_finished(
     with interrupted_when(lambda _, part: part >= 0.5):
         answer = ask(*words)
     assert answer.code == INTERRUPTED
-    assert "ball.json.checkpoint` keeps what is finished: the same command goes on" in answer.err
+    assert "ball.json.checkpoint` keeps the finished work: the same command continues" in answer.err
     assert len(list((tmp_path / "ball.json.checkpoint").glob("chunk-*"))) == 2
     assert ask(*words).data == kept[1]
     assert list(tmp_path.iterdir()) == []
@@ -411,7 +411,9 @@ def test_a_place_that_cannot_be_had_is_refused_even_if_one_start_would_do(
 def test_a_problem_that_workers_would_not_see_is_refused() -> None:
     problem = locate_problem(PROBLEM)
     other = replace(problem.load())
-    with pytest.raises(InputError, match="`problem` must be what the `problem` of `spread` loads"):
+    with pytest.raises(
+        InputError, match="`problem` must be the problem that the workers of `spread` load"
+    ):
         search_gains(
             other, other.values(), free=FREE, spread=StartWorkers(problem_file=problem, plan=Plan())
         )

@@ -187,7 +187,7 @@ def test_energy_costs_what_it_is_in_units_of_the_guess(work: float, cost: float)
     found, rows, _ = _made(objective, electrical_work=scaled)
     assert found == pytest.approx(cost)
     assert rows == {}
-    assert objective.wish == "the least electrical energy a period"
+    assert objective.wish == "the least electrical energy per period"
     assert objective.quantities == ("energy",)
     assert objective.score({}, NEAR, EXTENTS) == 6.0
 
@@ -235,7 +235,7 @@ def test_multipliers_that_vanish_leave_the_least_radius() -> None:
 
 
 def test_a_contraction_without_a_return_map_is_a_mistake() -> None:
-    with pytest.raises(ValueError, match="must carry the return map"):
+    with pytest.raises(ValueError, match="lacks the return map"):
         _made(FastestContraction())
 
 
@@ -624,7 +624,7 @@ def test_an_orbit_on_the_way_is_taken_where_no_bounded_search_finds_one_that_att
     assert [orbit.gains["Kd"] for orbit in seen[7:]] == pytest.approx(wanted, rel=1e-12)
     assert result.unwrap() is seen[-1]
     assert "lies on a fold of the family" in result.detail
-    assert result.detail.endswith("This one, on the way to it, does.")
+    assert result.detail.endswith("This orbit, on the way to it, is stable.")
 
 
 @pytest.mark.slow

@@ -318,7 +318,7 @@ def test_the_best_orbit_that_attracts_is_looked_for_beside_the_one_that_does_not
     outcome = try_start(search, 1, _stable_below(3.2, 0.5, -1.5))
     assert _place(outcome) == 3.0
     assert outcome.detail == (
-        "The best orbit, at Kp = 3.5, Kd = -1, does not attract. "
+        "The best orbit, at Kp = 3.5, Kd = -1, is unstable. "
         "This is the best one with a spectral radius up to 0.99."
     )
     kind, bounded, (start, solution) = asked[1]
@@ -327,7 +327,7 @@ def test_the_best_orbit_that_attracts_is_looked_for_beside_the_one_that_does_not
     assert start.values == scan.start_place(search, 1)
     assert solution is first.solution
     assert [one for one, *_ in asked] == ["from", "beside", "measure"]
-    assert "start 2: looking for an orbit that attracts" in told
+    assert "start 2: looking for a stable orbit" in told
     assert told[-1] == "start 2: verifying"
 
 
@@ -351,12 +351,12 @@ def test_other_bounds_hold_while_an_orbit_that_attracts_is_looked_for(
 @pytest.mark.parametrize(
     ("multiplier", "words"),
     [
-        (1.009, "lies on a fold of the family, where orbits cease to attract"),
-        (1.011, "does not attract"),
-        (0.991, "lies on a fold of the family, where orbits cease to attract"),
-        (-1.009, "lies on a period doubling, where orbits cease to attract"),
-        (complex(0.0, 1.0), "does not attract"),
-        (complex(1.0, 0.01), "does not attract"),
+        (1.009, "lies on a fold of the family, where orbits lose stability"),
+        (1.011, "is unstable"),
+        (0.991, "lies on a fold of the family, where orbits lose stability"),
+        (-1.009, "lies on a period doubling, where orbits lose stability"),
+        (complex(0.0, 1.0), "is unstable"),
+        (complex(1.0, 0.01), "is unstable"),
     ],
 )
 def test_where_orbits_cease_to_attract_is_told(
@@ -419,7 +419,8 @@ def test_nearest_numbers_that_attract_are_looked_for_on_the_way_back(
     outcome = try_start(search, 0, _stable_below(3.2))
     assert _place(outcome) == 3.0
     assert outcome.detail == (
-        "The best orbit, at Kp = 3.5, Kd = -1, does not attract. This one, on the way to it, does."
+        "The best orbit, at Kp = 3.5, Kd = -1, is unstable. "
+        "This orbit, on the way to it, is stable."
     )
     held = [(bounded, start) for kind, bounded, start in asked if kind == "from"][2:]
     tried = [start.values.gains["Kp"] for _, start in held]

@@ -195,7 +195,7 @@ def test_workers_with_other_code_are_refused(
 def test_the_address_of_a_worker_is_not_that_of_a_scheduler(cluster: DaskCluster) -> None:
     cluster.start_worker("--no-nanny")
     (address,) = spread(chores.addresses, [0.0], plan(cluster.place()))
-    with pytest.raises(InputError, match="is that of a Worker"):
+    with pytest.raises(InputError, match="is the address of a Worker"):
         spread(chores.square, POINTS, plan(Cluster(address=address)))
 
 

@@ -137,7 +137,7 @@ def test_the_exception_of_a_task_is_told_with_its_place_even_if_it_cannot_travel
 
 @pytest.mark.parametrize("name", ["not_plain", "too_few"])
 def test_a_task_that_does_not_return_plain_data_one_a_point_is_refused(name: str) -> None:
-    with pytest.raises((WorkError, InputError), match=r"JSON|one result a point"):
+    with pytest.raises((WorkError, InputError), match=r"JSON|one result per point"):
         spread(getattr(chores, name), POINTS, plan())
 
 

@@ -236,7 +236,7 @@ class Verified:
             objection = certificate.verdict()
         elif not (certificate.stable or self.allow_unstable):
             radius = certificate.spectral_radius
-            objection = f"The orbit does not attract: its spectral radius is {radius:.4g}."
+            objection = f"The orbit is not stable: its spectral radius is {radius:.4g}."
         elif self.accuracy is not None and not certificate.orbit_error <= self.accuracy:
             objection = f"Its numbers are certain to {certificate.orbit_error:.1e} only."
         return Judgement(objection=objection, certificate=certificate)

@@ -74,7 +74,7 @@ def continue_orbit(
     box = as_range("box", box)
     orbit = as_orbit(orbit)
     if orbit.shape.n_phases != 1:
-        wanted = "must have one Zeno point or one impact a period to be continued"
+        wanted = "must have one Zeno point or one impact per period"
         raise InputError(f"Argument `orbit` {wanted}, but its shape is `{orbit.shape.text}`.")
     source = problem or orbit.problem
     with _crew(source, plan_of(workers, plan), on_progress) as crew:

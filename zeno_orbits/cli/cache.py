@@ -26,9 +26,9 @@ def add_cache(commands: Any) -> None:
     parser.add_argument(
         "--compile",
         metavar="PROBLEM",
-        help="compile the formulas of a problem now: runs are faster, and digits stay",
+        help="compile the formulas of a problem now: runs are faster, with the same results",
     )
-    parser.add_argument("--clear", action="store_true", help="remove everything that is kept")
+    parser.add_argument("--clear", action="store_true", help="remove all compiled code")
 
 
 def _run_cache(options: argparse.Namespace) -> int:

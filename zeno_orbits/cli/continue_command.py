@@ -65,7 +65,8 @@ def add_continue(commands: Any) -> None:
         dest="start_orbit",
         type=Path,
         metavar="ORBIT.json",
-        help="start from this orbit and its values (default: from one that a motion settles to)",
+        help="start from this orbit and its values (default: an orbit that a simulation converges "
+        "to)",
     )
     parser.add_argument(
         "--section",
@@ -79,7 +80,7 @@ def add_continue(commands: Any) -> None:
         action=Named,
         type=read_named_number,
         metavar="STATE=VALUE",
-        help="with --section impact: initial state of a motion that settles to the orbit",
+        help="with --section impact: initial state of a simulation that converges to the orbit",
     )
     parser.add_argument(
         "--max-points",

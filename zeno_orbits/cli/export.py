@@ -93,7 +93,7 @@ def _run_export(options: argparse.Namespace) -> int:
     )
     program = program_or_reason(problem.compiled())
     if isinstance(program, str):
-        raise InputError(f"Argument `problem` must be one that tapes can hold, but {program}.")
+        raise InputError(f"Argument `problem` cannot be exported: {program}.")
     run = ExportedRun(
         name=problem.name,
         state_names=problem.state_names,
@@ -120,7 +120,7 @@ def _run_export(options: argparse.Namespace) -> int:
 def _unit(
     problem: Problem, program: Program, run: ExportedRun, options: argparse.Namespace
 ) -> tuple[dict[str, bytes], str]:
-    """Return the co-simulation unit, file name to bytes, and why it holds no library, if so."""
+    """Return the co-simulation unit as file name to bytes, and the reason if it lacks a library."""
     from zeno_orbits import __version__
     from zeno_orbits.loop import ExportedUnit, exported_unit
 

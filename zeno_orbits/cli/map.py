@@ -67,7 +67,7 @@ def add_map(commands: Any) -> None:
         "--orbit",
         type=Path,
         metavar="ORBIT.json",
-        help="start where the period of this orbit starts, at its gains and parameters, but for "
+        help="start at the first state of this orbit, at its gains and parameters, except for "
         "the axes, --set and --initial",
     )
     parser.add_argument(
@@ -93,7 +93,7 @@ def add_map(commands: Any) -> None:
         "--boundaries",
         type=Path,
         metavar="FAMILY.json",
-        help="draw the curves of this file, of `continue --parameter2`, on top",
+        help="draw the curves of this file of `continue --parameter2` on top",
     )
     parser.add_argument("-o", "--output", type=Path, help="write the map here, as JSON")
 

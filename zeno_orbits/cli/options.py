@@ -345,7 +345,7 @@ def _kept(options: argparse.Namespace, folder: Path | None) -> str:
     again = "the same command"
     if _is_temporary(options):
         again += f" with --checkpoint {folder}"
-    return f"`{folder}` keeps what is finished: {again} goes on from there"
+    return f"`{folder}` keeps the finished work: {again} continues from there"
 
 
 def add_orbit(parser: argparse.ArgumentParser) -> None:

@@ -34,7 +34,7 @@ class Named(argparse.Action):
         name, value = values
         known = getattr(namespace, self.dest)
         if name in known:
-            raise argparse.ArgumentError(self, f"must name `{name}` once, but it does so twice")
+            raise argparse.ArgumentError(self, f"must name `{name}` once, not twice")
         setattr(namespace, self.dest, {**known, name: value})
 
 
@@ -90,7 +90,7 @@ def read_share(text: str) -> float:
 
 
 def _is_whole(text: str) -> bool:
-    """Return True for a whole number of at most 18 digits: compiled code holds no longer one."""
+    """Return True for a whole number of at most 18 digits, the limit of compiled code."""
     return text.isdigit() and len(text) < 19
 
 
@@ -132,7 +132,7 @@ def read_direction(text: str) -> dict[str, float]:
     for part in text.split(","):
         name, value = read_named_number(part)
         if name in entries:
-            message = f"must name `{name}` once, but it does so twice"
+            message = f"must name `{name}` once, not twice"
             raise argparse.ArgumentTypeError(message)
         entries[name] = value
     return entries
@@ -276,7 +276,7 @@ def _targets(text: str) -> dict[str, float]:
     for part in filter(None, text.split(",")):
         name, value = read_named_number(part)
         if name in targets:
-            raise argparse.ArgumentTypeError(f"must name `{name}` once, but it does so twice")
+            raise argparse.ArgumentTypeError(f"must name `{name}` once, not twice")
         targets[name] = value
     return targets
 

@@ -114,7 +114,7 @@ def add_figures(commands: Any) -> None:
         "orbit",
         metavar="ORBIT.json|PROBLEM",
         type=Path,
-        help="an orbit file, or a problem, whose orbit is searched for first",
+        help="an orbit file, or a problem, for which an orbit is searched first",
     )
     add_problem_file(parser)
     parser.add_argument(
@@ -124,7 +124,7 @@ def add_figures(commands: Any) -> None:
         metavar="KIND",
         help=f"figures to draw, one of {', '.join(_FIGURES)}: the system and its completion as "
         "graphs, the mechanism and its circuit, the region d2h/dt2 < 0, phase portraits, five "
-        "figures of the model beside the virtual rig, the machine in motion "
+        "figures that compare the model with the virtual rig, the machine in motion "
         "(repeatable, default: all of the problem)",
     )
     parser.add_argument(
@@ -149,7 +149,7 @@ def _run_figures(options: argparse.Namespace) -> int:
 
     require_folder(options.output)
     if options.data is not None and options.kind and "beside" not in options.kind:
-        raise InputError("Argument `data` must come with the kind `beside`, but it does not.")
+        raise InputError("Argument `data` needs the kind `beside`.")
     asked: list[str] = options.kind or []
     wanted = [*asked, "beside"] if options.data is not None else asked
     files: dict[str, bytes] = {}
@@ -184,7 +184,7 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plo
     dynamics = api.system_of(orbit, problem)
     one = motion_of(orbit, problem, dynamics)
     if not one.zeno_points:
-        message = "must reach a Zeno point in its period, but it reaches none"
+        message = "must reach a Zeno point, but its period contains only other impacts"
         raise InputError(f"Argument `orbit` {message}. See `verify`.")
 
     return plots.Material(

@@ -102,7 +102,7 @@ class _Patient(io.TextIOBase):
         if stream is not None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         if self._may_fail and not isinstance(error, BrokenPipeError):
-            message = "Standard output must be writable, but it is not"
+            message = "Standard output is not writable"
             raise InputError(f"{message} ({error.strerror}).") from error
 
 

@@ -129,7 +129,7 @@ def _interrupted() -> int:
 
 
 def _end(error: Exception, code: int, options: argparse.Namespace, text: str = "") -> int:
-    """Tell an error, by its own words or others, to people and to programs."""
+    """Print an error, by its message or another text, for users and for programs."""
     if options.debug:
         raise error
     said = text or as_typed(str(error), options.words, options)

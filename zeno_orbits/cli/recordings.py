@@ -104,7 +104,7 @@ def add_identify(commands: Any) -> None:
         "range is a tenth to ten times the value",
     )
     parser.add_argument("-o", "--output", type=Path, help="write the results here, as JSON")
-    parser.add_argument("--orbit", type=Path, help="write the orbit at the fitted numbers here")
+    parser.add_argument("--orbit", type=Path, help="write the orbit at the fitted values here")
 
 
 def _run_identify(options: argparse.Namespace) -> int:

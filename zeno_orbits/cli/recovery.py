@@ -31,7 +31,7 @@ def add_recovery(commands: Any) -> None:
         type=read_share,
         default=0.01,
         metavar="SHARE",
-        help="part to which a disturbance has to decay (default: 0.01)",
+        help="fraction to which a disturbance must decay (default: 0.01)",
     )
     parser.add_argument(
         "--samples",

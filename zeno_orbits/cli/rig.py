@@ -59,7 +59,7 @@ def add_rig(commands: Any) -> None:
         action=Named,
         type=read_named_number,
         metavar="PART.NAME=VALUE",
-        help="change a number of the machine, for example contact.stiffness=1e5, "
+        help="change a parameter of the machine, for example contact.stiffness=1e5, "
         "friction.COORDINATE.coulomb=0.01 or gears.MOTOR.play=0.01 (repeatable); "
         "docs/rig.md lists them",
     )

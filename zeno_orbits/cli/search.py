@@ -83,8 +83,8 @@ def add_search(commands: Any) -> None:
         action=Named,
         type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="range of an uncertain parameter: --objective robustness takes the worst of its "
-        "corners (repeatable)",
+        help="range of an uncertain parameter: --objective robustness takes the worst "
+        "corner of these ranges (repeatable)",
     )
     parser.add_argument(
         "--bound",
@@ -92,7 +92,7 @@ def add_search(commands: Any) -> None:
         action=Named,
         type=read_bound,
         metavar="NAME=LOWER:UPPER",
-        help="bounds that the orbit must keep, an open end left empty (NAME=:1.2): a state, "
+        help="bounds on the orbit, with an open end left empty (NAME=:1.2): a state, "
         "current or voltage at all times; period, energy, spectral_radius, or a margin of the "
         "certificate (repeatable)",
     )
@@ -118,7 +118,7 @@ def add_search(commands: Any) -> None:
         metavar="SHAPE",
         help="phases of a period: zeno (impacts accumulate, contact, release), impact "
         "(one impact, off the stop again), plastic (contact after one impact, e = 0); *N for N of "
-        "them, joined by commas (zeno*2, impact*3; default: what a simulation settles to)",
+        "them, joined by commas (zeno*2, impact*3; default: the attractor of a simulation)",
     )
     parser.add_argument(
         "--candidates",
@@ -137,7 +137,7 @@ def add_search(commands: Any) -> None:
         dest="until",
         type=read_number,
         metavar="T",
-        help="longest time for a motion to repeat [s] (default: some hundred periods of "
+        help="longest time for a motion to repeat [s] (default: about 100 periods of "
         "the problem's clock, or of its slowest oscillation)",
     )
     parser.add_argument(

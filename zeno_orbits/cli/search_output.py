@@ -132,7 +132,7 @@ def _say_no(
     report.print_lines(notes.far)
     report.print_whole(f"Try: {hint}" for hint in hints)
     if older:
-        report.print_lines([f"{options.output} was not written: what it holds is older."])
+        report.print_lines([f"{options.output} was not written: it holds an older result."])
 
 
 def _levers(
@@ -153,7 +153,7 @@ def _levers(
         if options.shape is not None:
             found.append("omit --shape, to accept any orbit that the simulation converges to.")
     if result.repels:
-        found.append("--allow-unstable, to take an orbit that does not attract.")
+        found.append("--allow-unstable, to accept an unstable orbit.")
     if notes.bounds:
         kept = ", ".join(f"{bound.name}={bound.text}" for bound in notes.bounds)
         found.append(f"a wider --bound than {kept}.")

@@ -60,8 +60,7 @@ def add_simulate(commands: Any) -> None:
     parser.add_argument(
         "--settle",
         action="store_true",
-        help="also print the attractor of the motion, which is followed for as long as `map` "
-        "follows it",
+        help="also print the attractor of the motion, with the time limit of `map`",
     )
     parser.add_argument(
         "--truncation",
@@ -78,7 +77,7 @@ def add_simulate(commands: Any) -> None:
         help="stop after this many steps of the integrator (default: 2000000)",
     )
     parser.add_argument(
-        "--all-states", action="store_true", help="print every state, also those that stand still"
+        "--all-states", action="store_true", help="print every state, including constant states"
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="DATA.csv", help="write samples of the states here"

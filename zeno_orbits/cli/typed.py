@@ -1,4 +1,4 @@
-"""Errors in the words that the user typed: options in place of the names of arguments."""
+"""Error messages with options as the user typed them in place of the names of arguments."""
 
 from __future__ import annotations
 

@@ -173,14 +173,14 @@ def correct(
             return _point(x, s, metric, rows, ambient, found, miss, along)
         before = miss
     raise SimulationError(
-        f"Newton's method does not close the return, it misses by {before:.1e}",
+        f"Newton's method does not converge: the periodicity defect is {before:.1e}",
         time=metric.horizon,
         state=tuple(x.tolist()),
     )
 
 
 def corrected_again(returns: ReturnMap, metric: FamilyMetric, point: BranchPoint) -> BranchPoint:
-    """Return a point after one more Newton correction, however small the correction is.
+    """Return a point after one more Newton correction, even if the correction is small.
 
     Args:
         returns: The return map, for instance at a different accuracy.

@@ -111,7 +111,7 @@ def cut_after(returns: ReturnMap, place: int, n_impacts: int) -> ReturnMap:
         maps[place] = cut_after(maps[place], 0, n_impacts)
         return Composed(maps=tuple(maps))
     if not isinstance(returns, ReleaseReturns):
-        raise TypeError("Argument `returns` must go from release to release, but it does not.")
+        raise TypeError("Argument `returns` must be a map from release to release.")
     return CutReturns(whole=returns, n_impacts=n_impacts)
 
 

@@ -410,7 +410,7 @@ class ImpactReturns(SectionReturns):
         dynamics, line = self.dynamics(s), self.line
         speed = dynamics.gap_rate(x)
         if not speed > self.settings.contact * dynamics.own.gap_rate:
-            raise SimulationError("The stop is not left", time=0.0, state=tuple(x.tolist()))
+            raise SimulationError("Contact does not end", time=0.0, state=tuple(x.tolist()))
         run = simulate(dynamics, x, until=horizon, releases=1, impacts=1, settings=self.settings)
         if not run.impacts or run.arcs[0].ending is not Ending.IMPACT:
             raise SimulationError("No impact follows", time=horizon, state=tuple(x.tolist()))

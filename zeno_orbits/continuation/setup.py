@@ -171,7 +171,9 @@ def start_at_impact(
     cycle = settling.cycle
     if cycle is None or cycle.drift(cycle.scale_at_events()) > _SETTLED:
         raise SimulationError(
-            "The motion does not settle to one impact per period", time=settling.waited, state=state
+            "The motion does not converge to an orbit with one impact per period",
+            time=settling.waited,
+            state=state,
         )
     setup = Setup(
         values=values,

@@ -146,7 +146,7 @@ def neville(places: Vector, rows: Vector) -> tuple[Vector, Vector]:
 
 def _course(point: BranchPoint) -> Course:
     if point.course is None:
-        raise TypeError("Argument `point` must have a course, but it lacks one.")
+        raise TypeError("Argument `point` lacks its course.")
     return point.course
 
 

@@ -41,7 +41,7 @@ _AT_ONCE = 1 << 16
 _JUMP = 1e-6
 """A step of this part of a signal's range is a jump: a table is as exact as that."""
 _LAYER = 0.005
-"""How far a signal goes in a layer, in parts of its range, at least."""
+"""Smallest change of a signal in a layer, relative to its range."""
 ROUGHLY = 0.01
 """Largest part of a period next to a jump that is ignored while the phases are roughly known."""
 _BESIDE = 1e-4
@@ -211,7 +211,7 @@ class OrbitTable:
         """Return the signals at phases, ``(n, n_s)``.
 
         Args:
-            phases: In periods from the release, any number of them, ``(n,)``.
+            phases: Phases in periods from the release, ``(n,)``.
         """
         return self.nodes.at(np.mod(phases, 1.0) * self.period)
 
@@ -303,7 +303,7 @@ def tabulate_orbit(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> 
     Args:
         orbit: The orbit.
         problem: Its problem.
-        names: Of the signals to tabulate.
+        names: Names of the signals to tabulate.
 
     Raises:
         SimulationError: If its release does not return.

@@ -1,4 +1,4 @@
-"""The default engine: explicit where a flow is smooth, implicit where a fast decay holds it back.
+"""The default engine: explicit steps in general, implicit steps if a fast decay limits the step.
 
 Every leg begins explicitly, which a layer after an impact needs anyway. Once the decay of the
 fastest component, and no longer the accuracy, sets the step, and enough of the leg is left, the

@@ -109,7 +109,7 @@ class Collocation:
 
     @cached_property
     def monomials(self) -> Array:
-        """Weights of the stage increments in the polynomial through them, a row each power.
+        """Weights of the stage increments in the polynomial through them, one row per power.
 
         The polynomial is zero at the start of the interval: the powers are 1 to ``n_stages``.
         """
@@ -203,9 +203,9 @@ class Nodes:
 
     Attributes:
         places: The nodes, ``(s,)``.
-        coefficients: From values at the nodes to Legendre coefficients, ``(s, s)``.
-        integral: From values at the nodes to integrals from 0 to the nodes, ``(s, s)``.
-        whole: From values at the nodes to the integral over ``[0, 1]``, ``(s,)``.
+        coefficients: Matrix from values at the nodes to Legendre coefficients, ``(s, s)``.
+        integral: Matrix from values at the nodes to integrals from 0 to the nodes, ``(s, s)``.
+        whole: Weights of the values at the nodes in the integral over ``[0, 1]``, ``(s,)``.
     """
 
     places: Vector

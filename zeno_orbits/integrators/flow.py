@@ -21,8 +21,8 @@ class Tolerance(Checked):
     """Local error allowed in one step: ``absolute + relative * |y|``, entry by entry.
 
     Attributes:
-        relative: Part of an entry.
-        absolute: In the entry's own unit.
+        relative: Relative tolerance.
+        absolute: Absolute tolerance, in the entry's own unit.
     """
 
     relative: float = 1e-12
@@ -37,7 +37,7 @@ class StageGuess(NamedTuple):
     """A guess of the stages of a step: the polynomial of another step, continued.
 
     Attributes:
-        coefficients: Of that polynomial, powers 1 up, ``(n_stages, n_y)``.
+        coefficients: Coefficients of that polynomial, powers 1 up, ``(n_stages, n_y)``.
         start: Start of the step, in units of the other step.
         ratio: Size of the step in these units.
     """
@@ -56,7 +56,7 @@ class Corrected(NamedTuple):
 
     Attributes:
         stages: Stage increments, ``(n_stages, n_y)``.
-        coefficients: Of the polynomial through them, powers 1 up, ``(n_stages, n_y)``.
+        coefficients: Coefficients of the polynomial through them, powers 1 up, ``(n_stages, n_y)``.
         after: State at the end, ``(n_y,)``.
         before: Size of the last correction but one, in units of the tolerance.
         last: Size of the last.
@@ -169,8 +169,8 @@ class PlainFlow:
     """A guarded flow made of two plain functions.
 
     Attributes:
-        field: From a state ``y`` to ``dy/dt``.
-        guard_and_rate: From ``y`` to the guard and its time derivative along the flow.
+        field: Function from a state ``y`` to ``dy/dt``.
+        guard_and_rate: Function from ``y`` to the guard and its time derivative along the flow.
     """
 
     field: Callable[[Vector], Vector]

@@ -48,7 +48,7 @@ def exported_files(program: Program, run: ExportedRun) -> dict[str, str]:
 
     Args:
         program: The formulas.
-        run: Numbers and names.
+        run: Values and names.
     """
     stem = stem_of(run.name)
     header = (HERE / "loop.h").read_text(encoding="utf-8")

@@ -64,7 +64,7 @@ class LibraryFolder:
         except OSError as error:
             raise KernelError(f"`{path}` cannot be read ({error.strerror})") from error
         if stat.st_uid not in {os.geteuid(), 0} or stat.st_mode & _OTHERS_MAY_WRITE:
-            raise KernelError(f"`{path}` must be the user's alone, but others may write to it")
+            raise KernelError(f"other users can write to `{path}`")
 
     def find(self, key: str) -> Path | None:
         """Return a trusted library, if one exists.

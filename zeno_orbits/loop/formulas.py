@@ -94,10 +94,10 @@ class _Line:
     """An instruction with each result named once.
 
     Attributes:
-        name: Of its result.
+        name: Name of its result.
         formula: A C expression in other names.
         operands: Results that it takes.
-        calls: It calls a function, which lanes do one after the other.
+        calls: Whether it calls a function, which the lanes execute one after the other.
     """
 
     name: str

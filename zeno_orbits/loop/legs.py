@@ -160,7 +160,7 @@ class LegProgram(TapedProblem):
 
 
 class _Room:
-    """Memory of a leg and its records, which legs take in turns."""
+    """Memory of a leg and its records, which successive legs reuse."""
 
     def __init__(self, program: LegProgram) -> None:
         n_y = program.n_x

@@ -38,7 +38,7 @@ _CHOICES = ("use", "tape", "never")
 the reference in Python."""
 
 _LIBRARY = "ZENO_ORBITS_LOOP_LIBRARY"
-"""A library of one's own, built from the same code with other flags, to look for faults."""
+"""A custom library, built from the same code with other flags to detect faults."""
 
 _KEY = "loop"
 
@@ -86,7 +86,7 @@ def compiled_library(digest: str) -> Any:
     """Return the library with the formulas of one problem, or ``None`` if it is not in the cache.
 
     Args:
-        digest: Of the formulas.
+        digest: Digest of the formulas.
     """
     if os.environ.get(VARIABLE, "") == "tape" or os.environ.get(_LIBRARY, ""):
         return None

@@ -33,7 +33,7 @@ from zeno_orbits.model import (
 
 
 class TapedProblem:
-    """Formulas as tapes, and memory for those who carry them out."""
+    """Formulas as tapes, and the memory for their evaluation."""
 
     def __init__(
         self, library: Any, tapes: Sequence[Tape], carried: Sequence[bool], *sizes: int
@@ -82,10 +82,10 @@ class TapedProblem:
 
         Args:
             p: Parameters, ``(n_p,)``.
-            mode: Of the flow.
+            mode: Mode of the flow.
             speed: Unit of time of a rescaled flight.
             before: State before the step, ``(n_y,)``.
-            size: Of the step, in the flow's own time.
+            size: Size of the step, in the flow's own time.
         """
         try:
             room = self._rooms.pop()
@@ -195,7 +195,7 @@ def compile_formulas(system: CompiledSystem) -> str:
 
 
 def refusals() -> list[str]:
-    """Return why the library does not carry out formulas of this process, one clause each."""
+    """Return the reasons why the library does not support formulas of this process, as clauses."""
     found = [reason for reason in _programs.values() if isinstance(reason, str)]
     return [f"some executions run in Python: {reason}" for reason in dict.fromkeys(found)]
 

@@ -278,7 +278,7 @@ class LoopRun:
         """Return the state after an explicit step from a state, ``(n_y,)``.
 
         Args:
-            mode: Of the flow.
+            mode: Mode of the flow.
             speed: Unit of time of a rescaled flight.
             before: The state, ``(n_y,)``.
             offset: Size of the step, in the flow's own time.

@@ -36,7 +36,7 @@ SAME_PERIOD = 1e-4
 _LATER = 2.0
 """Relative difference of return times per unit of distance from the orbit."""
 _NEAR, _REPELS = 0.05, 1.2
-"""Distance and spectral radius: a nearer orbit with a larger radius does not attract the motion."""
+"""Distance and spectral radius: a motion does not converge to a nearer orbit of larger radius."""
 _VANISHED = 0.02
 """An amplitude below this part of the motion's amplitude means decay to an equilibrium."""
 _COARSE = 3e-4
@@ -64,7 +64,7 @@ class Accuracy:
 
     @property
     def reached(self) -> float:
-        """Distance of a motion from its orbit within its accumulated local errors."""
+        """Distance that the accumulated local errors of a motion can account for."""
         return _LOCAL_ERRORS * self.motion
 
 

@@ -105,7 +105,7 @@ class Attractor:
             if self.trend > 1.0 + STEADY:
                 return f"{self.fate.value}, growing"
             if self.trend < 1.0 - STEADY:
-                return f"{self.fate.value}, dying out"
+                return f"{self.fate.value}, decaying"
         return self.fate.value
 
     def as_json(self) -> dict[str, Any]:

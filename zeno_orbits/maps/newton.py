@@ -149,7 +149,7 @@ class Crossing:
         margins: Names of the margins, as in a certificate.
         cycle: Function of the system and the events of one period, with times from its start. It
             returns the end, the period and the margins.
-        far: Longest relative Newton step from the motion within which the orbit must lie.
+        far: Largest relative distance of the orbit from the motion in a Newton step.
     """
 
     event: type[Released | Struck]

@@ -246,7 +246,7 @@ def require_free_states(plane: Plane, fixed: Collection[str]) -> None:
     """
     for side, axis in (("x", plane.x), ("y", plane.y)):
         if axis.name in fixed:
-            message = f"must name what is not fixed, but `{axis.name}` has an initial value"
+            message = f"must name a free quantity, but `{axis.name}` has an initial value"
             raise InputError(f"Argument `{side}` {message}.")
 
 
@@ -275,7 +275,7 @@ def _checked(problem: Problem, plane: Plane, side: str) -> Axis:
     else:
         unit = problem.require_range(axis.name, (axis.lower, axis.upper), argument=side).unit
     if axis.name in {**plane.gains, **plane.parameters}:
-        message = f"must name what is not fixed, but `{axis.name}` is fixed"
+        message = f"must name a free quantity, but `{axis.name}` is fixed"
         raise InputError(f"Argument `{side}` {message}.")
     if axis.count < _LEAST:
         message = f"must be at least {_LEAST}x{_LEAST}, but one of them is {axis.count}"

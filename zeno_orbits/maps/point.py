@@ -125,7 +125,7 @@ class Point:
             answer = answer or self._repeating()
             if answer is not None:
                 return answer
-        raise AssertionError("A motion ends with its end.")
+        raise AssertionError("The run lacks an end.")
 
     def _repeating(self) -> Attractor | None:
         """Return the orbit of a motion whose impacts repeat to rounding, tested at intervals."""

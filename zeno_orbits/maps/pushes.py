@@ -407,7 +407,7 @@ def least_push(
         The smallest push. Without a loss, the push whose scan ends first.
 
     Raises:
-        InputError: As `largest_pushes`.
+        InputError: If `largest_pushes` would raise it.
         SimulationError: If the problem does not follow the orbit.
     """
     settings = settings or PushSettings()
@@ -573,15 +573,15 @@ def _attracting(problem: Problem, values: ParameterValues, orbit: ZenoOrbit) -> 
     )
     if not same:
         said = f"the motion that starts on it ends in: {reached.phrase}"
-        raise InputError(f"Argument `orbit` must attract, but {said}.")
+        raise InputError(f"Argument `orbit` must be stable, but {said}.")
     known = known_orbits(problem, values, [reached], OF_BASINS)
     if not known:
         said = f"its spectral radius is {reached.spectral_radius:.6g}"
-        raise InputError(f"Argument `orbit` must attract, but {said}.")
+        raise InputError(f"Argument `orbit` must be stable, but {said}.")
     # An unstable orbit may leave the motion on another orbit of the same period.
     if not known[0].passes(np.array(problem.state_vector(orbit.start_state))):
         said = "the motion that starts on it ends on another orbit"
-        raise InputError(f"Argument `orbit` must attract, but {said}.")
+        raise InputError(f"Argument `orbit` must be stable, but {said}.")
     return known[0]
 
 

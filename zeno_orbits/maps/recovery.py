@@ -76,7 +76,7 @@ class RecoverySettings:
         """Refuse values without a meaning.
 
         Raises:
-            InputError: With the name of the field.
+            InputError: If a field is invalid. The message names it.
         """
         require_kinds(self)
         for name in ("part", "confidence", "error"):

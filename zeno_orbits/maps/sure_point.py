@@ -15,7 +15,7 @@ _WANDERS = 10
 """Number of returns before the approach to an orbit from which small errors may decide."""
 _FINER = 1e-2
 """Local error of the last simulation, in units of the orbit's local error."""
-_DEPENDS = "what it settles to depends on the smallest errors"
+_DEPENDS = "its attractor depends on the smallest errors"
 
 
 def sure_attractor(motion: Callable[[Accuracy], Point], accuracy: Accuracy) -> Attractor:

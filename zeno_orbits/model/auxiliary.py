@@ -58,7 +58,7 @@ class Auxiliary:
         for name in ("rate", "after_impact"):
             given = getattr(self, name)
             if given is not None and given.numel() != n_z:
-                wanted = f"must have {n_z} entries, one a state, but it has {given.numel()}"
+                wanted = f"must have {n_z} entries, one per state, but it has {given.numel()}"
                 raise ValueError(f"Argument `{name}` {wanted}.")
         for name in ("input_power", "loss", "stored_energy"):
             given = getattr(self, name)
@@ -81,7 +81,7 @@ class Auxiliary:
         own = {"a coordinate": mechanism.q, "a velocity": mechanism.v, "the clock": clock}
         for what, symbols in own.items():
             if symbols.numel() and ca.depends_on(self.states, symbols):
-                wanted = f"must hold symbols of their own, but one is {what} of the mechanism"
+                wanted = f"must hold separate symbols, but one is {what} of the mechanism"
                 raise ValueError(f"Argument `states` {wanted}.")
         force = ca.SX.zeros(n_q) if self.force is None else ca.vec(ca.SX(self.force))
         if force.numel() != n_q:

@@ -61,7 +61,7 @@ class Circuit:
             raise ValueError(f"Argument `coenergy` {wanted}.")
         if self.source.numel() != n_i:
             raise ValueError(
-                f"Argument `source` must have {n_i} entries, one a current, "
+                f"Argument `source` must have {n_i} entries, one per current, "
                 f"but it has {self.source.numel()}."
             )
         shapes = {"resistance": (n_i, n_i), "conductance": (n_u, n_u), "incidence": (n_i, n_u)}

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 GAP, GAP_RATE, GAP_ACCELERATION, MULTIPLIER, MULTIPLIER_RATE = range(5)
-"""Places of the contact quantities in a vector, or rows in its derivative."""
+"""Indices of the contact quantities in a vector, or rows in its derivative."""
 
 
 class ContactQuantities(NamedTuple):

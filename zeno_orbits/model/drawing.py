@@ -32,21 +32,21 @@ def lines_of(
     try:
         lines = dict(drawing(states, symbols))
     except KeyError as error:
-        asked = f"but it asks for `{error.args[0]}`"
+        asked = f"but it uses `{error.args[0]}`"
         raise ValueError(
             f"Argument `drawing` must use states, gains and parameters, {asked}."
         ) from error
     if not lines:
-        raise ValueError("Argument `drawing` must draw a line, but it draws none.")
+        raise ValueError("Argument `drawing` must contain a line.")
     found: dict[str, ca.SX] = {}
     known = {one.element_hash() for one in (*states.values(), *symbols.values())}
     for name, corners in lines.items():
         if not corners or any(len(corner) != 2 for corner in corners):
             wanted = "must give every line corners across and upwards"
-            raise ValueError(f"Argument `drawing` {wanted}, but `{name}` has others.")
+            raise ValueError(f"Argument `drawing` {wanted}, but the corners of `{name}` differ.")
         if not all(ca.SX(one).is_scalar() for corner in corners for one in corner):
             wanted = "must make every corner of two numbers"
-            raise ValueError(f"Argument `drawing` {wanted}, but those of `{name}` are others.")
+            raise ValueError(f"Argument `drawing` {wanted}, but the corners of `{name}` differ.")
         found[name] = ca.vertcat(*(ca.horzcat(ca.SX(x), ca.SX(y)) for x, y in corners))
         for symbol in ca.symvar(found[name]):
             if symbol.element_hash() not in known:

@@ -85,7 +85,7 @@ class CompletedSystem:
 
     @property
     def law_numbers(self) -> ca.SX:
-        """The numbers of the law of impact, the restitution first."""
+        """The parameters of the law of impact, the restitution first."""
         return cast("ca.SX", ca.vertcat(*self.law))
 
     @property
@@ -105,7 +105,7 @@ class CompletedSystem:
 
     @property
     def further(self) -> tuple[int, ...]:
-        """Places of the states of circuits and of further states, no currents of motors."""
+        """Indices of the states of circuits and of further states, without currents of motors."""
         places: list[int] = []
         first = 2 * self.n_q
         for part in self.drive.parts:
@@ -236,8 +236,8 @@ def _state_change(
         tried = np.array(found.full()).ravel()
         if not np.max(np.abs(tried[:n])) <= _ROUNDING * max(1.0, float(np.max(np.abs(tried[n:])))):
             raise ValueError(
-                "Argument `after_impact` must change the states in proportion to the gap rate, "
-                "so that an impact of no speed changes nothing, but it does not."
+                "Argument `after_impact` must change the states in proportion to the gap rate. "
+                "An impact at zero speed then changes nothing."
             )
     return -slope / law.rate_drop(ca.SX(1))
 

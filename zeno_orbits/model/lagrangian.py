@@ -179,7 +179,7 @@ class HybridLagrangian:
         _require_zero("mass_matrix", "symmetric", mass_matrix - mass_matrix.T)
         momentum_rate = ca.jtimes(ca.mtimes(mass_matrix, v), q, v)
         power = ca.dot(v, momentum_rate - 2 * ca.mtimes(coriolis, v))
-        _require_zero("coriolis", "that of the mass matrix, v'(dM/dt - 2C)v = 0", power)
+        _require_zero("coriolis", "consistent with the mass matrix, v'(dM/dt - 2C)v = 0", power)
         if potential is not None:
             _require_potential(ca.vec(gravity), ca.gradient(potential, q), v)
         derived = cls.from_energies(
@@ -216,8 +216,8 @@ def _require_timeless(clock: Clock, **expressions: ca.SX) -> None:
     """Reject time dependence of expressions that are derived as time independent."""
     for name, expression in expressions.items():
         if ca.depends_on(expression, clock.state):
-            wanted = "must not depend on the clock, but it does: take coordinates relative to what"
-            raise ValueError(f"Argument `{name}` {wanted} moves, and an `applied_force`.")
+            wanted = "must not depend on the clock: use coordinates relative to the moving frame"
+            raise ValueError(f"Argument `{name}` {wanted}, and an `applied_force`.")
 
 
 def _require_inertia(name: str, mass_matrix: ca.SX) -> None:
@@ -229,7 +229,7 @@ def _require_inertia(name: str, mass_matrix: ca.SX) -> None:
 
 
 def _require_potential(gravity: ca.SX, gradient: ca.SX, v: ca.SX) -> None:
-    """Refuse a potential whose gradient is not the force at rest, at random numbers near 1."""
+    """Refuse a potential whose gradient is not the force at rest, at random values near 1."""
     still = ca.substitute(ca.horzcat(gravity, gradient), v, ca.SX.zeros(v.numel()))
     symbols = ca.veccat(*ca.symvar(still))
     values = ca.Function("rest", [symbols], [ca.densify(still)])
@@ -247,11 +247,11 @@ def _require_potential(gravity: ca.SX, gradient: ca.SX, v: ca.SX) -> None:
 
 
 def _require_zero(name: str, wanted: str, expression: ca.SX) -> None:
-    """Refuse an expression that does not vanish at random numbers for its symbols."""
+    """Refuse an expression that does not vanish at random values of its symbols."""
     symbols = ca.veccat(*ca.symvar(expression))
     values = ca.Function("zero", [symbols], [ca.densify(expression)])
     random = np.random.default_rng(0)
     for _ in range(4):
         trial = np.array(values(random.uniform(0.5, 1.5, symbols.numel())).full())
         if float(np.max(np.abs(trial))) > _ROUNDING:
-            raise ValueError(f"Argument `{name}` must be {wanted}, but it is not.")
+            raise ValueError(f"Argument `{name}` is not {wanted}.")

@@ -1,4 +1,4 @@
-"""The motors of a problem as numbers: which joints they turn, their constants, their voltages."""
+"""The motors of a problem: the joints that they turn, their constants and their voltages."""
 
 from __future__ import annotations
 

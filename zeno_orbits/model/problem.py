@@ -157,7 +157,7 @@ class Problem(Declared):
         """Return the outputs at states, one column an output, ``(n, n_outputs)``.
 
         Args:
-            values: Numbers for every gain and parameter.
+            values: Values of every gain and parameter.
             states: ``(n, n_x)``.
         """
         from zeno_orbits.model.numeric.compiled import tabulate
@@ -171,7 +171,7 @@ class Problem(Declared):
         """Return the lines of the drawing at states, name to corners ``(n, n_corners, 2)`` [m].
 
         Args:
-            values: Numbers for every gain and parameter.
+            values: Values of every gain and parameter.
             states: ``(n, n_x)``.
         """
         from zeno_orbits.model.numeric.compiled import tabulate
@@ -429,17 +429,15 @@ class Problem(Declared):
         """Return the derived parameters.
 
         Raises:
-            InputError: If numbers so far from each other allow none in double precision.
+            InputError: If the derivation divides by zero or overflows in double precision.
         """
         if self.derive is None:
             return {}
         try:
             return self.derive(chosen)
         except ArithmeticError as error:
-            wanted = f"must be numbers from which `{self.name}` can derive the others"
-            raise InputError(
-                f"Argument `parameters` {wanted}, but they are not ({error})."
-            ) from error
+            wanted = f"must be values from which `{self.name}` can derive the others"
+            raise InputError(f"Argument `parameters` {wanted} ({error}).") from error
 
     def symbols(self) -> dict[str, ca.SX]:
         """Return one symbol for every gain and parameter, in order."""

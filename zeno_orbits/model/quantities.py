@@ -213,7 +213,7 @@ def require_names(
         quantities: Gains and parameters.
 
     Raises:
-        InputError: With the name at fault.
+        InputError: If a name is repeated. The message names it.
     """
     seen: set[str] = set()
     for name in (*states, *(quantity.name for quantity in quantities)):
@@ -245,17 +245,17 @@ def require_ranges(
     for gain in gains:
         if gain.default is None or not math.isfinite(gain.upper - gain.lower):
             wanted = f"must have a default and a finite range for `{gain.name}`"
-            raise InputError(f"Argument `gains` {wanted}, but it has not.")
+            raise InputError(f"Argument `gains` {wanted}.")
     for quantity in parameters:
         if quantity.default is not None:
             quantity.checked(quantity.default)
         elif not derives:
             wanted = f"must give `{quantity.name}` a default or a `derive`"
-            raise InputError(f"Argument `parameters` {wanted}, but there is neither.")
+            raise InputError(f"Argument `parameters` {wanted}.")
     impact = [quantity for quantity in parameters if quantity.name == "restitution"]
     if not impact or impact[0].lower < 0.0 or not _is_below_one(impact[0]):
         wanted = "must hold a `restitution` in [0, 1)"
-        how = "it holds none" if not impact else "its range differs"
+        how = "the entry is missing" if not impact else "its range is different"
         raise InputError(f"Argument `parameters` {wanted}, but {how}. See `restitution()`.")
 
 

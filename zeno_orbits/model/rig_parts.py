@@ -59,7 +59,7 @@ class Contact:
     slowest: float = 1e-6
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range."""
+        """Reject values out of range."""
         _require(self, self.QUANTITIES)
 
 
@@ -84,7 +84,7 @@ class Friction:
     creep: float = 0.01
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range."""
+        """Reject values out of range."""
         _require(self, self.QUANTITIES)
 
 
@@ -113,7 +113,7 @@ class Gear:
     loss: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range."""
+        """Reject values out of range."""
         _require(self, self.QUANTITIES)
 
 
@@ -153,7 +153,7 @@ class Bridge:
     switching: Switching = Switching.AVERAGED
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range, and dead times that leave no time to switch."""
+        """Reject values out of range, and dead times that leave no time to switch."""
         _require(self, self.QUANTITIES)
         if not 2 * self.dead_time * self.frequency < 1.0:
             longest = 0.5 / self.frequency
@@ -167,7 +167,7 @@ class Controller:
 
     Attributes:
         period: Between two readings [s].
-        delay: From a reading to the voltages that follow from it [s].
+        delay: Time from a reading to the voltages computed from it [s].
     """
 
     QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
@@ -179,7 +179,7 @@ class Controller:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range."""
+        """Reject values out of range."""
         _require(self, self.QUANTITIES)
 
 
@@ -207,7 +207,7 @@ class Sensors:
     current_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range."""
+        """Reject values out of range."""
         _require(self, self.QUANTITIES)
 
 
@@ -237,8 +237,7 @@ class Rig:
         """Refuse sensors that nothing reads."""
         require_kinds(self)
         if self.sensors is not None and self.controller is None:
-            wanted = "must be there for `sensors`, which it reads"
-            raise InputError(f"Argument `controller` {wanted}, but it is missing.")
+            raise InputError("Argument `controller` is missing, but `sensors` need it.")
 
     def __hash__(self) -> int:
         """Hash by value, so that cached functions of a rig can be found again."""
@@ -258,7 +257,7 @@ def without_parts(rig: Rig, names: Sequence[str]) -> Rig:
 
     Args:
         rig: The rig.
-        names: Of ``PART_NAMES``.
+        names: Names from ``PART_NAMES``.
     """
     gone = {*names, *(["sensors"] if "controller" in names else [])}
     changes: dict[str, Any] = {name: {} if name in _MANY else None for name in gone}

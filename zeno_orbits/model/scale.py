@@ -63,7 +63,7 @@ class OwnScale:
         """Return sizes of states, those that are next to nothing replaced by the largest.
 
         Args:
-            sizes: Of the states of a motion, ``(n_x,)``.
+            sizes: Sizes of the states of a motion, ``(n_x,)``.
             part: Part of the largest, measured in the problem's own sizes, that is next to nothing.
         """
         usual = self.states(len(sizes))
@@ -85,9 +85,9 @@ def _filled(first: tuple[float, ...], n: int) -> Vector:
 
 
 USUAL = OwnScale()
-"""That of a system of which nothing is known."""
+"""The scale of a system without information on sizes."""
 
 
 def usual() -> OwnScale:
-    """Return the sizes of a system of which nothing is known."""
+    """Return the default sizes, for a system without information on sizes."""
     return USUAL

@@ -64,7 +64,7 @@ def require_coherent(units: Mapping[str, str]) -> None:
         units: Name of a number to its unit.
 
     Raises:
-        ValueError: With two names at fault.
+        ValueError: If two units do not fit together. The message names both.
     """
     seen: dict[str, tuple[str, str]] = {}
     for name, unit in units.items():

@@ -57,7 +57,7 @@ def built(
         system = model(symbols)
     except KeyError as error:
         if error.args and error.args[0] not in symbols:
-            asked = f"but it asks for `{error.args[0]}`"
+            asked = f"but it uses `{error.args[0]}`"
             raise ValueError(
                 f"Argument `model` must use declared gains and parameters, {asked}."
             ) from error
@@ -65,7 +65,7 @@ def built(
     if not isinstance(system, CompletedSystem):
         made = f"but it returns a `{type(system).__name__}`"
         raise ValueError(  # noqa: TRY004
-            f"Argument `model` must return what `complete` makes, {made}."
+            f"Argument `model` must return a `CompletedSystem` from `complete`, {made}."
         )
     return system
 

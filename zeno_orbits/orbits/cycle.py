@@ -108,7 +108,9 @@ class Cycle:
         self.shape.require_one_release()
         phase = self.phases[-1]
         if phase.zeno is None or phase.locked is None:
-            raise ValueError("Argument `phases` must have a Zeno point where the stop holds.")
+            raise ValueError(
+                "Argument `phases` must have a Zeno point with a contact phase after it."
+            )
         return phase.zeno, phase.locked
 
     def drift(self, scale: Vector) -> float:

@@ -167,7 +167,7 @@ def period_derivative(
 
     Raises:
         InputError: If the system does not have formulas.
-        SimulationError: If the motion has another shape, or its end is not differentiable.
+        SimulationError: If the motion has a different shape, or its end is not differentiable.
     """
     perturbations = _perturbations(dynamics, (), settings)
     closed = replace(settings, completion=extrapolated(settings))

@@ -125,7 +125,7 @@ class ZenoOrbit(Displayed):
         """State name to value at the release of an orbit with one release per period.
 
         Raises:
-            InputError: If the orbit has another shape.
+            InputError: If the orbit has a different shape.
         """
         self.shape.require_one_release()
         return self.start_state
@@ -135,7 +135,7 @@ class ZenoOrbit(Displayed):
         """Zeno time of an orbit with one Zeno point per period [s].
 
         Raises:
-            InputError: If the orbit has another shape.
+            InputError: If the orbit has a different shape.
         """
         return self._held()[0]
 
@@ -144,7 +144,7 @@ class ZenoOrbit(Displayed):
         """State name to value at the Zeno point of an orbit with one Zeno point per period.
 
         Raises:
-            InputError: If the orbit has another shape.
+            InputError: If the orbit has a different shape.
         """
         return self._held()[1]
 
@@ -152,15 +152,15 @@ class ZenoOrbit(Displayed):
         self.shape.require_one_release()
         phase = self.phases[0]
         if phase.zeno_time is None or phase.zeno_state is None:
-            raise InputError("Argument `orbit` must have a Zeno point, but it lacks one.")
+            raise InputError("Argument `orbit` lacks a Zeno point.")
         return phase.zeno_time, phase.zeno_state
 
     def as_json(self) -> dict[str, Any]:
         """Return the orbit as the plain data of its file.
 
-        An orbit with one Zeno point and one release has format 1, which older versions can read. An
-        orbit of another shape has format 2, which older versions reject. The entries of format 1
-        are then absent.
+        An orbit with one Zeno point and one release has format 1, which older versions can read.
+        All other orbits have format 2, which older versions reject. The entries of format 1 are
+        then absent.
         """
         one = self.shape.has_one_release
         digest = {"problem_digest": list(self.problem_digest)} if self.problem_digest else {}

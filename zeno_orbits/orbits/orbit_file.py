@@ -231,7 +231,7 @@ def _require_shape(entries: Mapping[str, Any], orbit: ZenoOrbit, number: int) ->
     try:
         shape = orbit.shape
     except InputError as error:
-        message = f"its phases are no shape: {error}".removesuffix(".")
+        message = f"its phases are not a valid shape: {error}".removesuffix(".")
         raise _ContradictionError(message) from error
     if number == FORMAT and "shape" not in entries:
         raise EntryError("shape", "there", "missing")

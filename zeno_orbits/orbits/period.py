@@ -139,7 +139,7 @@ def cycle_of(
         settings: Accuracy.
 
     Raises:
-        SimulationError: If the motion has another shape, or does not finish within the horizon.
+        SimulationError: If the motion has a different shape, or does not finish within the horizon.
     """
     return cycle_and_run(dynamics, x, shape, horizon=horizon, settings=settings)[0]
 
@@ -162,7 +162,7 @@ def cycle_and_run(
         settings: Accuracy.
 
     Raises:
-        SimulationError: If the motion has another shape, or does not finish within the horizon.
+        SimulationError: If the motion has a different shape, or does not finish within the horizon.
     """
     wanted = shape.at_restitution(dynamics.restitution)
     execution = followed(dynamics, x, wanted, horizon=horizon, settings=settings)
@@ -172,7 +172,7 @@ def cycle_and_run(
     phases = phases_of(execution, x, held=wanted.starts_at_release)[: wanted.n_phases]
     seen = ", ".join(kind.value for kind in kinds_of(phases)) or "no phase"
     raise SimulationError(
-        f"The motion has another shape than `{wanted.text}`: {seen}",
+        f"The shape of the motion is not `{wanted.text}`: {seen}",
         time=phases[-1].end.time if phases else horizon,
         state=tuple(x.tolist()),
     )

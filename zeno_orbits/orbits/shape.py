@@ -135,7 +135,7 @@ class OrbitShape:
             InputError: If the shape has several phases, or does not have a release.
         """
         if not self.has_one_release:
-            wanted = "must have one Zeno point and one release a period"
+            wanted = "must have one Zeno point and one release per period"
             raise InputError(f"Argument `orbit` {wanted}, but its shape is `{self.text}`.")
 
 

@@ -149,8 +149,7 @@ def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycl
         ).cycle
     except SimulationError as error:
         raise SimulationError(
-            "This fidelity lacks an orbit near the other orbit, the reduction is too coarse: "
-            f"{error.reason}",
+            f"The reduced model lacks an orbit near the orbit of the full model: {error.reason}",
             time=period,
             state=tuple(x.tolist()),
         ) from error

@@ -196,13 +196,13 @@ def read_work_precision(path: Path) -> WorkPrecision:
     Raises:
         InputError: If the file is missing, truncated or of a wrong type.
     """
-    wanted = f"Trade file `{path}` must hold what `trade -o` wrote, but"
+    wanted = f"Trade file `{path}` is not an output of `trade -o`:"
     try:
         found = restored(_File, json.loads(path.read_text(encoding="utf-8")))
     except EntryError as error:
         raise InputError(f"{wanted} {error}.") from error
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{wanted} it does not ({type(error).__name__}).") from error
+        raise InputError(f"{wanted} it cannot be read ({type(error).__name__}).") from error
     return WorkPrecision(
         problem=found.problem,
         work=found.work,

@@ -47,10 +47,10 @@ def require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> 
         raise ProofError("problem", "the orbit was computed from other equations")
     _require_stop(orbit, problem, values)
     if not orbit.shape.starts_at_release:
-        reason = f"the period starts at no release (shape `{orbit.shape.text}`)"
+        reason = f"the period does not start at a release (shape `{orbit.shape.text}`)"
         raise ProofError("shape", reason)
     if not 0.0 <= values.parameters.get("restitution", 0.0) < 1.0:
-        raise InputError("Argument `restitution` must lie in [0, 1), but it does not.")
+        raise InputError("Argument `restitution` must lie in [0, 1).")
 
 
 def _require_stop(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> None:

@@ -58,7 +58,7 @@ class CertificateWriter:
         with flint.ctx.workprec(2 * flint.ctx.prec + _OWN_BITS):
             m = [x * u + shift for x, u, shift in zip(one.m, self._units, self._shift, strict=True)]
         if not m[self._system.gap].is_exact():
-            raise ProofError("certificate", "the stop is at no exact number")
+            raise ProofError("certificate", "the position of the stop is not an exact number")
         ones = [1.0] * self._system.n
         return {
             "m": [exact_text(x) for x in m],

@@ -169,7 +169,7 @@ def _last_claim(data: Mapping[str, Any], name: str) -> tuple[list[float], list[f
     """Return the ends of an enclosure of the last pass, whose box is the smallest."""
     claims = [claim for claim in data["claims"] if claim["name"] == name]
     if not claims:
-        raise InputError(f"Argument `proof` must claim a `{name}`, but it does not.")
+        raise InputError(f"Argument `proof` lacks a claim `{name}`.")
     claim = max(claims, key=lambda one: one["pass"])
     low, high = (
         doubles([end] if isinstance(end, str) else end, data["bits"])

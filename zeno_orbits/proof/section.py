@@ -29,8 +29,8 @@ class SectionStart:
     """The start of a proof on the section.
 
     Attributes:
-        places: Places of the section's coordinates in the state.
-        others: Places of the states that the section gives.
+        places: Indices of the section's coordinates in the state.
+        others: Indices of the states that the section determines.
         centre: Coordinates of the middle, exact, ``(d,)``.
         around: Box around the other states, as balls. For each value of the coordinates, the
             section has one point with its other states in this box.
@@ -75,7 +75,7 @@ def start_on_section(
         system: The problem.
         y: A state near the middle, ``(n,)``. The middle is the nearest point of the grid.
         places: Indices of the coordinates.
-        others: Places of the states that the section gives.
+        others: Indices of the states that the section determines.
         radii: Radii of the coordinates, then of the carried parameters.
         within: Box that must contain the box around the other states. None allows any box.
 

@@ -46,7 +46,7 @@ class ZenoNeighbourhood:
         radii: :math:`r`, ``(n_x,)``.
         gap: :math:`H`.
         gap_rate: :math:`V`.
-        duration: Bound of the time until the Zeno point [s].
+        duration: Upper bound of the time until the Zeno point [s].
         pull: Bounds of :math:`-\ddot h` along all of these motions.
     """
 
@@ -131,9 +131,7 @@ def equilibrium_report(
         )
     gap, rate, flow = dynamics.gap(x), dynamics.gap_rate(x), dynamics.free.rate(x)
     if not np.all(np.isfinite(flow)):
-        raise InputError(
-            "Argument `--at` must be a state where the rates are finite, but one is not."
-        )
+        raise InputError("Argument `--at` is a state with a rate that is not finite.")
     sizes = np.maximum(own.states(len(x)), np.abs(x)) / own.time
     is_still = bool(np.all(np.abs(flow) <= _STILL * sizes))
     on_stop = abs(gap) <= _ON_STOP * own.gap and abs(rate) <= _ON_STOP * own.gap_rate

@@ -26,7 +26,7 @@ def motion_of(
     Args:
         orbit: The orbit.
         problem: Its problem.
-        dynamics: The problem at the orbit's numbers.
+        dynamics: The problem at the parameter values of the orbit.
         periods: Number of periods.
 
     Raises:

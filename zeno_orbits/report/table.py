@@ -23,7 +23,7 @@ class Column(Generic[Item]):
 
     Attributes:
         heading: Its heading, with a unit in brackets where it has one.
-        cell: From an item to its cell.
+        cell: Function from an item to its cell.
         is_number: Whether it holds numbers, which are set to the right.
         is_whole: Whether its cells must be legible whole in a narrow terminal, as names that a
             reader will type must be.
@@ -147,7 +147,7 @@ def name_column(heading: str, cell: Callable[[Item], str]) -> Column[Item]:
 
 
 def table_of(caption: str, columns: Sequence[Column[Item]], items: Iterable[Item]) -> Table[Item]:
-    """Return a table with a row an item.
+    """Return a table with one row per item.
 
     Args:
         caption: Its subject.
@@ -169,7 +169,7 @@ BOUNDS: list[Column[Mapping[str, Any]]] = [
     number_column("reached from", lambda one: _limit(one.get("lowest"))),
     number_column("reached to", lambda one: _limit(one.get("highest"))),
 ]
-"""Of the bounds that a search was asked to keep, as its certificate has them."""
+"""Columns of the bounds of a search, from its certificate."""
 
 
 def with_unit(value: str, unit: str) -> str:

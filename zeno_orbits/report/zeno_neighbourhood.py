@@ -97,7 +97,7 @@ def close_up(execution: Execution, dynamics: HybridDynamics) -> CloseUp:
         InputError: If the execution reaches no Zeno point.
     """
     if not execution.zeno_points:
-        raise InputError("Argument `execution` must reach a Zeno point, but it reaches none.")
+        raise InputError("Argument `execution` lacks a Zeno point.")
     zeno = execution.zeno_points[-1]
     begin = max((r.time for r in execution.releases if r.time < zeno.time), default=0.0)
     impacts = tuple(event for event in execution.impacts if begin <= event.time <= zeno.time)

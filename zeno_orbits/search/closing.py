@@ -103,7 +103,7 @@ def close_orbit(
         shape: The orbit's shape. The default is the shape of ``near``, or of the attractor.
 
     Raises:
-        InputError: If ``near`` belongs to another problem or has another shape, or if
+        InputError: If ``near`` belongs to another problem or has a different shape, or if
             ``simulation`` requires a missing component.
     """
     if near is not None and near.problem != problem.name:

@@ -137,7 +137,7 @@ def close_near(dynamics: HybridDynamics, cycle: Cycle, settings: SimulationSetti
         settings: Engine and accuracy.
 
     Raises:
-        SimulationError: As `close_cycle`.
+        SimulationError: If `close_cycle` raises it.
     """
     return close_cycle(
         dynamics,

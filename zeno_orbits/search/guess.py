@@ -130,8 +130,8 @@ def settle(
         starts: Initial states, tried in order.
         settings: Limits of the simulation.
         shape: The shape of the period. The default is the shape of the attractor. If the attractor
-            has another shape, the result is the earlier period of this shape that came nearest to
-            repeating.
+            has a different shape, the result is the earlier period of this shape that came nearest
+            to repeating.
         problem: The problem, with its divergence limits, units and clock.
     """
     settings = settings or SettlingSettings()
@@ -205,7 +205,7 @@ def _settle_from(
         if settled is not None:
             break
         if found and growth_of(speeds).dies_out:
-            return FollowedMotion(cycle=None, reason="the motion dies out")
+            return FollowedMotion(cycle=None, reason="the motion decays")
         now = _rates(dynamics, run.end_state, locked=run.arcs[-1].mode is Mode.LOCKED)
         rates = np.max([rates, now, *_rates_at_impacts(dynamics, run)], axis=0)
         quiet = run.end_time if not run.events else -math.inf

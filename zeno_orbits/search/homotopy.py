@@ -34,7 +34,7 @@ _LOST = {
     "gap_acceleration": "d2h/dt2 at the Zeno point is zero",
     "first_impact_speed": "the first impact grazes",
     "release_rate": "the release is not transversal",
-    "attraction": "the orbit ceases to attract",
+    "attraction": "the orbit loses stability",
 }
 """Ends of a family. A cause precedes the margins that vanish in proportion to it (theory (40))."""
 
@@ -50,7 +50,7 @@ _EXTRAPOLATED = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Followed:
-    """Last orbit on a line of values.
+    """Last orbit on a straight line between two sets of parameter values.
 
     Attributes:
         cycle: The last orbit, or ``None`` without a first orbit.
@@ -250,7 +250,7 @@ def _attraction(dynamics: HybridDynamics, cycle: Cycle) -> float:
     )
     left = 1.0 - multipliers.spectral_radius
     if not left > multipliers.error:
-        raise StepError(f"The orbit does not attract: its spectral radius is {1.0 - left:.6g}")
+        raise StepError(f"The orbit is not stable: its spectral radius is {1.0 - left:.6g}")
     return left
 
 

@@ -67,7 +67,7 @@ def outcomes_spread(
         WorkError: If the work cannot be finished.
     """
     if spread.problem_file.load() is not search.problem:
-        wanted = "must be what the `problem` of `spread` loads"
+        wanted = "must be the problem that the workers of `spread` load"
         raise InputError(f"Argument `problem` {wanted}, but it is another `{search.problem.name}`.")
     search = scanned(search, 0)
     question = search.question()

@@ -47,7 +47,7 @@ class Objective(ABC):
     @property
     @abstractmethod
     def wish(self) -> str:
-        """The objective as a clause for the user."""
+        """The objective in words for the user."""
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -111,7 +111,7 @@ class NearestGains(Objective, Checked):
 
     @property
     def wish(self) -> str:
-        """The objective as a clause."""
+        """The objective in words."""
         wanted = ", ".join(f"{name} = {value:g}" for name, value in self.target.items())
         return f"gains near {wanted}" if wanted else "gains near the start"
 
@@ -130,7 +130,7 @@ class NearestGains(Objective, Checked):
         for name, value in self.target.items():
             if name not in known:
                 listed = ", ".join(known) or "none"
-                wanted = f"must name gains of the problem or what is free ({listed})"
+                wanted = f"must name gains of the problem or free parameters ({listed})"
                 raise InputError(f"Argument `objective` {wanted}, but it names `{name}`.")
             if not math.isfinite(value):
                 message = f"must be finite for `{name}`, but it is {value}"
@@ -182,7 +182,7 @@ class TargetPeriod(Target):
 
     @property
     def wish(self) -> str:
-        """The objective as a clause."""
+        """The objective in words."""
         return f"a period of {self.target:.10g} s"
 
     def value(self, terms: OrbitTerms) -> ca.MX:
@@ -206,7 +206,7 @@ class TargetAmplitude(Target):
 
     @property
     def wish(self) -> str:
-        """The objective as a clause."""
+        """The objective in words."""
         return f"an amplitude of {self.target:.10g} of {self.state}"
 
     def value(self, terms: OrbitTerms) -> ca.MX:
@@ -244,7 +244,7 @@ class TowardTarget(Objective):
 
     @property
     def wish(self) -> str:
-        """The objective as a clause."""
+        """The objective in words."""
         return f"{self.target.wish}, or near it"
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
@@ -259,8 +259,8 @@ class LeastEnergy(Objective):
 
     @property
     def wish(self) -> str:
-        """The objective as a clause."""
-        return "the least electrical energy a period"
+        """The objective in words."""
+        return "the least electrical energy per period"
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -285,7 +285,7 @@ class LeastPeak(Objective, Checked):
 
     @property
     def wish(self) -> str:
-        """The objective as a clause."""
+        """The objective in words."""
         return f"the least peak of {self.signal}"
 
     @property
@@ -320,7 +320,7 @@ class FastestContraction(Objective):
 
     @property
     def wish(self) -> str:
-        """The objective as a clause."""
+        """The objective in words."""
         return "the fastest contraction"
 
     @property
@@ -338,7 +338,7 @@ class FastestContraction(Objective):
         from zeno_orbits.search.transcription.spectral_radius import keep_radius_below, radius_of
 
         if terms.return_slope is None:
-            raise ValueError("Argument `terms` must carry the return map, but it is missing.")
+            raise ValueError("Argument `terms` lacks the return map.")
         first = radius_of(terms.guessed(terms.return_slope))
         radius = terms.program.variable(
             "spectral radius", 1.01 * max(first, LEAST_RADIUS), lower=LEAST_RADIUS
@@ -382,7 +382,7 @@ class WidestMargin(Sampled):
 
     @property
     def wish(self) -> str:
-        """The objective as a clause."""
+        """The objective in words."""
         return "the widest margin to losing the orbit"
 
     @property
@@ -405,7 +405,7 @@ class MaxPush(Sampled, Checked):
             unit along each coordinate. Its sense has no effect.
         uncertain: Name to range of uncertain parameters. The least push is then the smallest one at
             the search's own values and at all corners of the ranges. The orbit must exist and
-            attract at each of them.
+            be stable at each of them.
     """
 
     direction: Mapping[str, float] = field(default_factory=dict[str, float])
@@ -415,7 +415,7 @@ class MaxPush(Sampled, Checked):
 
     @property
     def wish(self) -> str:
-        """The objective as a clause."""
+        """The objective in words."""
         ranges = ", ".join(
             f"{k} = {low:g} to {high:g}" for k, (low, high) in self.uncertain.items()
         )

@@ -150,7 +150,7 @@ def _ranked(
     if candidates and (search.settings.candidates > 1 or search.seeks_optimum):
         candidates, n_states = _with_coexisting(search, candidates, accept)
     if best is None:
-        raise InputError("Argument `settings` must allow a start, but it allows none.")
+        raise InputError("Argument `settings` must allow a start.")
     ranked = tuple(sorted(candidates, key=lambda one: one.score))
     return SearchResult(
         status=best.status,

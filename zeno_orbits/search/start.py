@@ -171,7 +171,7 @@ def _attracting(
     if refused.solution is None or any(one.name == "spectral_radius" for one in search.bounds):
         return refused
     where = listed(search.numbers(refused.solution.values))
-    search.tell(f"{name}: looking for an orbit that attracts")
+    search.tell(f"{name}: looking for a stable orbit")
     bound = Bound(name="spectral_radius", upper=_ATTRACTS)
     bounded = replace(search, bounds=(*search.bounds, bound))
     try:
@@ -182,20 +182,20 @@ def _attracting(
     except InputError:
         # Only a few multipliers can be bounded.
         return refused
-    limit = "does not attract"
+    limit = "is unstable"
     multipliers = () if judgement.certificate is None else judgement.certificate.multipliers
     for value, word in ((1.0, "a fold of the family"), (-1.0, "a period doubling")):
         if any(abs(multiplier - value) < _AT_LIMIT for multiplier in multipliers):
-            limit = f"lies on {word}, where orbits cease to attract"
+            limit = f"lies on {word}, where orbits lose stability"
     the_best = f"The best orbit, at {where}, {limit}"
     if outcome.candidate is not None:
-        detail = f"{the_best}. This is the best one with a spectral radius up to {_ATTRACTS:g}."
+        detail = f"{the_best}. This is the best orbit with a spectral radius up to {_ATTRACTS:g}."
         return replace(outcome, detail=detail)
     if isinstance(search.objective, NearestGains):
         outcome = _on_the_way(search, start, accept, name, refused.solution.values)
     if outcome.candidate is None:
         return refused
-    return replace(outcome, detail=f"{the_best}. This one, on the way to it, does.")
+    return replace(outcome, detail=f"{the_best}. This orbit, on the way to it, is stable.")
 
 
 _BEFORE = (0.999, 0.99, 0.95, 0.8)

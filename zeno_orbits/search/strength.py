@@ -60,7 +60,7 @@ class Strength:
 
     @property
     def lost(self) -> bool:
-        """True if the orbit does not exist or does not attract somewhere."""
+        """True if the orbit does not exist or is unstable somewhere."""
         return self.push is None
 
     @property

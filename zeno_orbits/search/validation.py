@@ -119,7 +119,7 @@ def _check_bounds(problem: Problem, bounds: tuple[Bound, ...]) -> None:
     require_quantities([bound.name for bound in bounds], problem, "keep")
     for k, bound in enumerate(bounds):
         if bound.name in [other.name for other in bounds[:k]]:
-            message = f"must bound `{bound.name}` once, but it does so twice"
+            message = f"must bound `{bound.name}` once, not twice"
             raise InputError(f"Argument `keep` {message}.")
         if bound.name == "spectral_radius" and not math.isinf(bound.lower):
             message = "must bound `spectral_radius` from above only"

@@ -129,7 +129,7 @@ class ArcFollower:
         Args:
             start: Start of the arc. With a speed the flight is rescaled.
             flow: The flow.
-            natural: Ending that a zero crossing of the guard means.
+            natural: Kind of ending at a zero crossing of the guard.
             impact_index: Number of previous impacts.
             on_guard: Whether the start is a root of the guard that does not count.
 

@@ -80,7 +80,7 @@ class AttractorKind(Enum):
     CHAOTIC = "is chaotic"
     RESTS = "comes to rest"
     HELD = "stays on its stop"
-    DIES_OUT = "dies out"
+    DIES_OUT = "decays"
     GROWS = "grows"
     GONE = "runs away"
     UNDECIDED = "has not settled"
@@ -190,7 +190,7 @@ def scale_of(states: Sequence[Vector], units: Sequence[str], usual: Vector | flo
 
 @lru_cache(maxsize=64)
 def _of_one_unit(units: tuple[str, ...]) -> tuple[Rows, ...]:
-    """Return the places of each unit."""
+    """Return the indices of the coordinates of each unit."""
     return tuple(
         np.array([k for k, other in enumerate(units) if other == unit], dtype=np.intp)
         for unit in dict.fromkeys(units)
@@ -205,7 +205,7 @@ class Repetition:
     """A number of returns after which a motion comes back.
 
     Attributes:
-        returns: How many.
+        returns: Number of returns.
         change: How near it comes, relative.
     """
 

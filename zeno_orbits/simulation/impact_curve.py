@@ -152,10 +152,10 @@ class CurveEnd:
     Attributes:
         z: The point, ``(n_x + 1,)``.
         w: The speed.
-        basis: Of the states on the stop, ``(n_x, m)``.
+        basis: Basis of the states on the stop, ``(n_x, m)``.
         slope: :math:`g` there, ``(n_x + 1,)``.
         fall: Fall of the speed in one flight.
-        derivative: Of the slope along the basis, ``(n_x + 1, m)``.
+        derivative: Derivative of the slope along the basis, ``(n_x + 1, m)``.
     """
 
     z: Vector
@@ -306,7 +306,7 @@ def converged(curve: ImpactCurve, piece: Piece, tolerance: float, *, most: int =
 def correction(curve: ImpactCurve, piece: Piece) -> Vector:
     """Return the change of the end if the law holds at twice as many points, ``(n_x + 1,)``.
 
-    This is one Newton step from the piece, which is already converged at its own nodes. The step
+    This is one Newton step from the piece, which has converged at its original nodes. The step
     propagates the defect between the nodes to the end. The result is the error of the piece to
     first order.
     """

@@ -54,7 +54,7 @@ def grows_without_end(
         state: State there.
     """
     return RunawayError(
-        f"{name} grows without end: at the pace of its last {steps} steps, "
+        f"{name} grows without bound: at the pace of its last {steps} steps, "
         f"{needed:.1g} more would be needed",
         time=time,
         state=tuple(state.tolist()),

@@ -85,7 +85,7 @@ class LegFollower:
         """
         tolerance, steps = leg.tolerance, self._steps
         if steps is None:
-            raise ValueError("Argument `program` must be one that this follower gave.")
+            raise ValueError("Argument `program` must come from this follower.")
         settings = LegSettings(
             leg.horizon,
             tolerance.relative,

@@ -147,7 +147,7 @@ def _begun(task: SimulationTask) -> LoopRun:
     dynamics, formulas = task.dynamics, task.dynamics.formulas
     program = None if formulas is None else program_of(formulas.system)
     if formulas is None or program is None:
-        raise ValueError("Argument `task` must be one that the loop serves.")
+        raise ValueError("Argument `task` must have formulas that the compiled loop supports.")
     if not task.goes_on:
         require_admissible(dynamics, task.state, task.settings.contact * dynamics.own.gap)
     return LoopRun(program, run_settings(task), formulas.values, task.state)
@@ -169,7 +169,7 @@ def run_settings(task: SimulationTask, **others: Any) -> RunSettings:
     tolerance = chosen.tolerance.times(own.least)
     steps = loop_steps(chosen.engine)
     if steps is None:
-        raise ValueError("Argument `task` must have an engine whose steps the loop takes.")
+        raise ValueError("Argument `task` must have an engine that the compiled loop supports.")
     extrapolates = isinstance(rule, ZenoExtrapolation | ZenoPassage)
     settings = RunSettings(
         until=task.until,

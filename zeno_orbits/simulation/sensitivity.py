@@ -45,9 +45,9 @@ class EventShift:
     """Derivatives of an event.
 
     Attributes:
-        time: Of its time, ``(m,)``.
-        state: Of the state there, ``(n_x, m)``.
-        rate: Of the gap rate there, where it is an impact: before it, or after it, ``(m,)``.
+        time: Derivative of its time, ``(m,)``.
+        state: Derivative of the state there, ``(n_x, m)``.
+        rate: Derivative of the gap rate before or after it, if it is an impact, ``(m,)``.
     """
 
     time: Vector
@@ -92,7 +92,7 @@ class Perturbations:
     Attributes:
         dynamics: The system.
         differentials: Its derivatives.
-        n_parameters: How many parameters they are by.
+        n_parameters: Number of parameters of the derivatives.
         tolerance: Local error of steps that have to be taken anew.
     """
 

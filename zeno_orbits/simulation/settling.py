@@ -25,7 +25,7 @@ _FEW = 24
 _QUARTERS, _GROWS = 4, 1.02
 """Parts of the time, and the factor by which a growing motion is faster in each."""
 _TURNS = 32
-"""Longest period of a motion without impacts that is looked for, in turns of the clock."""
+"""Longest period in the search for motions without impacts, in turns of the clock."""
 _REGULAR = 1e-3
 """Exponent over a turn below which a motion that does not repeat is regular."""
 _NONE = 1e-6

@@ -516,7 +516,7 @@ class _Run:
         Args:
             start: Start of the arc. With a speed the flight is rescaled.
             flow: The flow.
-            natural: Ending that a zero crossing of the guard means.
+            natural: Kind of ending at a zero crossing of the guard.
             on_guard: Whether the start is a root of the guard that does not count.
         """
         arc, end = self.follower.follow(

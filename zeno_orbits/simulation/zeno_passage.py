@@ -222,8 +222,8 @@ class _TooLong:
     """A piece that failed.
 
     Attributes:
-        part: Part of its length that may do.
-        rough: It failed with few nodes already: there may be a layer.
+        part: Fraction of its length for the next trial.
+        rough: Whether it failed even with few nodes, possibly because of a boundary layer.
     """
 
     part: float
@@ -234,7 +234,7 @@ def _longest_piece(curve: ImpactCurve, start: CurveEnd, layer: _Layer, tolerance
     """Return a converged piece, as long as possible.
 
     Raises:
-        CurveLostError: If it would have to be shorter than is worth its cost.
+        CurveLostError: If the piece would be so short that its cost is too high.
     """
     length = layer.length(start)
     while length >= _FEWEST_IMPACTS * start.fall and curve.n_flights < curve.most_flights:

@@ -5,7 +5,7 @@ passes through JSON, and a checkpoint stores each finished chunk. So the results
 any number of workers, and after any number of restarts.
 
 Offers: `spread` and `spread_in_order` run a `Task` as a `Plan` says, at a `Place` (`Workers` or a
-`Cluster`), in a pool that `open_pool` opens (`Pool`), with `LostPoint` for a point that kills
+`Cluster`), in a pool that `open_pool` opens (`Pool`), with `LostPoint` for a point that crashes
 workers; `claim`, `keeps_nothing` and `remove_checkpoint` for checkpoints; `Progress` and `silent`
 for progress reports, `portion` for a step of several, `tell_part` and `parts_told_to` for those
 from inside a chunk; `write_whole` for files; `plain` and `restored` between values and JSON;

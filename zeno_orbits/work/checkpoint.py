@@ -224,7 +224,7 @@ def _object(path: Path) -> dict[str, Any]:
 
 def _broken(path: Path, reason: str) -> CheckpointError:
     if path.name == _IDENTITY:
-        help_ = "It does not tell what it belongs to: name another folder, or remove it"
+        help_ = "Its work is unknown: name another folder, or remove it"
     else:
         help_ = "Remove that file alone and start again: only its points are computed again"
     return CheckpointError(path.parent, f"`{path.name}` is broken: {reason}. {help_}")

@@ -84,7 +84,7 @@ class ClusterPool:
     def _gone(self) -> WorkError:
         return WorkError(
             f"The cluster `{self._cluster.address}` has lost its scheduler or all its workers; "
-            "what is finished is kept in the checkpoint, if there is one"
+            "finished results remain in the checkpoint, if one is used"
         )
 
 
@@ -147,7 +147,7 @@ def _require_scheduler(cluster: Cluster) -> None:
             reason = f"is not one ({type(error).__name__}: {error})"
             raise InputError(f"{_asked(cluster)} {reason}.") from error
     if found != "Scheduler":
-        raise InputError(f"{_asked(cluster)} is that of a {found}.")
+        raise InputError(f"{_asked(cluster)} is the address of a {found}.")
 
 
 @contextmanager

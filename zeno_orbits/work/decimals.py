@@ -118,7 +118,7 @@ def decimal_below(x: Fraction, digits: int = 2) -> str:
 
 
 def exact_decimal(x: Fraction) -> str:
-    """Return all digits of a number that is a whole number divided by a power of two.
+    """Return all digits of an integer divided by a power of two.
 
     Args:
         x: The number.
@@ -133,7 +133,7 @@ def _place(low: Fraction, high: Fraction) -> int | None:
     """Return the decimal exponent of a half width's second digit, or None for an exact number."""
     size = max(abs(low), abs(high))
     if low > high:
-        raise ValueError("Argument `high` must not be below `low`, but it is.")
+        raise ValueError("Argument `high` must not be below `low`.")
     if low < high:
         return max(_exponent((high - low) / 2) - 1, _exponent(size) - _LONGEST)
     if not low:

@@ -115,7 +115,7 @@ class _ConstantError(ValueError):
 
 def _refused(word: str) -> Any:
     """Raise an error for a constant that Python reads and JSON does not define."""
-    raise _ConstantError(f"it holds {word}, which is not a number of JSON")
+    raise _ConstantError(f"it holds {word}, which is not a JSON number")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -222,7 +222,9 @@ class SecantCurve:
         left = left_of(point, self.kind, self.place)
         # Two families may be so close at an end that Newton's method jumps to the other family.
         if not 1 / _LIKE < left / before.left < _LIKE:
-            raise SimulationError("The family ahead of the end is another", time=0.0, state=())
+            raise SimulationError(
+                "The point before the end belongs to another family", time=0.0, state=()
+            )
         return point
 
 

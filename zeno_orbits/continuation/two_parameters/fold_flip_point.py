@@ -107,7 +107,7 @@ class FoldFlipSystem:
         Args:
             x: The state, ``(n_x,)``.
             at: The parameters in units of the ranges, ``(2,)``.
-            along: Sense of the tangent, ``(n_x + 2,)``.
+            along: Vector with which the tangent has a positive product, ``(n_x + 2,)``.
 
         Raises:
             ZenoOrbitsError: If there is no point nearby.
@@ -129,7 +129,7 @@ class FoldFlipSystem:
             z: The given point, ``(n_x + 2,)``.
             normal: The normal, ``(n_x + 2,)``.
             gradient: Gradient of the test function nearby, ``(n_x + 2,)``.
-            along: Sense of the tangent, ``(n_x + 2,)``.
+            along: Vector with which the tangent has a positive product, ``(n_x + 2,)``.
 
         Raises:
             ZenoOrbitsError: If a return fails, or Newton's method does not converge.
@@ -154,7 +154,7 @@ class FoldFlipSystem:
             surprise = there.test - look.test - float(gradient @ moved)
             gradient = gradient + surprise / float(moved @ moved or 1.0) * moved
             look, before = there, size
-        raise SimulationError("Newton's method does not close in on the point", time=0.0, state=())
+        raise SimulationError("Newton's method does not converge to the point", time=0.0, state=())
 
     def _of_place(self, z: Vector) -> tuple[Vector, Vector]:
         return z[:-2] * self.metric.scale, z[-2:]

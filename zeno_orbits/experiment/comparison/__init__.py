@@ -1,1 +1,1 @@
-"""An orbit laid over a recording: alignment, contacts, deviations, and numbers with errors."""
+"""Comparison of an orbit with a recording: alignment, contacts, deviations, metrics with errors."""

@@ -123,7 +123,7 @@ def aligned(
         time: Increasing, ``(n_t,)`` [s].
         values: One row a signal, ``(n_s, n_t)``.
         found: How they repeat.
-        names: Of the signals.
+        names: Names of the signals.
     """
     grid = np.arange(_PHASES) / _PHASES
     data = found.average(grid)

@@ -41,7 +41,7 @@ _STARTS = (1.0, 0.5, 1.6, 0.25)
 _COARSE = 400
 """Bins of the phase in which the starts are compared."""
 _LOBE = 0.25
-"""Part of the highest gap above which the great flight is looked for."""
+"""Part of the highest gap above which the longest flight is searched."""
 _OUTLIER = 8.0
 """Standard deviations beyond which a sample does not count."""
 _LEAN = 0.6

@@ -95,12 +95,12 @@ def rig_counterpart(
     n_periods: int,
     on_progress: Progress = silent,
 ) -> Counterpart:
-    """Return the cycles that the problem's virtual rig settles to, at the orbit's numbers.
+    """Return the settled cycles of the problem's virtual rig, at the orbit's parameters.
 
     Args:
         orbit: The orbit.
         problem: Its problem.
-        n_periods: How many cycles.
+        n_periods: Number of cycles.
         on_progress: Called with the part of the time that is simulated.
 
     Raises:
@@ -146,7 +146,7 @@ def recording_counterpart(
         # A wrong unit of time makes the end too short, and the whole recording reveals the mistake.
         end, overlay = recording, lay_over(orbit, problem, recording, names)
     if overlay is None or not overlay.holds:
-        why = overlay.reasons()[0] if overlay else "no period is seen in it"
+        why = overlay.reasons()[0] if overlay else "it lacks a recognizable period"
         raise InputError(f"Argument `data` must show such an orbit, but {why}. See `compare`.")
     where = overlay.where
     kept, start = _last_cycles(end.time, where, n_periods)
@@ -157,14 +157,12 @@ def recording_counterpart(
 
 
 def _last_cycles(time: Vector, where: Alignment, n_periods: int) -> tuple[slice, float]:
-    """Return the samples of the last whole cycles at most so many, and when the first begins."""
+    """Return the samples of at most so many last whole cycles, and the start of the first one."""
     phases = where.phases(time)
     first, last = math.ceil(phases[0] - _SLACK), math.floor(phases[-1] + _SLACK)
     first = max(first, last - n_periods)
     if first >= last:
-        raise InputError(
-            "Argument `data` must hold a cycle from release to release, but it does not."
-        )
+        raise InputError("Argument `data` lacks a whole cycle from release to release.")
     begin, after = np.searchsorted(phases, [first, last])
     return slice(int(begin), int(after)), where.release + first * where.period
 

@@ -62,10 +62,10 @@ class Deviations:
 
     Attributes:
         table: The orbit.
-        period: Of the record [s].
-        sums: Of the deviations in each group and bin, ``(n_groups, N_BINS, n_s)``.
-        squares: Of their squares, alike.
-        counts: How many there are, alike.
+        period: Period of the record [s].
+        sums: Sums of the deviations in each group and bin, ``(n_groups, N_BINS, n_s)``.
+        squares: Sums of the squared deviations, in the same shape.
+        counts: Numbers of the deviations, in the same shape.
         by_cycles: Whether the groups are cycles, or samples of few cycles.
     """
 
@@ -147,12 +147,12 @@ class Deviations:
         """Return a number of the mean deviations and its error by the jackknife.
 
         Args:
-            number: From mean deviations ``(N_BINS, n_s)`` to the number.
+            number: Function from mean deviations ``(N_BINS, n_s)`` to the measures.
         """
         return self.estimates(lambda average: (number(average),))[0]
 
     def estimates(self, numbers: Callable[[Vector], Sequence[float]]) -> tuple[Estimate, ...]:
-        """Return several numbers of the mean deviations and their errors by the jackknife."""
+        """Return several measures of the mean deviations and their errors by the jackknife."""
         values = numbers(self.average)
         sums, counts = self.sums.sum(axis=0), self.counts.sum(axis=0)
         n = len(self.sums)

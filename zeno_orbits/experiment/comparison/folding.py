@@ -26,7 +26,7 @@ class Fold:
     """An orbit at the phases of samples.
 
     Attributes:
-        times: Since its release, ``(n,)`` [s].
+        times: Times since the release, ``(n,)`` [s].
         values: Its signals, ``(n, n_s)``.
         slopes: Their time derivatives, ``(n, n_s)``.
     """

@@ -45,7 +45,7 @@ class GapModel:
     Attributes:
         nodes: Gap over time from release to release, and its rate.
         flights: Its flights, the hops among them.
-        restitution: Of the orbit.
+        restitution: Restitution of the orbit.
         zeno_time: [s].
         period: [s].
     """

@@ -12,7 +12,7 @@ from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.folding import MOST_GROUPS, folded
 
 _LOW = 0.2
-"""The level is looked for in this part of the range above the lowest gap."""
+"""The level is searched in this part of the range above the lowest gap."""
 _RESTING = 0.05
 """Part of the samples that rest at the level at least."""
 _FEWEST = 50
@@ -27,9 +27,9 @@ class GapSamples:
     """Samples of a gap by the time since the release.
 
     Attributes:
-        since: In [0, period), ``(n,)`` [s].
+        since: Times since the release, in [0, period), ``(n,)`` [s].
         gap: ``(n,)``.
-        counts: How many samples each is the mean of, ``(n,)``.
+        counts: Number of samples in each mean, ``(n,)``.
         groups: Number of the cycle, or group of cycles, of each, ``(n,)``.
         period: [s].
     """

@@ -1,6 +1,6 @@
-"""An orbit laid over a recording: by its own period and the shift that fits best, or not at all.
+"""Overlay of an orbit and a recording by the recording's period and the best phase shift, if any.
 
-Whoever shows both together, in numbers or in pictures, lays them over each other here.
+Comparisons and pictures of a recording and an orbit use this overlay.
 
 Source: theory (54), (55).
 """
@@ -114,13 +114,13 @@ def lay_over(
     names: Sequence[str],
     also: Sequence[str] = (),
 ) -> Overlay | None:
-    """Return an orbit laid over a recording, or nothing if no period is seen in that.
+    """Return the overlay of an orbit and a recording, or ``None`` if the recording has no period.
 
     Args:
         orbit: The orbit.
         problem: Its problem.
         recording: The recording.
-        names: Of the signals that both have, by `shared_signals`.
+        names: Names of the common signals, by `shared_signals`.
         also: Names of other signals that the table of the orbit is to hold.
 
     Raises:

@@ -37,7 +37,7 @@ def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) ->
     Args:
         problem: The problem.
         found: The deviations.
-        names: Of the signals, in order.
+        names: Names of the signals, in order.
     """
     units, table = measurable(problem), found.table
     share = found.phases * table.period
@@ -63,7 +63,7 @@ def recorded_portraits_of(problem: Problem, names: Sequence[str]) -> tuple[Portr
 
     Args:
         problem: The problem.
-        names: Of the recorded signals.
+        names: Names of the recorded signals.
     """
     n_q = problem.compiled().n_q
     rates = dict(zip(problem.state_names[n_q : 2 * n_q], problem.state_names[:n_q], strict=True))
@@ -136,7 +136,7 @@ def apex(found: Deviations, signal: int, sign: float) -> Estimate:
 
     It is the orbit's own with the deviation there, a straight line through the bins around it: the
     largest of all bins would be raised by noise. Only if another bin is higher beyond chance, the
-    extreme is looked for around that one.
+    extreme is searched around that bin.
 
     Args:
         found: The deviations.

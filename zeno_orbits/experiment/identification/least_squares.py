@@ -58,7 +58,7 @@ class Fit:
         data: The samples that count.
         jacobian: Derivatives of the residuals with respect to the unknowns, with the period's
             residual in the last row, ``(n n_s + 1, k + 1)``.
-        residuals: In units of their noise, ``(n n_s + 1,)``.
+        residuals: Residuals in units of their noise, ``(n n_s + 1,)``.
         spread: Uncertainty of the unknowns.
         before: Root mean square deviation at the start, in parts of the ranges.
         after: The same after the fit.

@@ -166,7 +166,7 @@ def profile_interval(answer: Fit, number: int) -> tuple[float, float]:
 
     Args:
         answer: The fit.
-        number: Of the unknown.
+        number: Index of the unknown.
     """
     stage, x, spread = answer.stage, answer.x, answer.spread
     if stage is None:

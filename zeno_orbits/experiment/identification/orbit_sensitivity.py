@@ -38,12 +38,12 @@ _PARTS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OrbitSlope:
-    """Derivatives of a periodic orbit by chosen parameters.
+    """Derivatives of a periodic orbit with respect to chosen parameters.
 
     Attributes:
-        period: Of the period, ``(k,)``.
-        release: Of the release state, ``(n_x, k)``.
-        states: Of the states over time from the release, column by column, ``n_x k`` of them.
+        period: Derivative of the period, ``(k,)``.
+        release: Derivative of the release state, ``(n_x, k)``.
+        states: Derivatives of the states over time from the release, column by column, ``n_x k``.
     """
 
     period: Vector

@@ -28,11 +28,11 @@ _STEPS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Slopes:
-    """Derivatives by the unknowns.
+    """Derivatives with respect to the unknowns.
 
     Attributes:
-        signals: Of the signals at the samples, ``(n, n_s, k + 1)``.
-        period: Of the period, ``(k + 1,)`` [s].
+        signals: Derivatives of the signals at the samples, ``(n, n_s, k + 1)``.
+        period: Derivative of the period, ``(k + 1,)`` [s].
     """
 
     signals: Vector

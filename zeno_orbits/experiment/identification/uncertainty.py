@@ -84,7 +84,7 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
     Args:
         jacobian: Derivatives of the residuals with respect to the parameters and then the phase
             shift. The last row belongs to the period, ``(n n_s + 1, k + 1)``.
-        residuals: In units of their noise, ``(n n_s + 1,)``.
+        residuals: Residuals in units of their noise, ``(n n_s + 1,)``.
         data: The samples of the residuals.
     """
     from scipy.stats import t as student

@@ -91,7 +91,7 @@ def begin_of(
         InputError: If a name or a range is invalid.
     """
     if not sought:
-        raise InputError("Argument `fit` must name a parameter, but it names none.")
+        raise InputError("Argument `fit` must name a parameter.")
     taken: list[str] = []
     parameters = dict(values.parameters)
     for one in sought:
@@ -102,7 +102,7 @@ def begin_of(
                 message = f"must name parameters ({known}), but it names `{name}`{hint}"
                 raise InputError(f"Argument `fit` {message}.")
             if name in taken:
-                raise InputError(f"Argument `fit` must name `{name}` once, but it does so twice.")
+                raise InputError(f"Argument `fit` must name `{name}` once, not twice.")
             taken.append(name)
         if not one.lower < one.upper:
             bounds = f"[{one.lower:g}, {one.upper:g}]"

@@ -154,7 +154,7 @@ def _autocorrelation(grid: _Grid) -> tuple[Vector, NDArray[np.bool_]]:
     """Return the autocorrelation of a record at shifts by whole bins, and the mask of known shifts.
 
     The sum over the overlap is divided by the geometric mean of the two energies there. The result
-    is at most one, and one for a whole number of periods however small the overlap is.
+    is at most one, and one for a whole number of periods, even if the overlap is small.
     """
     n = grid.values.shape[1]
     size = 2 * n

@@ -27,7 +27,7 @@ class Sampling:
     Attributes:
         rate: Samples a second [Hz].
         noise: Standard deviation of the noise on each state, in parts of the range of that.
-        seed: Of the noise.
+        seed: Random seed of the noise.
     """
 
     rate: float

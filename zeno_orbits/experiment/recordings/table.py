@@ -23,7 +23,7 @@ _PIECE = 1 << 22
 """Bytes per piece: large enough for an efficient parser, and small compared with the values."""
 
 _SEPARATORS = ("\t", ";", ",")
-"""In the order in which they are looked for: a comma may also be a decimal sign."""
+"""In the order of the search: a comma may also be a decimal sign."""
 
 _MISSING = frozenset({"", "-", "nan", "na", "n/a", "#n/a", "null", "none", "missing"})
 """Marks for a missing value, in lower case."""

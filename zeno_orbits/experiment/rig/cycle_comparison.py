@@ -33,7 +33,7 @@ _WORTH = 1e-2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CycleNumbers:
-    """Characteristic numbers of a cycle, of a machine or of the orbit of its model.
+    """Characteristic values of a cycle, of a machine or of the orbit of its model.
 
     Attributes:
         impact_time: First contact, or first impact, from release [s].
@@ -79,7 +79,7 @@ class OrbitCurve:
     """An orbit as a closed line in the space of its states.
 
     Attributes:
-        times: Since release, ``(n,)`` [s].
+        times: Times since the release, ``(n,)`` [s].
         states: States, ``(n, n_x)``, connected by straight lines.
         ranges: Range of every state along the orbit, ``(n_x,)``. It is 1 for a constant state.
     """

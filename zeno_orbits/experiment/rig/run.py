@@ -122,8 +122,8 @@ class Record:
 
     Attributes:
         times: ``(n,)`` [s].
-        coordinates: As the encoders gave them, ``(n, n_q)``.
-        currents: As they were read, ``(n, n_motors)`` [A].
+        coordinates: Readings of the encoders, ``(n, n_q)``.
+        currents: Readings of the currents, ``(n, n_motors)`` [A].
     """
 
     times: Vector

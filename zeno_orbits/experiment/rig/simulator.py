@@ -159,8 +159,8 @@ class _Follower:
         n_q = self._machine.n_q
         mass = Call(self._machine.inertia, self._p)(x).reshape(n_q, n_q)
         if self._rig.gears and float(np.min(np.linalg.eigvalsh(mass))) <= 0.0:
-            wanted = "must leave the joints some of the problem's inertia"
-            raise InputError(f"Argument `rotor_inertia` {wanted}, but it is more than all of it.")
+            wanted = "must be below the problem's inertia, which includes the rotors"
+            raise InputError(f"Argument `rotor_inertia` {wanted}.")
 
     def follow(self, until: float, on_progress: Progress) -> None:
         """Carry the machine forward to a time, from edge to edge."""

@@ -1,4 +1,4 @@
-"""From expressions to numbers: here and in `compiled_flow` a model becomes CasADi functions."""
+"""CasADi functions of a model, compiled from its expressions. `compiled_flow` adds the flows."""
 
 from __future__ import annotations
 
@@ -136,11 +136,11 @@ class CompiledSystem:
         return len(self.state_names)
 
     def contact_at(self, x: Any, p: Any) -> ContactQuantities:
-        """Return the contact quantities at symbols or numbers for state and parameters."""
+        """Return the contact quantities at symbols or values of state and parameters."""
         return ContactQuantities.of(self.contact(x, p))
 
     def law_at(self, p: Any) -> ImpactLaw:
-        """Return the law of an impact at symbols or numbers for the parameters."""
+        """Return the law of an impact at symbols or values of the parameters."""
         return ImpactLaw.of(self.impulse(ca.DM.zeros(self.n_x), p)[2])
 
 

@@ -50,7 +50,7 @@ def derivative_formulas(
 
     Args:
         functions: The functions.
-        chosen: Places of the parameters in ``p``.
+        chosen: Indices of the parameters in ``p``.
     """
     n_x, n_p = functions.contact.size1_in(0), functions.contact.size1_in(1)
     x, p, rate = ca.SX.sym("x", n_x), ca.SX.sym("p", n_p), ca.SX.sym("rate")

@@ -22,7 +22,7 @@ from zeno_orbits.model.scale import OwnScale, usual
 if TYPE_CHECKING:
     from zeno_orbits.model.numeric.compiled import CompiledSystem
 
-_BEYOND = ": the drive's correction is as large as what it corrects; take the full problem."
+_BEYOND = ": the drive's correction is as large as the corrected value; use the full problem."
 
 
 @light_value
@@ -241,8 +241,8 @@ def plain_flight(
     """Return the rescaled flights (theory (14)) of a system given by plain functions.
 
     Args:
-        free_flow: From a state to ``dx/dt`` off the stop.
-        gap_acceleration: From a state to the second time derivative of the gap.
+        free_flow: Function from a state to ``dx/dt`` off the stop.
+        gap_acceleration: Function from a state to the second time derivative of the gap.
     """
 
     def flight(speed: float) -> GuardedFlow:

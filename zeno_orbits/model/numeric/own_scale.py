@@ -58,12 +58,12 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reach:
-    """How far a problem goes from where it starts, in its own units and not rounded.
+    """Distance that a problem covers from its start, in its own units and not rounded.
 
     Attributes:
         states: Sizes of coordinates, then of their velocities, ``(2 n_q,)``.
-        gap: Of the gap.
-        time: [s].
+        gap: Scale of the gap.
+        time: Time scale [s].
     """
 
     states: Vector

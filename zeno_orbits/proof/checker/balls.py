@@ -175,10 +175,10 @@ def number(text: Any, bits: int, *, exact: bool = True) -> Ball:
     """
     found = _NUMBER.fullmatch(text) if isinstance(text, str) else None
     if found is None:
-        raise InputError(f"The certificate has {str(text)[:40]!r} where a number must be.")
+        raise InputError(f"The certificate has {str(text)[:40]!r} in place of a number.")
     mantissa, shift = int(found[1] + found[2], 16), int(found[3]) + bits
     if mantissa.bit_length() + int(found[3]) > _LARGEST:
-        raise InputError(f"The certificate's numbers must be below 2^{_LARGEST}, but one is not.")
+        raise InputError(f"The certificate has a number of 2^{_LARGEST} or more.")
     units = mantissa << shift if shift >= 0 else mantissa >> -shift
     if exact and shift < 0 and units << -shift != mantissa:
         raise InputError(f"The certificate's {text[:40]!r} must be a multiple of 2^-{bits}.")

@@ -104,8 +104,8 @@ def _fitting_together() -> Generator[None]:
     except NotProved as failure:
         raise InputError(f"The certificate's problem cannot be proved: {failure}.") from None
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        what = "an entry is missing, or of another kind than it must be"
-        raise InputError(f"The certificate does not fit together: {what}.") from error
+        what = "an entry is missing or has the wrong type"
+        raise InputError(f"The certificate is invalid: {what}.") from error
 
 
 def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
@@ -115,9 +115,7 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
             _require_short_file(path)
             certificate = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
-            raise InputError(
-                f"File `{path}` must hold a certificate, but it does not ({error})."
-            ) from None
+            raise InputError(f"File `{path}` is not a certificate ({error}).") from None
     entries(certificate, *_TOP)
     data = cast("Mapping[str, Any]", certificate)
     kind, bits = (data["format"], data["kind"]), data["bits"]
@@ -172,10 +170,10 @@ def read_system(
     formulas, bits = formulas_of(problem), data["bits"]
     if data["digest"] != formulas.digest:
         raise InputError(
-            f"The certificate is about other formulas than the problem `{problem.name}`."
+            f"The certificate belongs to other formulas than those of the problem `{problem.name}`."
         )
     if tuple(data["parameters"]) != problem.names:
-        raise InputError(f"The certificate must have the numbers {', '.join(problem.names)}.")
+        raise InputError(f"The certificate must have values of {', '.join(problem.names)}.")
     numbers = {name: number(text, bits) for name, text in data["parameters"].items()}
     for name, ball in numbers.items():
         if Fraction(float(ball.ends()[0])) != ball.ends()[0]:
@@ -192,7 +190,7 @@ def read_system(
         out = any(low <= Fraction(x) <= high for x in quantity.excluded)
         if out or low < quantity.lower or high > quantity.upper:
             wanted = f"must be inside its range, {quantity.lower:g} to {quantity.upper:g}"
-            raise InputError(f"The certificate's `{quantity.name}` {wanted}, but it is not.")
+            raise InputError(f"The certificate's `{quantity.name}` {wanted}.")
     row = data["gap_row"]
     if row is not None and (type(row) is not int or not 0 <= row < formulas.n_q):
         raise InputError("The certificate's `gap_row` must be a coordinate.")
@@ -404,7 +402,7 @@ def _claimed(passages: Sequence[Passage | str], claim: Any) -> ClaimVerdict:
     """Check one claim."""
     name, which = claim["name"], claim["pass"]
     if type(which) is not int or not 0 <= which < len(passages):
-        raise InputError("The certificate has a claim about no pass.")
+        raise InputError("The certificate has a claim for a pass that does not exist.")
     try:
         told = show(of_one_orbit(passages)[which], claim)
         return ClaimVerdict(str(name), True, told, which + 1)

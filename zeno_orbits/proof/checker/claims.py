@@ -249,7 +249,7 @@ def show(passage: Passage, claim: Mapping[str, Any]) -> str:
     """
     name = claim["name"]
     if name not in CLAIMS:
-        raise InputError("The certificate has a claim of no known name.")
+        raise InputError("The certificate has a claim with an unknown name.")
     shown, names = CLAIMS[name]
     given = entries(claim, "name", "pass", *names)[2:]
     away = passage.leaves_both()

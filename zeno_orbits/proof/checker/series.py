@@ -171,8 +171,8 @@ def function_at(name: str, u: Ball) -> Ball:
     """Return an elementary function of a ball, by mpmath's functions of intervals.
 
     mpmath rounds its ends in the wrong direction for about one argument in 10000. So each end is
-    widened by 16 units in the last place of its precision. The precision follows the size of an
-    exponential.
+    widened by 16 units in the last place of its precision. The precision increases with
+    the size of an exponential.
     """
     if u.size >> u.bits >= _LARGEST[name] or (name in ("log", "sqrt") and u.low <= 0):
         raise NotProved(f"{name} of {u.shown()} has no bound")

@@ -5,7 +5,8 @@ the constraints are taken from the problem's formulas. The other quantities foll
 definition of a completed execution, with ``L`` for derivatives along a vector field. These are the
 gap rate ``L_f h``, its rate ``a = L_f L_f h``, and ``D = d / L_d L_f h``. An impact maps ``x`` to
 ``x - (1 + e) (L_f h) D``, so that ``L_f h`` becomes ``-e L_f h`` (Newton's law). The locked flow is
-``f - a D``. Along it, ``h = L_f h = 0`` is invariant. It applies as long as ``a < 0``.
+``f - a D``. Along it, ``h = L_f h = 0`` is invariant. The locked flow applies as long as
+``a < 0``.
 """
 
 from __future__ import annotations
@@ -220,7 +221,7 @@ def _require_newton(
     require_analytic(graph, [drop, after])
     wanted = [graph.put("mul", graph.put("add", graph.one, law), s)]
     wanted.append(graph.put("neg", graph.put("mul", law, s)))
-    require(are_equal(graph, [drop, after], wanted), "its impacts obey another law than Newton's")
+    require(are_equal(graph, [drop, after], wanted), "its law of impact is not Newton's law")
 
 
 def _coordinate(

@@ -163,7 +163,7 @@ class ProofVerdict:
         if failed is not None:
             return f"Not proved: `{failed.name}`: {failed.evidence}."
         if not self.ok:
-            return "Not proved: no claim says that there is an orbit."
+            return "Not proved: no claim states that an orbit exists."
         period = f"; period {self._known['period']} s" if "period" in self._known else ""
         what = f"a {self.theorem.kind} of `{self.problem}`"
         if self.theorem.over:

@@ -17,7 +17,7 @@ class Bundle:
     """A script, packed.
 
     Attributes:
-        version: Of the package that it came with.
+        version: Version of the package that contains it.
         packed: The script, gzip, in base64: 2.5 times smaller than as it is.
     """
 

@@ -41,7 +41,7 @@ _ROUNDING = 1e-13
 
 
 def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
-    """Return name, number and unit of the main numbers of one period."""
+    """Return name, value and unit of the main quantities of one period."""
     orbit, execution = subject.orbit, subject.execution
     radius = subject.certificate.spectral_radius
     points = execution.zeno_points if execution else ()
@@ -109,7 +109,7 @@ def parameters_table(orbit: ZenoOrbit, problem: Problem) -> Table[Any]:
 
 
 def bounds_table(orbit: ZenoOrbit) -> Table[Any]:
-    """Return the bounds that a search was asked to keep, as far as the orbit's file has them."""
+    """Return the bounds of the search, as far as the orbit's file contains them."""
     known: list[Any] = list(orbit.certificate.get("asked", ()))
     bounds = [cast("dict[str, Any]", one) for one in known if isinstance(one, dict)]
     return table_of("Bounds the search was asked to keep", BOUNDS, bounds)

@@ -98,13 +98,13 @@ LAWS: tuple[tuple[int, str, str], ...] = (
     (
         18,
         "<i>P</i>(<i>x</i>*) = <i>x</i>*, <i>μ</i> = eigenvalues of d<i>P</i>/d<i>x</i>",
-        "The return map P leads from one start of a period to the next. Its multipliers say what "
-        "is left of a small push after a period.",
+        "The return map P leads from one start of a period to the next. Its multipliers are the "
+        "fractions of a small push that are left after a period.",
     ),
     (
         19,
         "|simulated − stated| / size",
-        "A residual: zero for a true orbit, relative to the size of what is compared.",
+        "A residual: zero for a true orbit, relative to the size of the compared values.",
     ),
 )
 """Number of a law in the theory, the law as HTML, and its statement."""
@@ -150,7 +150,11 @@ def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution 
         certificate: Its certificate.
         execution: One period, if it could be simulated.
     """
-    said = "" if certificate.passed else "So says the file. The check below does not confirm it. "
+    said = (
+        ""
+        if certificate.passed
+        else "The file states this, and the check below does not confirm it. "
+    )
     repeats = f"The same motion repeats every {orbit.period:.4g} s."
     if execution is None:
         return f"{said}{repeats}"
@@ -159,7 +163,7 @@ def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution 
     count, points = len(execution.impacts), len(execution.zeno_points)
     if not points:
         return (
-            f"{said}{repeats} The moving part hits its stop and flies on, {count} times a period."
+            f"{said}{repeats} The moving part hits its stop and flies on, {count} times per period."
         )
     return (
         f"{said}{repeats} The moving part hits its stop {count} times that could be followed one "
@@ -191,13 +195,13 @@ def stability(certificate: OrbitCertificate) -> str:
     radius = certificate.spectral_radius
     if certificate.stable and not certificate.multipliers:
         return (
-            "The release leaves nothing to choose: whatever a small push does, the next release "
-            "is the same."
+            "The conditions of the release determine its state: after any small push, the next "
+            "release is the same."
         )
     if certificate.stable:
         return (
-            f"A small push dies out: from period to period at most {100 * radius:.3g} % of it is "
-            "left in the end. All multipliers lie inside the unit circle."
+            f"A small push decays: in the end at most {100 * radius:.3g} % of it is left per "
+            "period. All multipliers lie inside the unit circle."
         )
     if certificate.unstable:
         return (

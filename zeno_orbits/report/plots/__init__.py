@@ -1,4 +1,4 @@
-"""Figures of results: values in, a matplotlib ``Figure`` out.
+"""Figures of results. Each function returns a matplotlib ``Figure``.
 
 The functions use neither pyplot nor global settings, so a figure is the same in every session.
 Every function takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a

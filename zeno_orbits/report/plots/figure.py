@@ -68,9 +68,9 @@ def figure_of(
     """
     given = [*np.ravel(np.asarray(axes, dtype=object))] if ax is None else [ax]
     if ax is not None and len(axes):
-        raise InputError("Arguments `ax` and `axes` must not come together, but both are given.")
+        raise InputError("Arguments `ax` and `axes` exclude each other: leave out one.")
     if given and width is not None:
-        raise InputError("Argument `width` must come without axes, which have one, but does not.")
+        raise InputError("Argument `width` must not be given with axes, which have a width.")
     if width is not None and not _NARROWEST <= width <= _WIDEST:
         limits = f"must lie in [{_NARROWEST:g}, {_WIDEST:g}] inches"
         raise InputError(f"Argument `width` {limits}, but it is {width:g}.")

@@ -151,7 +151,7 @@ def _label(attractor: Attractor) -> str:
 
 
 def _phrases(attractors: Sequence[Attractor]) -> dict[str, tuple[Attractor, int]]:
-    """Return each phrase with an attractor it stands for and its number among escapes."""
+    """Return each phrase with one of its attractors and its index among escapes."""
     found: dict[str, Attractor] = {}
     for one in attractors:
         found.setdefault(_label(one), one)
@@ -184,7 +184,7 @@ def _colour(attractor: Attractor, escape: int, used: Set[str]) -> str:
     if attractor.fate is Fate.UNSETTLED:
         if attractor.kind in _KINDS:
             return _KINDS[attractor.kind]
-        growing = {"growing": _GROWING, "dying out": _DYING}
+        growing = {"growing": _GROWING, "decaying": _DYING}
         return growing.get(attractor.phrase.rpartition(", ")[2], _UNSETTLED)
     return _PLAIN[attractor.fate]
 

@@ -158,7 +158,7 @@ def figure_size(ax: Axes) -> Vector:
 def _figure_of(ax: Axes) -> Figure:
     figure = ax.get_figure(root=True)
     if figure is None:
-        raise InputError("Argument `axes` must belong to a figure, but they do not.")
+        raise InputError("Argument `axes` must belong to a figure.")
     return figure
 
 

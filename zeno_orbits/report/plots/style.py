@@ -96,7 +96,7 @@ def mark_completion(ax: Axes, execution: Execution, pair: Sequence[int]) -> None
     Args:
         ax: The panel.
         execution: The execution.
-        pair: Places of the two states.
+        pair: Indices of the two states.
     """
     for release in execution.releases:
         ax.plot(*release.state[list(pair)], label="release", **RELEASE)

@@ -76,7 +76,7 @@ def plain_console(width: int | None = None) -> Console:
 
 
 def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
-    """Print a table with a row an item, and a line of space.
+    """Print a table with one row per item, followed by an empty line.
 
     Words of text may go to the next line. No word, number or name is ever cut: a table that is too
     wide for the terminal even so is printed wider than it.

@@ -99,7 +99,7 @@ def _settled(comparison: RigComparison, rows: Mapping[str, str]) -> str:
     if comparison.unlike:
         return f"{cycles}, none of the orbit's kind: {', '.join(comparison.unlike)}"
     if comparison.drifting is None:
-        return f"{cycles}, too few to tell whether it has settled"
+        return f"{cycles}, too few to decide whether it has settled"
     if comparison.drifting:
         moving = ", ".join(rows[name] for name in comparison.drifting)
         return f"{cycles}, and the machine has not settled: {moving} still changes in one direction"
@@ -112,7 +112,7 @@ def print_contacts(name: str, contacts: Sequence[Mapping[str, float]], gap_unit:
     Args:
         name: Name of the problem.
         contacts: Start, end [s] and approach rate of each.
-        gap_unit: Of the gap.
+        gap_unit: Unit of the gap.
     """
     unit, size = prefixed("s", *(one["end"] for one in contacts))
     rate, speed = prefixed(f"{gap_unit}/s", *(one["approach_rate"] for one in contacts))

@@ -259,7 +259,7 @@ def print_orbit(
     certificate: OrbitCertificate,
     free: Iterable[str] = (),
 ) -> None:
-    """Print an orbit and the main numbers of its certificate.
+    """Print an orbit and the main values of its certificate.
 
     Args:
         problem: Its problem.

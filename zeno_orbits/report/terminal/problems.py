@@ -47,7 +47,7 @@ def print_conditions(
             "Theorem 1: Zeno executions exist near a Zeno equilibrium if",
             "  0 <= e < 1   and   d2h/dt2 < 0   there, where\n",
             f"  d2h/dt2 = {formula}\n",
-            f"At the numbers of {problem.name}, e = {e:g}:\n",
+            f"At the parameters of {problem.name}, e = {e:g}:\n",
             f"  d2h/dt2 = {numbers}\n",
         ]
     )

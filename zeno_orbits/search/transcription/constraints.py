@@ -57,7 +57,7 @@ def named_numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
             release = terms.phases[(place + 1) % len(terms.phases)].start
             found.append(-terms.compiled.contact_at(release, terms.p).multiplier_rate)
     if not found:
-        wanted = f"must bound what an orbit of shape `{terms.shape.text}` has"
+        wanted = f"must bound a quantity of an orbit of shape `{terms.shape.text}`"
         raise InputError(f"Argument `keep` {wanted}, but it names `{name}`.")
     return found
 
@@ -116,7 +116,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
     """
     if bound.name == "spectral_radius":
         if terms.return_slope is None:
-            raise ValueError("Argument `terms` must carry the return map, but it is missing.")
+            raise ValueError("Argument `terms` lacks the return map.")
         radius = bound.upper - RADIUS_SLACK + slack
         keep_radius_below(terms.program, terms.return_slope, radius)
         return 1.0

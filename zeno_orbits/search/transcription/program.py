@@ -203,7 +203,7 @@ class ProgramBuilder:
             scale: Unit of the rows of a column, in the shape of the output.
 
         Returns:
-            The other outputs, side by side.
+            The other outputs, concatenated horizontally.
         """
         others = self._constrain_along(names, function, parts, scale, (0.0, 0.0))
         along = Along(function=function, parts=tuple(parts))
