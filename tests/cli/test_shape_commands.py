@@ -111,7 +111,7 @@ def test_a_family_of_another_shape_is_refused_in_one_line(
 ) -> None:
     words = ["continue", "impact_oscillator", "--parameter", "omega=0.4:0.6", "--from", str(file)]
     assert main(words) == 2
-    _one_line(capsys, "one Zeno point or one impact a period", "`impact*3`")
+    _one_line(capsys, "one Zeno point or one impact per period", "`impact*3`")
 
 
 @pytest.mark.parametrize("shape", ["bounce", "zeno,impact", "plastic,impact", "zeno*0"])

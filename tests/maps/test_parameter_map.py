@@ -357,7 +357,7 @@ def test_an_interrupt_without_an_output_keeps_what_is_done_in_a_temporary_folder
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with interrupted_when(lambda _, part: part == 1.0):
         answer = ask(*BALL, "--workers", "1")
-    told = re.search(r"the same command with --checkpoint (\S+) goes on from there", answer.err)
+    told = re.search(r"the same command with --checkpoint (\S+) continues from there", answer.err)
     assert told is not None
     with interrupted_when(lambda _, part: 0.0 <= part < 1.0):
         again = ask(*BALL, "--workers", "1", "--checkpoint", told[1])

@@ -423,11 +423,11 @@ def test_matrices_that_do_not_go_together_are_refused_by_name() -> None:
         with pytest.raises(ValueError, match=words):
             HybridLagrangian.from_matrices(q=q, v=v, gap=q[1], **{**given, **changes})
 
-    refused("`coriolis` must be that of the mass matrix", coriolis=2 * coriolis)
+    refused("`coriolis` is not consistent with the mass matrix", coriolis=2 * coriolis)
     refused("`coriolis` must be of shape", coriolis=ca.SX(1))
     refused("`gravity` must have 2 entries", gravity=ca.SX(1))
     lopsided = mass + ca.blockcat([[0, 0.1], [0, 0]])
-    refused("`mass_matrix` must be symmetric", mass_matrix=lopsided)
+    refused("`mass_matrix` is not symmetric", mass_matrix=lopsided)
     refused("`mass_matrix` must depend on the configuration", mass_matrix=mass * (1 + v[0]))
     refused(
         "`mass_matrix` must give every coordinate an inertia", mass_matrix=ca.diag(ca.SX([1, 0]))

@@ -149,7 +149,7 @@ def test_a_motion_of_another_shape_tells_which_phases_it_has_and_where_they_end(
     simulated.left = [run]
     with pytest.raises(SimulationError) as caught:
         cycle_of(STOP, START, OrbitShape.parsed(shape), horizon=9.5, settings=SETTINGS)
-    assert caught.value.reason.endswith(f"than `{shape}`: {seen}")
+    assert caught.value.reason.endswith(f"not `{shape}`: {seen}")
     assert (caught.value.time, caught.value.state) == (time, (0.0, 1.0))
 
 

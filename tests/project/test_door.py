@@ -122,7 +122,7 @@ def test_an_orbit_with_several_phases_is_not_continued(
     orbit: zo.ZenoOrbit, kind: PhaseKind
 ) -> None:
     phases = 2 * tuple(replace(phase, kind=kind) for phase in orbit.phases)
-    with pytest.raises(zo.InputError, match="one Zeno point or one impact a period") as refused:
+    with pytest.raises(zo.InputError, match="one Zeno point or one impact per period") as refused:
         zo.continue_orbit(replace(orbit, phases=phases), "Kp", (2.4, 2.6))
     assert f"its shape is `{kind.value}*2`" in str(refused.value)
 

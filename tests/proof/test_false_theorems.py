@@ -425,8 +425,8 @@ def _law(kind: Any) -> State:
         (_gap_of_the_clock, "the one coordinate of the gap"),
         (_impact_that_turns_the_clock, "is not kept at an impact"),
         (_restitution_of_the_speed, "restitution is not constant"),
-        (_law(_Softer), "another law than Newton's"),
-        (_law(_Inconsistent), "another law than Newton's"),
+        (_law(_Softer), "not Newton's law"),
+        (_law(_Inconsistent), "not Newton's law"),
         (_law(_Kinked), "`fabs`"),
     ],
 )

@@ -166,7 +166,7 @@ def test_one_panel_takes_one_axes(ball: zo.Execution) -> None:
         zo.InputError, match="as many as the picture has panels, 2, but there are 1"
     ):
         zo.plot(ball, ax=ax)
-    with pytest.raises(zo.InputError, match="must not come together"):
+    with pytest.raises(zo.InputError, match="exclude each other"):
         zo.plot(TRADE, ax=ax, axes=[ax])
     with pytest.raises(zo.InputError, match="`width` must not be given with axes"):
         zo.plot(TRADE, ax=ax, width=3.4)

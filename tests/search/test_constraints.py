@@ -205,7 +205,7 @@ def test_a_phase_that_does_not_hold_has_no_number_of_the_stop() -> None:
     assert _values(terms, *named_numbers(terms, "gap_acceleration")) == [K - 1.0]
     assert _values(terms, *named_numbers(terms, "first_impact_speed")) == [2.0, 3.0]
     alone = made.terms(impact)
-    with pytest.raises(InputError, match=r"shape `impact` has, but it names `locked_time`"):
+    with pytest.raises(InputError, match=r"shape `impact`, but it names `locked_time`"):
         named_numbers(alone, "locked_time")
 
 

@@ -586,7 +586,7 @@ def test_the_best_orbit_that_attracts_is_taken_where_the_best_of_all_lies_on_a_f
     assert len(seen) == 2
     assert result.candidates[0].extents["spectral_radius"].highest < 0.99
     assert result.detail.startswith("The best orbit, at Kp = 2.5, Kd = -1, lies on a fold of the")
-    assert "the best one with a spectral radius up to 0.99" in result.detail
+    assert "the best orbit with a spectral radius up to 0.99" in result.detail
 
 
 @pytest.mark.slow

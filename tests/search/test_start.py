@@ -319,7 +319,7 @@ def test_the_best_orbit_that_attracts_is_looked_for_beside_the_one_that_does_not
     assert _place(outcome) == 3.0
     assert outcome.detail == (
         "The best orbit, at Kp = 3.5, Kd = -1, is unstable. "
-        "This is the best one with a spectral radius up to 0.99."
+        "This is the best orbit with a spectral radius up to 0.99."
     )
     kind, bounded, (start, solution) = asked[1]
     assert kind == "beside"
