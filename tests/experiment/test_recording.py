@@ -270,7 +270,7 @@ def test_a_hole_in_every_line_of_a_long_file_is_kept(write: Write) -> None:
         (TITLES, "it has 0 rows of values, and two are needed"),
         (TITLES + "0,1,2\n", "it has 1 row of values"),
         (TITLES + "nan,1,2\nnan,1,2\n", "it has 0 rows of values"),
-        (ROWS, "line 1 must hold the column titles, and it holds numbers"),
+        (ROWS, "line 1 holds numbers in place of the column titles"),
         ("time angle\n0 1\n", "line 1 must separate its columns by commas, semicolons or tabs"),
         ("angle [rad],x [m]\n0,1\n1,2\n", r"no column named `time` \(its columns: angle, x\)"),
         ("time [s],t [s],x [m]\n0,1,2\n1,2,3\n", "more than one column named `time`"),

@@ -167,11 +167,11 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "name that is there twice": (
         *(FORCED, 'Quantity.positive("omega"', 'Quantity.positive("k"'),
-        "but `k` is there twice",
+        "but `k` appears twice",
     ),
     "state with the name of a parameter": (
         *(FORCED, '("x", "dx", "cosine"', '("k", "dx", "cosine"'),
-        "but `k` is there twice",
+        "but `k` appears twice",
     ),
     "name that cannot be typed": (
         *(FORCED, 'Quantity.positive("m"', 'Quantity.positive("the mass"'),

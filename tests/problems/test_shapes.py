@@ -437,7 +437,7 @@ def test_one_impact_too_many_is_refused() -> None:
 
 
 def test_a_phase_without_its_impact_is_refused() -> None:
-    with pytest.raises(InputError, match="must have an impact in phase 2, but it lacks one"):
+    with pytest.raises(InputError, match="lacks an impact in phase 2"):
         checked(changed(struck_thrice(), 1, impacts=()))
 
 

@@ -260,7 +260,7 @@ def test_a_section_without_coordinates_or_with_more_than_six_is_refused(
 ) -> None:
     terms, _ = _by_hand(released=False)
     terms.tangent = np.zeros((2, size))
-    with pytest.raises(InputError, match=f"{size} coordinates, but one to 6 can be asked for"):
+    with pytest.raises(InputError, match=f"{size} coordinates, but one to 6 are supported"):
         section_map(terms)
     monkeypatch.setattr(spectral_radius, "derivative_along", lambda *_: _derived(6))
     terms.tangent = np.zeros((2, 6))

@@ -70,7 +70,7 @@ def add_prove(commands: Any) -> None:
 def _run_prove(options: argparse.Namespace) -> int:
     if (options.orbit is None) == (options.check is None):
         given = "both are there" if options.orbit else "both are missing"
-        raise InputError(f"Argument `ORBIT.json` must be given or `--check` must, but {given}.")
+        raise InputError(f"One of `ORBIT.json` and `--check` must be given, but {given}.")
     if options.check is not None:
         return _check(options)
     require_outputs(options, pictures=(), reads=(options.orbit,))

@@ -141,7 +141,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
 def _from_start(options: argparse.Namespace) -> int:
     for name in ("cycles", "problem"):
         if getattr(options, name) is not None:
-            raise InputError(f"Argument `{name}` must come with an orbit, but it is missing.")
+            raise InputError(f"Argument `{name}` must come with an orbit file.")
     problem = api.known_problem(options.target)
     rig = _rig_of(options, problem, values=problem.values(**numbers_of(problem, options)))
     with report.ProgressLine(options.interrupts.check) as progress:

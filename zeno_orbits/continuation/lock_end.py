@@ -93,7 +93,9 @@ def locate_cut_near(
             # Beyond the end contact ends before the impacts accumulate, the later the nearer the
             # end is. So fewer impacts may still occur.
             continue
-    raise SimulationError("The end of the locked arc is not near", time=0.0, state=())
+    raise SimulationError(
+        "The end of the locked arc is not near the predicted point", time=0.0, state=()
+    )
 
 
 _KNOWN_CUTS = (9, 7, 5, 4)
@@ -195,7 +197,9 @@ class _Near:
     def check(self, z: Vector) -> None:
         """Reject a point outside the ball."""
         if not float(np.linalg.norm(z - self.centre)) <= self.reach:
-            raise SimulationError("The locked arc does not vanish near", time=0.0, state=())
+            raise SimulationError(
+                "The locked arc does not vanish near the predicted point", time=0.0, state=()
+            )
 
 
 _MOST_CUT_SECANTS, _MOST_CUT_TRIALS = 12, 5

@@ -1,7 +1,8 @@
 r"""Test functions of special points, their derivatives along a family, and their errors.
 
 Every test function is smooth along a family. Its derivative is a difference quotient along a short
-part of the tangent. Its error is its change at a looser tolerance. Theory (38).
+part of the tangent. The error of a test function is its change at a looser tolerance.
+Theory (38).
 """
 
 from __future__ import annotations

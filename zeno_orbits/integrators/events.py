@@ -76,7 +76,7 @@ def first_fall(
     """Return the offset in the step at which the guard first falls through zero, if it does.
 
     Args:
-        flow: The flow, for its guard.
+        flow: The flow with the guard.
         step: The step.
         before: Guard and its rate at the start of the step.
         after: Guard and its rate at the end.

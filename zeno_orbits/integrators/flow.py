@@ -186,12 +186,12 @@ class PlainFlow:
 
     @property
     def is_bounded(self) -> bool:
-        """False, because plain functions are without formulas."""
+        """False, because plain functions lack formulas."""
         return False
 
     @property
     def is_carried(self) -> bool:
-        """False, because plain functions are without formulas."""
+        """False, because plain functions lack formulas."""
         return False
 
     def guard_bounds(self, _lower: Vector, _upper: Vector) -> Sequence[float]:

@@ -80,7 +80,7 @@ def first_of_all(
     """Return the offset in a step of the first fall of a guard, if samples missed it or not.
 
     Args:
-        flow: The flow, for its guard and the bounds of that.
+        flow: The flow with the guard and its bounds.
         step: The step.
         before: Guard and its rate at the start.
         after: Guard and its rate at the end.

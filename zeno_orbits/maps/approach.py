@@ -53,7 +53,7 @@ def is_approached(before: Vector, after: Vector, jacobian: Vector, reached: floa
 
     Args:
         before: Start of the step relative to the orbit, in section coordinates, ``(m,)``.
-        after: End of the step, likewise.
+        after: End of the step, in the same coordinates.
         jacobian: Derivative of the return map, ``(m, m)``.
         reached: Error of the step.
     """

@@ -49,7 +49,7 @@ def read_map(path: Path) -> ParameterMap:
     except ValueError as error:
         raise MapFileError(path, str(error)) from error
     if not isinstance(entries.get("format"), int) or not 1 <= entries["format"] <= FORMAT:
-        raise MapFileError(path, f"its format is {entries.get('format')}, not one up to {FORMAT}")
+        raise MapFileError(path, f"its format is {entries.get('format')}, not 1 to {FORMAT}")
     try:
         found = _map_of(entries)
     except (KeyError, TypeError, ValueError) as error:

@@ -102,7 +102,7 @@ class HybridLagrangian:
         still = ca.SX.zeros(*v.shape)
         rest = ca.substitute(ca.vertcat(kinetic, ca.gradient(kinetic, v)), v, still)
         if ca.depends_on(mass_matrix, v) or not rest.is_zero():
-            raise ValueError("Argument `kinetic` must be quadratic in the velocity, but it is not.")
+            raise ValueError("Argument `kinetic` must be quadratic in the velocity.")
         _require_inertia("kinetic", mass_matrix)
         momentum = ca.mtimes(mass_matrix, v)
         bias = (

@@ -154,7 +154,7 @@ class Problem(Declared):
         return bind(_compiled(self, transform), vector)
 
     def output_values(self, values: ParameterValues, states: Vector) -> Vector:
-        """Return the outputs at states, one column an output, ``(n, n_outputs)``.
+        """Return the outputs at states, one column per output, ``(n, n_outputs)``.
 
         Args:
             values: Values of every gain and parameter.

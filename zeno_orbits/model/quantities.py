@@ -219,7 +219,7 @@ def require_names(
     for name in (*states, *(quantity.name for quantity in quantities)):
         if name in seen:
             message = "must differ for states, gains and parameters"
-            raise InputError(f"Argument `name` {message}, but `{name}` is there twice.")
+            raise InputError(f"Argument `name` {message}, but `{name}` appears twice.")
         seen.add(name)
     if len(states) != len(state_units):
         count = f"but there are {len(state_units)} for {len(states)}"

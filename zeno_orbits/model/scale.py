@@ -42,7 +42,7 @@ class OwnScale:
         return min([1.0, *self.sizes])
 
     def weights(self, n_x: int) -> tuple[float, ...]:
-        """Return the size of each state over the least, in which a local error is absolute."""
+        """Return the size of each state relative to the smallest size, the unit of local errors."""
         return tuple((self.states(n_x) / self.least).tolist())
 
     def flight_weights(self, n_x: int) -> tuple[float, ...]:

@@ -250,7 +250,7 @@ def _derivative(
     release = phases[-1].end
     if zeno is None or locked is None:
         raise SimulationError(
-            "The return passes no Zeno point",
+            "The return lacks a Zeno point",
             time=release.time,
             state=tuple(release.state.tolist()),
         )

@@ -120,7 +120,9 @@ class Section:
             values = conditions(dynamics, self.rows, x)
             if not np.all(np.abs(values) < _LOST):
                 state = tuple(self.centre.tolist())
-                raise SimulationError("The section is lost", time=0.0, state=state)
+                raise SimulationError(
+                    "Newton's method diverges from the section", time=0.0, state=state
+                )
             correction = self.normal @ values
             x = x - self.scale * correction
             if np.max(np.abs(correction)) < _CHART_EXACT:

@@ -56,7 +56,7 @@ class Objective(ABC):
 
     @property
     def is_sampled(self) -> bool:
-        """True if the quantity follows from many motions and is not part of a program."""
+        """True if the quantity is computed from many simulations and is not part of a program."""
         return False
 
     @property
@@ -398,7 +398,7 @@ class WidestMargin(Sampled):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaxPush(Sampled, Checked):
-    """The largest least push: the smallest impulse that is lost is as large as possible.
+    """The largest value of the smallest impulse after which the motion leaves the orbit.
 
     Attributes:
         direction: Coordinate to entry of the generalized force of the impulse. The default is one

@@ -98,8 +98,8 @@ class StartOutcome:
         solve_time: Wall time in Ipopt for the program [s].
         shortfall: Remaining distance from a target, or violation of the bounds in units of their
             sizes.
-        solution: The simulated solution of the program, if available. It does not leave the
-            process.
+        solution: The simulated solution of the program, if available. Other processes
+            do not receive it.
         candidate: The orbit with its measured quantities, if it was accepted.
     """
 

@@ -100,7 +100,7 @@ def _require_same(names: Iterable[str], known: Iterable[str], wanted: str) -> No
 def _require_impacts(phase: OrbitPhase, where: str) -> None:
     """Reject a phase without an impact, or with several impacts if the first ends the phase."""
     if not phase.impacts:
-        raise InputError(f"Argument `orbit` must have an impact{where}, but it lacks one.")
+        raise InputError(f"Argument `orbit` lacks an impact{where}.")
     if phase.kind is not PhaseKind.ZENO and len(phase.impacts) > 1:
         wanted = f"must have one impact{where}, which is `{phase.kind.value}`"
         raise InputError(f"Argument `orbit` {wanted}, but it has {len(phase.impacts)}.")

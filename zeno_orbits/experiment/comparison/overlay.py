@@ -156,9 +156,7 @@ def shared_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
             raise InputError(f"Argument `recording` {wanted}, but it has {signal.unit}.")
         values = signal.values[np.isfinite(signal.values)]
         if not len(values):
-            raise InputError(
-                f"Argument `recording` must have values of `{name}`, but it lacks them."
-            )
+            raise InputError(f"Argument `recording` lacks values of `{name}`.")
         largest = float(np.max(np.abs(values)))
         if largest > _LARGEST:
             wanted = f"must have values of `{name}` up to {_LARGEST:g}"

@@ -42,7 +42,7 @@ _RANK = 1e-10
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unsteady:
-    """A difference between cycles that should be alike.
+    """A difference between cycles that should agree up to noise.
 
     Attributes:
         reason: Description of the difference.

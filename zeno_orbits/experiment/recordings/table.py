@@ -87,7 +87,7 @@ def _head(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
         raise DataFileError(path, f"line {line} {wanted}: `{_short(text)}`")
     columns = tuple(part.strip().strip('"').strip() for part in text.split(separator))
     if all(_number(part.replace(",", ".")) is not None for part in columns):
-        raise DataFileError(path, f"line {line} must hold the column titles, and it holds numbers")
+        raise DataFileError(path, f"line {line} holds numbers in place of the column titles")
     return Head(comments=comments, columns=columns, separator=separator, line=line)
 
 

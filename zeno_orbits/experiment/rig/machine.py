@@ -156,7 +156,7 @@ def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
         raise InputError(f"Argument `problem` {message}.")
     if rig.bridge is not None and system.motor_voltage.is_zero():
         wanted = "must have a voltage source for a bridge"
-        raise InputError(f"Argument `problem` {wanted}, but `{problem.name}` lacks them.")
+        raise InputError(f"Argument `problem` {wanted}, but `{problem.name}` lacks it.")
     if rig.bridge is not None and drive.states.numel() == 0:
         message = "must have its currents as states for a bridge, but they follow at once in"
         raise InputError(f"Argument `problem` {message} `{problem.name}`.")

@@ -76,7 +76,7 @@ def check_proof(
             box, start, records = entries(part, "box", "start", "records")
             boxes.append(Box.of(system, section, box, over))
             if not boxes[0].holds(boxes[k]):
-                raise InputError("The certificate's boxes must lie in the first of them.")
+                raise InputError("The certificate's boxes must lie in its first box.")
             _listed(part, "records")
             try:
                 passage = _passage(system, section, boxes[k], start, records)

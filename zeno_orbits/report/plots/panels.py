@@ -224,7 +224,7 @@ def _thin_out(ax: Axes, width: float) -> None:
 
 
 def _entries(panels: Sequence[Axes]) -> dict[str, Any]:
-    """Return label to handle of all that is seen, each text set to one size."""
+    """Return the handle of every visible artist by label, with all texts set to one size."""
     entries: dict[str, Any] = {}
     for ax in panels:
         ax.tick_params(which="both", labelsize=TEXT - 1)

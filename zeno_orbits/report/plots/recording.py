@@ -60,7 +60,7 @@ def plot_comparison(
     """
     deviations, where = found.deviations, found.where
     if deviations is None or where is None:
-        raise InputError("Argument `found` must have deviations to draw, but it lacks them.")
+        raise InputError("Argument `found` lacks deviations to draw.")
     portraits = recorded_portraits_of(problem, found.signals)
     n, across = len(found.signals), 2 if is_wide(width) else 1
     heights = [1.25] * (2 * n // across) + [2.2] * -(-len(portraits) // across)

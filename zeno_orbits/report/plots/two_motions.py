@@ -154,7 +154,7 @@ def plot_beside_zeno_point(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> F
 
 
 def _coordinates(two: TwoMotions, width: float, unit: float = 1.0) -> Panels:
-    """Return a panel a coordinate over time in some unit, the model's locked phases shaded."""
+    """Return one panel per coordinate over time in some unit, the model's locked phases shaded."""
     panels = panels_of(width, two.dynamics.n_q, height=1.15, columns=1)
     for row, ax in enumerate(panels):
         for mode, start, end in drawn_phases_of(two.model):

@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false
 # The stubs of matplotlib leave most keyword arguments untyped.
-"""The work-precision diagram of a trade: time against error, a line an engine."""
+"""The work-precision diagram of a trade: time against error, one line per engine."""
 
 from __future__ import annotations
 

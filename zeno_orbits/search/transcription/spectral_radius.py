@@ -37,8 +37,8 @@ def section_map(terms: OrbitTerms) -> ca.MX:
     basis = _section_basis(terms, slope)
     d = basis.shape[1]
     if not 1 <= d <= MOST_COORDINATES:
-        wanted = f"or `keep` must leave multipliers alone where the section has {d} coordinates"
-        reason = f"one to {MOST_COORDINATES} can be asked for"
+        wanted = f"or `keep` cannot use the multipliers of a section with {d} coordinates"
+        reason = f"one to {MOST_COORDINATES} are supported"
         raise InputError(f"Argument `objective` {wanted}, but {reason}.")
     end, chart = terms.end, ca.mtimes(ca.DM(basis).T, terms.start / ca.DM(terms.scale))
     # The multiplier determines the release. An impact ends its flight without a further equation.
