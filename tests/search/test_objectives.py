@@ -130,7 +130,7 @@ def test_a_gain_that_is_wanted_is_a_finite_number(problem: Problem) -> None:
     NearestGains(target={"Kd": 1.0, "R": 2.0}).check(problem, {"R": (1.0, 3.0)})
     with pytest.raises(InputError, match="finite for `Kd`, but it is inf"):
         NearestGains(target={"Kp": 1.0, "Kd": math.inf}).check(problem, {})
-    with pytest.raises(InputError, match=r"free \(Kp, Kd, R\), but it names `L`"):
+    with pytest.raises(InputError, match=r"free parameters \(Kp, Kd, R\), but it names `L`"):
         NearestGains(target={"L": 1.0}).check(problem, {"R": (1.0, 3.0)})
 
 

@@ -278,7 +278,7 @@ def growth_of(amplitudes: Sequence[float]) -> Growth:
     approximately :math:`\log(a_{k+1} / a_k) = c_0 + c_1 a_k^2`. If that law fits and decays at the
     present amplitude and at :math:`a = 0`, it decays at all amplitudes between. Then the motion
     decays to rest. The law is fitted to a decay by a factor of four, because the beat of a
-    quasi-periodic motion follows it over less.
+    quasi-periodic motion follows the law over a smaller decay.
     """
     if amplitudes and amplitudes[-1] <= _FADED * max(amplitudes):
         return Growth(factor=_mean_factor(amplitudes), dies_out=True)
