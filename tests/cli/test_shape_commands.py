@@ -78,7 +78,7 @@ def _count(data: dict[str, Any]) -> None:
     ("spoil", "code", "word"),
     [
         (_phase_out, 1, "Refused: "),
-        (_impact_out, 2, "must have an impact in phase 2"),
+        (_impact_out, 2, "lacks an impact in phase 2"),
         (_swapped, 1, "`phases` = "),
         (_twice, 1, "the margin `phases_apart` = 0.0e+00 is not positive"),
         (_count, 2, "its `shape` is `impact*4`, but its phases are `impact*3`"),

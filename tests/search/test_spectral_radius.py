@@ -136,7 +136,7 @@ def test_a_section_of_too_many_coordinates_is_refused(
 ) -> None:
     terms, _ = _terms(problem)
     monkeypatch.setattr("zeno_orbits.search.transcription.spectral_radius.MOST_COORDINATES", 1)
-    with pytest.raises(InputError, match="where the section has 2 coordinates"):
+    with pytest.raises(InputError, match="a section with 2 coordinates"):
         section_map(terms)
 
 

@@ -845,7 +845,7 @@ def test_an_orbit_of_another_problem_is_refused(orbit: ZenoOrbit, problem: Probl
 
 
 def test_an_orbit_without_impacts_is_refused(orbit: ZenoOrbit, problem: Problem) -> None:
-    with pytest.raises(InputError, match="must have an impact"):
+    with pytest.raises(InputError, match="lacks an impact"):
         verify(changed(orbit, impacts=()), problem)
 
 

@@ -237,7 +237,8 @@ class Rig:
         """Refuse sensors that nothing reads."""
         require_kinds(self)
         if self.sensors is not None and self.controller is None:
-            raise InputError("Argument `controller` is missing, but `sensors` need it.")
+            wanted = "must be given for `sensors`, which it reads"
+            raise InputError(f"Argument `controller` {wanted}, but it is missing.")
 
     def __hash__(self) -> int:
         """Hash by value, so that cached functions of a rig can be found again."""
