@@ -9,10 +9,12 @@ silently, and a full disk is an error of one line.
 from __future__ import annotations
 
 import io
+import math
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
@@ -119,6 +121,7 @@ class Interrupts:
     def __init__(self) -> None:
         self.seen = False
         self.signal: int = signal.SIGINT
+        self._first = -math.inf
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
@@ -150,5 +153,13 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def _see(self, number: int, _frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if now - self._first < _PATIENCE:
+            return
+        self._first = now
         self.seen, self.signal = True, number
         raise KeyboardInterrupt
+
+
+_PATIENCE = 3.0
+"""Time after an interrupt in which further ones are ignored, so that a command can clean up [s]."""

@@ -76,32 +76,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _answer(options: argparse.Namespace) -> int:
     """Run one command. An error is one line on standard error, and an exit code."""
-    try:
-        with Interrupts() as interrupts:
-            options.interrupts = interrupts
+    # A second interrupt must not end the report of the first.
+    with Interrupts() as interrupts:
+        options.interrupts = interrupts
+        try:
             code: int = options.run(options)
             # A disk may turn out to be full as late as here.
             sys.stdout.flush()
             return _of_signal(options) if code == INTERRUPTED else code
-    except InputError as error:
-        return _end(error, MISUSE, options)
-    except ZenoOrbitsError as error:
-        return _end(error, NO, options)
-    except KeyboardInterrupt:
-        _interrupted()
-        return _of_signal(options)
-    except Exception as error:
-        # Code that an interrupt left unfinished, for instance an import, fails afterwards.
-        if options.interrupts.seen:
+        except InputError as error:
+            return _end(error, MISUSE, options)
+        except ZenoOrbitsError as error:
+            return _end(error, NO, options)
+        except KeyboardInterrupt:
             _interrupted()
             return _of_signal(options)
-        # The last line of defence against a raw traceback.
-        if options.debug:
-            raise
-        text = f"internal error, please report it ({type(error).__name__}: {error}). See --debug"
-        return _end(error, MISUSE, options, text)
-    finally:
-        _tell_of_loop(options)
+        except Exception as error:
+            # Code that an interrupt left unfinished, for instance an import, fails afterwards.
+            if options.interrupts.seen:
+                _interrupted()
+                return _of_signal(options)
+            # The last line of defence against a raw traceback.
+            if options.debug:
+                raise
+            text = (
+                f"internal error, please report it ({type(error).__name__}: {error}). See --debug"
+            )
+            return _end(error, MISUSE, options, text)
+        finally:
+            _tell_of_loop(options)
 
 
 def _tell_of_loop(options: argparse.Namespace) -> None:

@@ -26,6 +26,11 @@ _SAME_PERIOD = 1e-6
 _SYMMETRIC = 1e-9
 """Largest difference between entries of a symmetric matrix, relative to its largest entry."""
 
+_SAME_EXTENT = 1e-6
+"""Largest relative difference of an extent from that of its norm and radius."""
+_MOST = 10**9
+"""Largest number of periods or tests."""
+
 _Entries = TypeVar("_Entries")
 
 
@@ -285,6 +290,8 @@ def _require_push(entry: _PushEntry, name: str) -> None:
         _require(entry.error >= 0.0, f"{name}.error", "at least 0", entry.error)
         within = 0.0 <= entry.largest <= entry.searched
         _require(within, f"{name}.largest", "in [0, `searched`]", entry.largest)
+        lost = (entry.largest + entry.error) * (1.0 - _SAME_VALUE)
+        _require(lost <= entry.searched, f"{name}.error", "inside the scan", f"{entry.error:g}")
 
 
 def _require_complete(file: _PushesFile) -> None:
@@ -307,8 +314,10 @@ def _require_complete(file: _PushesFile) -> None:
 def _recovery(file: _RecoveryFile) -> Recovery:
     _require_orbit(file)
     _require(0.0 <= file.contraction < 1.0, "contraction", "in [0, 1)", file.contraction)
-    _require(file.periods >= 1, "periods", "at least 1", file.periods)
-    _require(file.tests >= 1, "tests", "at least 1", file.tests)
+    least = file.spectral_radius * (1.0 - _SAME_VALUE)
+    _require(file.contraction >= least, "contraction", "at least the spectral radius", "less")
+    _require(1 <= file.periods <= _MOST, "periods", f"from 1 to {_MOST:.0e}", "another number")
+    _require(1 <= file.tests <= _MOST, "tests", f"from 1 to {_MOST:.0e}", "another number")
     settings = RecoverySettings(
         part=file.part,
         samples=file.samples,
@@ -330,7 +339,7 @@ def _recovery(file: _RecoveryFile) -> Recovery:
         norm=norm,
         directions=directions,
         radius=radius,
-        extents=_extents(file, directions),
+        extents=_extents(file, norm, directions),
         units=file.units,
         tests=file.tests,
         settings=settings,
@@ -364,8 +373,8 @@ def _matrices(file: _RecoveryFile) -> tuple[Vector, Vector]:
     return norm, directions
 
 
-def _extents(file: _RecoveryFile, directions: Vector) -> dict[str, float]:
-    """Return the extents of the ball."""
+def _extents(file: _RecoveryFile, norm: Vector, directions: Vector) -> dict[str, float]:
+    """Return the extents of the ball, which follow from its radius, its norm and the directions."""
     if file.radius is None:
         _require(file.extents is None, "extents", "null like `radius`", "not null")
         moved = np.any(directions != 0.0, axis=1)
@@ -374,6 +383,9 @@ def _extents(file: _RecoveryFile, directions: Vector) -> dict[str, float]:
         }
     extents = dict(file.extents or {})
     _require(list(extents) == list(file.units), "extents", "one per entry of `units`", "not")
-    least = min(extents.values(), default=0.0)
-    _require(least >= 0.0, "extents", "at least 0", least)
+    widths = np.sqrt(np.einsum("ij,ji->i", directions, np.linalg.solve(norm, directions.T)))
+    for (name, extent), width in zip(extents.items(), widths.tolist(), strict=True):
+        same = math.isclose(extent, file.radius * width, rel_tol=_SAME_EXTENT, abs_tol=0.0)
+        wanted = f"{file.radius * width:g} by radius, norm and directions"
+        _require(same, f"extents.{name}", wanted, f"{extent:g}")
     return extents

@@ -16,8 +16,10 @@ from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.crossings import Follower, Struck
 from zeno_orbits.maps.known import KnownOrbit, Recognition
 from zeno_orbits.maps.newton import IMPACTS, RELEASES, Crossing, bundle_at
+from zeno_orbits.model import own_time
 from zeno_orbits.simulation import (
     LOOK_BACK,
+    WAITING,
     AttractorKind,
     Motion,
     MotionEnd,
@@ -81,6 +83,8 @@ class Point:
         self._start = start
         self._until = until
         self._accuracy = accuracy
+        # A longer limit does not make returns the same.
+        self._close = SAME * min(until, WAITING * own_time(follower.dynamics, start))
         self._times: dict[Crossing, list[float]] = {RELEASES: [], IMPACTS: []}
         self.way: Way | None = None
         self._tolerance = accuracy.motion
@@ -120,7 +124,7 @@ class Point:
             answer: Attractor | Struck | None = None
             if isinstance(crossing, Struck):
                 answer = self._struck(replace(crossing, time=time))
-            elif not (self._returns and time - self._returns[-1].time < SAME * self._until):
+            elif not (self._returns and time - self._returns[-1].time < self._close):
                 answer = self._returned(time, crossing.state)
             answer = answer or self._repeating()
             if answer is not None:
@@ -275,7 +279,9 @@ class Point:
         return (crossing is RELEASES, True) in sides
 
     def _named(self, state: Vector) -> dict[str, float]:
-        return dict(zip(self._dynamics.state_names, state.tolist(), strict=True))
+        # The state of a failure may have further entries.
+        names = self._dynamics.state_names
+        return dict(zip(names, state[: len(names)].tolist(), strict=True))
 
     def _struck(self, impact: Struck) -> Attractor | Struck | None:
         """Compare the first impact of a sequence with earlier first impacts, without a release."""

@@ -49,6 +49,8 @@ _ORBITS = (Fate.ZENO, Fate.SIMPLE, Fate.NO_ZENO)
 """Attractors that are periodic orbits."""
 _SAME_PERIOD = 1e-6
 """Largest relative difference between the period of an orbit and of the motion from its start."""
+_HUGE = 1e100
+"""Largest entry of a generalized force, whose square is still a double."""
 _HALVINGS = 60
 """Halvings of a step after which doubles cannot resolve its ends."""
 
@@ -459,10 +461,14 @@ def push_units(
 
 
 def _require_length(direction: Mapping[str, float], argument: str) -> None:
-    """Refuse a generalized force of zero or infinite length."""
-    entries = [any_number(argument, entry) for entry in direction.values()]
-    if not all(map(math.isfinite, entries)) or not any(entries):
+    """Refuse a generalized force without a length, or with one whose square is no double."""
+    entries = [abs(any_number(argument, entry)) for entry in direction.values()]
+    largest = max(entries, default=0.0)
+    if not all(map(math.isfinite, entries)) or largest == 0.0:
         wanted = "must have a finite length above zero"
+        raise InputError(f"Argument `{argument}` {wanted}, but it is {dict(direction)}.")
+    if not 1.0 / _HUGE <= largest <= _HUGE:
+        wanted = f"must have a largest entry from {1.0 / _HUGE:g} to {_HUGE:g}"
         raise InputError(f"Argument `{argument}` {wanted}, but it is {dict(direction)}.")
 
 
@@ -474,7 +480,7 @@ def _prepared(
     settings: PushSettings,
 ) -> tuple[KnownOrbit, float, list[tuple[Push, dict[str, Any]]]]:
     """Return the known orbit, the time limit of a motion, and the rays."""
-    known = _attracting(problem, values, orbit)
+    known = _attracting(problem, values, orbit, settings.until)
     moments = _moments(problem, values, orbit, settings.phases)
     until = settings.until
     if until is None:
@@ -561,13 +567,17 @@ def _computed(
     return found
 
 
-def _attracting(problem: Problem, values: ParameterValues, orbit: ZenoOrbit) -> KnownOrbit:
+def _attracting(
+    problem: Problem, values: ParameterValues, orbit: ZenoOrbit, until: float | None
+) -> KnownOrbit:
     """Return the orbit as a known orbit for comparison with motions.
 
     Raises:
         InputError: If the motion from its start leaves the orbit, or the orbit is not stable.
     """
-    (reached,) = attractors_at(problem, [values], start=orbit.start_state, accuracy=OF_BASINS)
+    (reached,) = attractors_at(
+        problem, [values], start=orbit.start_state, until=until, accuracy=OF_BASINS
+    )
     same = reached.fate in _ORBITS and math.isclose(
         reached.period, orbit.period, rel_tol=_SAME_PERIOD
     )

@@ -44,6 +44,8 @@ from zeno_orbits.work import Columns, Displayed, Progress, silent, versions
 _ACCURATE = SimulationSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-11))
 _FIRST, _LEAST, _MOST = 1e-3, 1e-9, 1e9
 """First, smallest and largest radius of the search, in scaled states."""
+_FINEST = 1e-12
+"""Smallest relative step of the radius that doubles resolve."""
 _SCOUTS = 64
 """Points of the search, which the test does not use."""
 _LONG = 3.0
@@ -83,6 +85,11 @@ class RecoverySettings:
             value = positive_number(name, getattr(self, name))
             if value >= 1.0:
                 raise InputError(f"Argument `{name}` must be below 1, but it is {shown(value)}.")
+        if self.error < _FINEST:
+            wanted = f"must be at least {_FINEST:g}, but it is {shown(self.error)}"
+            raise InputError(f"Argument `error` {wanted}.")
+        if self.seed < 0:
+            raise InputError(f"Argument `seed` must not be negative, but it is {self.seed}.")
         if self.samples < 1:
             wanted = f"must be at least 1, but it is {shown(self.samples)}"
             raise InputError(f"Argument `samples` {wanted}.")

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,15 +66,17 @@ class Strength:
 
     @property
     def impulse(self) -> float:
-        """The least impulse. Zero without an orbit, the end of the scan without a loss."""
+        """The least impulse. Zero without an orbit, infinite if no scanned impulse is lost."""
         if self.push is None:
             return 0.0
-        return self.push.largest if math.isfinite(self.push.largest) else self.push.searched
+        return self.push.largest if math.isfinite(self.push.largest) else math.inf
 
     @property
     def extent(self) -> Extent:
-        """The least impulse with its error."""
-        error = 0.0 if self.push is None or math.isnan(self.push.error) else self.push.error
+        """The least impulse with its error. Without a loss, its lower bound and infinity."""
+        if self.push is not None and math.isinf(self.impulse):
+            return Extent(lowest=self.push.searched, highest=math.inf)
+        error = 0.0 if self.push is None else self.push.error
         return Extent(lowest=self.impulse, highest=self.impulse, error=error)
 
     @property
@@ -87,9 +90,9 @@ class Strength:
         at = f" (at {listed(changed)})" if changed else ""
         if self.push is None:
             return f"The orbit is not kept{at}: {self.reason}."
+        if math.isinf(self.impulse):
+            return f"No push up to {self.push.searched:.4g} {self.push.unit} is lost."
         said = f"{self.impulse:.4g} {self.push.unit} along {self.push.name}"
-        if not self.push.beyond:
-            return f"No push up to {said} is lost."
         phase = f"phase {self.push.phase:.4g}"
         return f"The least push is {said} at {phase}{at}. Beyond it: {self.push.beyond}."
 
@@ -111,6 +114,9 @@ def strength(search: SearchProblem, values: ParameterValues, near: Cycle | ZenoO
             try:
                 push = least_push(search.problem, orbit, directions=directions, settings=_PUSHES)
             except InputError as error:
+                # The orbit may cease to attract. A direction that moves nothing is the user's.
+                if not str(error).startswith("Argument `orbit`"):
+                    raise
                 reason = str(error).removesuffix(".")
         here = Strength(values=values, cycle=near, place=place, push=push, reason=reason)
         if least is None or here.impulse < least.impulse:
@@ -160,6 +166,9 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
 
     low, high = np.array(list(search.free.values())).T
     best = strength(search, values, cycle)
+    if math.isinf(best.impulse):
+        # There is nothing to compare, and a longer scan of another orbit is no larger push.
+        return best
     size = best.impulse or 1.0
     kept: dict[bytes, tuple[float, Vector]] = {}
 
@@ -177,6 +186,8 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
             if found.impulse > best.impulse and np.all(slack >= 0.0):
                 best = found
             search.tell(f"{len(kept)} gains tried: least push {best.extent.lowest:.4g}")
+            if math.isinf(best.impulse):
+                raise _NothingLostError
         return kept[key]
 
     start = (np.array([values.number(name) for name in search.free]) - low) / (high - low)
@@ -184,19 +195,24 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
     if search.bounds:
         inside = NonlinearConstraint(lambda z: evaluated(z)[1], 0.0, np.inf)
         constraints.append(inside)
-    minimize(
-        lambda z: -evaluated(z)[0] / size,
-        start,
-        method="COBYQA",
-        bounds=Bounds(np.zeros(low.size), np.ones(low.size)),
-        constraints=constraints,
-        options={
-            "initial_tr_radius": _REGION,
-            "final_tr_radius": _SMALLEST_REGION,
-            "maxfev": _EVALUATIONS * low.size,
-        },
-    )
+    with suppress(_NothingLostError):
+        minimize(
+            lambda z: -evaluated(z)[0] / size,
+            start,
+            method="COBYQA",
+            bounds=Bounds(np.zeros(low.size), np.ones(low.size)),
+            constraints=constraints,
+            options={
+                "initial_tr_radius": _REGION,
+                "final_tr_radius": _SMALLEST_REGION,
+                "maxfev": _EVALUATIONS * low.size,
+            },
+        )
     return best
+
+
+class _NothingLostError(Exception):
+    """An orbit was found of which no scanned push is lost."""
 
 
 def _moved(search: SearchProblem, best: Strength, free: Vector) -> tuple[Strength, Vector] | None:

@@ -22,6 +22,8 @@ from zeno_orbits.model.scale import OwnScale
 
 _DAMPED = 1e-3
 """An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
+_ROUNDED = 1e-6
+"""Part of the largest eigenvalue below which one is rounding, along a constraint."""
 _BAND, _WIDE = 3, 5
 """Decades around 1 within which a scale is rounded to 1, for accelerations and forces the second
 value."""
@@ -48,6 +50,10 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
     # time scale.
     slopes = np.nan_to_num(dynamics.free.jacobian(state), nan=0.0, posinf=0.0, neginf=0.0)
     eigenvalues = np.linalg.eigvals(slopes)
+    if dynamics.holonomic(state).size:
+        # Along a constraint the double eigenvalue zero is rounded to a root of the rounding.
+        sizes = np.abs(eigenvalues)
+        eigenvalues = eigenvalues[sizes > _ROUNDED * np.max(sizes, initial=0.0)]
     turning = np.abs(eigenvalues[np.abs(eigenvalues.imag) > _DAMPED * np.abs(eigenvalues)])
     if turning.size:
         return float(2 * math.pi / np.min(turning))
