@@ -99,8 +99,8 @@ def _unheard(_part: float) -> None:
 def _results(task: Task, points: Sequence[Any], code: str) -> list[Any]:
     if code_digest() != code:
         raise InputError(
-            "Workers must have the code of this program, but one has another version of zeno_orbits. "
-            "Install one version for all, and change no file while the work runs."
+            "Workers must have the code of this program, but one has another version of "
+            "zeno_orbits. Install one version for all, and change no file while the work runs."
         )
     results = list(task(points))
     if len(results) != len(points):
