@@ -294,7 +294,7 @@ def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, problem: Problem)
     empty = RecordedSignal(name="theta1", unit="rad", values=np.full(100, np.nan))
     huge = RecordedSignal(name="theta1", unit="rad", values=1e300 * np.sin(time))
     for signal, reason in (
-        (huge, r"lacks values of `theta1` up to 1e\+100, but it has"),
+        (huge, r"must have values of `theta1` up to 1e\+100, but it has"),
         (metres, "`theta1` in a unit like rad, but it has m"),
         (other, "must have a signal of the problem"),
         (empty, "lacks values of `theta1`"),

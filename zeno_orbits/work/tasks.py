@@ -104,7 +104,7 @@ def _results(task: Task, points: Sequence[Any], code: str) -> list[Any]:
         )
     results = list(task(points))
     if len(results) != len(points):
-        lengths = f"must return one result a point, but of {len(points)} points it returns"
+        lengths = f"must return one result per point, but for {len(points)} points it returns"
         raise InputError(f"Argument `task` {lengths} {len(results)}.")
     return results
 
