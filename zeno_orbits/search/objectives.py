@@ -15,9 +15,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, any_number, named_numbers, shown
 from zeno_orbits.kinds import Checked, require_kinds
 
 if TYPE_CHECKING:
@@ -413,13 +413,23 @@ class MaxPush(Sampled, Checked):
         default_factory=dict[str, tuple[float, float]]
     )
 
+    def __post_init__(self) -> None:
+        """Refuse values of a wrong kind. `check` refuses values without a meaning."""
+        Checked.__post_init__(self)
+        for entry in named_numbers("direction", self.direction).values():
+            any_number("direction", entry)
+        for name, ends in named_numbers("uncertain", self.uncertain).items():
+            if not isinstance(ends, (tuple, list)) or len(cast("list[object]", ends)) != _ENDS:
+                wanted = f"must have a lower and an upper end for `{name}`"
+                raise InputError(f"Argument `uncertain` {wanted}, but it has {shown(ends)}.")
+            for end in cast("list[object]", ends):
+                any_number("uncertain", end)
+
     @property
     def wish(self) -> str:
         """The objective in words."""
-        ranges = ", ".join(
-            f"{k} = {low:g} to {high:g}" for k, (low, high) in self.uncertain.items()
-        )
-        return f"the largest push{f' for {ranges}' if ranges else ''}"
+        ranges = [f"{name} = {low:g} to {high:g}" for name, (low, high) in self.uncertain.items()]
+        return f"the largest push for {', '.join(ranges)}" if ranges else "the largest push"
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -431,9 +441,8 @@ class MaxPush(Sampled, Checked):
         """The corners of the uncertain ranges, name to value. Empty without a range."""
         if not self.uncertain:
             return []
-        return [
-            dict(zip(self.uncertain, one, strict=True)) for one in product(*self.uncertain.values())
-        ]
+        corners = product(*self.uncertain.values())
+        return [dict(zip(self.uncertain, corner, strict=True)) for corner in corners]
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject impulses of different units, and ranges without a meaning."""
@@ -458,9 +467,17 @@ class MaxPush(Sampled, Checked):
                 wanted = f"must have a lower end below its upper end for `{name}`"
                 raise InputError(f"Argument `uncertain` {wanted}, but it is {low:g}:{high:g}.")
         for corner in self.corners:
-            problem.values(parameters=corner)
+            try:
+                problem.values(parameters=corner)
+            except InputError as error:
+                if not str(error).startswith("Argument `parameters`"):
+                    raise
+                where = ", ".join(f"{name} = {value:g}" for name, value in corner.items())
+                wanted = f"must leave valid parameters at the corner {where}"
+                raise InputError(f"Argument `uncertain` {wanted}, but: {error}") from error
 
 
+_ENDS = 2
 _MOST_UNCERTAIN = 4
 """Largest number of uncertain parameters. Each doubles the time."""
 
