@@ -8,6 +8,7 @@ import pytest
 from tests.reference.closed_forms import COCO, FORCED
 from tests.reference.exact_flights import settled
 from tests.reference.reference_orbit import PERIOD, PERIODS, RELEASE
+from tests.support.hard_to_prove import cartesian_pendulum, pendulum
 from tests.support.mechanisms import clocked_oscillator, oscillator
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns
 from zeno_orbits.errors import InputError, RunawayError
@@ -449,3 +450,21 @@ def test_bouncier_motions_are_given_longer_to_settle() -> None:
     # To one digit: ln 0.5 / ln 0.7 = 1.94, ln 0.5 / ln 0.9 = 6.58, and ten at most.
     for e, longer in ((0.0, 1.0), (0.2, 1.0), (0.5, 1.0), (0.7, 1.94), (0.9, 6.58), (0.999, 10.0)):
         assert waited(e) == float(f"{longer * usual:.0e}")
+
+
+def test_a_constraint_adds_no_slow_oscillation_to_the_time_of_a_motion() -> None:
+    # Along a constraint the eigenvalue zero is double, and rounding makes it an oscillation.
+    angle, places = pendulum(), cartesian_pendulum()
+    times = [
+        usual_time(one, [one.values()], np.array(one.state_vector(one.starts[0])))
+        for one in (angle, places)
+    ]
+    assert times[1] == pytest.approx(times[0], rel=0.5)
+
+
+@pytest.mark.parametrize("until", [1e3, 1e9])
+def test_a_longer_limit_finds_the_same_attractor(until: float) -> None:
+    table = load_problem("vibrating_table")
+    (found,) = attractors_at(table, [table.values()], until=until)
+    assert found.fate is Fate.ZENO
+    assert found.period == pytest.approx(2 * np.pi / 30.0, rel=1e-6)

@@ -221,3 +221,18 @@ def test_an_orbit_that_repels_is_refused_though_the_one_that_attracts_has_its_pe
     orbit = zo.find_orbit_by_shooting(problem).unwrap()
     with pytest.raises(InputError, match="must be stable, but"):
         zo.largest_push(orbit, problem=problem)
+
+
+def test_a_push_that_no_simulation_can_follow_is_lost_and_says_so() -> None:
+    orbit = zo.find_orbit_by_shooting("motor_pendulum").unwrap()
+    settings = zo.PushSettings(phases=1, steps=1, reach=1e100)
+    found = zo.largest_push(orbit, directions=[{"theta2": 1.0}], settings=settings)
+    assert found.least is not None
+    assert found.least.beyond == "simulation failed"
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e308])
+def test_a_direction_whose_square_is_no_double_is_refused(size: float) -> None:
+    orbit = zo.find_orbit_by_shooting("motor_pendulum").unwrap()
+    with pytest.raises(InputError, match="must have a largest entry from 1e-100 to 1e"):
+        zo.largest_push(orbit, directions=[{"theta1": size}], settings=FEW)

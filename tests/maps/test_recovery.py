@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -247,3 +248,14 @@ def test_orbits_that_do_not_attract_or_do_not_close_are_refused() -> None:
     unstable = zo.find_orbit_by_shooting(problem).unwrap()
     with pytest.raises(zo.InputError, match="must be stable"):
         zo.recovery(unstable, problem=problem)
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [({"error": 1e-17}, "`error` must be at least 1e-12"), ({"seed": -1}, "`seed` must not be")],
+)
+def test_a_step_that_doubles_cannot_resolve_and_a_negative_seed_are_refused(
+    settings: dict[str, Any], named: str
+) -> None:
+    with pytest.raises(zo.InputError, match=named):
+        zo.RecoverySettings(**settings)

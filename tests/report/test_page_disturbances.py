@@ -191,8 +191,9 @@ def test_the_recovery_stands_on_the_page(subject: Subject) -> None:
     told = f"130 samples return: with confidence 90 %, at most {100 * share:.2g} % of the ball"
     assert told in section
     assert rows_of(section, EXTENTS) == [
-        {"state": "theta1", "extent": "0.25", "unit": "rad"},
-        {"state": "dtheta1", "extent": "0.5", "unit": "rad/s"},
+        # 0.25 (3 / 5.75)^(1/2) and 0.5 (2 / 5.75)^(1/2), by the inverse of the norm.
+        {"state": "theta1", "extent": "0.1806", "unit": "rad"},
+        {"state": "dtheta1", "extent": "0.2949", "unit": "rad/s"},
     ]
     assert "Least push" not in section
     assert 'id="plot-pushes-0"' not in section

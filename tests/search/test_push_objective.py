@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,6 +38,7 @@ def spring_push(weight: float) -> float:
     return least.largest
 
 
+@pytest.mark.slow
 def test_the_least_push_scales_with_the_weight_of_the_mass() -> None:
     # With x in units of the weight the equation of motion has no weight: pushes scale with it.
     least: list[float] = []
@@ -132,6 +134,7 @@ def test_a_bound_is_kept_by_the_gains_of_the_largest_push() -> None:
     assert push > 0.0160
 
 
+@pytest.mark.slow
 def test_an_orbit_that_some_corner_loses_is_no_answer() -> None:
     # A force of 0.7 does not lift the mass off its stop at all: 0.8 is needed.
     said = ask(
@@ -185,3 +188,41 @@ def test_the_command_writes_a_verified_orbit(tmp_path: Path) -> None:
     assert said.code == YES
     assert "The least push is 0.0" in said.out
     assert json.loads(out.read_text())["verification"]["passed"] is True
+
+
+def test_an_orbit_that_loses_no_push_is_no_larger_push_than_another() -> None:
+    # The shaken ball returns from every push, and faster orbits have longer scans.
+    said = ask(
+        *("search", "vibrating_table", "--vary", "omega=29.9:30.1", "--n-starts", "1"),
+        *("--objective", "push"),
+    )
+    assert said.code == YES
+    assert "No push up to 0.0" in said.out
+    assert "to inf" in said.out
+
+
+@pytest.mark.parametrize(
+    ("wish", "named"),
+    [
+        ({"uncertain": {"g": (9, 10, 11)}}, "a lower and an upper end for `g`"),
+        ({"uncertain": {"g": 9}}, "a lower and an upper end for `g`"),
+        ({"uncertain": {"g": ("9", "10")}}, "`uncertain` must be a number"),
+        ({"uncertain": {3: (1, 2)}}, "`uncertain` must have texts as names"),
+        ({"direction": {1: 1.0}}, "`direction` must have texts as names"),
+        ({"direction": {"theta1": "a"}}, "`direction` must be a number"),
+    ],
+)
+def test_values_of_a_wrong_kind_are_refused_by_the_objective(
+    wish: dict[str, Any], named: str
+) -> None:
+    with pytest.raises(zo.InputError, match=named):
+        zo.MaxPush(**wish)
+
+
+def test_a_corner_at_which_the_problem_has_no_parameters_is_named() -> None:
+    said = ask(
+        *("search", "motor_pendulum", "--objective", "robustness", "--uncertain", "g=1:60"),
+        *("--vary", "Kp=2.4:2.6"),
+    )
+    assert said.code == MISUSE
+    assert "must leave valid parameters at the corner g = 1" in said.err

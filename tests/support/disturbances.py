@@ -78,7 +78,9 @@ def recovery_of(
     directions = np.zeros((len(states), size))
     for k in range(size):
         directions[2 * k, k] = 1.0 + k
-    widths = np.linalg.norm(directions, axis=1)
+    norm = np.array([[2.0, 0.5], [0.5, 3.0]])[:size, :size]
+    # The largest of `d y` with `y M y = r^2` is `r (d M^-1 d)^(1/2)`.
+    widths = np.sqrt(np.sum(directions @ np.linalg.inv(norm) * directions, axis=1))
     return Recovery(
         problem=orbit.problem,
         gains=dict(orbit.gains),
@@ -87,7 +89,7 @@ def recovery_of(
         spectral_radius=0.375,
         contraction=0.4375,
         periods=6,
-        norm=np.array([[2.0, 0.5], [0.5, 3.0]])[:size, :size],
+        norm=norm,
         directions=directions,
         radius=radius,
         extents={
