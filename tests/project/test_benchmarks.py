@@ -33,6 +33,10 @@ REDUCED = {
     "problem_cost": ("--runs", "1"),
     "proof_table": ("motor_valve", "--restitutions", "0.3", "--check"),
     "proofs": ("--orbits", "1"),
+    "push_gains": (
+        *("--problems", "motor_pendulum", "--starts", "0"),
+        *("--objectives", "nearest", "push"),
+    ),
     "pushes": (
         *("--grid", "9", "--pushes", "20", "--rig", "2", "--sets", "1"),
         *("--phases", "2", "--steps", "4", "--workers", "1"),
