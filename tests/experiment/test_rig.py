@@ -654,7 +654,7 @@ def test_a_part_that_the_problem_has_no_place_for_is_refused_by_name(problem: Pr
             Rig(),
             "currents as states, or none at all, for a rig",
         ),
-        (problem, Rig(gears={1: Gear(rotor_inertia=1.0)}), "`rotor_inertia` must leave"),
+        (problem, Rig(gears={1: Gear(rotor_inertia=1.0)}), "`rotor_inertia` must be below"),
     )
     for problem, rig, message in cases:
         given = start[: len(problem.state_names)]

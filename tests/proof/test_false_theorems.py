@@ -123,7 +123,7 @@ def test_a_first_box_without_the_fixed_point_lends_nothing_to_a_second(
 
 
 def test_a_second_box_beside_the_first_is_refused(impact: Certificate, beside: Certificate) -> None:
-    assert "must lie in the first" in _refusal(_with_pass(beside, impact))
+    assert "must lie in its first box" in _refusal(_with_pass(beside, impact))
 
 
 def _exists(which: int) -> dict[str, Any]:

@@ -182,7 +182,7 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
             if there is None:
                 return kept.setdefault(key, (0.0, slack))
             found, slack = there
-            kept[key] = found.impulse, slack
+            kept[key] = found.extent.lowest, slack
             if found.impulse > best.impulse and np.all(slack >= 0.0):
                 best = found
             search.tell(f"{len(kept)} gains tried: least push {best.extent.lowest:.4g}")
