@@ -36,6 +36,7 @@ LEFT_OUT = {
     ("docs/performance.md", "not run: takes other people's simulators and a quiet machine"): 1,
     ("docs/proof.md", "not run: takes minutes"): 1,
     ("docs/proof_file.md", "not run: needs a certificate"): 1,
+    ("docs/pushes.md", "not run: minutes"): 1,
     ("docs/scale.md", "not run: minutes"): 1,
     ("docs/scale.md", "not run: needs a cluster"): 2,
     ("docs/tutorial.md", "not run: installs, as `.ci/run` does"): 1,

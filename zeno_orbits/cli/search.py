@@ -57,9 +57,8 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum --set Kp=4.3 --set Kd=-1.53 --shape 'zeno*2'",
             "zeno-orbits search motor_pendulum --objective energy --candidates 3 -o orbit.json",
             "zeno-orbits search motor_pendulum --objective energy --scheduler tcp://host:8786",
-            "zeno-orbits search motor_pendulum --set Kp=2.5 --objective push",
-            "zeno-orbits search motor_pendulum --set Kp=2.5 --objective robustness "
-            "--uncertain restitution=0.15:0.25",
+            "zeno-orbits search motor_pendulum --set Kp=2.5 --vary Kd=-1.05:-0.95 "
+            "--objective push --n-starts 1",
         ],
     )
     add_problem(parser)
