@@ -468,3 +468,13 @@ def test_a_longer_limit_finds_the_same_attractor(until: float) -> None:
     (found,) = attractors_at(table, [table.values()], until=until)
     assert found.fate is Fate.ZENO
     assert found.period == pytest.approx(2 * np.pi / 30.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("omega", [1.0, 1e-7])
+def test_the_period_of_a_clock_is_the_time_beside_any_faster_decay(omega: float) -> None:
+    # The damping decays within 1e-8 s, and the spring along it within 1e8 s.
+    values = {"c": 1e8, "omega": omega}
+    for one in (load_problem("forced_oscillator"), cartesian_pendulum()):
+        dynamics = one.dynamics(one.values(parameters=values))
+        found = own_time(dynamics, np.array(one.state_vector(one.starts[0])))
+        assert found == pytest.approx(2 * np.pi / omega, rel=1e-6)

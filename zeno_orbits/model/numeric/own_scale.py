@@ -50,10 +50,13 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
     # time scale.
     slopes = np.nan_to_num(dynamics.free.jacobian(state), nan=0.0, posinf=0.0, neginf=0.0)
     eigenvalues = np.linalg.eigvals(slopes)
-    if dynamics.holonomic(state).size:
-        # Along a constraint the double eigenvalue zero is rounded to a root of the rounding.
-        sizes = np.abs(eigenvalues)
-        eigenvalues = eigenvalues[sizes > _ROUNDED * np.max(sizes, initial=0.0)]
+    clock = list(dynamics.clock)
+    if dynamics.holonomic(state).size > len(clock[:1]):
+        # Along a constraint the double eigenvalue zero is rounded to a root of the rounding. The
+        # clock does not depend on the mechanism, and may be slow.
+        found = np.linalg.eigvals(np.delete(np.delete(slopes, clock, 0), clock, 1))
+        found = found[np.abs(found) > _ROUNDED * np.max(np.abs(found), initial=0.0)]
+        eigenvalues = np.append(found, np.linalg.eigvals(slopes[np.ix_(clock, clock)]))
     turning = np.abs(eigenvalues[np.abs(eigenvalues.imag) > _DAMPED * np.abs(eigenvalues)])
     if turning.size:
         return float(2 * math.pi / np.min(turning))
