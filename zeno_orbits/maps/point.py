@@ -83,8 +83,6 @@ class Point:
         self._start = start
         self._until = until
         self._accuracy = accuracy
-        # A longer limit does not make returns the same.
-        self._close = SAME * min(until, WAITING * own_time(follower.dynamics, start))
         self._times: dict[Crossing, list[float]] = {RELEASES: [], IMPACTS: []}
         self.way: Way | None = None
         self._tolerance = accuracy.motion
@@ -124,12 +122,20 @@ class Point:
             answer: Attractor | Struck | None = None
             if isinstance(crossing, Struck):
                 answer = self._struck(replace(crossing, time=time))
-            elif not (self._returns and time - self._returns[-1].time < self._close):
+            elif not self._has_just_returned(time):
                 answer = self._returned(time, crossing.state)
             answer = answer or self._repeating()
             if answer is not None:
                 return answer
         raise AssertionError("The run lacks an end.")
+
+    def _has_just_returned(self, time: float) -> bool:
+        """Return True if a return is the last one over again."""
+        if not self._returns or time - self._returns[-1].time >= SAME * self._until:
+            return False
+        # A longer limit does not make returns the same.
+        usual = WAITING * own_time(self._dynamics, self._start)
+        return time - self._returns[-1].time < SAME * min(self._until, usual)
 
     def _repeating(self) -> Attractor | None:
         """Return the orbit of a motion whose impacts repeat to rounding, tested at intervals."""
