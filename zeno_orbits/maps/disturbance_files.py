@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -32,6 +32,7 @@ _MOST = 10**9
 """Largest number of periods or tests."""
 
 _Entries = TypeVar("_Entries")
+_Result = TypeVar("_Result", Pushes, Recovery)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,13 +121,7 @@ def read_pushes(path: Path) -> Pushes:
         InputError: If the file is missing, truncated or of another kind, or if an entry is missing,
             invalid, or contradicts other entries.
     """
-    file = _read("push", "pushes", _PushesFile, path)
-    try:
-        return _pushes(file)
-    except EntryError as error:
-        raise _refused("push", "pushes", _fault(error)) from error
-    except InputError as error:
-        raise _refused("push", "pushes", _invalid_settings(error)) from error
+    return _read("push", "pushes", _PushesFile, _pushes, path)
 
 
 def read_recovery(path: Path) -> Recovery:
@@ -139,13 +134,7 @@ def read_recovery(path: Path) -> Recovery:
         InputError: If the file is missing, truncated or of another kind, or if an entry is missing,
             invalid, or contradicts other entries.
     """
-    file = _read("recovery", "recovery", _RecoveryFile, path)
-    try:
-        return _recovery(file)
-    except EntryError as error:
-        raise _refused("recovery", "recovery", _fault(error)) from error
-    except InputError as error:
-        raise _refused("recovery", "recovery", _invalid_settings(error)) from error
+    return _read("recovery", "recovery", _RecoveryFile, _recovery, path)
 
 
 def require_pushes_of(orbit: ZenoOrbit, problem: Problem, found: Pushes) -> None:
@@ -210,11 +199,20 @@ def _told(value: float | None) -> str:
     return "missing" if value is None else repr(value)
 
 
-def _read(command: str, argument: str, kind: type[_Entries], path: Path) -> _Entries:
+def _read(
+    command: str,
+    argument: str,
+    kind: type[_Entries],
+    result: Callable[[_Entries], _Result],
+    path: Path,
+) -> _Result:
+    """Return the result of a command, from the entries of its file."""
     try:
-        return restored(kind, read_object(path), finite=True)
+        return result(restored(kind, read_object(path), finite=True))
     except EntryError as error:
         raise _refused(command, argument, _fault(error)) from error
+    except InputError as error:
+        raise _refused(command, argument, _invalid_settings(error)) from error
     except ValueError as error:
         raise _refused(command, argument, str(error)) from error
 

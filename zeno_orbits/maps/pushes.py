@@ -451,17 +451,19 @@ def push_units(
         InputError: If a coordinate is unknown, or the force is zero or infinite.
     """
     names = problem.state_names[: problem.compiled().n_q]
-    for name in direction:
-        if name not in names:
-            raise InputError(unknown(argument, name, names))
     if not direction:
         return {unit_of_push(problem, {name: 1.0}) for name in names}
-    _require_length(direction, argument)
+    _require_direction(direction, names, argument)
     return {unit_of_push(problem, direction)}
 
 
-def _require_length(direction: Mapping[str, float], argument: str) -> None:
-    """Refuse a generalized force without a length, or with one whose square is no double."""
+def _require_direction(
+    direction: Mapping[str, float], names: tuple[str, ...], argument: str
+) -> None:
+    """Refuse unknown coordinates, no length, and a length whose square is no double."""
+    for name in direction:
+        if name not in names:
+            raise InputError(unknown(argument, name, names))
     entries = [abs(any_number(argument, entry)) for entry in direction.values()]
     largest = max(entries, default=0.0)
     if not all(map(math.isfinite, entries)) or largest == 0.0:
@@ -642,12 +644,8 @@ def _force(
         InputError: If a coordinate is unknown, or the force is zero or does not move the mechanism.
     """
     names = problem.state_names[: len(moments[0].mobility)]
-    force = np.zeros(len(names))
-    for name, entry in direction.items():
-        if name not in names:
-            raise InputError(unknown("direction", name, names))
-        force[names.index(name)] = any_number("direction", entry)
-    _require_length(direction, "direction")
+    _require_direction(direction, names, "direction")
+    force = np.array([float(direction.get(name, 0.0)) for name in names])
     if not all(float(force @ one.mobility @ force) > 0.0 for one in moments):
         wanted = "must move the mechanism at every phase"
         raise InputError(f"Argument `direction` {wanted}, but {dict(direction)} does not.")
