@@ -84,11 +84,6 @@ class Persistence:
         return min(self.reaches, key=lambda one: one.distance)
 
     @property
-    def lost(self) -> bool:
-        """False: the orbit exists at its own values."""
-        return False
-
-    @property
     def extent(self) -> Extent:
         """The smallest distance with its error."""
         least = self.nearest

@@ -34,7 +34,7 @@ from zeno_orbits.search.refinement import (
 )
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.strength import strongest
+from zeno_orbits.search.strength import Strength, strongest
 from zeno_orbits.search.trust_region import LastStep, trust_region_steps
 from zeno_orbits.search.way import all_kept, best_on_the_way, kept_and_exceeded
 from zeno_orbits.simulation import SimulationSettings
@@ -265,7 +265,7 @@ def _by_samples(search: SearchProblem, values: ParameterValues, cycle: Cycle) ->
         if lacking is not None:
             return lacking
     best = (strongest if isinstance(search.objective, MaxPush) else widest)(search, values, cycle)
-    if best.lost:
+    if isinstance(best, Strength) and best.push is None:
         return StartOutcome(status=SearchStatus.NO_GUESS, detail=best.text)
     around = best.cycle if isinstance(best.cycle, Cycle) else cycle
     outcome = refine(replace(search, free={}), best.values, around, search.objective)

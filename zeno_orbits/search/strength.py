@@ -60,11 +60,6 @@ class Strength:
     reason: str = ""
 
     @property
-    def lost(self) -> bool:
-        """True if the orbit does not exist or is unstable somewhere."""
-        return self.push is None
-
-    @property
     def impulse(self) -> float:
         """The least impulse. Zero without an orbit, infinite if no scanned impulse is lost."""
         if self.push is None:
@@ -165,12 +160,13 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
     from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
     low, high = np.array(list(search.free.values())).T
-    best = strength(search, values, cycle)
+    best, slack = _measured(search, values, cycle)
     if math.isinf(best.impulse):
         # There is nothing to compare, and a longer scan of another orbit is no larger push.
         return best
     size = best.impulse or 1.0
-    kept: dict[bytes, tuple[float, Vector]] = {}
+    start = (np.array([values.number(name) for name in search.free]) - low) / (high - low)
+    kept = {start.tobytes(): (best.impulse, slack)}
 
     def evaluated(z: Vector) -> tuple[float, Vector]:
         """Return the least push and the distances from the bounds, negative outside."""
@@ -178,9 +174,8 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
         key = np.asarray(z).tobytes()
         if key not in kept:
             there = _moved(search, best, np.clip(low + z * (high - low), low, high))
-            slack = np.full(len(search.bounds), -1.0)
             if there is None:
-                return kept.setdefault(key, (0.0, slack))
+                return kept.setdefault(key, (0.0, np.full(len(search.bounds), -1.0)))
             found, slack = there
             kept[key] = found.extent.lowest, slack
             if found.impulse > best.impulse and np.all(slack >= 0.0):
@@ -190,7 +185,6 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
                 raise _NothingLostError
         return kept[key]
 
-    start = (np.array([values.number(name) for name in search.free]) - low) / (high - low)
     constraints: list[Any] = []
     if search.bounds:
         inside = NonlinearConstraint(lambda z: evaluated(z)[1], 0.0, np.inf)
@@ -226,11 +220,17 @@ def _moved(search: SearchProblem, best: Strength, free: Vector) -> tuple[Strengt
     if path.cycle is None or not path.arrived:
         return None
     try:
-        found = strength(search, wanted, path.cycle)
-        extents: Mapping[str, Extent] = {}
-        if search.bounds:
-            extents = bounded_extents(search, wanted, path.cycle)
+        return _measured(search, wanted, path.cycle)
     except ZenoOrbitsError:
         return None
+
+
+def _measured(
+    search: SearchProblem, values: ParameterValues, cycle: Cycle
+) -> tuple[Strength, Vector]:
+    """Return the least push of an orbit, and the distances from the bounds."""
+    extents: Mapping[str, Extent] = {}
+    if search.bounds:
+        extents = bounded_extents(search, values, cycle)
     slack = [-excess(bound, extents[bound.name]) for bound in search.bounds]
-    return found, np.array(slack)
+    return strength(search, values, cycle), np.array(slack)
