@@ -260,6 +260,25 @@ def any_number(argument: str, value: Any) -> float:
     raise InputError(f"Argument `{argument}` must be a number, but it is {shown(value)}.")
 
 
+def number_range(argument: str, box: Any, name: str = "") -> tuple[float, float]:
+    """Return the ends of a range.
+
+    Args:
+        argument: Name of the argument, for the message.
+        box: The range: a lower and an upper end.
+        name: Name of the quantity, for the message.
+
+    Raises:
+        InputError: If the range is not two numbers.
+    """
+    try:
+        low, high = box
+    except (TypeError, ValueError) as error:
+        wanted = f"must hold a lower and an upper end{f' for `{name}`' if name else ''}"
+        raise InputError(f"Argument `{argument}` {wanted}, but it is {shown(box)}.") from error
+    return any_number(argument, low), any_number(argument, high)
+
+
 def named_numbers(argument: str, values: Any) -> dict[str, Any]:
     """Return a mapping with text keys. Its values are not checked.
 

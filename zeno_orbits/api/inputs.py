@@ -9,7 +9,7 @@ from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from zeno_orbits.errors import InputError, any_number, shown
+from zeno_orbits.errors import InputError, number_range, shown
 from zeno_orbits.kinds import checked
 from zeno_orbits.model import (
     Problem,
@@ -116,20 +116,6 @@ def problem_of(orbit: ZenoOrbit, problem: Named | None = None) -> Problem:
     return known
 
 
-def as_range(argument: str, box: Any) -> tuple[float, float]:
-    """Return the ends of a range.
-
-    Raises:
-        InputError: If the range is not two numbers.
-    """
-    try:
-        low, high = box
-    except (TypeError, ValueError) as error:
-        wanted = "must hold a lower and an upper end"
-        raise InputError(f"Argument `{argument}` {wanted}, but it is {shown(box)}.") from error
-    return any_number(argument, low), any_number(argument, high)
-
-
 def as_axis(argument: str, axis: Any) -> MapAxis:
     """Return an axis of a map.
 
@@ -143,7 +129,7 @@ def as_axis(argument: str, axis: Any) -> MapAxis:
     except (TypeError, ValueError) as error:
         wanted = "must be (name, lower, upper, number of points)"
         raise InputError(f"Argument `{argument}` {wanted}, but it is {shown(axis)}.") from error
-    low, high = as_range(argument, (low, high))
+    low, high = number_range(argument, (low, high))
     if not isinstance(name, str):
         raise InputError(f"Argument `{argument}` must name a quantity, but it is {shown(name)}.")
     return MapAxis(name=name, lower=low, upper=high, count=whole(argument, count))

@@ -12,12 +12,11 @@ from zeno_orbits.api.inputs import (
     Named,
     Numbers,
     as_orbit,
-    as_range,
     front_door,
     known_problem,
     problem_of,
 )
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, number_range
 from zeno_orbits.model import ParameterValues, Problem, Rig
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.work import Progress, silent
@@ -394,6 +393,6 @@ def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unkn
         around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
         low, high = max(lower, around[0]), min(upper, around[1])
         if box is not None:
-            low, high = as_range("fit", box)
+            low, high = number_range("fit", box)
         found.append(Unknown(names=names, lower=max(low, lower), upper=min(high, upper)))
     return tuple(found)

@@ -11,14 +11,13 @@ from zeno_orbits.api.inputs import (
     Named,
     Numbers,
     as_orbit,
-    as_range,
     file_of,
     front_door,
     known_problem,
     plan_of,
 )
 from zeno_orbits.api.settings import verification_settings
-from zeno_orbits.errors import InputError, named_numbers
+from zeno_orbits.errors import InputError, named_numbers, number_range
 from zeno_orbits.model import ParameterValues, Problem, ProblemFile
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.work import Plan, Progress, silent
@@ -306,4 +305,4 @@ def _boxes(
 
     if free is None:
         return free_gains(problem, fixed=gains or {})
-    return {name: as_range("free", box) for name, box in named_numbers("free", free).items()}
+    return {name: number_range("free", box) for name, box in named_numbers("free", free).items()}

@@ -14,14 +14,13 @@ from zeno_orbits.api.inputs import (
     Numbers,
     as_axis,
     as_orbit,
-    as_range,
     file_of,
     front_door,
     known_problem,
     plan_of,
     problem_of,
 )
-from zeno_orbits.errors import InputError, named_numbers
+from zeno_orbits.errors import InputError, named_numbers, number_range
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.work import Plan, Progress, Workers, silent
@@ -71,7 +70,7 @@ def continue_orbit(
     """
     from zeno_orbits import continuation
 
-    box = as_range("box", box)
+    box = number_range("box", box)
     orbit = as_orbit(orbit)
     if orbit.shape.n_phases != 1:
         wanted = "must have one Zeno point or one impact per period"
@@ -144,7 +143,7 @@ def continue_impacts(
             known.values(gains=gains, parameters=parameters),
             known.state_vector(start),
             parameter,
-            as_range("box", box),
+            number_range("box", box),
             settings=settings,
             on_progress=on_progress,
             crew=crew,

@@ -15,9 +15,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from itertools import product
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
-from zeno_orbits.errors import InputError, any_number, named_numbers, shown
+from zeno_orbits.errors import InputError, any_number, named_numbers, number_range
 from zeno_orbits.kinds import Checked, require_kinds
 
 if TYPE_CHECKING:
@@ -419,11 +419,7 @@ class MaxPush(Sampled, Checked):
         for entry in named_numbers("direction", self.direction).values():
             any_number("direction", entry)
         for name, ends in named_numbers("uncertain", self.uncertain).items():
-            if not isinstance(ends, (tuple, list)) or len(cast("list[object]", ends)) != _ENDS:
-                wanted = f"must have a lower and an upper end for `{name}`"
-                raise InputError(f"Argument `uncertain` {wanted}, but it has {shown(ends)}.")
-            for end in cast("list[object]", ends):
-                any_number("uncertain", end)
+            number_range("uncertain", ends, name)
 
     @property
     def wish(self) -> str:
@@ -477,7 +473,6 @@ class MaxPush(Sampled, Checked):
                 raise InputError(f"Argument `uncertain` {wanted}, but: {error}") from error
 
 
-_ENDS = 2
 _MOST_UNCERTAIN = 4
 """Largest number of uncertain parameters. Each doubles the time."""
 
