@@ -19,7 +19,7 @@ import pytest
 from scipy.integrate import DOP853, LSODA
 from scipy.optimize import brentq
 
-from tests.support.mechanisms import numeric
+from tests.support.mechanisms import numeric, slider
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -58,16 +58,7 @@ Formula = Callable[[ca.SX], ca.SX]
 
 def _slide(pull: Formula, start: float, speed: float, until: float, time: float) -> Case:
     """Return a mass of 1 kg that slides along a stop with the multiplier ``1 - pull(x)``."""
-    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
-    machine = HybridLagrangian.from_energies(
-        q=q,
-        v=v,
-        kinetic=ca.sumsqr(v) / 2,
-        potential=ca.SX(0),
-        gap=q[1],
-        applied_force=ca.vertcat(0, pull(q[0]) - 1),
-    )
-    dynamics = numeric(machine, restitution=0.3)
+    dynamics = slider(lambda x: pull(x) - 1)
     state = (start, 0.0, speed, 0.0)
     return Case(dynamics=dynamics, start=state, until=until, event=Release, time=time)
 

@@ -7,29 +7,13 @@ off. So the gap acceleration is that force at the time, in closed form, in whate
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import casadi as ca
 import pytest
 
-from tests.support.mechanisms import numeric
+from tests.support.mechanisms import slider
 from zeno_orbits.integrators import Engine, Radau, RungeKutta
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation import Mode, SimulationSettings, simulate
-
-
-def _slider(lift: Callable[[ca.SX], ca.SX], restitution: float = 0.3) -> HybridDynamics:
-    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
-    machine = HybridLagrangian.from_energies(
-        q=q,
-        v=v,
-        kinetic=ca.sumsqr(v) / 2,
-        potential=ca.SX(0),
-        gap=q[1],
-        applied_force=ca.vertcat(0, lift(q[0])),
-    )
-    return numeric(machine, restitution=restitution)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-3])
@@ -39,11 +23,11 @@ def test_the_first_derivative_that_is_not_zero_decides_whether_the_stop_holds(
 ) -> None:
     # The pull is +- size t^n, and with the upper sign the gap size t^(n + 2) / (n + 1) / (n + 2).
     start = (0.0, 0.0, 1.0, 0.0)
-    opened = simulate(_slider(lambda x: size * x**order), start, until=1.0)
+    opened = simulate(slider(lambda x: size * x**order), start, until=1.0)
     assert [arc.mode for arc in opened.arcs] == [Mode.FREE]
     height = size / (order + 1) / (order + 2)
     assert opened.end_state[1] == pytest.approx(height, rel=1e-11, abs=0.0)
-    held = simulate(_slider(lambda x: -size * x**order), start, until=1.0)
+    held = simulate(slider(lambda x: -size * x**order), start, until=1.0)
     assert [arc.mode for arc in held.arcs] == [Mode.LOCKED]
     assert held.end_state[1] == 0.0
 
@@ -51,7 +35,7 @@ def test_the_first_derivative_that_is_not_zero_decides_whether_the_stop_holds(
 @pytest.mark.parametrize("phase", [0.0, math.pi])
 def test_a_leg_at_its_stop_starts_with_either_sign_of_a_sine(phase: float) -> None:
     # The pull sin(x + phase) - x cos(phase) starts as -+ x^3 / 6.
-    dynamics = _slider(lambda x: ca.sin(x + phase) - x * math.cos(phase))
+    dynamics = slider(lambda x: ca.sin(x + phase) - x * math.cos(phase))
     found = simulate(dynamics, (0.0, 0.0, 1.0, 0.0), until=1.0)
     assert found.arcs[0].mode is (Mode.LOCKED if phase == 0.0 else Mode.FREE)
 
@@ -64,7 +48,7 @@ def test_a_multiplier_that_only_just_reaches_zero_lets_go_for_a_moment(
     # The pull e - (t - 1)^2 releases at 1 - s with s = sqrt(e). From there it is 2 s t - t^2, the
     # gap s t^3 / 3 - t^4 / 12, which closes at 4 s with the speed 16 s^3 / 3.
     found = simulate(
-        _slider(lambda x: excess - (x - 1) ** 2),
+        slider(lambda x: excess - (x - 1) ** 2),
         (0.0, 0.0, 1.0, 0.0),
         until=2.0,
         settings=SimulationSettings(engine=engine),
@@ -81,5 +65,5 @@ def test_a_multiplier_that_only_just_reaches_zero_lets_go_for_a_moment(
 
 
 def test_a_multiplier_that_ends_above_zero_does_not_let_go() -> None:
-    found = simulate(_slider(lambda x: -1e-9 - (x - 1) ** 2), (0.0, 0.0, 1.0, 0.0), until=2.0)
+    found = simulate(slider(lambda x: -1e-9 - (x - 1) ** 2), (0.0, 0.0, 1.0, 0.0), until=2.0)
     assert not found.events

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
@@ -23,11 +22,11 @@ from tests.loop.agreement import (
     task_of,
 )
 from tests.support.families import BALL, CART
-from tests.support.mechanisms import numeric
+from tests.support.mechanisms import numeric, slider
 from tests.support.units import Units, in_units
 from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Tolerance
-from zeno_orbits.model import HybridDynamics, HybridLagrangian
+from zeno_orbits.model import HybridLagrangian
 from zeno_orbits.simulation import (
     FixedImpacts,
     Mode,
@@ -270,18 +269,9 @@ def test_a_bump_that_the_scaled_gap_does_not_feel_is_the_same(size: float) -> No
 
 @pytest.mark.parametrize("width", [1.0, 0.1, 1e-3])
 def test_a_narrow_magnet_under_the_stop_is_the_same(width: float) -> None:
-    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
-    pull = 1.5 * ca.exp(-(((q[0] - 3) / width) ** 2))
-    machine = HybridLagrangian.from_energies(
-        q=q,
-        v=v,
-        kinetic=ca.sumsqr(v) / 2,
-        potential=ca.SX(0),
-        gap=q[1],
-        applied_force=ca.vertcat(0, pull - 1),
-    )
+    dynamics = slider(lambda x: 1.5 * ca.exp(-(((x - 3) / width) ** 2)) - 1)
     state = np.array([0.0, 0.0, 1.0, 0.0])
-    task = SimulationTask(dynamics=numeric(machine, restitution=0.3), state=state, until=5.0)
+    task = SimulationTask(dynamics=dynamics, state=state, until=5.0)
     run = require_equal(task)
     assert run is not None
     # The multiplier is 1 - pull: it is zero where the pull has risen to 1.
@@ -289,23 +279,9 @@ def test_a_narrow_magnet_under_the_stop_is_the_same(width: float) -> None:
     assert run.releases[0].time == pytest.approx(let_go, rel=1e-9)
 
 
-def _slider(lift: Callable[[ca.SX], ca.SX]) -> HybridDynamics:
-    """Return a mass that slides along its stop and is pulled off by a force."""
-    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
-    machine = HybridLagrangian.from_energies(
-        q=q,
-        v=v,
-        kinetic=ca.sumsqr(v) / 2,
-        potential=ca.SX(0),
-        gap=q[1],
-        applied_force=ca.vertcat(0, lift(q[0])),
-    )
-    return numeric(machine, restitution=0.3)
-
-
 @pytest.mark.parametrize("excess", [4e-13, 1e-11, 1e-9, 2e-7, 1e-5])
 def test_a_flight_below_the_rounding_of_the_gap_is_the_same(excess: float) -> None:
-    dynamics = _slider(lambda x: excess - (x - 1) ** 2)
+    dynamics = slider(lambda x: excess - (x - 1) ** 2)
     state = np.array([0.0, 0.0, 1.0, 0.0])
     run = require_equal(SimulationTask(dynamics=dynamics, state=state, until=2.0))
     assert run is not None
@@ -318,7 +294,7 @@ def test_a_flight_below_the_rounding_of_the_gap_is_the_same(excess: float) -> No
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
 def test_a_start_at_zero_multiplier_is_the_same(order: int, sign: float) -> None:
-    dynamics = _slider(lambda x: sign * x**order)
+    dynamics = slider(lambda x: sign * x**order)
     state = np.array([0.0, 0.0, 1.0, 0.0])
     run = require_equal(SimulationTask(dynamics=dynamics, state=state, until=1.0))
     assert run is not None

@@ -68,7 +68,15 @@ def double_well() -> Problem:
 
 def with_gap(gap: Callable[[ca.SX], Any], name: str = "other_gap") -> Problem:
     """Return the forced oscillator with another formula of its gap, zero where the distance is."""
+    return _oscillator(name, gap, lambda _: 0)
 
+
+def with_force(force: Callable[[ca.SX], Any], name: str = "other_force") -> Problem:
+    """Return the forced oscillator with a further force of its distance."""
+    return _oscillator(name, lambda q: q, force)
+
+
+def _oscillator(name: str, gap: Callable[[ca.SX], Any], force: Callable[[ca.SX], Any]) -> Problem:
     def model(p: Mapping[str, ca.SX]) -> Any:
         q, v = ca.SX.sym("q"), ca.SX.sym("v")
         clock = Clock.at(p["omega"])
@@ -78,27 +86,6 @@ def with_gap(gap: Callable[[ca.SX], Any], name: str = "other_gap") -> Problem:
             kinetic=p["m"] * v**2 / 2,
             potential=p["k"] * (p["stop"] - q) ** 2 / 2,
             gap=gap(q),
-            passive_force=-p["c"] * v,
-            applied_force=-p["A"] * clock.cosine,
-            clock=clock,
-        )
-        return hybrid_system(mass, no_drive(mass), p["restitution"])
-
-    return _forced(name, ("distance", "ddistance"), model, starts=({"cosine": 1.0},))
-
-
-def with_force(force: Callable[[ca.SX], Any], name: str = "other_force") -> Problem:
-    """Return the forced oscillator with a further force of its distance."""
-
-    def model(p: Mapping[str, ca.SX]) -> Any:
-        q, v = ca.SX.sym("q"), ca.SX.sym("v")
-        clock = Clock.at(p["omega"])
-        mass = HybridLagrangian.from_energies(
-            q=q,
-            v=v,
-            kinetic=p["m"] * v**2 / 2,
-            potential=p["k"] * (p["stop"] - q) ** 2 / 2,
-            gap=q,
             passive_force=-p["c"] * v,
             applied_force=-p["A"] * clock.cosine + force(q),
             clock=clock,

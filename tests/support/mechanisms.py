@@ -41,6 +41,20 @@ def evaluated(expression: ca.SX, values: Mapping[str, Numbers], **symbols: ca.SX
     return np.array(function(*(values[name] for name in symbols)).full())
 
 
+def slider(lift: Callable[[ca.SX], ca.SX | float], restitution: float = 0.3) -> HybridDynamics:
+    """Return a mass of 1 kg that slides along a stop, with the multiplier ``-lift(x)``."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    mass = HybridLagrangian.from_energies(
+        q=q,
+        v=v,
+        kinetic=ca.sumsqr(v) / 2,
+        potential=ca.SX(0),
+        gap=q[1],
+        applied_force=ca.vertcat(0, lift(q[0])),
+    )
+    return numeric(mass, restitution=restitution)
+
+
 def forced_oscillator(oscillator: StoppedOscillator, restitution: float) -> HybridDynamics:
     """Return ``x'' + c x' + x = cos t`` with its stop, time carried by ``y'' = -y``.
 
