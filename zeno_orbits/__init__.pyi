@@ -34,7 +34,10 @@ from .continuation.families import SpecialPointKind as SpecialPointKind
 from .continuation.setup import ContinuationSettings as ContinuationSettings
 from .errors import InputError as InputError
 from .errors import OrbitFileError as OrbitFileError
+from .errors import PenetrationError as PenetrationError
 from .errors import SimulationError as SimulationError
+from .errors import SimultaneousEventsError as SimultaneousEventsError
+from .errors import SlidingError as SlidingError
 from .errors import ZenoOrbitsError as ZenoOrbitsError
 from .experiment.comparison.comparison import Comparison as Comparison
 from .experiment.identification.identification import Identification as Identification
@@ -58,7 +61,7 @@ from .model.drives import ideal_torque_drive as ideal_torque_drive
 from .model.drives import no_drive as no_drive
 from .model.drives import quasi_static_drive as quasi_static_drive
 from .model.hybrid import CompletedSystem as CompletedSystem
-from .model.hybrid import complete as hybrid_system
+from .model.graph import complete as hybrid_system
 from .model.lagrangian import HybridLagrangian as HybridLagrangian
 from .model.library import bundled_problems as bundled_problems
 from .model.library import load_problem as load_problem
@@ -76,6 +79,8 @@ from .model.rig_parts import Gear as Gear
 from .model.rig_parts import Rig as Rig
 from .model.rig_parts import Sensors as Sensors
 from .model.rig_parts import Switching as PwmSettings
+from .model.stops import Stop as Stop
+from .model.stops import Switch as Switch
 from .orbits.bounds import Bound as Bound
 from .orbits.orbit import ZenoOrbit as ZenoOrbit
 from .orbits.orbit_file import orbit_from_json as orbit_from_json
@@ -108,6 +113,7 @@ from .search.outcome import SearchResult as SearchResult
 from .search.settings import SearchSettings as SearchSettings
 from .simulation.completion import Truncation as Truncation
 from .simulation.execution import Execution as Execution
+from .simulation.execution import SwitchEvent as SwitchEvent
 from .simulation.simulator import SimulationSettings as SimulationSettings
 from .verification.certificate import OrbitCertificate as OrbitCertificate
 from .verification.verifier import VerificationSettings as VerificationSettings
@@ -155,6 +161,7 @@ __all__ = [
     "Output",
     "ParameterMap",
     "ParameterValues",
+    "PenetrationError",
     "PeriodEnclosure",
     "Problem",
     "Proof",
@@ -173,8 +180,13 @@ __all__ = [
     "Sensors",
     "SimulationError",
     "SimulationSettings",
+    "SimultaneousEventsError",
+    "SlidingError",
     "SpecialPointKind",
     "StateLimit",
+    "Stop",
+    "Switch",
+    "SwitchEvent",
     "TargetAmplitude",
     "TargetPeriod",
     "Truncation",

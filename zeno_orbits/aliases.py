@@ -16,7 +16,7 @@ ALIASES = {
     "WidestMargin": ("MaxMargin", "search.objectives:WidestMargin"),
     "certified": ("with_certificate", "verification.verifier:certified"),
     "close_orbit": ("find_orbit_by_shooting", "api.orbit_search:find_orbit_by_shooting"),
-    "complete": ("hybrid_system", "model.hybrid:complete"),
+    "complete": ("hybrid_system", "model.graph:complete"),
     "cut": ("crop", "experiment.recordings.recording:cut"),
     "difference": ("execution_distance", "precision.landmark:difference"),
     "plot_zeno_region": ("plot_zeno_set", "report.plots:plot_zeno_region"),

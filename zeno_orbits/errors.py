@@ -122,6 +122,14 @@ class PenetrationError(SimulationError):
     """The state left the admissible set without an impact: the reset map or the state is wrong."""
 
 
+class SlidingError(SimulationError):
+    """The flows on both sides of a switch point to it: the motion slides along the switch."""
+
+
+class SimultaneousEventsError(SimulationError):
+    """Two events coincide to rounding, or impacts accumulate on two stops at once."""
+
+
 class ChatterError(SimulationError):
     """The impacts did not accumulate at a Zeno point within the allowed number of impacts."""
 

@@ -21,8 +21,8 @@ from zeno_orbits.continuation.families import Family, SpecialCurve, SpecialPoint
 from zeno_orbits.continuation.return_maps import Composed
 from zeno_orbits.continuation.setup import ContinuationSettings, start_at_release
 from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model import complete
 from zeno_orbits.model.drives import full_drive
-from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind

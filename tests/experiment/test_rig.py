@@ -32,8 +32,8 @@ from zeno_orbits.experiment.rig.cycle_comparison import (
 from zeno_orbits.experiment.rig.cycles import settling_cycles
 from zeno_orbits.experiment.rig.run import recording_of
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model import CompletedSystem, complete
 from zeno_orbits.model.drives import MotorBank, full_drive, quasi_static_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem, load_reference
 from zeno_orbits.model.problem import Problem, restitution

@@ -13,8 +13,9 @@ from zeno_orbits.errors import StepSizeError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.integrators.dop853_step import FIFTH, STAGES, STEP, THIRD
 from zeno_orbits.integrators.flow import PlainFlow, Tolerance
+from zeno_orbits.model import complete
 from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.hybrid import audited, complete
+from zeno_orbits.model.hybrid import audited
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind, compile_system

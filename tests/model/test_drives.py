@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.mechanisms import bound, evaluated
+from zeno_orbits.model import complete
 from zeno_orbits.model.drives import (
     MotorBank,
     full_drive,
@@ -14,7 +15,6 @@ from zeno_orbits.model.drives import (
     no_drive,
     quasi_static_drive,
 )
-from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.simulation.simulator import simulate
 

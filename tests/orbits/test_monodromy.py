@@ -20,9 +20,9 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model import complete
 from zeno_orbits.model.contact import GAP, GAP_RATE
 from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics

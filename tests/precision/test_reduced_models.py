@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tests.support.mechanisms import bound, evaluated
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model import CompletedSystem, complete
 from zeno_orbits.model.contact import ImpactLaw
 from zeno_orbits.model.drives import (
     Drive,
@@ -24,7 +25,6 @@ from zeno_orbits.model.drives import (
     full_drive,
     quasi_static_drive,
 )
-from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics

@@ -7,8 +7,8 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
+from zeno_orbits.model import CompletedSystem, complete
 from zeno_orbits.model.drives import MotorBank, full_drive, ideal_torque_drive, quasi_static_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem

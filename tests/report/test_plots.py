@@ -24,8 +24,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.mapping import Boundary, ParameterMap
 from zeno_orbits.maps.plane import Axis
+from zeno_orbits.model import CompletedSystem, complete
 from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics

@@ -19,8 +19,8 @@ from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import Automatic, Engine, Radau, Tolerance
+from zeno_orbits.model import CompletedSystem, complete
 from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics

@@ -21,7 +21,7 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.scale import OwnScale
-from zeno_orbits.simulation import simulator
+from zeno_orbits.simulation import reference_run
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.completion import (
     FixedImpacts,
@@ -29,7 +29,8 @@ from zeno_orbits.simulation.completion import (
     ZenoPassage,
 )
 from zeno_orbits.simulation.execution import Ending, Execution, Mode
-from zeno_orbits.simulation.simulator import SimulationSettings, _Run, simulate
+from zeno_orbits.simulation.reference_run import ReferenceRun as _Run
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 
 G = 9.81
@@ -410,7 +411,7 @@ def test_a_lift_asks_by_how_much_the_gap_opens_among_coordinates_as_large(
         asked.append(given)
         return True
 
-    monkeypatch.setattr(simulator, "closes_at_once", closes_at_once)
+    monkeypatch.setattr(reference_run, "closes_at_once", closes_at_once)
     dynamics = fading_ball(10.0, 5.0, 0.5)
     run = _run(dynamics)
     x = np.array([0.5, -7.0, 9.0, 11.0])

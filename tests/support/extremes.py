@@ -24,8 +24,8 @@ from tests.support.families import CIRCLE
 from tests.support.mechanisms import forced_oscillator, oscillator_state, spring_mass
 from tests.support.units import PENDULUM, PENDULUM_STATE, Units
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.model import CompletedSystem, complete
 from zeno_orbits.model.drives import quasi_static_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.library import load_problem, load_reference
 from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics

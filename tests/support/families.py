@@ -13,8 +13,8 @@ from functools import cached_property
 import casadi as ca
 
 from tests.support.units import Dimension
+from zeno_orbits.model import complete
 from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compile_system
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics

@@ -10,8 +10,8 @@ import numpy as np
 
 from tests.reference.closed_forms import StoppedOscillator
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model import CompletedSystem, complete
 from zeno_orbits.model.drives import Drive, no_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.numeric.compiled import bind, compile_system
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics

@@ -15,7 +15,7 @@ from zeno_orbits.work import Progress, silent
 if TYPE_CHECKING:
     from zeno_orbits.arrays import Vector
     from zeno_orbits.experiment import Recording
-    from zeno_orbits.model import HybridDynamics
+    from zeno_orbits.model import GraphDynamics, HybridDynamics
     from zeno_orbits.precision import Assured
     from zeno_orbits.simulation import Execution, SimulationSettings
 
@@ -212,7 +212,8 @@ def engine_choice(
     from zeno_orbits.precision import why_engine
 
     known = known_problem(problem)
-    dynamics = known.dynamics(known.values(gains=gains, parameters=parameters))
+    values = known.values(gains=gains, parameters=parameters)
+    dynamics = known.graph_dynamics(values).first if known.has_graph else known.dynamics(values)
     longest = max(arc.end_time - arc.start_time for arc in execution.arcs)
     return why_engine(dynamics, execution.arcs[0].start_state, longest)
 
@@ -247,7 +248,7 @@ def execution_json(problem: Problem, assured: Assured) -> dict[str, Any]:
         problem: The problem.
         assured: The execution with its estimated error.
     """
-    from zeno_orbits.simulation import Impact, ZenoPoint
+    from zeno_orbits.simulation import Impact, SwitchEvent, ZenoPoint
 
     execution, errors = assured.execution, iter(assured.zeno_errors)
 
@@ -266,6 +267,16 @@ def execution_json(problem: Problem, assured: Assured) -> dict[str, Any]:
                     "state_plus": named(event.state_plus),
                 }
             )
+        elif isinstance(event, SwitchEvent):
+            events.append(
+                {
+                    "event": "switch",
+                    "time": event.time,
+                    "state_minus": named(event.state_minus),
+                    "state_plus": named(event.state_plus),
+                    "switch": event.name,
+                }
+            )
         else:
             kind = "zeno_point" if isinstance(event, ZenoPoint) else "release"
             entry: dict[str, Any] = {
@@ -277,6 +288,8 @@ def execution_json(problem: Problem, assured: Assured) -> dict[str, Any]:
                 entry["error"] = _number(next(errors))
                 entry["limit_error"] = event.limit_error
             events.append(entry)
+        if not isinstance(event, SwitchEvent) and event.stop:
+            events[-1]["stop"] = event.stop
     return {
         "problem": problem.name,
         "end_time": execution.end_time,
@@ -293,7 +306,7 @@ def _system(
     gains: Numbers | None,
     parameters: Numbers | None,
     start: Numbers | None,
-) -> tuple[HybridDynamics, Sequence[float] | Vector]:
+) -> tuple[HybridDynamics | GraphDynamics, Sequence[float] | Vector]:
     """Return the dynamics and the initial state that the arguments name.
 
     Raises:
@@ -309,6 +322,8 @@ def _system(
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     begin = known.initial_state(start) if state is None else _vector(state)
+    if known.has_graph:
+        return known.graph_dynamics(values), begin
     return known.dynamics(values), begin
 
 

@@ -18,10 +18,12 @@ from .drives import quasi_static_drive as quasi_static_drive
 from .formulas import acceleration_formula as acceleration_formula
 from .formulas import six_digits as six_digits
 from .formulas import with_numbers as with_numbers
+from .graph import GraphMode as GraphMode
+from .graph import ModeGraph as ModeGraph
 from .hybrid import CompletedSystem as CompletedSystem
 from .hybrid import accelerate as accelerate
 from .hybrid import audited_in as audited_in
-from .hybrid import complete as complete
+from .graph import complete as complete
 from .lagrangian import HybridLagrangian as HybridLagrangian
 from .library import ProblemFile as ProblemFile
 from .library import bundled_problems as bundled_problems
@@ -43,6 +45,8 @@ from .numeric.compiled_flow import unguarded as unguarded
 from .numeric.derivatives import Differentials as Differentials
 from .numeric.derivatives import FlowDifferential as FlowDifferential
 from .numeric.derivatives import LinearFormula as LinearFormula
+from .numeric.graph_dynamics import CompiledGraph as CompiledGraph
+from .numeric.graph_dynamics import GraphDynamics as GraphDynamics
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
 from .numeric.hybrid_dynamics import Resting as Resting
 from .numeric.own_scale import constraint_sizes as constraint_sizes
@@ -66,4 +70,6 @@ from .rig_parts import rig_with_numbers as rig_with_numbers
 from .rig_parts import without_parts as without_parts
 from .scale import OwnScale as OwnScale
 from .scale import USUAL as USUAL
+from .stops import Stop as Stop
+from .stops import Switch as Switch
 from .units import powers_of as powers_of

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,9 @@ from zeno_orbits.model.auxiliary import Auxiliary, joined
 from zeno_orbits.model.circuits import Drive
 from zeno_orbits.model.contact import ContactQuantities, ImpactLaw
 from zeno_orbits.model.lagrangian import HybridLagrangian
+
+if TYPE_CHECKING:
+    from zeno_orbits.model.graph import ModeGraph
 
 _TRIALS, _ROUNDING = 4, 1e-9
 """Random states at which a law is tried, and the rounding of formulas there."""
@@ -54,6 +57,8 @@ class CompletedSystem:
         motor_voltage: Voltage of every motor, ``(n_M,)`` [V].
         mechanism: The completed mechanism, including the inertia that a corrected drive adds.
         drive: Drive of the mechanism.
+        graph: All modes of a machine with several stops or switches, or ``None``. The other fields
+            then describe its first stop alone.
     """
 
     n_q: int
@@ -77,6 +82,7 @@ class CompletedSystem:
     motor_voltage: ca.SX
     mechanism: HybridLagrangian
     drive: Drive
+    graph: ModeGraph | None = None
 
     @property
     def restitution(self) -> ca.SX:
@@ -115,32 +121,17 @@ class CompletedSystem:
         return tuple(places)
 
 
-def complete(
+def completed(
     lagrangian: HybridLagrangian,
     drive: Drive | Auxiliary | Sequence[Drive | Auxiliary],
     restitution: ca.SX,
 ) -> CompletedSystem:
-    r"""Build the completed hybrid system of a mechanism, its drive and its stop.
-
-    Let :math:`W` be the inverse mass on the holonomic constraints (theory (6)) and
-    :math:`J = \partial h / \partial q`. Then
-
-    .. math:: \lambda = -\ddot h_\mathrm{free} / (J W J^\top),\qquad
-        v^+ = v^- - (1 + e)\,\frac{J v^-}{J W J^\top}\,W J^\top
+    r"""Return the completed system of a mechanism with one stop, as `complete` describes it.
 
     Args:
         lagrangian: The mechanism.
-        drive: Drive or additional states, or a tuple of several. Their states follow in order.
-        restitution: Coefficient of restitution :math:`e`, a symbol or a number in [0, 1).
-
-    Returns:
-        The completed system.
-
-    Raises:
-        ValueError: If a corrected drive would make the restitution depend on the state, if drives
-            share a state, or if an impact with zero speed would change additional states.
-
-    Source: [Moreau1988]_ for the impact law, theory (6)-(9), and (20) for a corrected drive.
+        drive: Drive or additional states, or a tuple of several.
+        restitution: Coefficient of restitution of the gap.
     """
     drive = joined(lagrangian, drive)
     if drive.added_inertia.nnz():

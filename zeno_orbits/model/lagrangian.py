@@ -5,12 +5,14 @@ Source: [MurrayLiSastry1994]_ for the Lagrangian form, theory (1) and (6).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.model.clock import Clock
+from zeno_orbits.model.stops import Stop
 
 _ROUNDING = 1e-10
 """Rounding level of a formula that vanishes, at values of about 1."""
@@ -18,7 +20,7 @@ _ROUNDING = 1e-10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HybridLagrangian:
-    r"""A mechanism with one stop: the tuple (Q, L, h) of [Ames2006]_, before any drive acts.
+    r"""A mechanism with its stops: the tuple (Q, L, h) of [Ames2006]_, before any drive acts.
 
     The law is :math:`M(q)\,\dot v + \mathrm{bias}(q, v) = F`, with `F` the generalized force of the
     drives, on the admissible set :math:`h(q) \ge 0` (theory (1)).
@@ -28,13 +30,14 @@ class HybridLagrangian:
         v: Velocity symbols, ``(n_q,)``.
         mass_matrix: :math:`M(q)`, ``(n_q, n_q)``.
         bias: :math:`C(q, v)\,v + N(q)` minus the passive forces, ``(n_q,)``.
-        gap: :math:`h(q)`, scalar. The stop is :math:`h = 0`.
+        gap: :math:`h(q)`, scalar. The stop is :math:`h = 0`. With ``stops`` it is the first gap.
         potential: :math:`U(q)`, scalar [J].
         passive_force: Forces that depend on ``(q, v)`` alone, friction for instance, ``(n_q,)``.
         holonomic: :math:`\eta(q)`, ``(n_eta,)``. The motion satisfies :math:`\eta = 0` (paper eq.
             6).
         applied_force: External forces, as functions of ``(q, v)`` and the clock, ``(n_q,)``.
         clock: Clock of the external forces, or ``None`` without time-dependent forces.
+        stops: All stops of a mechanism with several, each with its restitution, or empty.
     """
 
     q: ca.SX
@@ -47,6 +50,7 @@ class HybridLagrangian:
     holonomic: ca.SX
     applied_force: ca.SX
     clock: Clock | None = None
+    stops: tuple[Stop, ...] = ()
 
     @classmethod
     def from_energies(
@@ -56,11 +60,12 @@ class HybridLagrangian:
         v: ca.SX,
         kinetic: ca.SX,
         potential: ca.SX,
-        gap: ca.SX,
+        gap: ca.SX | None = None,
         passive_force: ca.SX | None = None,
         holonomic: ca.SX | None = None,
         applied_force: ca.SX | None = None,
         clock: Clock | None = None,
+        stops: Sequence[Stop] = (),
     ) -> HybridLagrangian:
         r"""Derive the equations of motion of :math:`L = T - U`.
 
@@ -73,31 +78,36 @@ class HybridLagrangian:
             v: Velocity symbols, ``(n_q,)``.
             kinetic: :math:`T(q, v)` [J], quadratic in ``v``.
             potential: :math:`U(q)` [J].
-            gap: :math:`h(q)`.
+            gap: :math:`h(q)` of the one stop.
             passive_force: Friction and other forces of ``(q, v)``, ``(n_q,)``, by default absent.
             holonomic: :math:`\eta(q)`, ``(n_eta,)``, by default absent.
             applied_force: External forces, ``(n_q,)``, as functions of ``(q, v)`` and the clock, by
                 default absent. Their work counts as input.
             clock: The clock whose states the forces hold, if they change with time.
+            stops: The stops of a mechanism with several, in place of ``gap``.
 
         Returns:
             The mechanism.
 
         Raises:
-            ValueError: If an energy, the gap or a constraint depends on a forbidden symbol.
+            ValueError: If an energy, a gap or a constraint depends on a forbidden symbol, or if not
+                exactly one of ``gap`` and ``stops`` is given.
         """
         friction = ca.SX.zeros(q.numel()) if passive_force is None else ca.vec(passive_force)
         applied = ca.SX.zeros(q.numel()) if applied_force is None else ca.vec(applied_force)
         eta = ca.SX(0, 1) if holonomic is None else ca.vec(holonomic)
         mass_matrix = ca.hessian(kinetic, v)[0]
         _require_shapes(q, v=v, passive_force=friction, applied_force=applied)
+        gaps = _gaps(gap, stops)
         if clock is not None:
-            _require_timeless(clock, kinetic=kinetic, potential=potential, gap=gap, holonomic=eta)
-        for name, expression in (("gap", gap), ("potential", potential), ("holonomic", eta)):
+            held = {"kinetic": kinetic, "potential": potential, "holonomic": eta}
+            _require_timeless(clock, **held, gap=ca.vertcat(*gaps))
+        checked = (("gap", ca.vertcat(*gaps)), ("potential", potential), ("holonomic", eta))
+        for name, expression in checked:
             if ca.depends_on(expression, v):
                 wanted = "must depend on the configuration only, but it depends on the velocity"
                 raise ValueError(f"Argument `{name}` {wanted}.")
-        if not ca.depends_on(gap, q):
+        if not all(ca.depends_on(one, q) for one in gaps):
             raise ValueError("Argument `gap` must depend on the configuration, but it is constant.")
         still = ca.SX.zeros(*v.shape)
         rest = ca.substitute(ca.vertcat(kinetic, ca.gradient(kinetic, v)), v, still)
@@ -117,12 +127,13 @@ class HybridLagrangian:
             v=v,
             mass_matrix=mass_matrix,
             bias=bias,
-            gap=gap,
+            gap=gaps[0],
             potential=potential,
             passive_force=friction,
             holonomic=eta,
             applied_force=applied,
             clock=clock,
+            stops=tuple(stops),
         )
 
     @classmethod
@@ -134,11 +145,12 @@ class HybridLagrangian:
         mass_matrix: ca.SX,
         coriolis: ca.SX,
         gravity: ca.SX,
-        gap: ca.SX,
+        gap: ca.SX | None = None,
         potential: ca.SX | None = None,
         holonomic: ca.SX | None = None,
         applied_force: ca.SX | None = None,
         clock: Clock | None = None,
+        stops: Sequence[Stop] = (),
     ) -> HybridLagrangian:
         r"""Use the matrices of :math:`M(q)\,\dot v + C(q, v)\,v + N(q, v) = F` as given.
 
@@ -157,6 +169,7 @@ class HybridLagrangian:
             holonomic: As for `from_energies`.
             applied_force: As for `from_energies`.
             clock: As for `from_energies`.
+            stops: As for `from_energies`.
 
         Returns:
             The mechanism.
@@ -192,6 +205,7 @@ class HybridLagrangian:
             holonomic=holonomic,
             applied_force=applied_force,
             clock=clock,
+            stops=stops,
         )
         bias = ca.mtimes(coriolis, v) + ca.vec(gravity) - derived.applied_force
         return replace(derived, mass_matrix=mass_matrix, bias=bias)
@@ -200,6 +214,24 @@ class HybridLagrangian:
     def kinetic(self) -> ca.SX:
         r"""Kinetic energy :math:`\tfrac12 v^\top M v` [J]."""
         return ca.dot(self.v, ca.mtimes(self.mass_matrix, self.v)) / 2
+
+
+def _gaps(gap: ca.SX | None, stops: Sequence[Stop]) -> tuple[ca.SX, ...]:
+    """Return the gaps of a mechanism.
+
+    Raises:
+        ValueError: If not exactly one of the two arguments is given.
+    """
+    if (gap is None) == (not stops):
+        raise ValueError("Give either the argument `gap` or the argument `stops`.")
+    for stop in stops:
+        if not ca.SX(stop.gap).is_scalar():
+            shape = ca.SX(stop.gap).shape
+            raise ValueError(
+                f"Argument `gap` of the stop `{stop.name}` must be one formula, but its shape is "
+                f"{shape}."
+            )
+    return (gap,) if gap is not None else tuple(ca.SX(stop.gap) for stop in stops)
 
 
 def _require_shapes(q: ca.SX, **vectors: ca.SX) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import casadi as ca
+import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, any_number, finite_number, named_numbers
@@ -28,6 +29,7 @@ from zeno_orbits.model.quantities import (
     positive,
     require_names,
     require_ranges,
+    require_restitution,
     restitution,
     unknown,
 )
@@ -43,6 +45,7 @@ from zeno_orbits.model.validation import (
 
 if TYPE_CHECKING:
     from zeno_orbits.model.numeric.compiled import CompiledSystem
+    from zeno_orbits.model.numeric.graph_dynamics import CompiledGraph, GraphDynamics
     from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 
 Transform = Callable[[CompletedSystem], CompletedSystem]
@@ -126,6 +129,8 @@ class Problem(Declared):
         require_names(self.state_names, self.state_units, (*self.gains, *self.parameters))
         require_coherent(self.units)
         require_ranges(self.gains, self.parameters, derives=self.derive is not None)
+        if "restitution" in self.names or not self._has_stops():
+            require_restitution(self.parameters)
         _require_states(self)
         for name in self.escapes:
             if name not in self.state_names:
@@ -152,6 +157,34 @@ class Problem(Declared):
 
         vector = values.vector if isinstance(values, ParameterValues) else values
         return bind(_compiled(self, transform), vector)
+
+    def _has_stops(self) -> bool:
+        """Return True if the model can be built and its stops have restitutions of their own."""
+        try:
+            return self.model(self.symbols()).graph is not None
+        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError):
+            return False
+
+    @property
+    def has_graph(self) -> bool:
+        """True for a machine with several stops or with switches. Only `simulate` accepts one."""
+        return _built(self)[0].graph is not None
+
+    def graph_dynamics(self, values: ParameterValues | Sequence[float] | Vector) -> GraphDynamics:
+        """Return the graph of modes of a machine with several stops or switches.
+
+        Args:
+            values: Values of every gain and parameter, or the parameter vector, ``(n_p,)``.
+        """
+        from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics
+
+        vector = values.vector if isinstance(values, ParameterValues) else values
+        return GraphDynamics(_compiled_graph(self), vector)
+
+    @property
+    def clock(self) -> tuple[int, ...]:
+        """Indices of the clock in the state, empty for an unforced problem."""
+        return _built(self)[0].clock
 
     def output_values(self, values: ParameterValues, states: Vector) -> Vector:
         """Return the outputs at states, one column per output, ``(n, n_outputs)``.
@@ -250,11 +283,28 @@ class Problem(Declared):
                 wanted = "must appear in the model or an output"
                 raise InputError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
         starts = [self.state_vector(start) for start in self.starts]
-        dynamics, units = self.dynamics(values), self.state_units
+        units = self.state_units
+        dynamics = self.dynamics(values) if system.graph is None else self._first_stop(values)
         require_sound_numbers(system, symbols, values.vector, dynamics, units, starts)
         for word in self.fidelities:
             self.at_fidelity(word).checked()
         return self
+
+    def _first_stop(self, values: ParameterValues) -> HybridDynamics:
+        """Return the dynamics of the first of several stops, if no two are one.
+
+        Raises:
+            InputError: If two stops are one at a start.
+        """
+        graph = self.graph_dynamics(values)
+        for start in self.starts:
+            equal = graph.equal_stops(np.array(self.state_vector(start)))
+            if equal is not None:
+                raise InputError(
+                    f"Argument `stops` must hold different stops, but `{equal[0]}` and "
+                    f"`{equal[1]}` have the same gap."
+                )
+        return graph.first
 
     def output_formulas(
         self, system: CompletedSystem, symbols: Mapping[str, ca.SX]
@@ -487,6 +537,33 @@ _MOST = 16
 
 
 @lru_cache(maxsize=_MOST)
+def _built(problem: Problem) -> tuple[CompletedSystem, dict[str, ca.SX]]:
+    """Return the completed system of a problem, and the symbols of its parameters."""
+    symbols = problem.symbols()
+    return problem.model(symbols), symbols
+
+
+@lru_cache(maxsize=_MOST)
+def _compiled_graph(problem: Problem) -> CompiledGraph:
+    """Return the functions of a machine with several stops or switches."""
+    from zeno_orbits.model.numeric.graph_dynamics import CompiledGraph
+
+    system, symbols = _built(problem)
+    if system.graph is None:
+        raise InputError(
+            f"Argument `problem` must have several stops or switches, but `{problem.name}` has one "
+            "stop and none."
+        )
+    return CompiledGraph(
+        graph=system.graph,
+        symbols=symbols,
+        state_names=problem.state_names,
+        starts=tuple(problem.state_vector(start) for start in problem.starts),
+        state_units=problem.state_units,
+    )
+
+
+@lru_cache(maxsize=_MOST)
 def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
     """Return the functions of a problem, shared by all parameter values.
 
@@ -495,8 +572,12 @@ def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
     """
     from zeno_orbits.model.numeric.compiled import compile_system
 
-    symbols = problem.symbols()
-    system = problem.model(symbols)
+    system, symbols = _built(problem)
+    if system.graph is not None:
+        raise InputError(
+            f"Argument `problem`: `{problem.name}` has several stops or switches. Only `simulate` "
+            "accepts such a machine in this version."
+        )
     names = problem.state_names
     if transform is not None:
         system = transform(system)

@@ -232,11 +232,11 @@ def require_names(
 def require_ranges(
     gains: Sequence[Quantity], parameters: Sequence[Quantity], *, derives: bool
 ) -> None:
-    """Reject gains without a finite range, parameters without a value, an invalid restitution.
+    """Reject gains without a finite range, and parameters without a value.
 
     Args:
         gains: The gains.
-        parameters: The parameters, including the restitution.
+        parameters: The parameters.
         derives: Whether parameters without a default are derived.
 
     Raises:
@@ -252,6 +252,17 @@ def require_ranges(
         elif not derives:
             wanted = f"must give `{quantity.name}` a default or a `derive`"
             raise InputError(f"Argument `parameters` {wanted}.")
+
+
+def require_restitution(parameters: Sequence[Quantity]) -> None:
+    """Reject parameters without the restitution of one stop, or with an invalid range.
+
+    Args:
+        parameters: The parameters.
+
+    Raises:
+        InputError: If the restitution is missing or may be negative or reach 1.
+    """
     impact = [quantity for quantity in parameters if quantity.name == "restitution"]
     if not impact or impact[0].lower < 0.0 or not _is_below_one(impact[0]):
         wanted = "must hold a `restitution` in [0, 1)"

@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
 from zeno_orbits.integrators import PAYS, Tolerance, flow_eigenvalues, rates_of, staying_rate
-from zeno_orbits.model import USUAL, HybridDynamics, OwnScale
+from zeno_orbits.model import USUAL, GraphDynamics, HybridDynamics, OwnScale
 from zeno_orbits.orbits import at_looser_tolerance
 from zeno_orbits.precision.landmark import ROUNDING, difference, sizes
 from zeno_orbits.simulation import (
@@ -25,6 +25,7 @@ from zeno_orbits.simulation import (
     Impact,
     Release,
     SimulationSettings,
+    SwitchEvent,
     Truncation,
     ZenoPassage,
     ZenoPoint,
@@ -98,7 +99,7 @@ def at_tolerance(
 
 
 def simulate_to(
-    dynamics: HybridDynamics,
+    dynamics: HybridDynamics | GraphDynamics,
     state: Sequence[float] | Vector,
     *,
     until: float,
@@ -157,7 +158,7 @@ def simulate_to(
 
 
 def simulate_with_error(
-    dynamics: HybridDynamics,
+    dynamics: HybridDynamics | GraphDynamics,
     state: Sequence[float] | Vector,
     *,
     until: float,
@@ -236,7 +237,7 @@ def errors_of_zeno_points(
             yield math.inf
 
 
-def _holds(execution: Execution) -> tuple[ZenoPoint | Release, ...]:
+def _holds(execution: Execution) -> tuple[ZenoPoint | Release | SwitchEvent, ...]:
     """Return all events except impacts, because a looser run may resolve fewer impacts."""
     return tuple(event for event in execution.events if not isinstance(event, Impact))
 

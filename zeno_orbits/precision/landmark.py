@@ -13,7 +13,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.kinds import checked
 from zeno_orbits.model import USUAL, OwnScale
-from zeno_orbits.simulation import Event, Execution, Impact, ZenoPoint
+from zeno_orbits.simulation import Event, Execution, Impact, SwitchEvent, ZenoPoint
 
 ROUNDING = 4e-15
 """Relative rounding error per event. Two runs may share it, so it is not visible in a difference.
@@ -32,6 +32,7 @@ class Kind(Enum):
     IMPACT = "impact"
     ZENO = "Zeno point"
     RELEASE = "release"
+    SWITCH = "switch"
     END = "end"
 
 
@@ -121,6 +122,8 @@ def sizes_of(states: Sequence[Sequence[float] | Vector], own: OwnScale = USUAL) 
 def _landmark(event: Event) -> Landmark:
     if isinstance(event, Impact):
         return Landmark(kind=Kind.IMPACT, time=event.time, state=event.state_minus)
+    if isinstance(event, SwitchEvent):
+        return Landmark(kind=Kind.SWITCH, time=event.time, state=event.state)
     kind = Kind.ZENO if isinstance(event, ZenoPoint) else Kind.RELEASE
     return Landmark(kind=kind, time=event.time, state=event.state)
 

@@ -30,7 +30,9 @@ from .execution import Execution as Execution
 from .execution import Impact as Impact
 from .execution import Mode as Mode
 from .execution import Release as Release
+from .execution import SwitchEvent as SwitchEvent
 from .execution import ZenoPoint as ZenoPoint
+from .execution import event_name as event_name
 from .sensitivity import ArcShifts as ArcShifts
 from .sensitivity import EventShift as EventShift
 from .sensitivity import Perturbations as Perturbations

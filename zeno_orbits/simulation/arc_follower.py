@@ -14,6 +14,7 @@ from zeno_orbits.integrators import (
     GuardedFlow,
     Leg,
     Outcome,
+    Passage,
     RungeKutta,
     Tolerance,
     light_value,
@@ -146,7 +147,9 @@ class ArcFollower:
             size = 1 / own.gap_acceleration
         leg = Leg(
             flow=flow,
-            y=start.state if start.speed is None else _launched(start.state, not start.at_rest),
+            y=start.state
+            if start.speed is None
+            else launched(start.state, float(not start.at_rest)),
             horizon=(self.until - start.time) / unit,
             tolerance=self.tolerance.times(_HOP) if start.at_rest else self.tolerance,
             on_guard=on_guard,
@@ -172,6 +175,28 @@ class ArcFollower:
             trajectory=passage.trajectory,
         )
         return arc, passage.state
+
+    def beside(
+        self, flow: GuardedFlow, y: Vector, *, horizon: float, on_guard: bool, rounding: float
+    ) -> Passage:
+        """Follow another guard along an arc that has been followed.
+
+        Args:
+            flow: The flow of the arc, with the other guard.
+            y: State of the flow at the start, ``(n_y,)``.
+            horizon: Duration of the arc, in the flow's own time.
+            on_guard: Whether the start is a root of the guard that does not count.
+            rounding: Rounding level of the guard.
+        """
+        leg = Leg(
+            flow=flow,
+            y=y,
+            horizon=horizon,
+            tolerance=self.tolerance,
+            on_guard=on_guard,
+            rounding=rounding,
+        )
+        return self.engine.follow(leg)
 
     def _watch(self, steps: int, offset: float, y: Vector) -> None:
         """End a leg that takes too long or goes too far."""
@@ -213,7 +238,7 @@ class ArcFollower:
             raise grows_without_end(name, steps, needed, time, y)
 
 
-def _launched(x: Vector, rate: float) -> Vector:
+def launched(x: Vector, rate: float) -> Vector:
     """Return the state of a rescaled flight at its start, ``(x, 0, rate)``."""
     y = np.zeros(x.size + 2)
     y[:-2], y[-1] = x, rate

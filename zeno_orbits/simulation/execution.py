@@ -28,6 +28,7 @@ class Ending(Enum):
     IMPACT = "impact"
     ZENO = "Zeno point"
     RELEASE = "release"
+    SWITCH = "switch"
     HORIZON = "end of the simulation"
 
 
@@ -41,12 +42,14 @@ class Impact(ByValue):
         state_plus: State after it, ``(n_x,)``.
         approach_rate: Gap rate before the impact, negative. It is exact even if the state
             determines it only to rounding.
+        stop: Name of the stop, empty for a machine with one stop.
     """
 
     time: float
     state_minus: Vector
     state_plus: Vector
     approach_rate: float
+    stop: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +65,7 @@ class ZenoPoint(ByValue):
             estimates both errors.
         tail: Time between the last resolved impact and the limit [s].
         last_speed: Gap rate after the last resolved impact.
+        stop: Name of the stop, empty for a machine with one stop.
     """
 
     time: float
@@ -69,6 +73,7 @@ class ZenoPoint(ByValue):
     limit_error: float
     tail: float
     last_speed: float
+    stop: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,13 +83,50 @@ class Release(ByValue):
     Attributes:
         time: Time of the release [s].
         state: State at the release, ``(n_x,)``.
+        stop: Name of the stop, empty for a machine with one stop.
     """
 
     time: float
     state: Vector
+    stop: str = ""
 
 
-Event = Impact | ZenoPoint | Release
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SwitchEvent(ByValue):
+    """A switch: a guard that fell through zero where it is armed, or a kink of a formula.
+
+    Attributes:
+        time: Time of the switch [s].
+        name: Name of the switch.
+        state_minus: State before it, ``(n_x,)``.
+        state_plus: State after it, ``(n_x,)``. At a kink it is the same state.
+    """
+
+    time: float
+    name: str
+    state_minus: Vector
+    state_plus: Vector
+
+    @property
+    def state(self) -> Vector:
+        """The state after the switch."""
+        return self.state_plus
+
+
+Event = Impact | ZenoPoint | Release | SwitchEvent
+
+
+def event_name(event: Event) -> str:
+    """Return the name of an event, with the name of its stop or switch if it has one.
+
+    Args:
+        event: The event.
+    """
+    if isinstance(event, SwitchEvent):
+        return f"switch {event.name}"
+    words = {Impact: "impact", ZenoPoint: "Zeno point", Release: "release"}
+    return f"{words[type(event)]} {event.stop}".rstrip()
+
 
 _AT_ONCE = 1e-6
 """A release earlier than this part of a period belongs to the start of the execution."""
@@ -104,6 +146,7 @@ class Arc(ByValue):
         impact_index: Number of previous resolved impacts, the `j` of hybrid time ``(t, j)``.
         time_unit: Length of one unit of the flow's own time [s]: the impact speed in a rescaled
             flight (theory (14)), else 1.
+        closed: Names of the closed stops, empty for a machine with one stop.
         trajectory: The flow along the arc. For the tail of an impact sequence it is the curve of
             the impacts if that curve was followed, else ``None``. Then the state is interpolated.
     """
@@ -117,6 +160,7 @@ class Arc(ByValue):
     impact_index: int
     time_unit: float
     trajectory: Trajectory | None = field(repr=False, compare=False)
+    closed: tuple[str, ...] = ()
 
     def state_at(self, time: float) -> Vector:
         """Return the state at a time inside the arc, to the accuracy of the integration.
@@ -193,7 +237,7 @@ class Execution(Displayed):
     Attributes:
         state_names: Name of each state.
         arcs: Arcs in order of time, without a break.
-        events: Impacts, Zeno points and releases in order of time.
+        events: Impacts, Zeno points, releases and switches in order of time.
         own: Sizes of the problem's numbers.
     """
 
@@ -225,11 +269,10 @@ class Execution(Displayed):
 
     def _shown_columns(self) -> Columns:
         """Return the events."""
-        words = {Impact: "impact", ZenoPoint: "Zeno point", Release: "release"}
         after = [e.state_plus if isinstance(e, Impact) else e.state for e in self.events]
         return {
             "time": [event.time for event in self.events],
-            "event": [words[type(event)] for event in self.events],
+            "event": [event_name(event) for event in self.events],
             **{name: [float(x[k]) for x in after] for k, name in enumerate(self.state_names)},
         }
 
@@ -252,6 +295,11 @@ class Execution(Displayed):
     def zeno_points(self) -> tuple[ZenoPoint, ...]:
         """The Zeno points."""
         return tuple(event for event in self.events if isinstance(event, ZenoPoint))
+
+    @property
+    def switches(self) -> tuple[SwitchEvent, ...]:
+        """The switches."""
+        return tuple(event for event in self.events if isinstance(event, SwitchEvent))
 
     @property
     def releases(self) -> tuple[Release, ...]:

@@ -8,6 +8,8 @@ from zeno_orbits.errors import (
     PenetrationError,
     RunawayError,
     SimulationError,
+    SimultaneousEventsError,
+    SlidingError,
     counted,
 )
 
@@ -112,6 +114,100 @@ def does_not_accumulate(most: int, time: float, state: Vector) -> ChatterError:
     """
     return ChatterError(
         f"More than {most} impacts came without a Zeno point",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def coincide(first: str, second: str, time: float, state: Vector) -> SimultaneousEventsError:
+    """Return the error of two events at one time.
+
+    Args:
+        first: Name of one event.
+        second: Name of the other event.
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return SimultaneousEventsError(
+        f"Two events coincide to rounding: {first} and {second}",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def accumulate_together(stop: str, other: str, time: float, state: Vector) -> SimulationError:
+    """Return the error of impacts that accumulate while another event occurs in every flight.
+
+    Args:
+        stop: Name of the stop.
+        other: The other event, as a clause.
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return SimultaneousEventsError(
+        f"Impacts accumulate on the stop `{stop}`, and {other} in every flight",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def undetermined_contact(names: str, time: float, state: Vector) -> SimultaneousEventsError:
+    """Return the error of stops whose contact the laws do not determine.
+
+    Args:
+        names: Names of the stops.
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return SimultaneousEventsError(
+        f"The contact of the stops {names} is not determined: no set, or more than one set of "
+        "closed stops fulfils the laws",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def slides(switch: str, time: float, state: Vector) -> SlidingError:
+    """Return the error of a motion that slides along a switch.
+
+    Args:
+        switch: Name of the switch.
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return SlidingError(
+        f"The motion slides along the switch `{switch}`: the flows on both sides point to it",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def enters_by_switch(switch: str, stop: str, time: float, state: Vector) -> PenetrationError:
+    """Return the error of a switch whose reset sends the state into a stop.
+
+    Args:
+        switch: Name of the switch.
+        stop: Name of the stop.
+        time: When [s].
+        state: State after the reset, ``(n_x,)``.
+    """
+    return PenetrationError(
+        f"The reset of the switch `{switch}` sends the state into the stop `{stop}`",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def armed_at_start(switch: str, time: float, state: Vector) -> SimulationError:
+    """Return the error of a switch that is armed where its own reset puts the state.
+
+    Args:
+        switch: Name of the switch.
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return SimulationError(
+        f"The switch `{switch}` is armed at its own start: its guard is zero and falls",
         time=time,
         state=tuple(state.tolist()),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, cast
@@ -250,12 +250,17 @@ def _resting(system: CompletedSystem) -> tuple[ca.SX, ca.SX, ca.SX]:
     return resting, acceleration, locked
 
 
-def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDynamics:
+def bind(
+    compiled: CompiledSystem,
+    values: Sequence[float] | Vector,
+    scale: Callable[[], OwnScale] | None = None,
+) -> HybridDynamics:
     """Return the system at fixed values of gains and parameters.
 
     Args:
         compiled: The functions.
         values: Parameter vector ``p``, gains then parameters.
+        scale: Function that returns the characteristic scales, by default those at the starts.
     """
     p = np.array(values, dtype=np.float64)
     contact = Call(compiled.contact, p)
@@ -308,6 +313,8 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
 
     @lru_cache(maxsize=1)
     def scaling() -> OwnScale:
+        if scale is not None:
+            return scale()
         if not compiled.starts:
             return USUAL
         return own_scale(

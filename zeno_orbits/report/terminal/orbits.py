@@ -92,8 +92,14 @@ def print_execution(
         counted(len(execution.impacts), "resolved impact"),
         counted(len(execution.zeno_points), "Zeno point"),
         counted(len(execution.releases), "release"),
+        *(
+            [f"{len(execution.switches)} switch{'es' if len(execution.switches) > 1 else ''}"]
+            if execution.switches
+            else []
+        ),
     )
-    last = execution.arcs[-1].mode.value
+    closed = execution.arcs[-1].closed
+    last = f"locked at {', '.join(closed)}" if closed else execution.arcs[-1].mode.value
     print_lines([f"{', '.join(counts)} in {execution.end_time:g} s. The last arc is {last}."])
 
 
@@ -101,7 +107,10 @@ def _one_line_per_sequence(events: Sequence[Event]) -> list[_Line]:
     """Return the events, with one entry for the later impacts before a Zeno point."""
     from zeno_orbits.simulation import Impact, ZenoPoint
 
-    groups = [list(group) for _, group in groupby(events, lambda one: isinstance(one, Impact))]
+    def key(event: Event) -> str | None:
+        return event.stop if isinstance(event, Impact) else None
+
+    groups = [list(group) for _, group in groupby(events, key)]
     lines: list[_Line] = []
     for group, after in zip(groups, [*groups, None][1:], strict=True):
         ends = after is not None and isinstance(after[0], ZenoPoint)
@@ -128,7 +137,7 @@ def _moving(problem: Problem, events: Sequence[Event]) -> list[str]:
         return []
     states = np.array([_state_at(event) for event in events])
     rates = np.array([one.approach_rate if isinstance(one, Impact) else 0.0 for one in events])
-    n_timeless = len(problem.state_names) - (2 if problem.compiled().clock else 0)
+    n_timeless = len(problem.state_names) - (2 if problem.clock else 0)
     found: list[str] = []
     for k, name in enumerate(problem.state_names[:n_timeless]):
         size = _STILL * (1.0 + float(np.max(np.abs(states[:, k]))))
@@ -140,23 +149,21 @@ def _moving(problem: Problem, events: Sequence[Event]) -> list[str]:
 
 def _event_name(line: _Line, errors: Mapping[int, float]) -> str:
     """Return the name of an event, with the error of a Zeno point."""
-    from zeno_orbits.simulation import Impact, ZenoPoint
+    from zeno_orbits.simulation import ZenoPoint, event_name
 
     if isinstance(line, _Skipped):
         return f"{line.count} more impacts"
-    if isinstance(line, Impact):
-        return "impact"
     if not isinstance(line, ZenoPoint):
-        return "release"
+        return event_name(line)
     error = errors.get(id(line), math.inf)
-    return f"Zeno point +- {error:.0e}" if math.isfinite(error) else "Zeno point +- ?"
+    return f"{event_name(line)} +- {f'{error:.0e}' if math.isfinite(error) else '?'}"
 
 
 def _state_at(event: Event) -> Vector:
-    """Return the state at an event, at an impact just before it, ``(n_x,)``."""
-    from zeno_orbits.simulation import Impact
+    """Return the state at an event, at an impact or switch just before it, ``(n_x,)``."""
+    from zeno_orbits.simulation import Impact, SwitchEvent
 
-    return event.state_minus if isinstance(event, Impact) else event.state
+    return event.state_minus if isinstance(event, Impact | SwitchEvent) else event.state
 
 
 def _approach_rate(event: Event) -> str:

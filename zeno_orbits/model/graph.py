@@ -1,0 +1,266 @@
+r"""A graph of modes: a machine with several stops, switches, or kinks in its formulas.
+
+A mode is a set `S` of closed stops and a branch of every kink. Its flow is smooth. It is the free
+flow of the mechanism with the closed stops as holonomic constraints, with the inverse mass
+
+.. math:: W_S = W - W J_S^\top (J_S W J_S^\top)^{-1} J_S W
+
+For every other stop `k` the pair ``(S, k)`` is a completed system with one stop: its free flow is
+the flow of `S`, its locked flow the flow of :math:`S \cup \{k\}`, its multiplier the multiplier of
+`k` in that mode. A graph of modes is made of these systems, theory (5)-(9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TypeVar
+
+import casadi as ca
+
+from zeno_orbits.model.auxiliary import Auxiliary
+from zeno_orbits.model.circuits import Drive
+from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
+from zeno_orbits.model.kinks import Branched, branched
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.stops import Stop, Switch, require_event_names
+
+_Part = TypeVar("_Part", HybridLagrangian, Drive)
+
+GraphMode = tuple[tuple[int, ...], tuple[bool, ...]]
+"""A mode: the indices of its closed stops in increasing order, and the side of every kink."""
+
+_Branch = tuple[HybridLagrangian, Drive, tuple[ca.SX, ...]]
+"""Mechanism, drive and conditions on a branch of the kinks."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeGraph:
+    r"""The modes and events of a machine, in symbols.
+
+    Attributes:
+        mechanism: The mechanism.
+        drive: Its drive.
+        stops: Its stops.
+        switches: The declared switches.
+        conditions: The conditions of the kinks of its formulas, whose zeros are switches.
+        delassus: Delassus matrix :math:`J W J^\top` of all stops.
+        resets: State after every declared switch, ``(n_x,)``.
+        state: ``(q, v, states of the drive, clock)``.
+    """
+
+    mechanism: HybridLagrangian
+    drive: Drive
+    stops: tuple[Stop, ...]
+    switches: tuple[Switch, ...]
+    conditions: tuple[ca.SX, ...]
+    delassus: ca.SX
+    resets: tuple[ca.SX, ...]
+    state: ca.SX
+    _branches: dict[tuple[bool, ...], _Branch] = field(
+        default_factory=dict["tuple[bool, ...]", "_Branch"], compare=False, repr=False
+    )
+
+    @property
+    def switch_names(self) -> tuple[str, ...]:
+        """Names of the declared switches, then of the kinks."""
+        kinks = (f"kink {k}" for k in range(1, len(self.conditions) + 1))
+        return (*(switch.name for switch in self.switches), *kinks)
+
+    def one_stop(self, mode: GraphMode, stop: int) -> CompletedSystem:
+        """Return the completed system of an open stop in a mode.
+
+        Args:
+            mode: The mode, whose closed stops are constraints.
+            stop: Index of the stop.
+        """
+        closed, sides = mode
+        mechanism, drive, _ = self._on_branch(sides)
+        shut = ca.vertcat(mechanism.holonomic, *(self.stops[k].gap for k in closed))
+        restitution = ca.SX(self.stops[stop].restitution)
+        one = replace(mechanism, gap=self.stops[stop].gap, holonomic=shut)
+        return completed(one, drive, restitution)
+
+    def guard(self, mode: GraphMode, switch: int) -> tuple[ca.SX, ca.SX]:
+        """Return the guard of a switch in a mode, and the flow of the mode, ``(n_x,)``.
+
+        Args:
+            mode: The mode.
+            switch: Index of a declared switch, or of a kink after these.
+        """
+        closed, sides = mode
+        flow = self.one_stop(mode, self._any_open(closed)).free_flow
+        if len(closed) == len(self.stops):
+            flow = self.one_stop((closed[:-1], sides), closed[-1]).locked_flow
+        declared = len(self.switches)
+        if switch < declared:
+            return ca.SX(self.switches[switch].guard), flow
+        return self._on_branch(sides)[2][switch - declared], flow
+
+    def _any_open(self, closed: Sequence[int]) -> int:
+        return next((k for k in range(len(self.stops)) if k not in closed), 0)
+
+    def _on_branch(self, sides: tuple[bool, ...]) -> _Branch:
+        """Return mechanism, drive and conditions on a branch of the kinks."""
+        if sides not in self._branches:
+            mechanism, found = _smooth(self.mechanism, self.state, sides, after=self.drive)
+            drive, _ = _smooth(self.drive, self.state, sides, before=self.mechanism)
+            self._branches[sides] = mechanism, drive, found.smooth
+        return self._branches[sides]
+
+
+def complete(
+    lagrangian: HybridLagrangian,
+    drive: Drive | Auxiliary | Sequence[Drive | Auxiliary],
+    restitution: ca.SX | float | None = None,
+    *,
+    switches: Sequence[Switch] | None = None,
+) -> CompletedSystem:
+    r"""Build the completed hybrid system of a mechanism, its drive, its stops and its switches.
+
+    Let :math:`W` be the inverse mass on the holonomic constraints (theory (6)) and
+    :math:`J = \partial h / \partial q`. Then
+
+    .. math:: \lambda = -\ddot h_\mathrm{free} / (J W J^\top),\qquad
+        v^+ = v^- - (1 + e)\,\frac{J v^-}{J W J^\top}\,W J^\top
+
+    Args:
+        lagrangian: The mechanism, with one gap or with ``stops``.
+        drive: Drive or additional states, or a tuple of several. Their states follow in order.
+        restitution: Coefficient of restitution :math:`e` of the one gap, a symbol or a number in
+            [0, 1). The ``stops`` of a mechanism have their own.
+        switches: Switches of the machine. A tuple, even an empty one, makes every kink of a formula
+            (``fmin``, ``fmax``, ``fabs``, ``sign``, ``if_else``) a switch without a reset.
+
+    Returns:
+        The completed system. With ``stops`` or ``switches`` it is the first stop's, and its
+        ``graph`` holds all modes.
+
+    Raises:
+        ValueError: If the restitution is missing or given twice, if a corrected drive would make it
+            depend on the state, if drives share a state, if an impact with zero speed would change
+            additional states, or if a stop or switch is invalid.
+
+    Source: [Moreau1988]_ for the impact law, theory (6)-(9), and (20) for a corrected drive.
+    """
+    if not lagrangian.stops:
+        if restitution is None:
+            raise ValueError("Argument `restitution` is missing.")
+        one = completed(lagrangian, drive, ca.SX(restitution))
+        if switches is None:
+            return one
+        stops = (Stop(name="stop", gap=lagrangian.gap, restitution=restitution),)
+    else:
+        if restitution is not None:
+            raise ValueError("Argument `restitution` must be left out: every stop has its own.")
+        stops = lagrangian.stops
+        one = completed(lagrangian, drive, ca.SX(stops[0].restitution))
+    return replace(one, graph=_graph(one, stops, tuple(switches or ())))
+
+
+def _graph(
+    one: CompletedSystem, stops: tuple[Stop, ...], switches: tuple[Switch, ...]
+) -> ModeGraph:
+    """Return the graph of modes of a machine.
+
+    Raises:
+        ValueError: If a stop or a switch is invalid.
+    """
+    mechanism, drive = one.mechanism, one.drive
+    if len(stops) > 1 and drive.after_impact is not None:
+        raise ValueError(
+            "Argument `after_impact` must be left out of a machine with several stops."
+        )
+    if drive.added_inertia.nnz():
+        raise ValueError(
+            "Argument `drive` must not be a corrected drive in a machine with several stops or "
+            "switches: use `full_drive`."
+        )
+    normals = ca.jacobian(ca.vertcat(*(stop.gap for stop in stops)), mechanism.q)
+    inverse_mass, _ = accelerate(mechanism, ca.SX.zeros(one.n_q))
+    _, found = _smooth(mechanism, one.state, (), after=drive)
+    bare = ModeGraph(
+        mechanism=mechanism,
+        drive=drive,
+        stops=stops,
+        switches=switches,
+        conditions=found.conditions,
+        delassus=ca.mtimes([normals, inverse_mass, normals.T]),
+        resets=tuple(_reset(one, switch) for switch in switches),
+        state=one.state,
+    )
+    require_event_names([*(stop.name for stop in stops), *bare.switch_names])
+    return bare
+
+
+def _reset(one: CompletedSystem, switch: Switch) -> ca.SX:
+    """Return the state after a switch.
+
+    Raises:
+        ValueError: If the guard is not a formula of the state, or a reset changes the number of
+            states.
+    """
+    if not ca.depends_on(ca.SX(switch.guard), one.state):
+        raise ValueError(
+            f"Argument `guard` of the switch `{switch.name}` must depend on the state, but it is "
+            "constant."
+        )
+    if branched([ca.SX(switch.guard)], one.state).conditions:
+        raise ValueError(
+            f"Argument `guard` of the switch `{switch.name}` must be smooth, but it holds a kink."
+        )
+    n_q, n_drive = one.n_q, one.drive.states.numel()
+    parts: list[ca.SX] = []
+    first = 0
+    for name, n in (("q_after", n_q), ("v_after", n_q), ("others_after", n_drive)):
+        given = getattr(switch, name)
+        after = one.state[first : first + n] if given is None else ca.vec(ca.SX(given))
+        if after.numel() != n:
+            raise ValueError(
+                f"Argument `{name}` of the switch `{switch.name}` must have {n} entries, but it "
+                f"has {after.numel()}."
+            )
+        parts.append(after)
+        first += n
+    return ca.vertcat(*parts, one.state[first:])
+
+
+def _formulas_of(part: HybridLagrangian | Drive) -> dict[str, ca.SX]:
+    """Return the formulas of a mechanism or drive by name, without its symbols."""
+    symbols = ("q", "v", "states")
+    formulas = {one.name: getattr(part, one.name) for one in fields(part)}
+    return {
+        name: formula
+        for name, formula in formulas.items()
+        if isinstance(formula, ca.SX) and name not in symbols
+    }
+
+
+def _smooth(
+    part: _Part,
+    state: ca.SX,
+    sides: Sequence[bool],
+    *,
+    before: HybridLagrangian | None = None,
+    after: Drive | None = None,
+) -> tuple[_Part, Branched]:
+    """Return a mechanism or drive on a branch, with the kinks of both in one order.
+
+    Raises:
+        ValueError: If a gap, a constraint or the mass matrix has a kink.
+    """
+    own = _formulas_of(part)
+    formulas = [
+        *(() if before is None else _formulas_of(before).values()),
+        *own.values(),
+        *(() if after is None else _formulas_of(after).values()),
+    ]
+    found = branched(formulas, state, sides)
+    first = 0 if before is None else len(_formulas_of(before))
+    smooth = dict(zip(own, found.formulas[first : first + len(own)], strict=True))
+    for name in ("gap", "holonomic", "mass_matrix"):
+        if name in own and branched([own[name]], state).conditions:
+            raise ValueError(
+                f"Argument `{name}` must be smooth, but it holds a kink: declare two stops instead."
+            )
+    return replace(part, **smooth), found

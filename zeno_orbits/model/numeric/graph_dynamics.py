@@ -1,0 +1,211 @@
+"""A graph of modes at fixed parameter values: a system with one stop for every mode and open stop.
+
+The functions of a mode are built when a motion enters it. They are shared by all parameter values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import combinations
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.model.graph import GraphMode, ModeGraph
+from zeno_orbits.model.numeric.calls import Call
+from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compile_system
+from zeno_orbits.model.numeric.compiled_flow import (
+    CompiledFlow,
+    ModeFunctions,
+    dense_function,
+    mode_functions,
+)
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.scale import OwnScale
+
+_ZERO = 1e-12
+"""Part of a switch's size below which its guard counts as zero."""
+_EQUAL = 1e-9
+"""Relative difference below which two stops are one."""
+
+
+_Stop = tuple[GraphMode, int]
+_Side = tuple[GraphMode, int, bool]
+"""An open stop of a mode, and a side of a switch in a mode."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompiledGraph:
+    """The functions of a graph of modes in ``(x, p)``.
+
+    Attributes:
+        graph: The graph in symbols.
+        symbols: Named parameters, in the order of ``p``.
+        state_names: Name of each state.
+        starts: Initial states of the problem, each ``(n_x,)``.
+        state_units: Units of the states.
+    """
+
+    graph: ModeGraph
+    symbols: Mapping[str, ca.SX]
+    state_names: tuple[str, ...]
+    starts: tuple[tuple[float, ...], ...]
+    state_units: tuple[str, ...]
+    _systems: dict[_Stop, CompiledSystem] = field(
+        default_factory=dict["_Stop", CompiledSystem], repr=False
+    )
+    _guards: dict[_Side, ModeFunctions] = field(
+        default_factory=dict["_Side", ModeFunctions], repr=False
+    )
+
+    def system(self, mode: GraphMode, stop: int) -> CompiledSystem:
+        """Return the functions of a stop that is open in a mode."""
+        key = (mode, stop)
+        if key not in self._systems:
+            one = self.graph.one_stop(mode, stop)
+            made = compile_system(one, self.symbols, self.state_names)
+            self._systems[key] = replace(made, starts=self.starts, state_units=self.state_units)
+        return self._systems[key]
+
+    def guard(self, mode: GraphMode, switch: int, above: bool) -> ModeFunctions:
+        """Return the flow of a mode with a switch's guard, or its negative, as the guard.
+
+        Args:
+            mode: The mode.
+            switch: Index of the switch.
+            above: True for the guard, False for its negative.
+        """
+        key = (mode, switch, above)
+        if key not in self._guards:
+            value, flow = self.graph.guard(mode, switch)
+            state = self.graph.state
+            value = value if above else -value
+            rate = ca.jtimes(value, state, flow)
+            watched = ca.vertcat(value, rate, ca.jtimes(rate, state, flow))
+            self._guards[key] = mode_functions(
+                f"switch{switch}", state, self._parameters, flow, watched[:2], watched=watched
+            )
+        return self._guards[key]
+
+    @cached_property
+    def switches(self) -> ca.Function:
+        """``(x, p) -> (guards of all switches, sizes of the guards, formulas `armed`)``."""
+        graph = self.graph
+        guards = ca.vertcat(*(ca.SX(one.guard) for one in graph.switches), *graph.conditions)
+        armed = ca.vertcat(*(ca.SX(one.armed) for one in graph.switches))
+        size = ca.SX.sym("size", graph.state.numel())
+        slopes = ca.fabs(ca.jacobian(guards, graph.state))
+        inputs = [graph.state, self._parameters, size]
+        return dense_function("switches", inputs, [guards, ca.mtimes(slopes, size), armed])
+
+    @cached_property
+    def delassus(self) -> ca.Function:
+        """``(x, p) -> J W J^T`` of all stops."""
+        return dense_function(
+            "delassus", [self.graph.state, self._parameters], [self.graph.delassus]
+        )
+
+    @cached_property
+    def resets(self) -> tuple[ca.Function, ...]:
+        """``(x, p) -> x`` after every declared switch."""
+        inputs = [self.graph.state, self._parameters]
+        return tuple(dense_function("reset", inputs, [one]) for one in self.graph.resets)
+
+    @property
+    def _parameters(self) -> ca.SX:
+        return ca.vertcat(*self.symbols.values())
+
+
+class GraphDynamics:
+    """A graph of modes as numeric functions of the state ``x``, ``(n_x,)``."""
+
+    def __init__(self, compiled: CompiledGraph, values: Sequence[float] | Vector) -> None:
+        """Bind the functions to parameter values.
+
+        Args:
+            compiled: The functions.
+            values: Parameter vector, gains then parameters.
+        """
+        self.compiled = compiled
+        self.p = np.array(values, dtype=np.float64)
+        self.state_names = compiled.state_names
+        graph = compiled.graph
+        self.stop_names = tuple(stop.name for stop in graph.stops)
+        self.switch_names = graph.switch_names
+        self.n_declared = len(graph.switches)
+        self._views: dict[tuple[GraphMode, int], HybridDynamics] = {}
+        self._flows: dict[tuple[GraphMode, int, bool], CompiledFlow] = {}
+        self._delassus = Call(compiled.delassus, self.p)
+        self._resets = [Call(one, self.p) for one in compiled.resets]
+        self._open: GraphMode = ((), (True,) * len(graph.conditions))
+
+    @property
+    def n_q(self) -> int:
+        """Number of coordinates."""
+        return self.compiled.graph.mechanism.q.numel()
+
+    @property
+    def first(self) -> HybridDynamics:
+        """The system of the first stop, with the other stops open."""
+        return self.view(self._open, 0)
+
+    @property
+    def own(self) -> OwnScale:
+        """Characteristic scales, with the gap of the first stop."""
+        return self.first.own
+
+    def view(self, mode: GraphMode, stop: int) -> HybridDynamics:
+        """Return the system of a stop that is open in a mode, as a system with one stop.
+
+        Args:
+            mode: The mode.
+            stop: Index of the stop.
+        """
+        key = (mode, stop)
+        if key not in self._views:
+            system = self.compiled.system(mode, stop)
+            base = None if mode == self._open else partial(self._scale, stop)
+            self._views[key] = bind(system, self.p, base)
+        return self._views[key]
+
+    def _scale(self, stop: int) -> OwnScale:
+        return self.view(self._open, stop).own
+
+    def guard_flow(self, mode: GraphMode, switch: int, above: bool) -> CompiledFlow:
+        """Return the flow of a mode, with the guard of a switch on one side of it."""
+        key = (mode, switch, above)
+        if key not in self._flows:
+            self._flows[key] = CompiledFlow(self.compiled.guard(mode, switch, above), self.p)
+        return self._flows[key]
+
+    def guards(self, x: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return the guards of all switches, their rounding levels, and the formulas `armed`."""
+        if not self.switch_names:
+            return np.zeros(0), np.zeros(0), np.zeros(0)
+        size = self.own.states(x.size) + np.abs(x)
+        found = self.compiled.switches(x, self.p, size)
+        guards, sizes, armed = (np.array(one.full()).ravel() for one in found)
+        return guards, _ZERO * sizes, armed
+
+    def after_switch(self, switch: int, x: Vector) -> Vector:
+        """Return the state after a declared switch, ``(n_x,)``."""
+        return self._resets[switch](x).copy()
+
+    def delassus(self, x: Vector) -> Vector:
+        r"""Return :math:`J W J^\top` of all stops, ``(n_stops, n_stops)``."""
+        n = len(self.stop_names)
+        return self._delassus(x).copy().reshape(n, n)
+
+    def equal_stops(self, x: Vector) -> tuple[str, str] | None:
+        """Return two stops that are one at a state: equal gaps that the same motion closes."""
+        matrix = self.delassus(x)
+        for j, k in combinations(range(len(self.stop_names)), 2):
+            first, second = self.view(self._open, j), self.view(self._open, k)
+            same_gap = abs(first.gap(x) - second.gap(x)) <= _EQUAL * first.own.gap
+            product = float(matrix[j, j] * matrix[k, k])
+            if same_gap and float(matrix[j, k]) > (1 - _EQUAL) * np.sqrt(product):
+                return self.stop_names[j], self.stop_names[k]
+        return None

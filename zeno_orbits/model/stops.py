@@ -1,0 +1,63 @@
+"""Stops and switches: the events of a machine, as a model declares them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stop:
+    r"""A unilateral constraint :math:`h(q) \ge 0` with Newton's law of impact.
+
+    Attributes:
+        name: Name of the stop in events, tables and messages.
+        gap: :math:`h(q)`, scalar.
+        restitution: Coefficient of restitution :math:`e` in [0, 1), a symbol or a number.
+    """
+
+    name: str
+    gap: ca.SX
+    restitution: ca.SX | float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Switch:
+    r"""An event without a stop: a guard that falls through zero while the switch is armed.
+
+    A formula after the event that is not given leaves its states unchanged.
+
+    Attributes:
+        name: Name of the switch in events, tables and messages.
+        guard: :math:`g`, a formula of the state and the clock.
+        armed: The guard's zero is an event only where this formula is positive, by default always.
+        q_after: Coordinates just after the event, ``(n_q,)``.
+        v_after: Velocities just after it, ``(n_q,)``.
+        others_after: States of the drive just after it, without the clock.
+    """
+
+    name: str
+    guard: ca.SX
+    armed: ca.SX | float = 1.0
+    q_after: ca.SX | None = None
+    v_after: ca.SX | None = None
+    others_after: ca.SX | None = None
+
+
+def require_event_names(names: list[str]) -> None:
+    """Refuse an empty name, and two events of one name.
+
+    Args:
+        names: Names of all stops and switches.
+
+    Raises:
+        ValueError: If a name is empty or occurs twice.
+    """
+    for k, name in enumerate(names):
+        if not name.strip():
+            raise ValueError("Argument `name` must name the stop or switch, but it is empty.")
+        if name in names[:k]:
+            raise ValueError(
+                f"Argument `name` must differ for all stops and switches, but two are `{name}`."
+            )

@@ -1,0 +1,632 @@
+r"""An execution over a graph of modes: several stops, switches and kinks.
+
+A run looks at one stop at a time, as at the stop of a machine with one stop. The stops that are
+closed beside it are constraints of both its flows. Every arc is followed once for each guard: the
+gaps of the open stops, the multipliers of the closed stops, and the switches. The earliest zero
+ends the arc.
+
+While a set `S` of stops is closed, an impact on the stop `k` has the impulses :math:`p` of `k` and
+:math:`\Lambda \ge 0` of `S` with
+
+.. math:: G_{SS}\,\Lambda + G_{Sk}\,p \ge 0,\qquad \Lambda \perp (G_{SS}\,\Lambda + G_{Sk}\,p),
+    \qquad G = J W J^\top
+
+A stop whose impulse would be negative opens. `G` is positive definite, so there is one solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from itertools import combinations
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.integrators import GuardedFlow, Outcome, Passage
+from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
+from zeno_orbits.simulation.admission import require_admissible
+from zeno_orbits.simulation.arc_follower import ArcStart, launched
+from zeno_orbits.simulation.event_rules import stop_holds
+from zeno_orbits.simulation.execution import (
+    Arc,
+    Ending,
+    Execution,
+    Impact,
+    Mode,
+    Release,
+    SwitchEvent,
+)
+from zeno_orbits.simulation.interruptions import (
+    accumulate_together,
+    armed_at_start,
+    coincide,
+    does_not_accumulate,
+    enters_by_switch,
+    leaves_set,
+    slides,
+    undetermined_contact,
+)
+from zeno_orbits.simulation.reference_run import ImpactSequence, ReferenceRun, is_slack
+from zeno_orbits.simulation.zeno_limit import ZenoLimit
+
+_WAS_CLOSED = 1e-9
+"""Relative threshold below which a stop that was closed still has zero gap and gap rate."""
+_APART = 1e-11
+"""Times of two events differ at least by this part of the problem's time."""
+_CONTINUOUS = 1e-6
+"""Relative difference of gap accelerations on both sides of a kink, below which it is continuous.
+"""
+_ACCUMULATED = 1e-3
+"""Part of the first speed of a sequence below which its impacts accumulate."""
+
+
+class _Kind(Enum):
+    """Kinds of guards."""
+
+    GAP = "impact"
+    MULTIPLIER = "release"
+    SWITCH = "switch"
+
+
+@dataclass(frozen=True, slots=True)
+class _Guard:
+    """A guard beside the guard of the stop that a run looks at.
+
+    Attributes:
+        kind: Its kind.
+        index: Index of the stop or switch.
+        flow: The flow of the mode with this guard.
+        y: Start of the flow.
+        unit: Length of one unit of the flow's own time [s].
+        on_guard: Whether the start is a root that does not count.
+        rounding: Rounding level of the guard.
+    """
+
+    kind: _Kind
+    index: int
+    flow: GuardedFlow
+    y: Vector
+    unit: float
+    on_guard: bool
+    rounding: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Interruption:
+    """An event that ends an arc before the event of the stop that a run looks at.
+
+    Attributes:
+        guard: The guard that fell.
+        passage: The flow up to its zero, or ``None`` if the arc began on the wrong side of it.
+    """
+
+    guard: _Guard
+    passage: Passage | None
+
+
+@dataclass(slots=True, kw_only=True)
+class GraphRun(ReferenceRun):
+    """A running execution over a graph of modes.
+
+    Attributes:
+        graph: The graph.
+        rest: The closed stops beside the stop that the run looks at.
+        focus: The stop that the run looks at.
+        sides: Side of every kink, True where its condition is positive.
+        above: For each declared switch, whether its guard is positive.
+        interruption: The event that ended the present arc early.
+        current: The sequence of impacts that a kink may have split.
+        split_by: The kinks that split flights of that sequence.
+        flipped: Time and switch of the last start on the wrong side of a switch.
+        n_switches: Number of switches so far.
+    """
+
+    graph: GraphDynamics
+    rest: tuple[int, ...] = ()
+    focus: int = 0
+    sides: tuple[bool, ...] = ()
+    above: tuple[bool, ...] = ()
+    interruption: _Interruption | None = None
+    current: ImpactSequence | None = None
+    split_by: set[int] = field(default_factory=set[int])
+    flipped: tuple[float, int] | None = None
+    n_switches: int = 0
+
+    def execution(self) -> Execution:
+        """Return the execution so far."""
+        return replace(ReferenceRun.execution(self), own=self.graph.own)
+
+    def admitted(self, x: Vector, *, checked: bool = True) -> ArcStart | None:
+        """Return the first start.
+
+        Raises:
+            InputError: If the state is not admissible. The message contains the reason.
+        """
+        if checked:
+            require_admissible(self.graph.first, x, np.inf)
+        self.sides = (True,) * (len(self.graph.switch_names) - self.graph.n_declared)
+        self._take_sides(x)
+        self._look((), 0)
+        for k, name in enumerate(self.graph.stop_names):
+            view = self._view((), k)
+            gap = view.gap(x)
+            if gap < -self.settings.contact * view.own.gap:
+                raise InputError(
+                    f"Argument `state` must have a gap >= 0 at the stop `{name}`, but it is "
+                    f"{gap:.6g}."
+                )
+        return self._placed(0.0, x, ())
+
+    # What the reference asks of a run that has more than one stop.
+
+    @property
+    def place(self) -> object:
+        """The stop of the impacts of a sequence, and the stops closed beside it."""
+        return self.rest, self.focus
+
+    def sequence(self) -> ImpactSequence:
+        """Return the sequence that begins, or goes on after a kink split one of its flights."""
+        if self.current is None or self.current.place != self.place:
+            self.current, self.split_by = ReferenceRun.sequence(self), set()
+        return self.current
+
+    def on_stop(self, time: float, x: Vector) -> ArcStart:
+        """Return the mode that holds on the stop at zero gap rate."""
+        after = ReferenceRun.on_stop(self, time, x)
+        if after.mode is Mode.FREE:
+            self.current = None
+        return after
+
+    def reach(self, limit: ZenoLimit, last: Impact, last_speed: float) -> None:
+        """Record a Zeno point."""
+        n_arcs = len(self.arcs)
+        ReferenceRun.reach(self, limit, last, last_speed)
+        if len(self.arcs) > n_arcs:
+            self.arcs[-1] = self._named(self.arcs[-1], self.rest)
+        self.current = None
+
+    def reaches(self, arc: Arc, natural: Ending) -> bool:
+        """Return True if an arc ended at the event of the stop that the run looks at."""
+        return self.interruption is None and arc.ending is natural
+
+    def follow_arc(
+        self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
+    ) -> tuple[Arc, Vector]:
+        """Return the next arc, to the earliest event, and the last state of the flow itself."""
+        arc, end = ReferenceRun.follow_arc(self, start, flow, natural, on_guard=on_guard)
+        closed = self._closed(start)
+        guards = list(self._guards(start, closed))
+        self.interruption = self._earliest(guards, arc)
+        if self.interruption is None:
+            self.arcs[-1] = arc = self._named(arc, closed)
+        elif self.interruption.passage is None:
+            self.arcs.pop()
+            return arc, end
+        else:
+            arc = self._cut(start, arc, self.interruption.guard, self.interruption.passage)
+            self.arcs[-1] = arc = self._named(arc, closed)
+            end = self.interruption.passage.state
+        if arc.ending is not Ending.HORIZON:
+            self._require_alone(start, arc, guards, closed)
+        return arc, end
+
+    def is_clear(self, limit: ZenoLimit) -> bool:
+        """Return True if no other guard falls on the way to a Zeno point.
+
+        Raises:
+            SimultaneousEventsError: If a kink that changes the acceleration of the gap changes its
+                side in every flight. The impacts then do not accumulate by the law of the tail.
+        """
+        mode = (self.rest, self.sides)
+        for x in (*(step.after for step in limit.path), limit.state):
+            for k in self._open_beside(self.rest):
+                if not self.graph.view(mode, k).gap(x) > 0.0:
+                    return False
+            for j in self.rest:
+                if not self._holding(self.rest, j).multiplier(x) > 0.0:
+                    return False
+            guards, rounding, _ = self.graph.guards(x)
+            signs = np.where(self._signs(), guards, -guards)
+            if not np.all(signs > -1e3 * rounding):
+                return False
+            for kink in self.split_by:
+                self._require_continuous(kink, limit.time, limit.state)
+        return True
+
+    def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
+        """Return the next start after an arc that another event ended."""
+        found, self.interruption = self.interruption, None
+        if found is None:
+            return None
+        guard, closed = found.guard, self._closed(start)
+        if found.passage is None:
+            return self._on_other_side(start, guard)
+        if guard.kind is _Kind.SWITCH:
+            return self._switched(start, arc, guard)
+        self.current = None
+        if guard.kind is _Kind.MULTIPLIER:
+            return self._released(arc, guard.index, closed)
+        self._look(closed, guard.index)
+        rate = self.dynamics.gap_rate(arc.end_state)
+        if guard.unit != 1.0:
+            rate = guard.unit * float(found.passage.state[-1])
+        if abs(rate) <= self.small_rate:
+            return self.on_stop(arc.end_time, self.dynamics.on_stop(arc.end_state))
+        return self.landing(arc.end_time, arc.end_state, rate)
+
+    def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
+        """Apply the reset map in the mode that its impulses determine."""
+        before = self.rest
+        if approach_rate < 0.0:
+            self._look(self._kept(state_minus), self.focus)
+            self._take_sides(self.dynamics.reset_map(state_minus, approach_rate))
+            self._look(self.rest, self.focus)
+        after = ReferenceRun.impact(self, time, state_minus, approach_rate)
+        state_plus = self.arcs[-1].end_state if after is None and self.arcs else state_minus
+        for k in before:
+            if k not in self.rest:
+                state = state_plus if after is None else after.state
+                self.events.append(Release(time=time, state=state, stop=self.graph.stop_names[k]))
+                self.n_releases += 1
+        return after
+
+    # Modes.
+
+    def _view(self, closed: tuple[int, ...], stop: int) -> HybridDynamics:
+        return self.graph.view((closed, self.sides), stop)
+
+    def _holding(self, closed: tuple[int, ...], stop: int) -> HybridDynamics:
+        """Return the system in which a closed stop of a mode is the stop."""
+        return self._view(tuple(k for k in closed if k != stop), stop)
+
+    def _look(self, rest: tuple[int, ...], focus: int) -> None:
+        """Look at a stop, with others closed beside it."""
+        self.rest, self.focus = rest, focus
+        self.dynamics = self.follower.dynamics = self._view(rest, focus)
+        self.own = self.dynamics.own
+        self.small_gap = self.settings.contact * self.own.gap
+        self.small_rate = self.settings.contact * self.own.gap_rate
+        self.stop_name = self.graph.stop_names[focus]
+
+    def _closed(self, start: ArcStart) -> tuple[int, ...]:
+        """Return the closed stops of an arc."""
+        if start.mode is Mode.FREE:
+            return self.rest
+        return tuple(sorted((*self.rest, self.focus)))
+
+    def _open_beside(self, closed: Sequence[int]) -> list[int]:
+        """Return the open stops beside the stop that the run looks at."""
+        known = (*closed, self.focus)
+        return [k for k in range(len(self.graph.stop_names)) if k not in known]
+
+    def _signs(self) -> Vector:
+        """Return for every switch whether its guard is positive, the declared switches first."""
+        return np.array([*self.above, *self.sides], dtype=bool)
+
+    def _named(self, arc: Arc, closed: tuple[int, ...]) -> Arc:
+        """Return an arc with the names of its closed stops."""
+        names = tuple(self.graph.stop_names[k] for k in closed)
+        return replace(arc, closed=names, mode=Mode.LOCKED if closed else Mode.FREE)
+
+    def _take_sides(self, x: Vector) -> None:
+        """Take the side of every switch at a state. A zero keeps the side of a kink."""
+        guards, rounding, _ = self.graph.guards(x)
+        n = self.graph.n_declared
+        clear = np.abs(guards) > rounding
+        self.above = tuple(bool(not clear[k] or guards[k] > 0.0) for k in range(n))
+        self.sides = tuple(
+            bool(guards[n + k] > 0.0) if clear[n + k] else side for k, side in enumerate(self.sides)
+        )
+
+    # Guards.
+
+    def _guards(self, start: ArcStart, closed: tuple[int, ...]) -> Iterator[_Guard]:
+        """Yield the guards of an arc beside the guard of the stop that the run looks at."""
+        x, contact = start.state, self.settings.contact
+        mode: GraphMode = (closed, self.sides)
+        for j in self.rest:
+            view = self._holding(closed, j)
+            rounding = contact * view.own.multiplier
+            on_guard = view.multiplier(x) <= rounding
+            yield _Guard(_Kind.MULTIPLIER, j, view.locked, x, 1.0, on_guard, rounding)
+        for k in self._open_beside(closed):
+            view = self.graph.view(mode, k)
+            on_guard, rate = view.gap(x) <= contact * view.own.gap, view.gap_rate(x)
+            if on_guard and rate > contact * view.own.gap_rate:
+                rounding = contact / view.own.gap_acceleration
+                flight, y = view.flight(rate), launched(x, 1.0)
+                yield _Guard(_Kind.GAP, k, flight, y, rate, True, rounding)
+            else:
+                rounding = contact * view.own.gap
+                yield _Guard(_Kind.GAP, k, view.free, x, 1.0, on_guard, rounding)
+        values, levels, _ = self.graph.guards(x)
+        for s, above in enumerate(self._signs()):
+            value = float(values[s] if above else -values[s])
+            flow = self.graph.guard_flow(mode, s, bool(above))
+            on_guard = value <= float(levels[s])
+            yield _Guard(_Kind.SWITCH, s, flow, x, 1.0, on_guard, float(levels[s]))
+
+    def _earliest(self, guards: Sequence[_Guard], arc: Arc) -> _Interruption | None:
+        """Return the earliest event of other guards within an arc, if there is one.
+
+        Raises:
+            PenetrationError: If a stop is left on the wrong side.
+        """
+        found: _Interruption | None = None
+        length = arc.duration * arc.time_unit
+        for guard in guards:
+            passage = self.follower.beside(
+                guard.flow,
+                guard.y,
+                horizon=length / guard.unit,
+                on_guard=guard.on_guard,
+                rounding=guard.rounding,
+            )
+            if passage.outcome is Outcome.LEFT:
+                if guard.kind is _Kind.SWITCH:
+                    return _Interruption(guard=guard, passage=None)
+                time = arc.start_time + guard.unit * passage.duration
+                raise leaves_set(time, passage.state[: arc.start_state.size])
+            if passage.outcome is Outcome.FALL:
+                found = _Interruption(guard=guard, passage=passage)
+                length = guard.unit * passage.duration
+        return found
+
+    def _cut(self, start: ArcStart, arc: Arc, guard: _Guard, passage: Passage) -> Arc:
+        """Return an arc that ends at another event."""
+        endings = {
+            _Kind.GAP: Ending.IMPACT,
+            _Kind.MULTIPLIER: Ending.RELEASE,
+            _Kind.SWITCH: Ending.SWITCH,
+        }
+        return replace(
+            arc,
+            end_time=start.time + guard.unit * passage.duration,
+            end_state=passage.state[: start.state.size],
+            ending=endings[guard.kind],
+            time_unit=guard.unit,
+            trajectory=passage.trajectory,
+        )
+
+    def _require_alone(
+        self, start: ArcStart, arc: Arc, guards: Sequence[_Guard], closed: tuple[int, ...]
+    ) -> None:
+        """Refuse a second event at the end of an arc.
+
+        Raises:
+            SimultaneousEventsError: If another guard is zero there as well. It names both events.
+        """
+        x, interruption = arc.end_state, self.interruption
+        fell = None if interruption is None else interruption.guard
+        main = "release" if start.mode is Mode.LOCKED else "impact"
+        name = f"{main} {self.stop_name}" if fell is None else self._event_of(fell)
+        for guard in guards:
+            if guard is fell or (guard.on_guard and guard.kind is not _Kind.GAP):
+                continue
+            value, rate = self._value(guard, closed, x)
+            if self._is_zero(value, rate, guard.rounding):
+                raise coincide(name, self._event_of(guard), arc.end_time, x)
+        if fell is None:
+            return
+        if start.mode is Mode.LOCKED:
+            value, rate = self.dynamics.multiplier(x), self.dynamics.multiplier_rate(x)
+            rounding = self.settings.contact * self.own.multiplier
+        else:
+            value, rate = self.dynamics.gap(x), self.dynamics.gap_rate(x)
+            rounding = self.small_gap
+        if self._is_zero(value, rate, rounding):
+            raise coincide(name, f"{main} {self.stop_name}", arc.end_time, x)
+
+    def _value(self, guard: _Guard, closed: tuple[int, ...], x: Vector) -> tuple[float, float]:
+        """Return a guard and its rate at a state."""
+        if guard.kind is _Kind.GAP:
+            view = self._view(closed, guard.index)
+            return view.gap(x), view.gap_rate(x)
+        value, rate = guard.flow.guard(x)
+        return float(value), float(rate)
+
+    def _is_zero(self, value: float, rate: float, rounding: float) -> bool:
+        """Return True if a guard falls through zero here, to rounding."""
+        return rate < 0.0 and value <= max(rounding, -rate * _APART * self.own.time)
+
+    def _event_of(self, guard: _Guard) -> str:
+        names = self.graph.switch_names if guard.kind is _Kind.SWITCH else self.graph.stop_names
+        return f"{guard.kind.value} {names[guard.index]}"
+
+    # Events.
+
+    def _released(self, arc: Arc, stop: int, closed: tuple[int, ...]) -> ArcStart | None:
+        """Open a closed stop whose multiplier fell through zero."""
+        self._look(tuple(k for k in closed if k != stop), stop)
+        state = self.dynamics.on_stop(arc.end_state)
+        self.events.append(Release(time=arc.end_time, state=state, stop=self.stop_name))
+        self.n_releases += 1
+        if self.n_releases >= self.most_releases:
+            return None
+        return ArcStart(mode=Mode.FREE, time=arc.end_time, state=state)
+
+    def _on_other_side(self, start: ArcStart, guard: _Guard) -> ArcStart:
+        """Return the same start on the other side of a switch, whose guard is zero there.
+
+        Raises:
+            SlidingError: If both sides are left at once.
+            SimulationError: If a declared switch is armed there.
+        """
+        s, name = guard.index, self.graph.switch_names[guard.index]
+        if self.flipped == (start.time, s):
+            raise slides(name, start.time, start.state)
+        self.flipped = (start.time, s)
+        if s < self.graph.n_declared and self.above[s] and self.graph.guards(start.state)[2][s] > 0:
+            raise armed_at_start(name, start.time, start.state)
+        self._change_side(s)
+        self._look(self.rest, self.focus)
+        if start.impact is None:
+            return start
+        return replace(start, resting=self.dynamics.resting(start.impact.state_plus))
+
+    def _change_side(self, switch: int) -> None:
+        n = self.graph.n_declared
+        if switch < n:
+            self.above = tuple(one ^ (k == switch) for k, one in enumerate(self.above))
+        else:
+            self.sides = tuple(one ^ (k == switch - n) for k, one in enumerate(self.sides))
+
+    def _switched(self, start: ArcStart, arc: Arc, guard: _Guard) -> ArcStart | None:
+        """Apply a switch whose guard fell through zero.
+
+        Raises:
+            SlidingError: If the flow of the other side points back.
+        """
+        s, time, x, closed = guard.index, arc.end_time, arc.end_state, self._closed(start)
+        name, is_kink = self.graph.switch_names[s], s >= self.graph.n_declared
+        was_above = bool(self._signs()[s])
+        if not is_kink and was_above and self.graph.guards(x)[2][s] > 0.0:
+            after = self.graph.after_switch(s, x)
+            self._count_switch(time, name, x, after)
+            self.current = None
+            self._take_sides(after)
+            return self._placed(time, after, closed, switch=name)
+        self._change_side(s)
+        if is_kink:
+            rate = self.graph.guard_flow((closed, self.sides), s, not was_above).guard(x)[1]
+            if rate < 0.0:
+                raise slides(name, time, x)
+            self._count_switch(time, name, x, x)
+            if start.mode is Mode.FREE and self.current is not None:
+                self.split_by.add(s)
+                self._require_slow_decay(s, time, x)
+        flying = self.focus if start.mode is Mode.FREE else None
+        return self._placed(time, x, closed, flying=flying)
+
+    def _count_switch(self, time: float, name: str, before: Vector, after: Vector) -> None:
+        event = SwitchEvent(time=time, name=name, state_minus=before, state_plus=after)
+        self.events.append(event)
+        self.n_switches += 1
+        if self.n_switches > self.settings.most_impacts:
+            raise does_not_accumulate(self.settings.most_impacts, time, after)
+
+    def _require_slow_decay(self, kink: int, time: float, x: Vector) -> None:
+        """Refuse impacts that accumulate while a kink changes the acceleration of the gap."""
+        estimates = self.current.estimates if self.current is not None else []
+        if estimates and estimates[-1].speed < _ACCUMULATED * estimates[0].speed:
+            self._require_continuous(kink, time, x)
+
+    def _require_continuous(self, kink: int, time: float, x: Vector) -> None:
+        """Refuse a kink that changes the acceleration of the gap in every flight."""
+        k = kink - self.graph.n_declared
+        other = tuple(one ^ (i == k) for i, one in enumerate(self.sides))
+        here = self._view(self.rest, self.focus).gap_acceleration(x)
+        there = self.graph.view((self.rest, other), self.focus).gap_acceleration(x)
+        if abs(here - there) > _CONTINUOUS * abs(here):
+            what = f"the switch `{self.graph.switch_names[kink]}` changes"
+            raise accumulate_together(self.stop_name, what, time, x)
+
+    # Contact.
+
+    def _placed(
+        self,
+        time: float,
+        x: Vector,
+        was_closed: tuple[int, ...],
+        *,
+        switch: str = "",
+        flying: int | None = None,
+    ) -> ArcStart | None:
+        """Return the start at a state: each stop with zero gap and rate holds, or opens.
+
+        Args:
+            time: When [s].
+            x: The state, ``(n_x,)``.
+            was_closed: The stops that were closed.
+            switch: Name of the switch whose reset led to the state, if there is one.
+            flying: The stop that the run looked at in a flight, if it was in one.
+
+        Raises:
+            PenetrationError: If a switch sends the state into a stop.
+            SimultaneousEventsError: If two stops are struck at once.
+        """
+        still: list[int] = []
+        opening: list[int] = []
+        struck: list[int] = []
+        for k, name in enumerate(self.graph.stop_names):
+            if k == flying:
+                continue
+            view = self._view((), k)
+            small = _WAS_CLOSED if k in was_closed else self.settings.contact
+            gap, rate = view.gap(x), view.gap_rate(x)
+            if gap > small * view.own.gap:
+                continue
+            if abs(rate) <= small * view.own.gap_rate and gap >= -small * view.own.gap:
+                still.append(k)
+            elif gap >= -small * view.own.gap and rate > 0.0:
+                opening.append(k)
+            elif switch:
+                raise enters_by_switch(switch, name, time, x)
+            else:
+                struck.append(k)
+        closed = self._contact_set(time, x, still)
+        for k in closed:
+            x = self._holding(closed, k).on_stop(x)
+        if len(struck) > 1:
+            first, second = (f"impact {self.graph.stop_names[k]}" for k in struck[:2])
+            raise coincide(first, second, time, x)
+        if struck:
+            self._look(closed, struck[0])
+            return self.impact(time, x, self.dynamics.gap_rate(x))
+        leaving = [k for k in (*still, *opening) if k not in closed]
+        if flying is not None and not leaving:
+            leaving = [flying]
+        if closed and not leaving:
+            self._look(closed[:-1], closed[-1])
+            return ArcStart(mode=Mode.LOCKED, time=time, state=x)
+        focus = leaving[0] if leaving else self.focus
+        self._look(closed, focus)
+        rate = self.dynamics.gap_rate(x)
+        launches = self.dynamics.gap(x) <= self.small_gap and rate > self.small_rate
+        return ArcStart(mode=Mode.FREE, time=time, state=x, speed=rate if launches else None)
+
+    def _contact_set(self, time: float, x: Vector, still: Sequence[int]) -> tuple[int, ...]:
+        """Return the stops that stay closed, of those with zero gap and gap rate.
+
+        Raises:
+            SimultaneousEventsError: If no set of closed stops, or more than one fulfils the laws.
+        """
+        found = [
+            closed
+            for n in range(len(still) + 1)
+            for closed in combinations(still, n)
+            if all(self._holds(self._holding(closed, k), x) for k in closed)
+            and not any(self._holds(self._view(closed, k), x) for k in still if k not in closed)
+        ]
+        if len(found) == 1:
+            return found[0]
+        names = ", ".join(f"`{self.graph.stop_names[k]}`" for k in still)
+        raise undetermined_contact(names, time, x)
+
+    def _holds(self, view: HybridDynamics, x: Vector) -> bool:
+        """Return True if a stop at zero gap and rate stays closed."""
+        lift = view.gap_acceleration(x)
+        slack = is_slack(view, x, lift, self.settings.contact)
+        return bool(stop_holds(lift, view.multiplier_rate(x) if slack else np.nan, slack))
+
+    def _kept(self, x: Vector) -> tuple[int, ...]:
+        """Return the closed stops that stay closed in an impact: none of them pulls."""
+        if not self.rest:
+            return ()
+        matrix, k = self.graph.delassus(x), self.focus
+        small = 1e-12 * float(np.max(np.abs(matrix)))
+        for n in range(len(self.rest), -1, -1):
+            for closed in combinations(self.rest, n):
+                kept = list(closed)
+                share = matrix[kept, k]
+                if kept:
+                    share = np.linalg.solve(matrix[np.ix_(kept, kept)], matrix[kept, k])
+                opened = [j for j in self.rest if j not in closed]
+                rates = matrix[opened, k] - matrix[np.ix_(opened, kept)] @ share
+                pulls = share > small / np.maximum(np.abs(matrix[kept, kept]), small)
+                if not np.any(pulls) and np.all(rates >= -small):
+                    return closed
+        raise AssertionError("A positive definite matrix has a solution.")
