@@ -24,7 +24,7 @@ from itertools import combinations
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, StepSizeError
 from zeno_orbits.integrators import GuardedFlow, Outcome, Passage
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.simulation.admission import require_admissible
@@ -59,6 +59,10 @@ _APART = 1e-11
 _CONTINUOUS = 1e-6
 """Relative difference of gap accelerations on both sides of a kink, below which it is continuous.
 """
+_GROW, _SHORTEST = 4.0, 1e-3
+"""Next window over the previous arc or window, and the shortest window over the problem's time."""
+_BEFORE = 1e-9
+"""Part of a window that is left out where the flow of a branch ends to exist."""
 _ACCUMULATED = 1e-3
 """Part of the first speed of a sequence below which its impacts accumulate."""
 
@@ -119,7 +123,8 @@ class GraphRun(ReferenceRun):
         above: For each declared switch, whether its guard is positive.
         interruption: The event that ended the present arc early.
         current: The sequence of impacts that a kink may have split.
-        split_by: The kinks that split flights of that sequence.
+        split_by: The kinks that split the last flight of that sequence, and the present flight.
+        window: Time in which the next event is first looked for [s].
         flipped: Time and switch of the last start on the wrong side of a switch.
         n_switches: Number of switches so far.
     """
@@ -131,7 +136,8 @@ class GraphRun(ReferenceRun):
     above: tuple[bool, ...] = ()
     interruption: _Interruption | None = None
     current: ImpactSequence | None = None
-    split_by: set[int] = field(default_factory=set[int])
+    split_by: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
+    window: float = np.inf
     flipped: tuple[float, int] | None = None
     n_switches: int = 0
 
@@ -170,7 +176,8 @@ class GraphRun(ReferenceRun):
     def sequence(self) -> ImpactSequence:
         """Return the sequence that begins, or goes on after a kink split one of its flights."""
         if self.current is None or self.current.place != self.place:
-            self.current, self.split_by = ReferenceRun.sequence(self), set()
+            self.current = ReferenceRun.sequence(self)
+            self.split_by = frozenset(), frozenset()
         return self.current
 
     def on_stop(self, time: float, x: Vector) -> ArcStart:
@@ -195,7 +202,43 @@ class GraphRun(ReferenceRun):
     def follow_arc(
         self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
     ) -> tuple[Arc, Vector]:
-        """Return the next arc, to the earliest event, and the last state of the flow itself."""
+        """Return the next arc, to the earliest event, and the last state of the flow itself.
+
+        The event is first looked for within a few times the previous arc: the flow of a branch need
+        not exist far beyond the zero of its kink.
+        """
+        until, window, n_arcs = self.follower.until, self.window, len(self.arcs)
+        try:
+            while True:
+                self.follower.until = min(until, start.time + window)
+                try:
+                    arc, end = self._followed(start, flow, natural, on_guard=on_guard)
+                except StepSizeError as error:
+                    # Another guard may fall before the flow of this branch ends to exist.
+                    reached = start.time + (start.speed or 1.0) * error.time
+                    if not 0.0 < reached - start.time <= window:
+                        raise type(error)(error.reason, time=reached, state=error.state) from error
+                    del self.arcs[n_arcs:]
+                    window = (reached - start.time) * (1.0 - _BEFORE)
+                    self.follower.until = start.time + window
+                    arc, end = self._followed(start, flow, natural, on_guard=on_guard)
+                    if arc.ending is Ending.HORIZON:
+                        raise type(error)(error.reason, time=reached, state=error.state) from error
+                if self.follower.until == until or arc.ending is not Ending.HORIZON:
+                    break
+                if self.interruption is not None and self.interruption.passage is None:
+                    break
+                self.arcs.pop()
+                window *= _GROW
+        finally:
+            self.follower.until = until
+        self.window = max(_GROW * (arc.end_time - arc.start_time), _SHORTEST * self.own.time)
+        return arc, end
+
+    def _followed(
+        self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
+    ) -> tuple[Arc, Vector]:
+        """Return the next arc within the present window."""
         arc, end = ReferenceRun.follow_arc(self, start, flow, natural, on_guard=on_guard)
         closed = self._closed(start)
         guards = list(self._guards(start, closed))
@@ -232,7 +275,9 @@ class GraphRun(ReferenceRun):
             signs = np.where(self._signs(), guards, -guards)
             if not np.all(signs > -1e3 * rounding):
                 return False
-            for kink in self.split_by:
+        values, rounding, _ = self.graph.guards(limit.state)
+        for kink in self.split_by[0]:
+            if abs(values[kink]) <= 1e3 * rounding[kink]:
                 self._require_continuous(kink, limit.time, limit.state)
         return True
 
@@ -260,6 +305,7 @@ class GraphRun(ReferenceRun):
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map in the mode that its impulses determine."""
         before = self.rest
+        self.split_by = self.split_by[1], frozenset()
         if approach_rate < 0.0:
             self._look(self._kept(state_minus), self.focus)
             self._take_sides(self.dynamics.reset_map(state_minus, approach_rate))
@@ -459,13 +505,21 @@ class GraphRun(ReferenceRun):
         if self.flipped == (start.time, s):
             raise slides(name, start.time, start.state)
         self.flipped = (start.time, s)
-        if s < self.graph.n_declared and self.above[s] and self.graph.guards(start.state)[2][s] > 0:
-            raise armed_at_start(name, start.time, start.state)
+        armed = s < self.graph.n_declared and self.above[s]
+        if armed and not self._has_fallen(s, start.time):
+            if self.graph.guards(start.state)[2][s] > 0.0:
+                raise armed_at_start(name, start.time, start.state)
         self._change_side(s)
         self._look(self.rest, self.focus)
         if start.impact is None:
             return start
         return replace(start, resting=self.dynamics.resting(start.impact.state_plus))
+
+    def _has_fallen(self, switch: int, time: float) -> bool:
+        """Return True if the last event is this switch at this time. It falls again from above."""
+        last = self.events[-1] if self.events else None
+        name = self.graph.switch_names[switch]
+        return isinstance(last, SwitchEvent) and last.name == name and last.time == time
 
     def _change_side(self, switch: int) -> None:
         n = self.graph.n_declared
@@ -496,8 +550,10 @@ class GraphRun(ReferenceRun):
                 raise slides(name, time, x)
             self._count_switch(time, name, x, x)
             if start.mode is Mode.FREE and self.current is not None:
-                self.split_by.add(s)
-                self._require_slow_decay(s, time, x)
+                before, present = self.split_by
+                self.split_by = before, present | {s}
+                if s in before:
+                    self._require_slow_decay(s, time, x)
         flying = self.focus if start.mode is Mode.FREE else None
         return self._placed(time, x, closed, flying=flying)
 

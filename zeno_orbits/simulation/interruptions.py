@@ -199,7 +199,7 @@ def enters_by_switch(switch: str, stop: str, time: float, state: Vector) -> Pene
 
 
 def armed_at_start(switch: str, time: float, state: Vector) -> SimulationError:
-    """Return the error of a switch that is armed where its own reset puts the state.
+    """Return the error of a switch that is armed where its guard is zero at a start.
 
     Args:
         switch: Name of the switch.
@@ -207,7 +207,7 @@ def armed_at_start(switch: str, time: float, state: Vector) -> SimulationError:
         state: State there, ``(n_x,)``.
     """
     return SimulationError(
-        f"The switch `{switch}` is armed at its own start: its guard is zero and falls",
+        f"The switch `{switch}` is armed at its start: its guard is zero there and falls",
         time=time,
         state=tuple(state.tolist()),
     )
