@@ -147,6 +147,8 @@ class Arc(ByValue):
         time_unit: Length of one unit of the flow's own time [s]: the impact speed in a rescaled
             flight (theory (14)), else 1.
         closed: Names of the closed stops, empty for a machine with one stop.
+        stop: Name of the stop whose gap the flow of a rescaled flight carries, empty for others.
+        sides: Side of every kink of the formulas, in a machine with switches.
         trajectory: The flow along the arc. For the tail of an impact sequence it is the curve of
             the impacts if that curve was followed, else ``None``. Then the state is interpolated.
     """
@@ -161,6 +163,8 @@ class Arc(ByValue):
     time_unit: float
     trajectory: Trajectory | None = field(repr=False, compare=False)
     closed: tuple[str, ...] = ()
+    stop: str = ""
+    sides: tuple[bool, ...] = ()
 
     def state_at(self, time: float) -> Vector:
         """Return the state at a time inside the arc, to the accuracy of the integration.

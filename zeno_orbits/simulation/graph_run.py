@@ -17,7 +17,7 @@ A stop whose impulse would be negative opens. `G` is positive definite, so there
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import combinations
 
@@ -244,13 +244,16 @@ class GraphRun(ReferenceRun):
         guards = list(self._guards(start, closed))
         self.interruption = self._earliest(guards, arc)
         if self.interruption is None:
-            self.arcs[-1] = arc = self._named(arc, closed)
+            stop = self.stop_name if start.speed is not None else ""
+            self.arcs[-1] = arc = self._named(arc, closed, stop)
         elif self.interruption.passage is None:
             self.arcs.pop()
             return arc, end
         else:
-            arc = self._cut(start, arc, self.interruption.guard, self.interruption.passage)
-            self.arcs[-1] = arc = self._named(arc, closed)
+            guard = self.interruption.guard
+            arc = self._cut(start, arc, guard, self.interruption.passage)
+            stop = self.graph.stop_names[guard.index] if guard.y.size > start.state.size else ""
+            self.arcs[-1] = arc = self._named(arc, closed, stop)
             end = self.interruption.passage.state
         if arc.ending is not Ending.HORIZON:
             self._require_alone(start, arc, guards, closed)
@@ -352,10 +355,11 @@ class GraphRun(ReferenceRun):
         """Return for every switch whether its guard is positive, the declared switches first."""
         return np.array([*self.above, *self.sides], dtype=bool)
 
-    def _named(self, arc: Arc, closed: tuple[int, ...]) -> Arc:
-        """Return an arc with the names of its closed stops."""
+    def _named(self, arc: Arc, closed: tuple[int, ...], stop: str = "") -> Arc:
+        """Return an arc with its mode, and with the stop of a rescaled flight."""
         names = tuple(self.graph.stop_names[k] for k in closed)
-        return replace(arc, closed=names, mode=Mode.LOCKED if closed else Mode.FREE)
+        mode = Mode.LOCKED if closed else Mode.FREE
+        return replace(arc, closed=names, mode=mode, stop=stop, sides=self.sides)
 
     def _take_sides(self, x: Vector) -> None:
         """Take the side of every switch at a state. A zero keeps the side of a kink."""
@@ -506,9 +510,12 @@ class GraphRun(ReferenceRun):
             raise slides(name, start.time, start.state)
         self.flipped = (start.time, s)
         armed = s < self.graph.n_declared and self.above[s]
-        if armed and not self._has_fallen(s, start.time):
-            if self.graph.guards(start.state)[2][s] > 0.0:
-                raise armed_at_start(name, start.time, start.state)
+        if (
+            armed
+            and not self._has_fallen(s, start.time)
+            and self.graph.guards(start.state)[2][s] > 0.0
+        ):
+            raise armed_at_start(name, start.time, start.state)
         self._change_side(s)
         self._look(self.rest, self.focus)
         if start.impact is None:

@@ -102,6 +102,23 @@ class CompiledGraph:
         return dense_function("switches", inputs, [guards, ca.mtimes(slopes, size), armed])
 
     @cached_property
+    def gradients(self) -> tuple[ca.Function, ...]:
+        """``(x, p) -> (guard, its derivatives with respect to x and p)``, one per switch."""
+        graph, p = self.graph, self._parameters
+        guards = (*(ca.SX(one.guard) for one in graph.switches), *graph.conditions)
+        return tuple(self._derivative("guard", one, p) for one in guards)
+
+    @cached_property
+    def reset_derivatives(self) -> tuple[ca.Function, ...]:
+        """``(x, p) -> (x after it, its derivatives with respect to x and p)``, one per switch."""
+        return tuple(self._derivative("reset", one, self._parameters) for one in self.graph.resets)
+
+    def _derivative(self, name: str, formula: ca.SX, p: ca.SX) -> ca.Function:
+        x = self.graph.state
+        outputs = [formula, ca.jacobian(formula, x), ca.jacobian(formula, p)]
+        return dense_function(name, [x, p], outputs)
+
+    @cached_property
     def delassus(self) -> ca.Function:
         """``(x, p) -> J W J^T`` of all stops."""
         return dense_function(
@@ -189,6 +206,26 @@ class GraphDynamics:
         found = self.compiled.switches(x, self.p, size)
         guards, sizes, armed = (np.array(one.full()).ravel() for one in found)
         return guards, _ZERO * sizes, armed
+
+    def guard_gradient(self, switch: int, x: Vector, chosen: Sequence[int]) -> Vector:
+        """Return the derivative of a guard with respect to state and parameters, ``(n_x + k,)``.
+
+        Args:
+            switch: Index of the switch.
+            x: The state, ``(n_x,)``.
+            chosen: Indices of the parameters, ``(k,)``.
+        """
+        _, by_x, by_p = self.compiled.gradients[switch](x, self.p)
+        return np.append(by_x.full().ravel(), by_p.full().ravel()[list(chosen)])
+
+    def reset_derivative(self, switch: int, x: Vector, chosen: Sequence[int]) -> Vector:
+        """Return the derivative of a declared reset, ``(n_x, n_x + k)``."""
+        _, by_x, by_p = self.compiled.reset_derivatives[switch](x, self.p)
+        return np.concatenate([by_x.full(), by_p.full()[:, list(chosen)]], axis=1)
+
+    def mode_of(self, closed: Sequence[str], sides: tuple[bool, ...]) -> GraphMode:
+        """Return a mode from the names of its closed stops and the sides of the kinks."""
+        return tuple(sorted(self.stop_names.index(name) for name in closed)), sides
 
     def after_switch(self, switch: int, x: Vector) -> Vector:
         """Return the state after a declared switch, ``(n_x,)``."""

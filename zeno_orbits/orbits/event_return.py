@@ -1,0 +1,335 @@
+r"""Returns to a section after an event, their derivatives, and the orbit as a fixed point.
+
+The section is the set of states just after one kind of event. A start on it is a state of the
+section: its closed stops are projected onto zero gap and rate, and a stop that the event has just
+left onto zero gap. Newton's method solves :math:`P(x) - x = 0` with the derivative of theory (25).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model import GraphDynamics
+from zeno_orbits.orbits.event_orbit import orbit_event_name
+from zeno_orbits.simulation import (
+    Arc,
+    Event,
+    Execution,
+    GraphShifts,
+    Impact,
+    SimulationSettings,
+    ZenoExtrapolation,
+    simulate,
+)
+
+_BEYOND = 1e-6
+"""Part of the period by which a return is simulated beyond its end, to see the mode after it."""
+_AT_ONCE = 1e-9
+"""Part of the period in which an event belongs to the start."""
+_MOST_ITERATIONS = 30
+_EXACT = 3e-14
+"""Relative correction below which Newton's method has converged to rounding."""
+_GROWTH = 4.0
+"""A correction that grows by this factor over the best so far ends Newton's method."""
+_NEAR = 0.05
+"""Relative distance of two states after events, below which a motion nearly repeats."""
+_MOST_RETURNS = 12
+_RANK = 1e-9
+"""Relative singular value of a return's derivative that counts as zero."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventReturn:
+    """A return to a section, and its derivatives.
+
+    Attributes:
+        start: The start, ``(n_x,)``.
+        end: State just after the last event, ``(n_x,)``.
+        period: Time of the return [s].
+        events: Events of the return. The last event ends it.
+        execution: The execution, up to just beyond the return.
+        by_state: Derivative of the end with respect to the start, ``(n_x, n_x)``.
+        by_parameters: Derivative of the end with respect to the parameters, ``(n_x, k)``.
+        period_by: Derivatives of the period, ``(n_x + k,)``.
+    """
+
+    start: Vector
+    end: Vector
+    period: float
+    events: tuple[Event, ...]
+    execution: Execution
+    by_state: Vector
+    by_parameters: Vector
+    period_by: Vector
+
+
+def resolved(settings: SimulationSettings) -> SimulationSettings:
+    """Return settings by which all impacts are resolved one by one.
+
+    Args:
+        settings: The settings.
+    """
+    return replace(settings, completion=ZenoExtrapolation())
+
+
+def event_return(
+    graph: GraphDynamics,
+    x: Vector,
+    *,
+    section: str,
+    n_returns: int,
+    guess: float,
+    settings: SimulationSettings,
+    parameters: Sequence[int] = (),
+    placed_as: Arc | None = None,
+) -> EventReturn:
+    """Return the n-th next event of a kind after a start, with derivatives.
+
+    Args:
+        graph: The graph of modes.
+        x: The start, ``(n_x,)``.
+        section: Name of the event.
+        n_returns: Number of such events.
+        guess: Approximate time of the return [s].
+        settings: Accuracy.
+        parameters: Indices in ``p`` of the parameters of the derivatives.
+        placed_as: First arc of a motion on the section, by which the start is projected.
+
+    Raises:
+        SimulationError: If the event does not follow within twice the guess.
+    """
+    start = x if placed_as is None else on_section(graph, x, placed_as)
+    exact, n_x = resolved(settings), len(start)
+    execution = simulate(graph, start, until=2.0 * guess, settings=exact)
+    times = [
+        event.time
+        for event in execution.events
+        if orbit_event_name(event) == section and event.time > _AT_ONCE * guess
+    ]
+    if len(times) < n_returns:
+        raise SimulationError(
+            f"The event `{section}` does not follow {n_returns} times",
+            time=execution.end_time,
+            state=tuple(execution.end_state.tolist()),
+        )
+    end = times[n_returns - 1]
+    execution = simulate(graph, start, until=end * (1.0 + _BEYOND), settings=exact)
+    shifts = GraphShifts(graph=graph, chosen=tuple(parameters), tolerance=exact.tolerance)
+    events: list[Event] = []
+    for event, shift in shifts.along(execution):
+        events.append(event)
+        if orbit_event_name(event) == section and event.time == end:
+            return EventReturn(
+                start=start,
+                end=event.state_plus if isinstance(event, Impact) else event.state,
+                period=end,
+                events=tuple(events),
+                execution=execution,
+                by_state=shift.state[:, :n_x],
+                by_parameters=shift.state[:, n_x:],
+                period_by=shift.time,
+            )
+    raise SimulationError(
+        f"The event `{section}` lacks a derivative", time=end, state=tuple(start.tolist())
+    )
+
+
+def on_section(graph: GraphDynamics, x: Vector, first: Arc) -> Vector:
+    """Return a state projected onto the closed stops of an arc, and onto the stop that it leaves.
+
+    Args:
+        graph: The graph of modes.
+        x: The state, ``(n_x,)``.
+        first: The first arc of a motion on the section.
+    """
+    mode = graph.mode_of(first.closed, first.sides)
+    closed, sides = mode
+    for k in closed:
+        x = graph.view((tuple(j for j in closed if j != k), sides), k).on_stop(x)
+    if first.stop:
+        stop, n_q = graph.stop_names.index(first.stop), graph.n_q
+        view = graph.view(mode, stop)
+        x = x.copy()
+        x[:n_q] -= view.gap(x) * view.impulse_direction(x)[n_q : 2 * n_q]
+    return x
+
+
+def sizes_of(execution: Execution, graph: GraphDynamics) -> Vector:
+    """Return the size of each state along an execution, ``(n_x,)``."""
+    ends = np.array([arc.end_state for arc in execution.arcs])
+    largest = np.max(np.abs(ends), axis=0)
+    own = graph.own.states(len(largest))
+    return np.where(largest > 1e-12 * own, largest, own)
+
+
+def closed_return(
+    graph: GraphDynamics,
+    x: Vector,
+    *,
+    section: str,
+    n_returns: int,
+    guess: float,
+    settings: SimulationSettings,
+    parameters: Sequence[int] = (),
+) -> EventReturn:
+    """Return the periodic orbit near a start, by Newton's method.
+
+    Args:
+        graph: The graph of modes.
+        x: A start just after the event of the section, ``(n_x,)``.
+        section: Name of the event.
+        n_returns: Number of such events in a period.
+        guess: Approximate period [s].
+        settings: Accuracy.
+        parameters: Indices in ``p`` of the parameters of the derivatives.
+
+    Raises:
+        SimulationError: If Newton's method does not converge, or the motion does not return.
+    """
+    placed_as: Arc | None = None
+    best, best_size = None, math.inf
+    for _ in range(_MOST_ITERATIONS):
+        found = event_return(
+            graph,
+            x,
+            section=section,
+            n_returns=n_returns,
+            guess=guess,
+            settings=settings,
+            parameters=parameters,
+            placed_as=placed_as,
+        )
+        if placed_as is None:
+            placed_as = found.execution.arcs[0]
+        scale, guess = sizes_of(found.execution, graph), found.period
+        matrix = (np.eye(len(x)) - found.by_state) * scale[None, :] / scale[:, None]
+        change = scale * np.linalg.lstsq(matrix, (found.end - found.start) / scale, rcond=1e-12)[0]
+        size = float(np.max(np.abs(change) / scale))
+        if size < best_size:
+            best, best_size = found, size
+        if size <= _EXACT or (size > _GROWTH * best_size and best_size < 1e-9):
+            break
+        if size > 0.5:
+            change *= 0.5 / size
+        x = found.start + change
+    if best is None or best_size > 1e-10:
+        raise SimulationError(
+            "Newton's method does not converge to a periodic orbit: the motion may repeat after "
+            "more returns, or not at all",
+            time=guess,
+            state=tuple(x.tolist()),
+        )
+    return best
+
+
+def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[complex, ...]:
+    """Return the Floquet multipliers of a periodic return, the largest first.
+
+    A perturbation keeps the constraints and the circle of the clock. Directions that a return
+    removes, such as those off the section, have no multiplier.
+
+    Args:
+        graph: The graph of modes.
+        found: The return.
+    """
+    scale = sizes_of(found.execution, graph)
+    derivative = found.by_state * scale[None, :] / scale[:, None]
+    keeps = _kept_directions(graph, found.start, scale)
+    matrix = keeps.T @ derivative @ keeps
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    rank = int(np.sum(singular > _RANK * max(1.0, float(singular[0])))) if singular.size else 0
+    values = sorted(np.linalg.eigvals(matrix), key=lambda mu: (-abs(mu), -mu.imag))
+    return tuple(complex(value) for value in values[:rank])
+
+
+def _kept_directions(graph: GraphDynamics, x: Vector, scale: Vector) -> Vector:
+    """Return an orthonormal basis of the directions that keep the constraints, in scaled states."""
+    view = graph.first
+    differentiation = view.differentiation
+    if differentiation is None or view.holonomic(x).size == 0:
+        return np.eye(len(x))
+    gradient = differentiation.by(()).holonomic(x)[:, : len(x)] * scale[None, :]
+    _, singular, rows = np.linalg.svd(gradient)
+    rank = int(np.sum(singular > _RANK * float(singular[0])))
+    return np.asarray(rows[rank:].T)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NearReturn:
+    """A state after an event to which a motion nearly returns.
+
+    Attributes:
+        state: The state, ``(n_x,)``.
+        section: Name of the event.
+        n_returns: Number of such events until the motion nearly returns.
+        period: Time until then [s].
+    """
+
+    state: Vector
+    section: str
+    n_returns: int
+    period: float
+
+
+def near_return(execution: Execution, graph: GraphDynamics, section: str | None) -> NearReturn:
+    """Return the last state of an execution to which it nearly returns.
+
+    Args:
+        execution: An execution that settles.
+        graph: The graph of modes.
+        section: Name of the event of the section. The default is the first of a declared switch, a
+            release and an impact that occurs often enough.
+
+    Raises:
+        InputError: If the event of the section does not occur.
+        SimulationError: If the motion does not return.
+    """
+    names = [orbit_event_name(event) for event in execution.events]
+    if section is not None and section not in names:
+        known = ", ".join(sorted(set(names))) or "none"
+        raise InputError(
+            f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."
+        )
+    scale = sizes_of(execution, graph)
+    for chosen in _sections(execution, graph) if section is None else [section]:
+        marks = [
+            (event.time, event.state_plus if isinstance(event, Impact) else event.state)
+            for event, name in zip(execution.events, names, strict=True)
+            if name == chosen
+        ]
+        for n in range(1, min(_MOST_RETURNS, len(marks) - 1) + 1):
+            (t0, x0), (t1, x1) = marks[-1 - n], marks[-1]
+            if float(np.max(np.abs(x1 - x0) / scale)) < _NEAR and t1 > t0:
+                return NearReturn(state=x1, section=chosen, n_returns=n, period=t1 - t0)
+    raise SimulationError(
+        "The motion does not nearly repeat: simulate for longer (`until`, --max-time), or start "
+        "nearer to an orbit",
+        time=execution.end_time,
+        state=tuple(execution.end_state.tolist()),
+    )
+
+
+def _sections(execution: Execution, graph: GraphDynamics) -> list[str]:
+    """Return the events that may serve as a section, the best first."""
+    declared = graph.switch_names[: graph.n_declared]
+    names = list(dict.fromkeys(orbit_event_name(event) for event in execution.events))
+    switches = [
+        orbit_event_name(event)
+        for event in execution.switches
+        if event.name in declared and np.any(event.state_minus != event.state_plus)
+    ]
+    zenos = [name for name in names if name.startswith("zeno ")]
+    accumulate = {name.removeprefix("zeno ") for name in zenos}
+    impacts = [
+        name
+        for name in names
+        if name.startswith("impact ") and name.removeprefix("impact ") not in accumulate
+    ]
+    others = [name for name in names if name.startswith("switch ")]
+    return list(dict.fromkeys([*switches, *zenos, *impacts, *others]))

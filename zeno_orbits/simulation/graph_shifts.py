@@ -1,0 +1,250 @@
+r"""Derivatives of the events of an execution over a graph of modes.
+
+Every event is the zero of a guard :math:`g` along the flow `f` of its mode, as in theory (25):
+
+.. math:: \delta t = -\frac{\nabla g\,V + g_p Q}{\dot g}, \qquad \delta x = V + f\,\delta t
+
+The next arc starts at the event, so the jump of the flow at a switch needs no term of its own
+(saltation). Impacts and Zeno points follow the formulas of their stop with the closed stops of the
+mode as constraints, and a reset its own derivative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.model import (
+    GAP,
+    GAP_RATE,
+    MULTIPLIER,
+    GraphDynamics,
+    GraphMode,
+)
+from zeno_orbits.simulation.execution import (
+    Arc,
+    Ending,
+    Event,
+    Execution,
+    Impact,
+    Release,
+    SwitchEvent,
+    ZenoPoint,
+)
+from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
+from zeno_orbits.simulation.state_transition import carried
+
+
+@dataclass(kw_only=True)
+class GraphShifts:
+    """Derivatives along an execution over a graph of modes.
+
+    Attributes:
+        graph: The graph.
+        chosen: Indices in ``p`` of the parameters of the derivatives, ``(k,)``.
+        tolerance: Local error of steps that have to be taken anew.
+    """
+
+    graph: GraphDynamics
+    chosen: tuple[int, ...]
+    tolerance: Tolerance
+    _known: dict[tuple[GraphMode, int], Perturbations] = field(
+        default_factory=dict["tuple[GraphMode, int]", Perturbations]
+    )
+
+    def along(self, execution: Execution) -> Iterator[tuple[Event, EventShift]]:
+        """Yield every event with the derivatives of its time and of the state after it.
+
+        The columns of the derivatives are the states of the start, then the chosen parameters.
+
+        Args:
+            execution: The execution. Its impacts must be resolved one by one.
+
+        Raises:
+            SimulationError: If an event has no derivative: a stop is touched without an impact.
+        """
+        events = list(execution.events)
+        arcs = execution.arcs
+        here = self._start(arcs[0])
+        bounces: list[Bounce] = []
+        while events and events[0].time == arcs[0].start_time:
+            first = events.pop(0)
+            here, bounces = self._after(first, here, arcs[0], arcs[0], bounces)
+            yield first, here
+        for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
+            if arc.ending is Ending.HORIZON:
+                return
+            if arc.ending is not Ending.ZENO:
+                here = self._end(arc, here, events)
+            crossed = False
+            while events and events[0].time <= arc.end_time:
+                event = events.pop(0)
+                here, bounces = self._after(event, here, arc, following, bounces)
+                yield event, here
+                crossed = True
+            if not crossed and arc.ending is not Ending.SWITCH:
+                raise SimulationError(
+                    "The derivative is undefined: a stop is touched without an impact",
+                    time=arc.end_time,
+                    state=tuple(arc.end_state.tolist()),
+                )
+
+    def _start(self, arc: Arc) -> EventShift:
+        start = self._of(arc, self._some_stop(arc)).at_start()
+        if not arc.stop:
+            return start
+        return self._of(arc, self.graph.stop_names.index(arc.stop)).launched(arc.start_state)
+
+    def _of(self, arc: Arc, stop: int) -> Perturbations:
+        """Return the derivatives of a stop in the mode of an arc, with that stop open."""
+        closed, sides = self.graph.mode_of(arc.closed, arc.sides or self._any_sides())
+        return self._at((tuple(k for k in closed if k != stop), sides), stop)
+
+    def _any_sides(self) -> tuple[bool, ...]:
+        return (True,) * (len(self.graph.switch_names) - self.graph.n_declared)
+
+    def _at(self, mode: GraphMode, stop: int) -> Perturbations:
+        key = (mode, stop)
+        if key not in self._known:
+            view = self.graph.view(mode, stop)
+            if view.differentiation is None:
+                raise AssertionError("A compiled system has formulas.")
+            self._known[key] = Perturbations(
+                dynamics=view,
+                differentials=view.differentiation.by(self.chosen),
+                n_parameters=len(self.chosen),
+                tolerance=self.tolerance,
+            )
+        return self._known[key]
+
+    def _some_stop(self, arc: Arc) -> int:
+        """Return a stop that is open along an arc, or a closed stop if all are closed."""
+        names = [k for k, name in enumerate(self.graph.stop_names) if name not in arc.closed]
+        return names[0] if names else 0
+
+    # Ends of arcs.
+
+    def _end(self, arc: Arc, start: EventShift, events: Sequence[Event]) -> EventShift:
+        """Return the derivatives of the end of an arc, before any reset."""
+        event = events[0] if events and events[0].time <= arc.end_time else None
+        if isinstance(event, Impact):
+            stop = self.graph.stop_names.index(event.stop)
+            if arc.stop in ("", event.stop):
+                return self._of(arc, stop).flown(arc, start)
+            gradient = self._of(arc, stop).differentials.contact(arc.end_state)[GAP]
+            moved = self._crossed(arc, start, gradient)
+            rate = self._of(arc, stop).differentials.contact(arc.end_state)[GAP_RATE]
+            return EventShift(time=moved.time, state=moved.state, rate=self._total(rate, moved))
+        if isinstance(event, Release):
+            stop = self.graph.stop_names.index(event.stop)
+            gradient = self._of(arc, stop).differentials.contact(arc.end_state)[MULTIPLIER]
+            return self._crossed(arc, start, gradient)
+        switch = self._switch_of(arc, event)
+        gradient = self.graph.guard_gradient(switch, arc.end_state, self.chosen)
+        return self._crossed(arc, start, gradient)
+
+    def _switch_of(self, arc: Arc, event: Event | None) -> int:
+        """Return the switch at the end of an arc: the event's, or one that is not armed."""
+        if isinstance(event, SwitchEvent):
+            return self.graph.switch_names.index(event.name)
+        guards, rounding, _ = self.graph.guards(arc.end_state)
+        declared = slice(self.graph.n_declared)
+        return int(np.argmin(np.abs(guards[declared]) / np.maximum(rounding[declared], 1e-300)))
+
+    def _crossed(self, arc: Arc, start: EventShift, gradient: Vector) -> EventShift:
+        """Return the derivatives of the zero of a guard at the end of an arc."""
+        n_x = arc.start_state.size
+        some = self._some_stop(arc)
+        perturbations = self._of(arc, some)
+        view, differentials = perturbations.dynamics, perturbations.differentials
+        v, q, unit = start.state, perturbations.parameters, 1.0
+        if arc.stop:
+            stop, unit = self.graph.stop_names.index(arc.stop), arc.time_unit
+            perturbations = self._of(arc, stop)
+            flow = perturbations.dynamics.flight(unit)
+            differential = perturbations.differentials.flight(unit)
+            v = np.concatenate([v, np.zeros((2, v.shape[1]))])
+            q = np.concatenate([q, start.rate[None, :]])
+        elif self.graph.stop_names[some] in arc.closed:
+            flow, differential = view.locked, differentials.locked
+        else:
+            flow, differential = view.free, differentials.free
+        v = carried(flow, differential, arc, self.tolerance, v, q)
+        rate = flow.rate(arc.flow_state_at(arc.duration))
+        change = gradient[:n_x] @ v[:n_x] + gradient[n_x:] @ perturbations.parameters
+        delay = -change / (gradient[:n_x] @ rate[:n_x])
+        longer = arc.duration * start.rate if arc.stop else 0.0
+        return EventShift(
+            time=start.time + longer + unit * delay,
+            state=(v + rate[:, None] * delay)[:n_x],
+            rate=np.zeros_like(start.rate),
+        )
+
+    # Events.
+
+    def _after(
+        self, event: Event, here: EventShift, arc: Arc, following: Arc, bounces: list[Bounce]
+    ) -> tuple[EventShift, list[Bounce]]:
+        """Return the derivatives after an event, and the impacts of the sequence so far."""
+        n_x = arc.start_state.size
+        if isinstance(event, Impact):
+            stop = self.graph.stop_names.index(event.stop)
+            kept = [name for name in following.closed if name in arc.closed and name != event.stop]
+            closed, _ = self.graph.mode_of(kept, ())
+            mode: GraphMode = closed, following.sides or self._any_sides()
+            perturbations = self._at(mode, stop)
+            before = self._with_rate(perturbations, event, here)
+            after = perturbations.struck(event, before)
+            return after, perturbations.joined(bounces, event, after)
+        if isinstance(event, ZenoPoint):
+            stop = self.graph.stop_names.index(event.stop)
+            perturbations = self._of(following, stop)
+            if event.tail == 0.0:
+                impact, shift = bounces[-1].impact, bounces[-1].shift
+                return perturbations.rested(impact, shift), []
+            return perturbations.limit(bounces, event.state), []
+        if isinstance(event, Release):
+            if here.rate.any():
+                # A stop that an impact pulled open: the impact has its derivative.
+                return here, bounces
+            stop = self.graph.stop_names.index(event.stop)
+            perturbations = self._of(following, stop)
+            by_state = perturbations.differentials.resting(arc.end_state)[:n_x]
+            return self._moved(here, by_state), []
+        switch = self.graph.switch_names.index(event.name)
+        if switch >= self.graph.n_declared:
+            return here, bounces
+        derivative = self.graph.reset_derivative(switch, event.state_minus, self.chosen)
+        after = self._moved(here, derivative)
+        if following.stop and following.start_time == event.time:
+            stop = self.graph.stop_names.index(following.stop)
+            contact = self._of(following, stop).differentials.contact(event.state_plus)
+            rate = self._total(contact[GAP_RATE], after)
+            after = EventShift(time=after.time, state=after.state, rate=rate)
+        return after, []
+
+    def _with_rate(
+        self, perturbations: Perturbations, impact: Impact, here: EventShift
+    ) -> EventShift:
+        """Return the derivatives before an impact, with those of the gap rate."""
+        if here.rate.any():
+            return here
+        contact = perturbations.differentials.contact(impact.state_minus)
+        rate = self._total(contact[GAP_RATE], here)
+        return EventShift(time=here.time, state=here.state, rate=rate)
+
+    def _moved(self, here: EventShift, derivative: Vector) -> EventShift:
+        return EventShift(
+            time=here.time, state=self._total(derivative, here), rate=np.zeros_like(here.rate)
+        )
+
+    def _total(self, gradient: Vector, here: EventShift) -> Vector:
+        """Return the change of a function, due to state and parameters."""
+        n_x = here.state.shape[0]
+        parameters = np.eye(len(self.chosen), here.state.shape[1], n_x)
+        return np.asarray(gradient[..., :n_x] @ here.state + gradient[..., n_x:] @ parameters)
