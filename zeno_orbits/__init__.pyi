@@ -1,6 +1,7 @@
 __version__: str
 
 from .api import ZenoCondition as ZenoCondition
+from .api import find_event_orbit as find_event_orbit
 from .api import find_orbit_by_shooting as find_orbit_by_shooting
 from .api import compare as compare
 from .api import compile_problem as compile_problem
@@ -82,6 +83,9 @@ from .model.rig_parts import Switching as PwmSettings
 from .model.stops import Stop as Stop
 from .model.stops import Switch as Switch
 from .orbits.bounds import Bound as Bound
+from .orbits.event_orbit import EventOrbit as EventOrbit
+from .orbits.event_orbit import read_event_orbit as read_event_orbit
+from .orbits.event_orbit import write_event_orbit as write_event_orbit
 from .orbits.orbit import ZenoOrbit as ZenoOrbit
 from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.orbit_file import read_orbit as read_orbit
@@ -137,6 +141,7 @@ __all__ = [
     "Controller",
     "Drawing",
     "EnclosedEvent",
+    "EventOrbit",
     "EventSequence",
     "Execution",
     "ExecutionPlan",
@@ -210,6 +215,7 @@ __all__ = [
     "equilibrium_acceleration",
     "execution_distance",
     "explore",
+    "find_event_orbit",
     "find_orbit",
     "find_orbit_by_shooting",
     "floquet_multipliers",
@@ -228,6 +234,7 @@ __all__ = [
     "plot_zeno_set",
     "prove",
     "quasi_static_drive",
+    "read_event_orbit",
     "read_orbit",
     "read_recording",
     "recovery",
@@ -244,6 +251,7 @@ __all__ = [
     "verify",
     "with_certificate",
     "work_precision",
+    "write_event_orbit",
     "write_orbit",
     "write_recording",
     "zeno_condition",

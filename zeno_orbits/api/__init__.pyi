@@ -2,6 +2,7 @@ from .checks import check_certificate as check_certificate
 from .checks import check_certificate_of as check_certificate_of
 from .checks import enclose_period as enclose_period
 from .checks import floquet_multipliers as floquet_multipliers
+from .checks import holds_events as holds_events
 from .checks import prove as prove
 from .checks import require_proof_extra as require_proof_extra
 from .checks import system_of as system_of
@@ -42,6 +43,7 @@ from .models import reduced_model_errors as reduced_model_errors
 from .models import work_precision as work_precision
 from .models import zeno_condition as zeno_condition
 from .orbit_search import Verified as Verified
+from .orbit_search import find_event_orbit as find_event_orbit
 from .orbit_search import find_orbit_by_shooting as find_orbit_by_shooting
 from .orbit_search import find_orbit as find_orbit
 from .orbit_search import search_gains as search_gains

@@ -16,7 +16,7 @@ from zeno_orbits.api.inputs import (
 )
 from zeno_orbits.errors import finite_number, named_numbers, positive_number
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit, holds_events, read_event_orbit
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @front_door
 def verify(
-    orbit: ZenoOrbit | str | Path,
+    orbit: ZenoOrbit | EventOrbit | str | Path,
     *,
     problem: Named | None = None,
     settings: VerificationSettings | None = None,
@@ -48,8 +48,13 @@ def verify(
         InputError: If the orbit's problem is not known, or the orbit does not fit the problem.
         OrbitFileError: If the file is not an orbit file.
     """
-    from zeno_orbits.verification import verifier
+    from zeno_orbits.verification import verifier, verify_events
 
+    if not isinstance(orbit, ZenoOrbit | EventOrbit) and holds_events(orbit):
+        orbit = read_event_orbit(orbit)
+    if isinstance(orbit, EventOrbit):
+        known = problem_of(orbit, problem)
+        return verify_events(orbit, known, settings=settings, on_progress=on_progress)
     orbit = as_orbit(orbit)
     known = problem_of(orbit, problem)
     return verifier.verify(

@@ -19,7 +19,7 @@ from zeno_orbits.model import (
     locate_problem,
     split_fidelity,
 )
-from zeno_orbits.orbits import ZenoOrbit, read_orbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit, read_orbit
 from zeno_orbits.work import Plan, Workers
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def split_numbers(problem: Problem, numbers: Numbers) -> tuple[dict[str, float],
     return gains, {name: x for name, x in numbers.items() if name not in gains}
 
 
-def problem_of(orbit: ZenoOrbit, problem: Named | None = None) -> Problem:
+def problem_of(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> Problem:
     """Return the problem of an orbit, by its name or as given.
 
     Args:

@@ -19,7 +19,7 @@ from zeno_orbits.api.inputs import (
 from zeno_orbits.api.settings import verification_settings
 from zeno_orbits.errors import InputError, named_numbers, number_range
 from zeno_orbits.model import ParameterValues, Problem, ProblemFile
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Plan, Progress, silent
 
 if TYPE_CHECKING:
@@ -161,6 +161,61 @@ def search_gains(
         initial_states=() if start is None else (named_numbers("start", start),),
     )
     return _with_certificates(result, bounds)
+
+
+@front_door
+def find_event_orbit(
+    problem: Named,
+    *,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    section: str | None = None,
+    until: float | None = None,
+    settings: SimulationSettings | None = None,
+    on_progress: Progress = silent,
+) -> EventOrbit:
+    """Find and verify the orbit to which a machine with several stops or switches settles.
+
+    Args:
+        problem: The problem, its name or its file.
+        gains: Gains that differ from their defaults.
+        parameters: Parameters that differ from their defaults.
+        start: State name to initial value of the simulation. The default is each of the problem's
+            starts.
+        section: Name of the event at which the period starts and ends, such as ``zeno knee`` or
+            ``switch heel strike``. The default is chosen by the program.
+        until: Longest time to settle [s].
+        settings: Integrator and accuracy.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Returns:
+        The orbit with its certificate and multipliers. `certificate["passed"]` is the verdict.
+
+    Raises:
+        InputError: If a name is unknown, a value is out of range, or the problem has one stop and
+            no switch.
+        SimulationError: If no motion settles to an orbit.
+    """
+    from zeno_orbits.search import find_event_orbit as find
+    from zeno_orbits.verification import verify_events
+
+    known = known_problem(problem)
+    orbit = find(
+        known,
+        known.values(gains=gains, parameters=parameters),
+        start=start,
+        section=section,
+        until=until,
+        simulation=settings,
+        on_progress=on_progress,
+    )
+    certificate = verify_events(orbit, known, on_progress=on_progress)
+    return replace(
+        orbit,
+        certificate=certificate.as_json(),
+        floquet_multipliers=certificate.multipliers,
+    )
 
 
 @front_door

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
+from zeno_orbits.cli.event_orbits import search_events
 from zeno_orbits.cli.options import (
     add_accuracy,
     add_command,
@@ -120,6 +121,12 @@ def add_search(commands: Any) -> None:
         "them, joined by commas (zeno*2, impact*3; default: the attractor of a simulation)",
     )
     parser.add_argument(
+        "--section",
+        metavar="EVENT",
+        help="event at which the period starts and ends, such as 'zeno knee' (default: chosen), "
+        "for a machine with several stops or switches",
+    )
+    parser.add_argument(
         "--candidates",
         type=read_count,
         default=1,
@@ -159,6 +166,10 @@ def add_search(commands: Any) -> None:
 def _run_search(options: argparse.Namespace) -> int:
 
     problem = api.known_problem(options.problem)
+    if problem.has_graph:
+        return search_events(options, problem)
+    if options.section is not None:
+        raise InputError("Option `--section` needs a machine with several stops or switches.")
     near = None if options.near is None else api.as_orbit(options.near)
     gains, parameters = api.split_numbers(problem, options.set)
     free = {**api.free_gains(problem), **options.vary}

@@ -167,7 +167,7 @@ class Problem(Declared):
 
     @property
     def has_graph(self) -> bool:
-        """True for a machine with several stops or with switches. Only `simulate` accepts one."""
+        """True for a machine with several stops or with switches."""
         return _built(self)[0].graph is not None
 
     def graph_dynamics(self, values: ParameterValues | Sequence[float] | Vector) -> GraphDynamics:
@@ -575,8 +575,8 @@ def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
     system, symbols = _built(problem)
     if system.graph is not None:
         raise InputError(
-            f"Argument `problem`: `{problem.name}` has several stops or switches. Only `simulate` "
-            "accepts such a machine in this version."
+            f"Argument `problem`: `{problem.name}` has several stops or switches. Only `simulate`, "
+            "`search`, `verify` and `continue` accept such a machine in this version."
         )
     names = problem.state_names
     if transform is not None:

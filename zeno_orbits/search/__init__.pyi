@@ -1,6 +1,7 @@
 from .closing import Closing as Closing
 from .closing import OrbitNotClosedError as OrbitNotClosedError
 from .closing import close_orbit as close_orbit
+from .event_search import find_event_orbit as find_event_orbit
 from .closing import orbit_of as orbit_of
 from .fixed_point import ClosedCycle as ClosedCycle
 from .fixed_point import close_cycle as close_cycle

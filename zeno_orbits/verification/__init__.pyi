@@ -1,6 +1,7 @@
 from .certificate import DeltaCut as DeltaCut
 from .certificate import OrbitCertificate as OrbitCertificate
 from .certificate import RESIDUALS as RESIDUALS
+from .event_verifier import verify_events as verify_events
 from .measurement import measure as measure
 from .measurement import require_quantities as require_quantities
 from .verifier import VerificationSettings as VerificationSettings

@@ -17,11 +17,14 @@ RESIDUALS: Mapping[str, str] = {
     "impact_sequence": "the impacts after it come when and where the orbit says",
     "restitution": "every impact turns the gap rate round by -e",
     "impact_energy": "every impact loses (1 - e^2)/2 m w^2",
+    "events": "every event comes when and where the orbit says",
+    "impulses": "no closed stop pulls in an impact",
     "zeno_point": "the impacts accumulate when and where the orbit says",
     "phases": "the other phases start when and where the orbit says",
     "delta_sweep": "cutting the sequence at ever slower impacts tends to the same motion",
     "penetration": "the gap is never negative in flight",
     "adhesion": "the multiplier is never negative on the stop",
+    "switches": "every formula stays on its branch between the events",
     "escape": "no coordinate goes beyond an escape of the problem",
     "closure": "the period ends where it starts",
     "period": "the period agrees with the orbit",
@@ -43,11 +46,14 @@ FAILURES: Mapping[str, str] = {
     "impact_sequence": "a later impact does not come when and where the orbit says",
     "restitution": "an impact does not reverse the gap rate by -e",
     "impact_energy": "an impact does not lose (1 - e^2)/2 m w^2",
+    "events": "an event does not come when and where the orbit says",
+    "impulses": "a closed stop pulls in an impact",
     "zeno_point": "the impacts do not accumulate when and where the orbit says",
     "phases": "another phase does not start when and where the orbit says",
     "delta_sweep": "cutting the sequence at ever slower impacts tends to another motion",
     "penetration": "the gap is negative in flight",
     "adhesion": "the multiplier is negative on the stop",
+    "switches": "a formula leaves its branch between the events",
     "escape": "a coordinate goes beyond an escape of the problem",
     "closure": "the period does not end where it starts",
     "period": "the period differs from the orbit",
@@ -62,6 +68,8 @@ FAILURES: Mapping[str, str] = {
 
 _MISSES = ("first_impact", "impact_sequence", "closure", "period")
 """Residuals that compare the orbit's data with an integration, for every shape."""
+_EVENT_MISSES = ("events", "closure", "period")
+"""The same for an orbit given by its events."""
 _MISSES_IF_ANY = ("release", "start", "zeno_point", "phases")
 """Such residuals that only some shapes have. Every shape has one of the first two."""
 
@@ -118,6 +126,8 @@ class OrbitCertificate(Displayed):
         asked: Requested bounds of the search, with the measured ranges.
         open_balance: True if a force acts whose powers are not specified by the problem, so that
             the energy balance cannot be checked.
+        events: Event sequence of an orbit given by its events, otherwise empty. Such an orbit has
+            no `shape`, and neither energies nor truncations are computed for it.
     """
 
     tolerance: float
@@ -137,6 +147,7 @@ class OrbitCertificate(Displayed):
     shape: str = ONE_ZENO.text
     asked: tuple[Mapping[str, Any], ...] = ()
     open_balance: bool = False
+    events: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """Return one line with the verdict and the stability of the orbit."""
@@ -194,9 +205,13 @@ class OrbitCertificate(Displayed):
     def _kind(self) -> str:
         what = "Zeno periodic orbit"
         shape = OrbitShape.parsed(self.shape)
-        if not shape.starts_at_release:
+        if self.events:
+            zeno = any(name.startswith("zeno ") for name in self.events)
+            what = what if zeno else "periodic orbit without a Zeno point"
+            what = f"{what} (events: {', '.join(self.events)})"
+        elif not shape.starts_at_release:
             what = "periodic orbit without a Zeno point"
-        if not shape.has_one_release:
+        if not self.events and not shape.has_one_release:
             what = f"{what} (shape {shape.text})"
         if self.stable:
             return f"a stable {what}"
@@ -212,9 +227,10 @@ class OrbitCertificate(Displayed):
         with the multiplier :math:`\mu`. The error is infinite if the return or the multipliers
         could not be computed.
         """
-        misses = [self.residuals.get(name, math.inf) for name in _MISSES]
+        names = _EVENT_MISSES if self.events else _MISSES
+        misses = [self.residuals.get(name, math.inf) for name in names]
         known = [self.residuals[name] for name in _MISSES_IF_ANY if name in self.residuals]
-        misses += known or [math.inf]
+        misses += known if known or self.events else [math.inf]
         if not all(map(math.isfinite, (*misses, self.integration_error, self.multiplier_error))):
             return math.inf
         # The Zeno point and the period have their own errors, however stable the orbit is.
@@ -262,7 +278,7 @@ class OrbitCertificate(Displayed):
             "zeno_error": _number(self.zeno_error),
             "period": _number(self.period),
             "n_periods": self.n_periods,
-            "shape": self.shape,
+            **({"events": list(self.events)} if self.events else {"shape": self.shape}),
             "model": self.model,
             "trouble": self.trouble,
             "asked": [dict(one) for one in self.asked],

@@ -157,7 +157,7 @@ class GraphDynamics:
         self._flows: dict[tuple[GraphMode, int, bool], CompiledFlow] = {}
         self._delassus = Call(compiled.delassus, self.p)
         self._resets = [Call(one, self.p) for one in compiled.resets]
-        self._open: GraphMode = ((), (True,) * len(graph.conditions))
+        self.open_mode: GraphMode = ((), (True,) * len(graph.conditions))
 
     @property
     def n_q(self) -> int:
@@ -167,7 +167,7 @@ class GraphDynamics:
     @property
     def first(self) -> HybridDynamics:
         """The system of the first stop, with the other stops open."""
-        return self.view(self._open, 0)
+        return self.view(self.open_mode, 0)
 
     @property
     def own(self) -> OwnScale:
@@ -184,12 +184,12 @@ class GraphDynamics:
         key = (mode, stop)
         if key not in self._views:
             system = self.compiled.system(mode, stop)
-            base = None if mode == self._open else partial(self._scale, stop)
+            base = None if mode == self.open_mode else partial(self._scale, stop)
             self._views[key] = bind(system, self.p, base)
         return self._views[key]
 
     def _scale(self, stop: int) -> OwnScale:
-        return self.view(self._open, stop).own
+        return self.view(self.open_mode, stop).own
 
     def guard_flow(self, mode: GraphMode, switch: int, above: bool) -> CompiledFlow:
         """Return the flow of a mode, with the guard of a switch on one side of it."""
@@ -240,7 +240,7 @@ class GraphDynamics:
         """Return two stops that are one at a state: equal gaps that the same motion closes."""
         matrix = self.delassus(x)
         for j, k in combinations(range(len(self.stop_names)), 2):
-            first, second = self.view(self._open, j), self.view(self._open, k)
+            first, second = self.view(self.open_mode, j), self.view(self.open_mode, k)
             same_gap = abs(first.gap(x) - second.gap(x)) <= _EQUAL * first.own.gap
             product = float(matrix[j, j] * matrix[k, k])
             if same_gap and float(matrix[j, k]) > (1 - _EQUAL) * np.sqrt(product):

@@ -25,7 +25,7 @@ from zeno_orbits.report.terminal.console import line_width, print_lines, print_t
 if TYPE_CHECKING:
     from zeno_orbits.arrays import Vector
     from zeno_orbits.model import Problem
-    from zeno_orbits.orbits import OrbitPhase, ZenoOrbit
+    from zeno_orbits.orbits import EventOrbit, OrbitPhase, ZenoOrbit
     from zeno_orbits.precision import Assured
     from zeno_orbits.simulation import Event
     from zeno_orbits.verification import DeltaCut, OrbitCertificate
@@ -236,6 +236,33 @@ def print_summary(
     print_lines([f"  {', '.join(facts)}"])
     for k, phase in enumerate(orbit.phases):
         print_lines(_phase_lines(problem, orbit, k, phase))
+
+
+def print_event_orbit(orbit: EventOrbit, certificate: OrbitCertificate) -> None:
+    """Print an orbit of a machine with several stops or switches, its events and its verdict.
+
+    Args:
+        orbit: The orbit.
+        certificate: Its certificate.
+    """
+    kind = "stable" if certificate.stable else "unstable"
+    if not certificate.passed:
+        kind = "unverified"
+    print_lines([f"Found: {kind} orbit `{', '.join(orbit.sequence)}` of {orbit.problem}"])
+    facts = [f"period {orbit.period:.12g} s"]
+    if certificate.multipliers:
+        facts.append(f"spectral radius {certificate.spectral_radius:.4g}")
+    print_lines([f"  {', '.join(facts)}", ""])
+    print_table(
+        [
+            number_column("t [s]", lambda event: f"{event.time:.10g}"),
+            text_column("event", lambda event: event.name),
+        ],
+        orbit.events,
+    )
+    state = ", ".join(f"{name}={value:.10g}" for name, value in orbit.start_state.items())
+    print_lines([f"Start, just after `{orbit.events[-1].name}`:", f"  {state}", ""])
+    print_verdict(certificate)
 
 
 def _phase_lines(problem: Problem, orbit: ZenoOrbit, k: int, phase: OrbitPhase) -> list[str]:

@@ -1,0 +1,127 @@
+"""The commands `search` and `verify` for machines with several stops or switches."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from zeno_orbits import api
+from zeno_orbits.cli.options import NO, YES, numbers_of, print_json, say_written
+from zeno_orbits.errors import InputError
+from zeno_orbits.report import terminal as report
+from zeno_orbits.work import require_writable
+
+if TYPE_CHECKING:
+    import zeno_orbits as zo
+
+_SEARCH = {
+    "vary": "--vary",
+    "objective": "--objective",
+    "uncertain": "--uncertain",
+    "keep": "--bound",
+    "near": "--from",
+    "shape": "--shape",
+    "scheduler": "--scheduler",
+    "checkpoint": "--checkpoint",
+    "states": "--states",
+}
+"""Options of `search` that need a machine with one stop, by their names in the namespace."""
+
+_VERIFY = {
+    "proof": "--proof",
+    "rigorous": "--rigorous",
+    "truncation": "--truncation",
+}
+"""Options of `verify` that need an orbit of a machine with one stop."""
+
+
+def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
+    """Find, verify and print the orbit to which a machine settles, and return the exit code.
+
+    Args:
+        options: The command line.
+        problem: A problem with several stops or switches.
+
+    Raises:
+        InputError: If an option needs a machine with one stop.
+        SimulationError: If no motion settles.
+    """
+    import zeno_orbits as zo
+
+    _refuse(options, _SEARCH)
+    if options.candidates != 1:
+        raise InputError(_needs_one_stop("--candidates"))
+    if options.output is not None:
+        require_writable(options.output)
+    with report.ProgressLine(options.interrupts.check) as progress:
+        orbit = api.find_event_orbit(
+            problem,
+            **numbers_of(problem, options),
+            start=options.start or None,
+            section=options.section,
+            until=options.until,
+            settings=api.simulation_settings(options.engine),
+            on_progress=progress,
+        )
+        certificate = api.verify(orbit, problem=problem, on_progress=progress)
+    passes = certificate.passed and (certificate.stable or options.allow_unstable)
+    if options.output is not None and passes:
+        zo.write_event_orbit(orbit, options.output)
+    if options.json:
+        print_json(orbit.as_json())
+        return YES if passes else NO
+    report.print_event_orbit(orbit, certificate)
+    if passes:
+        say_written(options, [] if options.output is None else [options.output])
+    if options.accuracy is not None:
+        report.print_error_estimate(certificate.orbit_error)
+    return YES if passes else NO
+
+
+def verify_events(options: argparse.Namespace) -> int:
+    """Verify an orbit file that lists events, and return the exit code.
+
+    Args:
+        options: The command line.
+
+    Raises:
+        InputError: If an option needs a machine with one stop.
+        OrbitFileError: If the file is invalid.
+    """
+    import zeno_orbits as zo
+
+    _refuse(options, _VERIFY)
+    if options.model == "reference":
+        raise InputError(_needs_one_stop("--model reference"))
+    settings = api.verification_settings(
+        accuracy=options.accuracy,
+        tolerance=options.tolerance,
+        engine=options.engine,
+        n_periods=options.periods,
+    )
+    orbit = zo.read_event_orbit(options.orbit)
+    with report.ProgressLine(options.interrupts.check) as progress:
+        certificate = api.verify(
+            orbit, problem=options.problem, settings=settings, on_progress=progress
+        )
+    if options.json:
+        print_json(certificate.as_json())
+    else:
+        report.print_certificate(certificate, margins=options.margins or options.all)
+        if options.accuracy is not None:
+            report.print_error_estimate(certificate.orbit_error)
+    certain = options.accuracy is None or certificate.orbit_error <= options.accuracy
+    return YES if certificate.passed and certain else NO
+
+
+def _refuse(options: argparse.Namespace, names: dict[str, str]) -> None:
+    for name, option in names.items():
+        if getattr(options, name, None):
+            raise InputError(_needs_one_stop(option))
+
+
+def _needs_one_stop(option: str) -> str:
+    return (
+        f"Option `{option}` needs a machine with one stop and no switch in this version: leave it "
+        "out."
+    )

@@ -1,0 +1,118 @@
+"""Orbits of machines with several stops or switches: a simulation settles, Newton's method closes.
+
+The values of gains and parameters are fixed. The motion is simulated until it nearly repeats at
+an event, and the return to this event is solved for its fixed point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, own_time
+from zeno_orbits.orbits import (
+    EventOrbit,
+    EventReturn,
+    OrbitEvent,
+    closed_return,
+    multipliers_of_return,
+    near_return,
+    orbit_event_name,
+    state_before,
+)
+from zeno_orbits.simulation import SimulationSettings, simulate
+from zeno_orbits.work import Progress, silent, versions
+
+_TIMES = (25.0, 100.0, 400.0)
+"""Simulated times in units of the problem's slowest time, until the motion nearly repeats."""
+
+
+def find_event_orbit(
+    problem: Problem,
+    values: ParameterValues,
+    *,
+    start: Mapping[str, float] | None = None,
+    section: str | None = None,
+    until: float | None = None,
+    simulation: SimulationSettings | None = None,
+    on_progress: Progress = silent,
+) -> EventOrbit:
+    """Return the orbit to which a motion settles, not verified.
+
+    Args:
+        problem: The problem, a machine with several stops or switches.
+        values: Its parameter values.
+        start: State name to initial value, by default each start of the problem in turn.
+        section: Name of the event at which the period starts and ends, such as ``zeno knee``. By
+            default it is chosen.
+        until: Longest time to settle [s]. The default is 400 of the problem's slowest oscillations.
+        simulation: Accuracy.
+        on_progress: Called with the stage.
+
+    Raises:
+        SimulationError: If no motion settles, or Newton's method does not converge.
+        InputError: If the section does not occur.
+    """
+    graph, settings = problem.graph_dynamics(values), simulation or SimulationSettings()
+    starts = problem.starts if start is None else (start,)
+    trouble: SimulationError | None = None
+    for named in starts:
+        x = np.array(problem.state_vector(named))
+        slowest = own_time(graph.first, x)
+        times = [part * slowest for part in _TIMES] if until is None else [until]
+        for time in times:
+            on_progress("settling", None)
+            try:
+                found = _closed(graph, x, time, section, settings)
+            except SimulationError as error:
+                trouble = error
+                if error.execution is not None:
+                    break
+            else:
+                return _orbit_of(problem, values, graph, found)
+    if trouble is None:
+        raise AssertionError("A problem has a start.")
+    raise trouble
+
+
+def _closed(
+    graph: GraphDynamics, x: Vector, until: float, section: str | None, settings: SimulationSettings
+) -> EventReturn:
+    """Return the periodic return near the end of a simulation."""
+    near = near_return(simulate(graph, x, until=until, settings=settings), graph, section)
+    return closed_return(
+        graph,
+        near.state,
+        section=near.section,
+        n_returns=near.n_returns,
+        guess=near.period,
+        settings=settings,
+    )
+
+
+def _orbit_of(
+    problem: Problem, values: ParameterValues, graph: GraphDynamics, found: EventReturn
+) -> EventOrbit:
+    """Return the orbit of a periodic return."""
+
+    def named(x: Vector) -> dict[str, float]:
+        return dict(zip(problem.state_names, map(float, x), strict=True))
+
+    return EventOrbit(
+        problem=problem.name,
+        parameters=dict(values.parameters),
+        gains=dict(values.gains),
+        period=found.period,
+        start_state=named(found.start),
+        events=tuple(
+            OrbitEvent(
+                name=orbit_event_name(event), time=event.time, state=named(state_before(event))
+            )
+            for event in found.events
+        ),
+        floquet_multipliers=multipliers_of_return(graph, found),
+        versions=versions(),
+    )

@@ -1,0 +1,357 @@
+r"""Check an orbit of a machine with several stops or switches by forward integration.
+
+The problem is rebuilt from the orbit's parameters, and the motion is integrated over several
+periods from the start state alone. Laws are stated here again, by other formulas than those of the
+simulator: the impulses of an impact follow from the changes of all gap rates,
+
+.. math:: G\,p = \dot h^+ - \dot h^-, \qquad G = J W J^\top,
+
+and the guards are sampled between the events.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.model import GraphDynamics, Problem
+from zeno_orbits.orbits import (
+    EventOrbit,
+    OrbitEvent,
+    at_looser_tolerance,
+    event_return,
+    multipliers_of_return,
+    orbit_event_name,
+    resolved,
+    sequence_of,
+    state_before,
+)
+from zeno_orbits.simulation import (
+    Arc,
+    Ending,
+    Event,
+    Execution,
+    Impact,
+    Release,
+    SimulationSettings,
+    SwitchEvent,
+    ZenoPoint,
+    simulate,
+)
+from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.verification.verifier import VerificationSettings
+from zeno_orbits.work import Progress, silent
+
+_SAMPLES = 24
+"""Samples of every arc, in addition to the steps of the integrator."""
+_BEYOND = 1e-9
+"""Part of a period by which the integration goes on, so that the last event is inside."""
+_NO_SWEEP = math.nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Period:
+    """One integrated period.
+
+    Attributes:
+        events: Its events.
+        arcs: Its arcs.
+        start: When it starts [s].
+        end: When it ends [s].
+        state: State just after its last event, ``(n_x,)``.
+    """
+
+    events: tuple[Event, ...]
+    arcs: tuple[Arc, ...]
+    start: float
+    end: float
+    state: Vector
+
+
+def verify_events(
+    orbit: EventOrbit,
+    problem: Problem,
+    *,
+    settings: VerificationSettings | None = None,
+    on_progress: Progress = silent,
+) -> OrbitCertificate:
+    """Return the certificate of an orbit given by its events.
+
+    Args:
+        orbit: The orbit. Its own certificate and multipliers are ignored.
+        problem: Its problem.
+        settings: Tolerance, number of periods and accuracy.
+        on_progress: Called with the name of each stage as it begins.
+
+    Raises:
+        InputError: If the orbit does not fit the problem.
+    """
+    settings = settings or VerificationSettings()
+    graph = problem.graph_dynamics(orbit.values(problem))
+    start = np.array(problem.state_vector(orbit.start_state))
+    on_progress("integrating the orbit", None)
+    periods, trouble = _periods(graph, orbit, start, settings.simulation, settings.n_periods)
+    said = [_said(problem, event) for event in orbit.events]
+    residuals: dict[str, float] = dict.fromkeys(("events", "closure", "period"), math.inf)
+    margins: dict[str, float] = {}
+    integration_error = math.inf
+    if periods:
+        first, scale = periods[0], _scale(graph, periods[0])
+        residuals = {
+            "events": _miss(orbit, said, first, scale),
+            "closure": _distance(first.state, start, scale),
+            "period": abs(first.end - orbit.period) / orbit.period,
+            **_impact_laws(graph, first),
+            **_sampled(graph, first),
+        }
+        if len(periods) == settings.n_periods > 1:
+            residuals["drift"] = max(_distance(one.state, start, scale) for one in periods)
+        margins = _margins(graph, first)
+        on_progress("integrating at a looser tolerance", None)
+        looser = at_looser_tolerance(settings.simulation)
+        others, _ = _periods(graph, orbit, start, looser, 1)
+        if others:
+            integration_error = max(
+                _distance(others[0].state, first.state, scale),
+                abs(others[0].end - first.end) / first.end,
+            )
+        residuals["integration"] = integration_error
+    on_progress("computing the multipliers", None)
+    multipliers, error = _multipliers(graph, orbit, start, settings.simulation)
+    if multipliers and abs(multipliers[0]) >= 1.0:
+        residuals.pop("drift", None)
+        trouble = "" if periods else trouble
+    errors = [one.limit_error for one in _of_kind(periods, ZenoPoint)]
+    return OrbitCertificate(
+        tolerance=settings.tolerance,
+        residuals=residuals,
+        margins=margins,
+        energies={},
+        multipliers=multipliers,
+        multiplier_error=error,
+        delta_sweep=(),
+        delta_order=_NO_SWEEP,
+        integration_error=integration_error,
+        zeno_error=max(errors, default=0.0),
+        period=periods[0].end if periods else math.nan,
+        n_periods=settings.n_periods,
+        model="derived",
+        trouble=trouble,
+        events=orbit.sequence,
+    )
+
+
+def _periods(
+    graph: GraphDynamics,
+    orbit: EventOrbit,
+    start: Vector,
+    settings: SimulationSettings,
+    n_periods: int,
+) -> tuple[list[_Period], str]:
+    """Return the integrated periods, and the reason for an early end."""
+    until = orbit.period * (n_periods + _BEYOND * n_periods)
+    try:
+        execution = simulate(graph, start, until=until, settings=resolved(settings))
+        trouble = ""
+    except SimulationError as error:
+        if error.execution is None:
+            return [], str(error)
+        execution, trouble = error.execution, str(error)
+    section = orbit.events[-1].name
+    n_returns = sum(event.name == section for event in orbit.events)
+    return list(_split(execution, section, n_returns)), trouble
+
+
+def _split(execution: Execution, section: str, n_returns: int) -> Iterator[_Period]:
+    """Yield the periods of an execution, each ended by its n-th event of the section."""
+    begin, count, first = 0.0, 0, 0
+    for place, event in enumerate(execution.events):
+        if orbit_event_name(event) != section or event.time <= begin:
+            continue
+        count += 1
+        if count % n_returns == 0:
+            yield _Period(
+                events=execution.events[first : place + 1],
+                arcs=tuple(a for a in execution.arcs if begin <= a.start_time < event.time),
+                start=begin,
+                end=event.time,
+                state=event.state_plus if isinstance(event, Impact) else event.state,
+            )
+            begin, first = event.time, place + 1
+
+
+def _said(problem: Problem, event: OrbitEvent) -> tuple[str, float, Vector]:
+    return event.name, event.time, np.array(problem.state_vector(event.state))
+
+
+def _miss(
+    orbit: EventOrbit,
+    said: Sequence[tuple[str, float, Vector]],
+    first: _Period,
+    scale: Vector,
+) -> float:
+    """Return the largest deviation of an event, infinite if the event sequence differs."""
+    seen = [
+        (orbit_event_name(event), event.time - first.start, np.asarray(state_before(event)))
+        for event in first.events
+    ]
+    if sequence_of([name for name, _, _ in seen]) != orbit.sequence or len(seen) != len(said):
+        return math.inf
+    return max(
+        max(abs(time - t) / orbit.period, _distance(x, y, scale)) if name == other else math.inf
+        for (name, time, x), (other, t, y) in zip(seen, said, strict=True)
+    )
+
+
+def _distance(x: Vector, y: Vector, scale: Vector) -> float:
+    return float(np.max(np.abs(x - y) / scale))
+
+
+def _scale(graph: GraphDynamics, period: _Period) -> Vector:
+    largest = np.max(np.abs(np.array([arc.end_state for arc in period.arcs])), axis=0)
+    own = graph.own.states(len(largest))
+    return np.where(largest > 1e-12 * own, largest, own)
+
+
+def _of_kind(periods: Sequence[_Period], kind: type[ZenoPoint]) -> list[ZenoPoint]:
+    return [event for one in periods[:1] for event in one.events if isinstance(event, kind)]
+
+
+def _impact_laws(graph: GraphDynamics, period: _Period) -> dict[str, float]:
+    """Return the deviations of impacts from Newton's law, and the largest pull of a stop."""
+    impacts = [event for event in period.events if isinstance(event, Impact)]
+    if not impacts:
+        return {}
+    fastest = max(abs(impact.approach_rate) for impact in impacts)
+    turn = pull = 0.0
+    n = len(graph.stop_names)
+    for impact in impacts:
+        stop = graph.stop_names.index(impact.stop)
+        e = graph.view(graph.open_mode, stop).restitution
+        before, after = (
+            np.array([graph.view(graph.open_mode, k).gap_rate(x) for k in range(n)])
+            for x in (impact.state_minus, impact.state_plus)
+        )
+        turn = max(turn, abs(after[stop] + e * impact.approach_rate) / fastest)
+        impulses = np.linalg.lstsq(graph.delassus(impact.state_minus), after - before, rcond=1e-9)[
+            0
+        ]
+        largest = float(np.max(np.abs(impulses)))
+        if largest > 0.0 and np.linalg.matrix_rank(graph.delassus(impact.state_minus)) == n:
+            pull = max(pull, float(np.max(-impulses)) * abs(impact.approach_rate) / largest)
+    return {"restitution": turn, "impulses": pull / fastest}
+
+
+def _sampled(graph: GraphDynamics, period: _Period) -> dict[str, float]:
+    """Return the largest violation of gaps, multipliers and switches between the events."""
+    lowest = adhesion = crossed = constraints = 0.0
+    depth, force = 1e-300, 1e-300
+    for arc in period.arcs:
+        if arc.trajectory is None:
+            continue
+        closed, sides = graph.mode_of(arc.closed, arc.sides)
+        n_x, span = len(arc.start_state), arc.end_time - arc.start_time
+        times = np.linspace(0.0, span, _SAMPLES + 2)[1:-1]
+        states = [*arc.flow_states[1:-1, :n_x], *(arc.state_at(arc.start_time + t) for t in times)]
+        for x in states:
+            for k in range(len(graph.stop_names)):
+                if k not in closed:
+                    gap = graph.view(graph.open_mode, k).gap(x)
+                    lowest, depth = min(lowest, gap), max(depth, gap)
+                else:
+                    others = tuple(j for j in closed if j != k)
+                    pressed = graph.view((others, sides), k).multiplier(x)
+                    adhesion, force = min(adhesion, pressed), max(force, pressed)
+            crossed = max(crossed, _wrong_side(graph, arc, x))
+        held = graph.view(graph.open_mode, 0).holonomic(arc.end_state)
+        constraints = max([constraints, *np.abs(held).tolist()])
+    found = {"penetration": abs(lowest) / depth, "adhesion": abs(adhesion) / force}
+    if graph.switch_names:
+        found["switches"] = crossed
+    if len(graph.view(graph.open_mode, 0).holonomic(period.state)):
+        found["holonomic"] = constraints
+    return found
+
+
+def _wrong_side(graph: GraphDynamics, arc: Arc, x: Vector) -> float:
+    """Return by how much a state of an arc is on the wrong side of a kink, in its size."""
+    guards, rounding, _ = graph.guards(x)
+    n = graph.n_declared
+    wrong = [
+        abs(float(guards[n + k])) / max(float(rounding[n + k]) * 1e12, 1e-300)
+        for k, side in enumerate(arc.sides)
+        if (guards[n + k] > 0.0) != side
+    ]
+    return max(wrong, default=0.0)
+
+
+def _margins(graph: GraphDynamics, period: _Period) -> dict[str, float]:
+    """Return the distances to the loss of an event, the smallest of each kind."""
+    found: dict[str, list[float]] = {}
+    opening: dict[str, bool] = {}
+    for event in period.events:
+        if isinstance(event, Impact):
+            if not opening.get(event.stop):
+                found.setdefault("first_impact_speed", []).append(-event.approach_rate)
+            opening[event.stop] = True
+        elif isinstance(event, ZenoPoint):
+            opening[event.stop] = False
+            arc = next((a for a in period.arcs if a.start_time >= event.time), None)
+            if arc is not None:
+                closed, sides = graph.mode_of(arc.closed, arc.sides)
+                stop = graph.stop_names.index(event.stop)
+                view = graph.view((tuple(k for k in closed if k != stop), sides), stop)
+                rate = -view.gap_acceleration(event.state)
+                found.setdefault("gap_acceleration", []).append(rate)
+    for arc in period.arcs:
+        if arc.ending is Ending.RELEASE:
+            event = next(
+                e for e in period.events if isinstance(e, Release) and e.time == arc.end_time
+            )
+            closed, sides = graph.mode_of(arc.closed, arc.sides)
+            stop = graph.stop_names.index(event.stop)
+            view = graph.view((tuple(k for k in closed if k != stop), sides), stop)
+            rate = -view.multiplier_rate(arc.end_state)
+            found.setdefault("release_transversality", []).append(rate)
+        elif arc.ending is Ending.SWITCH:
+            event = next(
+                (e for e in period.events if isinstance(e, SwitchEvent) and e.time == arc.end_time),
+                None,
+            )
+            if event is not None:
+                mode = graph.mode_of(arc.closed, arc.sides)
+                switch = graph.switch_names.index(event.name)
+                above = switch < graph.n_declared or arc.sides[switch - graph.n_declared]
+                rate = -graph.guard_flow(mode, switch, above).guard(arc.end_state)[1]
+                found.setdefault("switch_transversality", []).append(float(rate))
+    return {name: min(values) for name, values in found.items()}
+
+
+def _multipliers(
+    graph: GraphDynamics, orbit: EventOrbit, start: Vector, settings: SimulationSettings
+) -> tuple[tuple[complex, ...], float]:
+    """Return the multipliers and the estimated error of the largest, infinite if unknown."""
+    section = orbit.events[-1].name
+    n_returns = sum(event.name == section for event in orbit.events)
+    found: list[tuple[complex, ...]] = []
+    with suppress(ZenoOrbitsError):
+        for chosen in (settings, at_looser_tolerance(settings)):
+            one = event_return(
+                graph,
+                start,
+                section=section,
+                n_returns=n_returns,
+                guess=orbit.period,
+                settings=chosen,
+            )
+            found.append(multipliers_of_return(graph, one))
+    if len(found) < 2 or len(found[0]) != len(found[1]):
+        return (found[0], math.inf) if found else ((), math.inf)
+    differences = [abs(a - b) for a, b in zip(*found, strict=True)]
+    return found[0], max([1e-12, *differences])
