@@ -17,14 +17,14 @@ A stop whose impulse would be negative opens. `G` is positive definite, so there
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, StepSizeError
+from zeno_orbits.errors import InputError, PenetrationError, StepSizeError
 from zeno_orbits.integrators import GuardedFlow, Outcome, Passage
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.simulation.admission import require_admissible
@@ -47,6 +47,7 @@ from zeno_orbits.simulation.interruptions import (
     enters_by_switch,
     leaves_set,
     slides,
+    switches_accumulate,
     undetermined_contact,
 )
 from zeno_orbits.simulation.reference_run import ImpactSequence, ReferenceRun, is_slack
@@ -63,6 +64,10 @@ _GROW, _SHORTEST = 4.0, 1e-3
 """Next window over the previous arc or window, and the shortest window over the problem's time."""
 _BEFORE = 1e-9
 """Part of a window that is left out where the flow of a branch ends to exist."""
+_IN_TURN, _IN_ROW = 16, 7
+"""Impacts on several stops, and events of one switch, whose intervals are compared."""
+_SHORT = 1e-5
+"""Part of the problem's time below which shrinking intervals of a switch accumulate."""
 _ACCUMULATED = 1e-3
 """Part of the first speed of a sequence below which its impacts accumulate."""
 
@@ -127,6 +132,8 @@ class GraphRun(ReferenceRun):
         window: Time in which the next event is first looked for [s].
         flipped: Time and switch of the last start on the wrong side of a switch.
         n_switches: Number of switches so far.
+        recent: Times and stops of the last impacts.
+        switched: Times of the last switches, by name.
     """
 
     graph: GraphDynamics
@@ -140,6 +147,8 @@ class GraphRun(ReferenceRun):
     window: float = np.inf
     flipped: tuple[float, int] | None = None
     n_switches: int = 0
+    recent: tuple[tuple[float, str], ...] = ()
+    switched: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
 
     def execution(self) -> Execution:
         """Return the execution so far."""
@@ -276,6 +285,8 @@ class GraphRun(ReferenceRun):
                     return False
             guards, rounding, _ = self.graph.guards(x)
             signs = np.where(self._signs(), guards, -guards)
+            # A kink that splits every flight is zero at the limit itself.
+            signs[list(self.split_by[0])] = np.inf
             if not np.all(signs > -1e3 * rounding):
                 return False
         values, rounding, _ = self.graph.guards(limit.state)
@@ -283,6 +294,24 @@ class GraphRun(ReferenceRun):
             if abs(values[kink]) <= 1e3 * rounding[kink]:
                 self._require_continuous(kink, limit.time, limit.state)
         return True
+
+    def after_phase(self, start: ArcStart) -> ArcStart | None:
+        """Follow one phase.
+
+        Raises:
+            SlidingError: If the state leaves the admissible set where a kink is zero, as by dry
+                friction at rest.
+        """
+        try:
+            return ReferenceRun.after_phase(self, start)
+        except PenetrationError as error:
+            x = np.array(error.state)[: start.state.size]
+            guards, rounding, _ = self.graph.guards(x)
+            zero = np.flatnonzero(np.abs(guards) <= 1e3 * rounding)
+            kinks = [int(s) for s in zero if s >= self.graph.n_declared]
+            if not kinks:
+                raise
+            raise slides(self.graph.switch_names[kinks[0]], error.time, x) from error
 
     def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
         """Return the next start after an arc that another event ended."""
@@ -308,6 +337,7 @@ class GraphRun(ReferenceRun):
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map in the mode that its impulses determine."""
         before = self.rest
+        self._require_one_stop(time, state_minus)
         self.split_by = self.split_by[1], frozenset()
         if approach_rate < 0.0:
             self._look(self._kept(state_minus), self.focus)
@@ -321,6 +351,22 @@ class GraphRun(ReferenceRun):
                 self.events.append(Release(time=time, state=state, stop=self.graph.stop_names[k]))
                 self.n_releases += 1
         return after
+
+    def _require_one_stop(self, time: float, x: Vector) -> None:
+        """Refuse impacts that accumulate on several stops in turn.
+
+        Raises:
+            SimultaneousEventsError: If the intervals of such impacts shrink to a limit.
+        """
+        self.recent = (*self.recent[1 - _IN_TURN :], (time, self.stop_name))
+        if len(self.recent) < _IN_TURN:
+            return
+        intervals = np.diff([moment for moment, _ in self.recent])
+        names = [name for _, name in self.recent]
+        turns = sum(one != other for one, other in pairwise(names))
+        if turns > _IN_TURN // 4 and intervals[-1] < _ACCUMULATED * intervals[0]:
+            others = ", ".join(f"`{name}`" for name in sorted({*names} - {self.stop_name}))
+            raise accumulate_together(self.stop_name, f"others strike {others}", time, x)
 
     # Modes.
 
@@ -568,6 +614,12 @@ class GraphRun(ReferenceRun):
         event = SwitchEvent(time=time, name=name, state_minus=before, state_plus=after)
         self.events.append(event)
         self.n_switches += 1
+        times = (*self.switched.get(name, ())[1 - _IN_ROW :], time)
+        self.switched[name] = times
+        intervals = np.diff(times)
+        shrink = len(times) == _IN_ROW and bool(np.all(np.diff(intervals) < 0.0))
+        if shrink and intervals[-1] < _SHORT * self.own.time:
+            raise switches_accumulate(name, time, after)
         if self.n_switches > self.settings.most_impacts:
             raise does_not_accumulate(self.settings.most_impacts, time, after)
 

@@ -145,7 +145,22 @@ def accumulate_together(stop: str, other: str, time: float, state: Vector) -> Si
         state: State there, ``(n_x,)``.
     """
     return SimultaneousEventsError(
-        f"Impacts accumulate on the stop `{stop}`, and {other} in every flight",
+        f"Impacts accumulate on the stop `{stop}`, and {other} in between",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
+def switches_accumulate(switch: str, time: float, state: Vector) -> ChatterError:
+    """Return the error of a switch whose events accumulate.
+
+    Args:
+        switch: Name of the switch.
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return ChatterError(
+        f"Events of the switch `{switch}` accumulate: their limit has no continuation",
         time=time,
         state=tuple(state.tolist()),
     )

@@ -130,8 +130,8 @@ def verify_events(
     errors = [one.limit_error for one in _of_kind(periods, ZenoPoint)]
     return OrbitCertificate(
         tolerance=settings.tolerance,
-        residuals=residuals,
-        margins=margins,
+        residuals={name: float(value) for name, value in residuals.items()},
+        margins={name: float(value) for name, value in margins.items()},
         energies={},
         multipliers=multipliers,
         multiplier_error=error,
