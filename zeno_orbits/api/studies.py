@@ -22,7 +22,7 @@ from zeno_orbits.api.inputs import (
 )
 from zeno_orbits.errors import InputError, named_numbers, number_range
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit, holds_events, read_event_orbit
 from zeno_orbits.work import Plan, Progress, Workers, silent
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @front_door
 def continue_orbit(
-    orbit: ZenoOrbit | str | Path,
+    orbit: ZenoOrbit | EventOrbit | str | Path,
     parameter: str,
     box: tuple[float, float],
     *,
@@ -71,6 +71,22 @@ def continue_orbit(
     from zeno_orbits import continuation
 
     box = number_range("box", box)
+    if not isinstance(orbit, ZenoOrbit | EventOrbit) and holds_events(orbit):
+        orbit = read_event_orbit(orbit)
+    if isinstance(orbit, EventOrbit):
+        if second is not None:
+            raise InputError("Argument `second` needs a machine with one stop and no switch.")
+        with _crew(problem or orbit.problem, plan_of(workers, plan), on_progress) as crew:
+            known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
+            return continuation.continue_events(
+                known,
+                orbit,
+                parameter,
+                box,
+                settings=settings,
+                on_progress=on_progress,
+                crew=crew,
+            )
     orbit = as_orbit(orbit)
     if orbit.shape.n_phases != 1:
         wanted = "must have one Zeno point or one impact per period"

@@ -173,6 +173,15 @@ def _continued(
     second = None
     if options.second is not None:
         second = api.second_parameter(options.second.name, options.second.box, options.point)
+    if problem.has_graph:
+        return api.continue_orbit(
+            _event_orbit(options, problem, progress),
+            name,
+            box,
+            problem=options.problem,
+            second=second,
+            **common,
+        )
     orbit = _orbit(options, problem, progress)
     return api.continue_orbit(orbit, name, box, problem=options.problem, second=second, **common)
 
@@ -187,6 +196,21 @@ def _require_agreement(options: argparse.Namespace) -> None:
             raise InputError(f"Argument `section` {message}.")
     elif options.start:
         raise InputError("Argument `start` needs --section impact.")
+
+
+def _event_orbit(
+    options: argparse.Namespace, problem: zo.Problem, progress: report.ProgressLine
+) -> zo.EventOrbit:
+    """Return the orbit to start from, of a machine with several stops or switches."""
+    import zeno_orbits as zo
+
+    if options.start_orbit is not None:
+        return zo.read_event_orbit(options.start_orbit)
+    name, (low, high) = options.range
+    value = options.set.get(name, problem.values().number(name))
+    given = options.set if low <= value <= high else {**options.set, name: (low + high) / 2}
+    gains, parameters = api.split_numbers(problem, given)
+    return api.find_event_orbit(problem, gains=gains, parameters=parameters, on_progress=progress)
 
 
 def _orbit(

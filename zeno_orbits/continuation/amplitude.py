@@ -30,7 +30,8 @@ def orbit_amplitude(problem: Problem, family: Family, point: FamilyPoint) -> flo
         may happen at an end.
     """
     values = problem.values(gains=family.gains, parameters=family.parameters)
-    dynamics = problem.dynamics(values.replaced({family.parameter: point.value}))
+    numbers = values.replaced({family.parameter: point.value})
+    dynamics = problem.graph_dynamics(numbers) if problem.has_graph else problem.dynamics(numbers)
     try:
         run = simulate(dynamics, np.array(problem.state_vector(point.state)), until=point.period)
     except ZenoOrbitsError:

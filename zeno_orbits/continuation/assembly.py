@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +10,10 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import LEAST_DOUBT, Branch
 from zeno_orbits.continuation.corrector import BranchPoint
-from zeno_orbits.continuation.families import Family, FamilyPoint, SpecialPoint
-from zeno_orbits.continuation.return_maps import Margin
+from zeno_orbits.continuation.event_returns import EventSection
+from zeno_orbits.continuation.families import Family, FamilyPoint, SpecialPoint, SpecialPointKind
+from zeno_orbits.continuation.margins import ENDS
+from zeno_orbits.continuation.return_maps import Loss, Margin
 from zeno_orbits.continuation.setup import ONE_RETURN, Setup
 from zeno_orbits.continuation.special_points import Located
 from zeno_orbits.model import Problem
@@ -133,13 +135,25 @@ class _Names:
             margins=self._margins(located.margins),
         )
         also = ", ".join(kind.value for kind in located.also)
+        details = [f"together with: {also}" if also else "", self._event_of(located)]
         return SpecialPoint(
             kind=located.kind,
             at=at,
             error=located.error,
             index=index,
-            detail=f"together with: {also}" if also else "",
+            detail="; ".join(filter(None, details)),
         )
+
+    def _event_of(self, located: Located) -> str:
+        """Return the events that meet at an end, or the event that is lost there."""
+        section = self.setup.section
+        if not isinstance(section, EventSection) or located.kind not in ENDS.values():
+            return ""
+        sequence, place = section.sequence, located.place % len(section.sequence)
+        if located.kind is SpecialPointKind.EVENTS_MEET:
+            return f"{sequence[place - 1]} and {sequence[place]}"
+        of_period = (SpecialPointKind.AMPLITUDE_ZERO, SpecialPointKind.PERIOD_INFINITE)
+        return "" if located.kind in of_period else sequence[place]
 
     def end(self, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:
         """Return the end of a branch, or its last point if the end was not located.
@@ -160,9 +174,19 @@ class _Names:
 
     def _margins(self, margins: Mapping[Margin, float]) -> dict[str, float]:
         """Return margins by name. The name has the number of the return if there are several."""
+        section = self.setup.section
+        if isinstance(section, EventSection) and self.setup.n_returns == ONE_RETURN:
+            return {_named(margin, section.sequence): value for margin, value in margins.items()}
         return {
             margin.loss.value
             if self.setup.n_returns == ONE_RETURN
             else f"{margin.loss.value}, return {margin.place + 1}": value
             for margin, value in margins.items()
         }
+
+
+def _named(margin: Margin, sequence: Sequence[str]) -> str:
+    """Return the name of a margin with its event."""
+    if margin.loss in (Loss.AMPLITUDE, Loss.FREQUENCY):
+        return margin.loss.value
+    return f"{margin.loss.value}, {sequence[margin.place % len(sequence)]}"

@@ -23,6 +23,7 @@ from zeno_orbits.continuation.setup import (
     ContinuationSettings,
     FamilyStart,
     plane_of,
+    start_at_event,
     start_at_impact,
     start_at_release,
 )
@@ -30,7 +31,7 @@ from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
 from zeno_orbits.kinds import Checked
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import ONE_ZENO, ZenoOrbit
+from zeno_orbits.orbits import ONE_ZENO, EventOrbit, ZenoOrbit
 from zeno_orbits.search import close_orbit, find_orbit
 from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import Progress, plain, silent, versions
@@ -83,6 +84,38 @@ def continue_orbit(
     start = start_at_release(problem, orbit, parameter, box, settings)
     dispatch = Dispatch(problem=problem, settings=settings, on_progress=on_progress, crew=crew)
     return continue_from(start, dispatch, second=second)
+
+
+def continue_events(
+    problem: Problem,
+    orbit: EventOrbit,
+    parameter: str,
+    box: tuple[float, float],
+    *,
+    settings: ContinuationSettings | None = None,
+    on_progress: Progress = silent,
+    crew: Crew | None = None,
+) -> Continuation:
+    """Return the family of an orbit of a machine with several stops or switches.
+
+    Args:
+        problem: The problem.
+        orbit: An orbit of the problem. Its parameter must lie in the box.
+        parameter: Name of a gain or a parameter.
+        box: Range of the parameter, lower end first.
+        settings: Settings of the continuation.
+        on_progress: Called with each point.
+        crew: Workers. By default this process runs all jobs.
+
+    Raises:
+        InputError: If a name or a range does not fit, or the orbit belongs to another problem.
+        SimulationError: If the orbit does not close.
+        WorkError: If the work cannot be finished.
+    """
+    settings = settings or ContinuationSettings()
+    start = start_at_event(problem, orbit, parameter, box, settings)
+    dispatch = Dispatch(problem=problem, settings=settings, on_progress=on_progress, crew=crew)
+    return continue_from(start, dispatch)
 
 
 def continue_impacts(

@@ -29,6 +29,8 @@ class SpecialPointKind(Enum):
     LATER_GRAZING = "later impact grazes"
     RELEASE_LOST = "release not transversal"
     EARLIER_RELEASE = "earlier release"
+    EVENTS_MEET = "two events meet"
+    SWITCH_LOST = "switch not transversal"
     AMPLITUDE_ZERO = "amplitude zero"
     PERIOD_INFINITE = "period to infinity"
     BOUND = "end of the range"

@@ -29,6 +29,8 @@ ENDS = {
     Loss.LATER_IMPACT: SpecialPointKind.LATER_GRAZING,
     Loss.RELEASE_RATE: SpecialPointKind.RELEASE_LOST,
     Loss.ADHESION: SpecialPointKind.EARLIER_RELEASE,
+    Loss.EVENTS: SpecialPointKind.EVENTS_MEET,
+    Loss.SWITCH_RATE: SpecialPointKind.SWITCH_LOST,
 }
 """Kind of the end at which a margin vanishes."""
 

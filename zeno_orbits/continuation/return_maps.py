@@ -71,6 +71,8 @@ class Loss(Enum):
     RELEASE_RATE = "rate of the multiplier at the release"
     ADHESION = "least multiplier on the locked arc"
     CUT = "distance from the separatrix of the impacts"
+    EVENTS = "time since the previous event"
+    SWITCH_RATE = "rate of the guard at a switch"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,12 +9,22 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.corrector import FamilyMetric
+from zeno_orbits.continuation.event_returns import EventReturns, EventSection
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.kinds import Checked
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Line, OrbitShape, PhaseKind, ZenoOrbit
+from zeno_orbits.orbits import (
+    EventOrbit,
+    Line,
+    OrbitShape,
+    PhaseKind,
+    SectionMode,
+    ZenoOrbit,
+    event_return,
+    state_before,
+)
 from zeno_orbits.search import settle
 from zeno_orbits.simulation import SimulationSettings
 
@@ -49,7 +59,8 @@ class Setup:
         values: The problem's parameter values at the start.
         parameter: Name of the parameter that changes.
         box: Its range.
-        section: Class of the return map of a single return.
+        section: Class of the return map of a single return, or the section of a machine with
+            several stops or switches.
         metric: Units.
         simulation: Accuracy of a return.
         n_returns: Number of returns after which the orbits close.
@@ -58,18 +69,24 @@ class Setup:
     values: ParameterValues
     parameter: str
     box: tuple[float, float]
-    section: type[ReleaseReturns] | type[ImpactReturns]
+    section: type[ReleaseReturns] | type[ImpactReturns] | EventSection
     metric: FamilyMetric
     simulation: SimulationSettings
     n_returns: int = ONE_RETURN
 
     def returns(self, problem: Problem) -> ReturnMap:
         """Return the return map under which the orbits close."""
-        once = self.section(
-            compiled=problem.compiled(),
-            line=line_in(problem, np.array(self.values.vector), self.parameter),
-            settings=self.simulation,
-        )
+        line = line_in(problem, np.array(self.values.vector), self.parameter)
+        once: ReturnMap
+        if isinstance(self.section, EventSection):
+            once = EventReturns(
+                compiled=problem.compiled_graph(),
+                line=line,
+                settings=self.simulation,
+                section=self.section,
+            )
+        else:
+            once = self.section(compiled=problem.compiled(), line=line, settings=self.simulation)
         if self.n_returns == ONE_RETURN:
             return once
         return Composed(maps=self.n_returns * (once,))
@@ -188,6 +205,65 @@ def start_at_impact(
         simulation=settings.simulation,
     )
     return FamilyStart(setup=setup, x=cycle.end.state, s=s)
+
+
+def start_at_event(
+    problem: Problem,
+    orbit: EventOrbit,
+    parameter: str,
+    box: tuple[float, float],
+    settings: ContinuationSettings,
+) -> FamilyStart:
+    """Return the start of an orbit given by its events as the start of its family.
+
+    Args:
+        problem: The problem.
+        orbit: An orbit of the problem.
+        parameter: Name of a gain or a parameter.
+        box: Range of the parameter, lower end first.
+        settings: Settings of the continuation.
+
+    Raises:
+        InputError: If a name or a range does not fit, or the orbit belongs to another problem.
+        SimulationError: If the orbit does not return.
+    """
+    if orbit.problem != problem.name:
+        message = f"must be of problem `{problem.name}`, but it is of `{orbit.problem}`"
+        raise InputError(f"Argument `orbit` {message}.")
+    values = orbit.values(problem)
+    s = _checked(problem, values, "in", parameter, box)
+    graph = problem.graph_dynamics(values)
+    x = np.array(problem.state_vector(orbit.start_state))
+    name = orbit.events[-1].name
+    n_returns = sum(event.name == name for event in orbit.events)
+    found = event_return(
+        graph,
+        x,
+        section=name,
+        n_returns=n_returns,
+        guess=orbit.period,
+        settings=settings.simulation,
+    )
+    setup = Setup(
+        values=values,
+        parameter=parameter,
+        box=box,
+        section=EventSection(
+            name=name,
+            n_returns=n_returns,
+            sequence=orbit.sequence,
+            mode=SectionMode.of(found.execution.arcs[0]),
+        ),
+        metric=FamilyMetric(
+            scale=graph.own.not_small(
+                np.max(np.abs([state_before(event) for event in found.events]), axis=0), 1e-9
+            ),
+            unit=box[1] - box[0],
+            horizon=_PATIENCE * orbit.period,
+        ),
+        simulation=settings.simulation,
+    )
+    return FamilyStart(setup=setup, x=x, s=s)
 
 
 def plane_of(

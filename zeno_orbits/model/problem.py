@@ -170,6 +170,14 @@ class Problem(Declared):
         """True for a machine with several stops or with switches."""
         return _built(self)[0].graph is not None
 
+    def compiled_graph(self) -> CompiledGraph:
+        """Return the functions of a machine with several stops or switches.
+
+        Raises:
+            InputError: If the problem has one stop and no switch.
+        """
+        return _compiled_graph(self)
+
     def graph_dynamics(self, values: ParameterValues | Sequence[float] | Vector) -> GraphDynamics:
         """Return the graph of modes of a machine with several stops or switches.
 

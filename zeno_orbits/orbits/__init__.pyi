@@ -20,6 +20,9 @@ from .event_orbit import sequence_of as sequence_of
 from .event_orbit import state_before as state_before
 from .event_orbit import write_event_orbit as write_event_orbit
 from .event_return import EventReturn as EventReturn
+from .event_return import SectionMode as SectionMode
+from .event_return import kept_directions as kept_directions
+from .event_return import on_section as on_section
 from .event_return import closed_return as closed_return
 from .event_return import event_return as event_return
 from .event_return import multipliers_of_return as multipliers_of_return

@@ -28,8 +28,8 @@ from zeno_orbits.simulation import (
     simulate,
 )
 
-_BEYOND = 1e-6
-"""Part of the period by which a return is simulated beyond its end, to see the mode after it."""
+_WAIT, _LONGEST = 1.05, 4.0
+"""Times to wait for a return, in units of its guess. The mode after its end must be seen."""
 _AT_ONCE = 1e-9
 """Part of the period in which an event belongs to the start."""
 _MOST_ITERATIONS = 30
@@ -45,6 +45,26 @@ _RANK = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SectionMode:
+    """The mode of a motion just after an event.
+
+    Attributes:
+        closed: Names of the closed stops.
+        sides: Side of every kink.
+        stop: Name of the stop that the event has just left with a speed, or empty.
+    """
+
+    closed: tuple[str, ...]
+    sides: tuple[bool, ...]
+    stop: str
+
+    @classmethod
+    def of(cls, first: Arc) -> SectionMode:
+        """Return the mode of the first arc of a motion."""
+        return cls(closed=first.closed, sides=first.sides, stop=first.stop)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EventReturn:
     """A return to a section, and its derivatives.
 
@@ -53,7 +73,7 @@ class EventReturn:
         end: State just after the last event, ``(n_x,)``.
         period: Time of the return [s].
         events: Events of the return. The last event ends it.
-        execution: The execution, up to just beyond the return.
+        execution: The execution, beyond the end of the return.
         by_state: Derivative of the end with respect to the start, ``(n_x, n_x)``.
         by_parameters: Derivative of the end with respect to the parameters, ``(n_x, k)``.
         period_by: Derivatives of the period, ``(n_x + k,)``.
@@ -87,7 +107,7 @@ def event_return(
     guess: float,
     settings: SimulationSettings,
     parameters: Sequence[int] = (),
-    placed_as: Arc | None = None,
+    mode: SectionMode | None = None,
 ) -> EventReturn:
     """Return the n-th next event of a kind after a start, with derivatives.
 
@@ -99,19 +119,18 @@ def event_return(
         guess: Approximate time of the return [s].
         settings: Accuracy.
         parameters: Indices in ``p`` of the parameters of the derivatives.
-        placed_as: First arc of a motion on the section, by which the start is projected.
+        mode: The mode just after the event, by which the start is projected.
 
     Raises:
-        SimulationError: If the event does not follow within twice the guess.
+        SimulationError: If the event does not follow within a few times the guess.
     """
-    start = x if placed_as is None else on_section(graph, x, placed_as)
+    start = x if mode is None else on_section(graph, x, mode)
     exact, n_x = resolved(settings), len(start)
-    execution = simulate(graph, start, until=2.0 * guess, settings=exact)
-    times = [
-        event.time
-        for event in execution.events
-        if orbit_event_name(event) == section and event.time > _AT_ONCE * guess
-    ]
+    execution = simulate(graph, start, until=_WAIT * guess, settings=exact)
+    times = _times_of(execution, section, guess)
+    if len(times) < n_returns or times[n_returns - 1] == execution.end_time:
+        execution = simulate(graph, start, until=_LONGEST * guess, settings=exact)
+        times = _times_of(execution, section, guess)
     if len(times) < n_returns:
         raise SimulationError(
             f"The event `{section}` does not follow {n_returns} times",
@@ -119,7 +138,6 @@ def event_return(
             state=tuple(execution.end_state.tolist()),
         )
     end = times[n_returns - 1]
-    execution = simulate(graph, start, until=end * (1.0 + _BEYOND), settings=exact)
     shifts = GraphShifts(graph=graph, chosen=tuple(parameters), tolerance=exact.tolerance)
     events: list[Event] = []
     for event, shift in shifts.along(execution):
@@ -140,21 +158,29 @@ def event_return(
     )
 
 
-def on_section(graph: GraphDynamics, x: Vector, first: Arc) -> Vector:
-    """Return a state projected onto the closed stops of an arc, and onto the stop that it leaves.
+def _times_of(execution: Execution, section: str, guess: float) -> list[float]:
+    """Return the times of an event after the start."""
+    return [
+        event.time
+        for event in execution.events
+        if orbit_event_name(event) == section and event.time > _AT_ONCE * guess
+    ]
+
+
+def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
+    """Return a state projected onto its closed stops, and onto the stop that it leaves.
 
     Args:
         graph: The graph of modes.
         x: The state, ``(n_x,)``.
-        first: The first arc of a motion on the section.
+        mode: The mode just after the event of the section.
     """
-    mode = graph.mode_of(first.closed, first.sides)
-    closed, sides = mode
+    closed, sides = graph.mode_of(mode.closed, mode.sides)
     for k in closed:
         x = graph.view((tuple(j for j in closed if j != k), sides), k).on_stop(x)
-    if first.stop:
-        stop, n_q = graph.stop_names.index(first.stop), graph.n_q
-        view = graph.view(mode, stop)
+    if mode.stop:
+        stop, n_q = graph.stop_names.index(mode.stop), graph.n_q
+        view = graph.view((closed, sides), stop)
         x = x.copy()
         x[:n_q] -= view.gap(x) * view.impulse_direction(x)[n_q : 2 * n_q]
     return x
@@ -192,7 +218,7 @@ def closed_return(
     Raises:
         SimulationError: If Newton's method does not converge, or the motion does not return.
     """
-    placed_as: Arc | None = None
+    mode: SectionMode | None = None
     best, best_size = None, math.inf
     for _ in range(_MOST_ITERATIONS):
         found = event_return(
@@ -203,10 +229,10 @@ def closed_return(
             guess=guess,
             settings=settings,
             parameters=parameters,
-            placed_as=placed_as,
+            mode=mode,
         )
-        if placed_as is None:
-            placed_as = found.execution.arcs[0]
+        if mode is None:
+            mode = SectionMode.of(found.execution.arcs[0])
         scale, guess = sizes_of(found.execution, graph), found.period
         matrix = (np.eye(len(x)) - found.by_state) * scale[None, :] / scale[:, None]
         change = scale * np.linalg.lstsq(matrix, (found.end - found.start) / scale, rcond=1e-12)[0]
@@ -240,7 +266,7 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
     """
     scale = sizes_of(found.execution, graph)
     derivative = found.by_state * scale[None, :] / scale[:, None]
-    keeps = _kept_directions(graph, found.start, scale)
+    keeps = kept_directions(graph, found.start, scale)
     matrix = keeps.T @ derivative @ keeps
     singular = np.linalg.svd(matrix, compute_uv=False)
     rank = int(np.sum(singular > _RANK * max(1.0, float(singular[0])))) if singular.size else 0
@@ -248,8 +274,14 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
     return tuple(complex(value) for value in values[:rank])
 
 
-def _kept_directions(graph: GraphDynamics, x: Vector, scale: Vector) -> Vector:
-    """Return an orthonormal basis of the directions that keep the constraints, in scaled states."""
+def kept_directions(graph: GraphDynamics, x: Vector, scale: Vector) -> Vector:
+    """Return an orthonormal basis of the directions that keep the constraints, in scaled states.
+
+    Args:
+        graph: The graph of modes.
+        x: The state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+    """
     view = graph.first
     differentiation = view.differentiation
     if differentiation is None or view.holonomic(x).size == 0:
