@@ -33,7 +33,11 @@ def main() -> int:
     """Print the table; exit code 1 if two commands contradict each other."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("problems", nargs="*")
-    bundled = [name for name in zo.bundled_problems() if name not in WITHOUT]
+    bundled = [
+        name
+        for name in zo.bundled_problems()
+        if name not in WITHOUT and not zo.load_problem(name).has_graph
+    ]
     names = parser.parse_args().problems or [*bundled, *map(str, MACHINES)]
     heads = ("problem", "shape", "period, search [s]", "verified", "simulate", "map", "continue")
     print("|", " | ".join((*heads, "differ", "rig", "identify")), "|")

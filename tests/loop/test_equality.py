@@ -23,6 +23,7 @@ from tests.loop.agreement import (
 )
 from tests.support.families import BALL, CART
 from tests.support.mechanisms import numeric, slider
+from tests.support.one_stop import one_stop_problems
 from tests.support.units import Units, in_units
 from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Tolerance
@@ -43,7 +44,7 @@ pytestmark = needs_compiler
 
 STARTS = [
     (name, start)
-    for name in zo.bundled_problems()
+    for name in one_stop_problems()
     for start in range(len(zo.load_problem(name).starts))
 ]
 EXPLICIT = SimulationSettings(engine=RungeKutta())
@@ -75,7 +76,7 @@ def test_the_default_engine_gives_the_same_to_rounding(name: str, start: int) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", zo.bundled_problems())
+@pytest.mark.parametrize("name", one_stop_problems())
 def test_implicit_steps_alone_give_the_same_to_rounding(name: str) -> None:
     settings = SimulationSettings(engine=Radau())
     run = require_close(task_of(zo.load_problem(name), until=2.0, settings=settings), ROUNDING)

@@ -11,6 +11,7 @@ import pytest
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.commands import MISUSE, YES, ask
+from tests.support.one_stop import one_stop_problems
 from zeno_orbits.simulation import Impact, ZenoPoint, simulate
 
 pytestmark = [needs_compiler, pytest.mark.usefixtures("here")]
@@ -63,7 +64,7 @@ def test_an_exported_problem_gives_the_same_to_the_last_digit(name: str) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", zo.bundled_problems())
+@pytest.mark.parametrize("name", one_stop_problems())
 def test_every_bundled_problem_can_be_exported(name: str) -> None:
     assert _events_of(name, "--t-end", "4", level="-O2") == _expected(name, 4.0)
 

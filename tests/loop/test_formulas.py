@@ -16,6 +16,7 @@ import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler, task_of
 from tests.support.commands import NO, YES, ask
 from tests.support.mechanisms import numeric
+from tests.support.one_stop import one_stop_problems
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Tolerance
 from zeno_orbits.loop import LoopRun, Program, binding, loop_library, problem_source, program_of
 from zeno_orbits.model import CompiledSystem, HybridLagrangian
@@ -206,7 +207,7 @@ def test_compiled_formulas_give_the_same_bits() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", zo.bundled_problems())
+@pytest.mark.parametrize("name", one_stop_problems())
 def test_compiled_formulas_of_every_bundled_problem_give_the_same_bits(name: str) -> None:
     both = _require_the_same(name)
     tasks = _tasks(name, 1.0)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.commands import YES, ask
+from tests.support.one_stop import one_stop_problems
 from zeno_orbits.integrators import (
     automatic,
     dop853,
@@ -201,7 +201,7 @@ SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", zo.bundled_problems())
+@pytest.mark.parametrize("name", one_stop_problems())
 def test_random_runs_and_units_end_in_a_status(tmp_path: Path, name: str) -> None:
     """Follow 700 of each problem: NaN, infinity and numbers far from the usual are among them."""
     assert ask("export", name, "--fmu", "-o", str(tmp_path)).code == YES

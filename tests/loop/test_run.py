@@ -11,6 +11,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
+from tests.support.one_stop import one_stop_problems
 from zeno_orbits.arrays import Vector
 from zeno_orbits.loop import LoopRun, Record, RunSettings, binding, program_of
 from zeno_orbits.simulation import SimulationTask
@@ -152,7 +153,7 @@ def test_every_state_and_number_ends_in_a_status() -> None:
     rng = np.random.default_rng(0)
     special = [np.nan, np.inf, -np.inf, 0.0, 1e308, -1e308, 5e-324]
     seen: set[int] = set()
-    tasks = [_task(name) for name in zo.bundled_problems()]
+    tasks = [_task(name) for name in one_stop_problems()]
     for k in range(10_000):
         task = tasks[k % len(tasks)]
         formulas = task.dynamics.formulas

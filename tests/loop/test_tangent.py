@@ -14,6 +14,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.loop.agreement import looped, needs_compiler, task_of
+from tests.support.one_stop import one_stop_problems
 from tests.support.units import Units, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Radau, RungeKutta, Tolerance
@@ -88,7 +89,7 @@ def _of_one_rounding(task: SimulationTask, walk: Perturbations, expected: Vector
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("name", zo.bundled_problems())
+@pytest.mark.parametrize("name", one_stop_problems())
 def test_every_arc_moves_as_in_python(name: str, engine: str) -> None:
     settings = SimulationSettings(completion=ZenoExtrapolation(), engine=ENGINES[engine])
     task = task_of(zo.load_problem(name), until=0.7, settings=settings)
@@ -99,7 +100,7 @@ def test_every_arc_moves_as_in_python(name: str, engine: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", zo.bundled_problems())
+@pytest.mark.parametrize("name", one_stop_problems())
 def test_every_arc_moves_by_every_parameter_as_in_python(name: str) -> None:
     problem = zo.load_problem(name)
     for start in range(len(problem.starts)):

@@ -14,6 +14,7 @@ import pytest
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.mechanisms import numeric
+from tests.support.one_stop import one_stop_problems
 from zeno_orbits.arrays import Vector
 from zeno_orbits.loop import (
     UnknownOperationError,
@@ -148,7 +149,7 @@ def test_a_function_of_one_number_is_that_of_the_interpreter(name: str) -> None:
             assert (np.isnan(mine) and np.isnan(other)) or float(mine).hex() == float(other).hex()
 
 
-@pytest.mark.parametrize("name", zo.bundled_problems())
+@pytest.mark.parametrize("name", one_stop_problems())
 def test_formulas_of_problems_are_those_of_the_interpreter(name: str) -> None:
     problem = zo.load_problem(name)
     system, values = problem.compiled(), np.array(problem.values().vector)

@@ -18,6 +18,7 @@ import pytest
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.commands import MISUSE, YES, ask
+from tests.support.one_stop import one_stop_problems
 from zeno_orbits.simulation import Execution
 
 pytestmark = [needs_compiler, pytest.mark.usefixtures("here")]
@@ -160,7 +161,7 @@ def test_fmpy_validates_a_unit_and_runs_it_through_eleven_zeno_points(export: Ex
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", zo.bundled_problems())
+@pytest.mark.parametrize("name", one_stop_problems())
 def test_units_of_every_bundled_problem_are_valid_and_give_the_states_of_simulate(
     export: Export, name: str
 ) -> None:

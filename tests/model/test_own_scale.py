@@ -9,13 +9,14 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.families import CIRCLE
+from tests.support.one_stop import one_stop_problems
 from tests.support.units import Units, in_units
 from zeno_orbits.model import USUAL, OwnScale, constraint_sizes
 
 TABLE = zo.load_problem("vibrating_table")
 
 
-@pytest.mark.parametrize("name", zo.bundled_problems())
+@pytest.mark.parametrize("name", one_stop_problems())
 def test_a_bundled_problem_has_everyday_sizes_in_si_units(name: str) -> None:
     problem = zo.load_problem(name)
     own = problem.dynamics(problem.values()).own

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zeno_orbits.model.library import bundled_problems, load_problem
+from tests.support.one_stop import one_stop_problems
+from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits import digest as module
 from zeno_orbits.orbits.digest import digest_of, same_equations
@@ -49,7 +50,7 @@ def test_default_numbers_and_titles_are_no_equations(problem: Problem) -> None:
 
 
 def test_problems_of_different_machines_have_different_digests() -> None:
-    digests = {name: digest_of(load_problem(name)) for name in bundled_problems()}
+    digests = {name: digest_of(load_problem(name)) for name in one_stop_problems()}
     for name, digest in digests.items():
         alike = [other for other in digests if same_equations(digest, digests[other])]
         # Both are one mass on a spring before a stop, shaken by a clock.

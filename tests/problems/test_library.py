@@ -16,8 +16,9 @@ from scipy.integrate import solve_ivp
 
 from tests.reference import library_truth as truth
 from tests.reference.reference_orbit import PERIOD
+from tests.support.one_stop import one_stop_problems
 from zeno_orbits.cli import main
-from zeno_orbits.model.library import bundled_problems, load_problem
+from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.units import powers_of
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -33,7 +34,7 @@ CLOSED_FORM = 1e-10
 """What every published figure of a problem in closed form has to agree to, relative to its size."""
 
 PROBLEMS = [
-    fidelity.name for name in bundled_problems() for fidelity in load_problem(name).ladder()
+    fidelity.name for name in one_stop_problems() for fidelity in load_problem(name).ladder()
 ]
 
 

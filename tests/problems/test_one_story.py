@@ -14,10 +14,11 @@ from pathlib import Path
 import pytest
 
 import zeno_orbits as zo
+from tests.support.one_stop import one_stop_problems
 from tests.support.one_story import Story, data_story_of, story_of
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"
-WITH_AN_ORBIT = sorted(set(zo.bundled_problems()) - {"bouncing_ball", "falling_pendulum"})
+WITH_AN_ORBIT = sorted(set(one_stop_problems()) - {"bouncing_ball", "falling_pendulum"})
 FOLLOWED = {*WITH_AN_ORBIT} - {"two_tone_table"}
 """`continue` follows one release, or one impact, a period."""
 

@@ -123,8 +123,8 @@ def add_search(commands: Any) -> None:
     parser.add_argument(
         "--section",
         metavar="EVENT",
-        help="event at which the period starts and ends, such as 'zeno knee' (default: chosen), "
-        "for a machine with several stops or switches",
+        help="event at which the period starts and ends, such as 'zeno NAME' or 'switch NAME', for "
+        "a machine with several stops or switches (default: chosen)",
     )
     parser.add_argument(
         "--candidates",

@@ -67,6 +67,13 @@ class ModeGraph:
         kinks = (f"kink {k}" for k in range(1, len(self.conditions) + 1))
         return (*(switch.name for switch in self.switches), *kinks)
 
+    @property
+    def formulas(self) -> list[ca.SX]:
+        """Formulas of the stops and switches."""
+        stops = [ca.SX(part) for one in self.stops for part in (one.gap, one.restitution)]
+        switches = [ca.SX(part) for one in self.switches for part in (one.guard, one.armed)]
+        return [*stops, *switches, *self.resets]
+
     def one_stop(self, mode: GraphMode, stop: int) -> CompletedSystem:
         """Return the completed system of an open stop in a mode.
 

@@ -284,6 +284,7 @@ class Problem(Declared):
         require_known_symbols(system, symbols)
         values = self.values()
         looks = [*self.output_formulas(system, symbols), *self.lines(system, symbols).values()]
+        looks += [] if system.graph is None else system.graph.formulas
         unused = unused_symbols(system, symbols, looks)
         for name in unused:
             if not self.derived_from([name], values.parameters):
