@@ -24,11 +24,12 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, PenetrationError, StepSizeError
+from zeno_orbits.errors import InputError, PenetrationError, SimulationError, StepSizeError
 from zeno_orbits.integrators import GuardedFlow, Outcome, Passage
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.simulation.admission import require_admissible
 from zeno_orbits.simulation.arc_follower import ArcStart, launched
+from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.event_rules import stop_holds
 from zeno_orbits.simulation.execution import (
     Arc,
@@ -51,7 +52,7 @@ from zeno_orbits.simulation.interruptions import (
     undetermined_contact,
 )
 from zeno_orbits.simulation.reference_run import ImpactSequence, ReferenceRun, is_slack
-from zeno_orbits.simulation.zeno_limit import ZenoLimit
+from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 
 _WAS_CLOSED = 1e-9
 """Relative threshold below which a stop that was closed still has zero gap and gap rate."""
@@ -66,8 +67,17 @@ _BEFORE = 1e-9
 """Part of a window that is left out where the flow of a branch ends to exist."""
 _IN_TURN, _IN_ROW = 16, 7
 """Impacts on several stops, and events of one switch, whose intervals are compared."""
+_LAST = 6
+"""Impacts of which half change the stop where they come in turn."""
+_CORNER = 1e-6
+"""Part of the problem's time within which impacts on two stops come in a corner."""
 _SHORT = 1e-5
 """Part of the problem's time below which shrinking intervals of a switch accumulate."""
+_FALLING = 0.9
+"""Largest ratio of intervals that shrink to a limit."""
+_SPLIT, _SPLIT_RESOLVED = 1e-8, 1e-4
+"""Largest error of a Zeno point whose flights are split by a kink, and the part of the first speed
+from which it is accepted."""
 _ACCUMULATED = 1e-3
 """Part of the first speed of a sequence below which its impacts accumulate."""
 
@@ -198,11 +208,33 @@ class GraphRun(ReferenceRun):
 
     def reach(self, limit: ZenoLimit, last: Impact, last_speed: float) -> None:
         """Record a Zeno point."""
+        self._require_no_switches(limit)
         n_arcs = len(self.arcs)
         ReferenceRun.reach(self, limit, last, last_speed)
         if len(self.arcs) > n_arcs:
             self.arcs[-1] = self._named(self.arcs[-1], self.rest)
         self.current = None
+
+    def limit_of(self, estimates: Sequence[TailEstimate]) -> ZenoLimit | None:
+        """Return the Zeno point. Flights that a kink splits determine it less accurately."""
+        limit = ReferenceRun.limit_of(self, estimates)
+        if limit is None and self.split_by[0]:
+            rough = ZenoExtrapolation(tolerance=_SPLIT, resolved=_SPLIT_RESOLVED)
+            return rough.limit(self.dynamics, estimates)
+        return limit
+
+    def _require_no_switches(self, limit: ZenoLimit) -> None:
+        """Refuse a Zeno point at which events of a switch accumulate as well.
+
+        Raises:
+            SimultaneousEventsError: If the intervals of a switch shrink to the Zeno time.
+        """
+        for name in self.graph.switch_names[: self.graph.n_declared]:
+            times = [*self.switched.get(name, ())[-4:], limit.time]
+            intervals = np.diff(times)
+            if len(intervals) == 4 and bool(np.all(intervals[1:] < _FALLING * intervals[:-1])):
+                what = f"events of the switch `{name}` come"
+                raise accumulate_together(self.stop_name, what, limit.time, limit.state)
 
     def reaches(self, arc: Arc, natural: Ending) -> bool:
         """Return True if an arc ended at the event of the stop that the run looks at."""
@@ -309,9 +341,17 @@ class GraphRun(ReferenceRun):
             guards, rounding, _ = self.graph.guards(x)
             zero = np.flatnonzero(np.abs(guards) <= 1e3 * rounding)
             kinks = [int(s) for s in zero if s >= self.graph.n_declared]
+            if self._is_in_corner():
+                raise self._accumulates_in_turn(error.time, x) from error
             if not kinks:
                 raise
             raise slides(self.graph.switch_names[kinks[0]], error.time, x) from error
+
+    def _is_in_corner(self) -> bool:
+        """Return True if the last impacts on two stops come within rounding of each other."""
+        if len(self.recent) < _LAST or not self._in_turn():
+            return False
+        return self.recent[-1][0] - self.recent[-2][0] < _CORNER * self.own.time
 
     def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
         """Return the next start after an arc that another event ended."""
@@ -362,11 +402,18 @@ class GraphRun(ReferenceRun):
         if len(self.recent) < _IN_TURN:
             return
         intervals = np.diff([moment for moment, _ in self.recent])
-        names = [name for _, name in self.recent]
-        turns = sum(one != other for one, other in pairwise(names))
-        if turns > _IN_TURN // 4 and intervals[-1] < _ACCUMULATED * intervals[0]:
-            others = ", ".join(f"`{name}`" for name in sorted({*names} - {self.stop_name}))
-            raise accumulate_together(self.stop_name, f"others strike {others}", time, x)
+        if self._in_turn() and intervals[-1] < _ACCUMULATED * intervals[0]:
+            raise self._accumulates_in_turn(time, x)
+
+    def _in_turn(self) -> bool:
+        """Return True if the last impacts are on several stops in turn."""
+        names = [name for _, name in self.recent[-_LAST:]]
+        return sum(one != other for one, other in pairwise(names)) >= _LAST // 2
+
+    def _accumulates_in_turn(self, time: float, x: Vector) -> SimulationError:
+        others = sorted({name for _, name in self.recent[-_LAST:]} - {self.stop_name})
+        what = f"impacts on {', '.join(f'`{name}`' for name in others)} come"
+        return accumulate_together(self.stop_name, what, time, x)
 
     # Modes.
 
@@ -617,8 +664,9 @@ class GraphRun(ReferenceRun):
         times = (*self.switched.get(name, ())[1 - _IN_ROW :], time)
         self.switched[name] = times
         intervals = np.diff(times)
+        is_kink = self.graph.switch_names.index(name) >= self.graph.n_declared
         shrink = len(times) == _IN_ROW and bool(np.all(np.diff(intervals) < 0.0))
-        if shrink and intervals[-1] < _SHORT * self.own.time:
+        if shrink and not is_kink and intervals[-1] < _SHORT * self.own.time:
             raise switches_accumulate(name, time, after)
         if self.n_switches > self.settings.most_impacts:
             raise does_not_accumulate(self.settings.most_impacts, time, after)

@@ -7,6 +7,7 @@ and none invented however slow the impact was. Source: [OrAmes2011]_ for the com
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -331,6 +332,10 @@ class ReferenceRun:
         """Return the sequence of impacts that begins."""
         return ImpactSequence(place=self.place, first_impact=self.n_impacts)
 
+    def limit_of(self, estimates: Sequence[TailEstimate]) -> ZenoLimit | None:
+        """Return the Zeno point of a sequence, or ``None`` if more impacts are to be resolved."""
+        return self.settings.completion.limit(self.dynamics, estimates)
+
     def is_clear(self, limit: ZenoLimit) -> bool:
         """Return True if no other event can occur on the way to a Zeno point."""
         del limit
@@ -359,7 +364,7 @@ class ReferenceRun:
             estimates.clear()
             return None
         estimates.append(estimate)
-        limit = self.settings.completion.limit(self.dynamics, estimates)
+        limit = self.limit_of(estimates)
         if limit is None or limit.time >= self.follower.until or not self.is_clear(limit):
             return None
         after = self.on_stop(limit.time, limit.state)
