@@ -61,7 +61,7 @@ def _followed(program: Program, task: SimulationTask) -> tuple[list[int], list[b
     """Return every status of a run, and the bytes of all that it recorded."""
     formulas = task.dynamics.formulas
     assert formulas is not None
-    run = LoopRun(program, run_settings(task), formulas.values, task.state)
+    run = LoopRun(program, run_settings(task).filled(), formulas.values, task.state)
     statuses: list[int] = []
     while not statuses or statuses[-1] in (binding.FULL, binding.CURVE):
         statuses.append(run.resume())
@@ -171,7 +171,7 @@ def test_formulas_that_are_compiled_in_the_middle_of_a_run_carry_it_on() -> None
     assert task.dynamics.formulas is not None
     program = _both(task.dynamics.formulas.system).tapes
     expected = _followed(program, task)[1][3]
-    run = LoopRun(program, run_settings(task), task.dynamics.formulas.values, task.state)
+    run = LoopRun(program, run_settings(task).filled(), task.dynamics.formulas.values, task.state)
     assert run.resume(events=3, arcs=3) == binding.FULL
     program.compile()
     assert program.is_compiled

@@ -36,7 +36,8 @@ def _begun(task: SimulationTask, settings: RunSettings | None = None) -> LoopRun
     assert formulas is not None
     program = program_of(formulas.system)
     assert program is not None
-    return LoopRun(program, settings or run_settings(task), formulas.values, task.state)
+    filled = (settings or run_settings(task)).filled()
+    return LoopRun(program, filled, formulas.values, task.state)
 
 
 def _ended(run: LoopRun, **rows: int) -> Record:
@@ -166,7 +167,7 @@ def test_every_state_and_number_ends_in_a_status() -> None:
             for _ in range(rng.integers(0, 3)):
                 array[rng.integers(array.size)] = special[rng.integers(len(special))]
         settings = run_settings(task, until=10.0 ** rng.uniform(-3, 1), most_steps=200)
-        run = LoopRun(program, settings, p, x)
+        run = LoopRun(program, settings.filled(), p, x)
         for _ in range(50):
             status = run.resume()
             seen.add(status)
@@ -191,7 +192,7 @@ def test_a_step_that_became_infinite_is_shortened() -> None:
     assert formulas is not None
     program = program_of(formulas.system)
     assert program is not None
-    run = LoopRun(program, settings, values, task.state)
+    run = LoopRun(program, settings.filled(), values, task.state)
     status = binding.FULL
     while status == binding.FULL:
         status = run.resume()

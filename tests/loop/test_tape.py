@@ -160,7 +160,7 @@ def test_formulas_of_problems_are_those_of_the_interpreter(name: str) -> None:
     )
     program = program_of(system)
     assert program is not None
-    run = LoopRun(program, run_settings(task), values, task.state)
+    run = LoopRun(program, run_settings(task).filled(), values, task.state)
     rng = np.random.default_rng(2)
     for _ in range(10):
         x = task.state + rng.uniform(-0.3, 0.3, task.state.size)

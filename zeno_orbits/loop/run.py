@@ -165,12 +165,12 @@ _KINDS = ("steps", "polynomials", "arcs", "events")
 class LoopRun:
     """One execution in the library. It can be resumed after every status but an error."""
 
-    def __init__(self, program: Program, settings: RunSettings, p: Vector, x: Vector) -> None:
+    def __init__(self, program: Program, settings: c.SettingsType, p: Vector, x: Vector) -> None:
         """Begin a run.
 
         Args:
             program: The problem.
-            settings: Accuracy and limits.
+            settings: Accuracy and limits, as the library has them.
             p: Gains and parameters, ``(n_p,)``.
             x: Admissible state, ``(n_x,)``.
         """
@@ -186,12 +186,11 @@ class LoopRun:
         )
         self._estimates = np.empty((_ESTIMATES, c.ESTIMATE_WIDTH + 2 * n))
         self._parts = _Parts()
-        filled = settings.filled()
         values, state = (np.ascontiguousarray(one, dtype=np.float64) for one in (p, x))
         self._library.zl_begin(
             program.address,
             self._place,
-            ctypes.addressof(filled),
+            ctypes.addressof(settings),
             values.ctypes.data,
             state.ctypes.data,
         )

@@ -158,8 +158,9 @@ class Attempt:
     def _first(self, state: Vector, error: float, releases: float) -> list[Released | Struck]:
         """Return the first returns of the motion from a state, at most a period."""
         found: list[Released | Struck] = []
+        strikes = self.crossing is not RELEASES
         crossings = self.follower.crossings(
-            state, until=2 * self.span, error=error, releases=releases
+            state, until=2 * self.span, error=error, releases=releases, strikes=strikes
         )
         for event in crossings:
             if isinstance(event, self.crossing.event) and event.time > SAME * self.span:

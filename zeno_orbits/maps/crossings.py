@@ -68,6 +68,7 @@ class Follower:
         error: float,
         releases: float = math.inf,
         goes_on: bool = True,
+        strikes: bool = True,
         seen: Callable[[Event], None] | None = None,
     ) -> Iterator[Released | Struck | MotionEnd]:
         """Yield the crossings of a motion, and then its end.
@@ -78,6 +79,7 @@ class Follower:
             error: Relative local error of a step.
             releases: Largest number of releases.
             goes_on: True if the state continues an earlier motion, exactly or slightly displaced.
+            strikes: True if the impacts that begin a sequence are crossings, as the releases are.
             seen: Called with every event.
         """
         events = watched(
@@ -89,13 +91,16 @@ class Follower:
             releases=releases,
             goes_on=goes_on,
         )
-        return _crossings(self.dynamics, events, state if goes_on else None, seen)
+        start = state if goes_on else None
+        return _crossings(self.dynamics, events, start, strikes=strikes, seen=seen)
 
 
 def _crossings(
     dynamics: HybridDynamics,
     events: Iterator[Event | MotionEnd],
     start: Vector | None,
+    *,
+    strikes: bool,
     seen: Callable[[Event], None] | None,
 ) -> Iterator[Released | Struck | MotionEnd]:
     """Yield the crossings of a motion.
@@ -105,6 +110,7 @@ def _crossings(
         events: Events of the motion.
         start: Initial state if the motion continues from a release, or inside a sequence of
             impacts.
+        strikes: True if impacts are crossings.
         seen: Called with every event.
     """
     first = zeno_time = math.nan
@@ -118,6 +124,8 @@ def _crossings(
         if isinstance(event, Impact):
             if math.isnan(first):
                 first = event.approach_rate
+            if not strikes:
+                continue
             before, speed = speed, dynamics.speed_after(event.approach_rate)
             if last is None or _begins(dynamics, last, before, speed):
                 yield Struck(time=event.time, state=event.state_plus, rate=event.approach_rate)

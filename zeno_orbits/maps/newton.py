@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ class PeriodReturn:
     numbers: Vector
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class FixedPoint:
     """Newton's step towards a fixed point of the return map.
 
@@ -76,7 +77,7 @@ class FixedPoint:
     state: Vector
     numbers: Vector
 
-    @property
+    @cached_property
     def multipliers(self) -> tuple[complex, ...]:
         """Eigenvalues of the derivative, the largest first."""
         return eigenvalues(self.jacobian)

@@ -28,7 +28,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from zeno_orbits.arrays import Rows, Vector
+from zeno_orbits.arrays import Vector
 
 Flags = NDArray[np.bool_]
 
@@ -181,20 +181,18 @@ def scale_of(states: Sequence[Vector], units: Sequence[str], usual: Vector | flo
             units comparable.
     """
     largest = np.max(np.abs(np.array(states)), axis=0) / usual
-    for alike in _of_one_unit(tuple(units)):
-        largest[alike] = np.maximum(largest[alike], _NEAR_ZERO * np.max(largest[alike]))
+    alike = np.max(np.where(_same_unit(tuple(units)), largest, 0.0), axis=1)
+    largest = np.maximum(largest, _NEAR_ZERO * alike)
     # A coordinate that contact keeps at zero is rounding, if no other state has its unit.
     overall = float(np.max(largest)) or 1.0
     return np.where(largest > _ROUNDING * overall, largest, overall) * usual
 
 
 @lru_cache(maxsize=64)
-def _of_one_unit(units: tuple[str, ...]) -> tuple[Rows, ...]:
-    """Return the indices of the coordinates of each unit."""
-    return tuple(
-        np.array([k for k, other in enumerate(units) if other == unit], dtype=np.intp)
-        for unit in dict.fromkeys(units)
-    )
+def _same_unit(units: tuple[str, ...]) -> Flags:
+    """Return for each pair of states whether they have the same unit, ``(n_x, n_x)``."""
+    names = np.array(units)
+    return np.asarray(names[:, None] == names)
 
 
 # ------------------------------------------------------------------ it repeats

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.integrators import RungeKutta, Step, Tolerance, not_finite, too_small
 from zeno_orbits.loop import Detail, LoopRun, RunSettings, binding, program_of
+from zeno_orbits.model import OwnScale
 from zeno_orbits.simulation.admission import require_admissible
 from zeno_orbits.simulation.completion import (
     FINEST,
@@ -34,9 +36,9 @@ from zeno_orbits.simulation.interruptions import (
 )
 from zeno_orbits.simulation.loop_steps import loop_steps
 from zeno_orbits.simulation.pieces import Piece
-from zeno_orbits.simulation.recorded import RecordedExecution, RecordedRun, event_of
+from zeno_orbits.simulation.recorded import RecordedExecution, RecordedRun, events_of
 from zeno_orbits.simulation.rescaled_flight import Flight, rescaled_flights
-from zeno_orbits.simulation.settings import SimulationTask
+from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
 from zeno_orbits.simulation.zeno_limit import ZenoLimit
 from zeno_orbits.simulation.zeno_passage import pass_through
 from zeno_orbits.work import silent
@@ -111,10 +113,12 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
         SimulationError: If the execution cannot be continued, after the piece before that.
     """
     run, n_x = _begun(task), len(task.dynamics.state_names)
+    # A run that ends at a release is not left before that.
+    events = _EVENTS if task.most_releases == math.inf else _STEPS
     try:
         status = binding.FULL
         while status in (binding.FULL, binding.CURVE):
-            status = run.resume(steps=_STEPS, polynomials=64, arcs=32, events=_EVENTS)
+            status = run.resume(steps=_STEPS, polynomials=64, arcs=32, events=events)
             if status == binding.CURVE:
                 limit = _followed(task, run)
                 run.answer(None if limit is None else (limit.time, limit.error, limit.state))
@@ -126,7 +130,7 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
                 mode, time = int(last[0]), float(last[2])
                 state = last[binding.ARC_WIDTH + n_x :][:n_x]
             yield Piece(
-                events=[event_of(row, n_x) for row in record.events],
+                events=events_of(record.events, n_x),
                 states=record.steps[:, 2 : 2 + n_x],
                 time=time,
                 state=state,
@@ -150,7 +154,7 @@ def _begun(task: SimulationTask) -> LoopRun:
         raise ValueError("Argument `task` must have formulas that the compiled loop supports.")
     if not task.goes_on:
         require_admissible(dynamics, task.state, task.settings.contact * dynamics.own.gap)
-    return LoopRun(program, run_settings(task), formulas.values, task.state)
+    return LoopRun(program, _filled_settings(task), formulas.values, task.state)
 
 
 def _execution(
@@ -164,19 +168,59 @@ def _execution(
 
 def run_settings(task: SimulationTask, **others: Any) -> RunSettings:
     """Return accuracy and limits in the loop's format, with some of the values replaced."""
-    dynamics, chosen, own = task.dynamics, task.settings, task.dynamics.own
-    n_x, rule = len(dynamics.state_names), chosen.completion
+    settings = replace(_shared_settings(*_shared_by(task)), **_own_limits(task))
+    return replace(settings, **others) if others else settings
+
+
+def _filled_settings(task: SimulationTask) -> binding.SettingsType:
+    """Return the same in memory of its own. Most tasks share all but their limits with others."""
+    shared = _shared_memory(*_shared_by(task))
+    place = type(shared).from_buffer_copy(shared)
+    for name, value in _own_limits(task).items():
+        setattr(place, name, value)
+    return place
+
+
+def _own_limits(task: SimulationTask) -> dict[str, float]:
+    return {
+        "until": task.until,
+        "most_releases": task.most_releases,
+        "most_landings": task.most_impacts,
+    }
+
+
+def _shared_by(task: SimulationTask) -> tuple[SimulationSettings, OwnScale, float, int, int]:
+    """Return what the settings of a task depend on, apart from its limits."""
+    dynamics, chosen = task.dynamics, task.settings
+    if isinstance(chosen.far, list):
+        chosen = replace(chosen, far=tuple(chosen.far))
+    sizes = (len(dynamics.state_names), dynamics.n_q)
+    return chosen, dynamics.own, dynamics.restitution, *sizes
+
+
+@lru_cache(maxsize=64)
+def _shared_memory(
+    chosen: SimulationSettings, own: OwnScale, restitution: float, n_x: int, n_q: int
+) -> binding.SettingsType:
+    return _shared_settings(chosen, own, restitution, n_x, n_q).filled()
+
+
+def _shared_settings(
+    chosen: SimulationSettings, own: OwnScale, restitution: float, n_x: int, n_q: int
+) -> RunSettings:
+    """Return accuracy and limits of all tasks on systems with some scales and a restitution."""
+    rule = chosen.completion
     tolerance = chosen.tolerance.times(own.least)
     steps = loop_steps(chosen.engine)
     if steps is None:
         raise ValueError("Argument `task` must have an engine that the compiled loop supports.")
     extrapolates = isinstance(rule, ZenoExtrapolation | ZenoPassage)
-    settings = RunSettings(
-        until=task.until,
+    return RunSettings(
+        until=math.inf,
         relative=tolerance.relative,
         absolute=tolerance.absolute,
         contact=chosen.contact,
-        restitution=dynamics.restitution,
+        restitution=restitution,
         time=own.time,
         gap=own.gap,
         gap_rate=own.gap_rate,
@@ -185,19 +229,18 @@ def run_settings(task: SimulationTask, **others: Any) -> RunSettings:
         sizes=own.states(n_x).tolist(),
         weights=own.weights(n_x),
         flight_weights=own.flight_weights(n_x),
-        reach=np.broadcast_to(np.asarray(chosen.far, dtype=np.float64), dynamics.n_q).tolist(),
+        reach=np.broadcast_to(np.asarray(chosen.far, dtype=np.float64), n_q).tolist(),
         **steps._asdict(),
         completion=_COMPLETIONS[type(rule)],
         limit_tolerance=rule.tolerance if extrapolates else 0.0,
         resolved=rule.resolved if extrapolates else 0.0,
         delta=rule.delta if isinstance(rule, Truncation) else 0.0,
         n_fixed=rule.n_impacts if isinstance(rule, FixedImpacts | PlasticAfter) else 0,
-        most_releases=task.most_releases,
-        most_landings=task.most_impacts,
+        most_releases=math.inf,
+        most_landings=math.inf,
         most_steps=chosen.most_steps,
         most_impacts=chosen.most_impacts,
     )
-    return replace(settings, **others) if others else settings
 
 
 def _followed(task: SimulationTask, run: LoopRun) -> ZenoLimit | None:

@@ -41,22 +41,26 @@ _ENDINGS = {
 }
 
 
-def event_of(row: Vector, n_x: int) -> Event:
-    """Return the event of a row of the record.
+def events_of(rows: Vector, n_x: int) -> list[Event]:
+    """Return the events of rows of the record.
 
     Args:
-        row: Kind, time, three numbers, the state before and after.
+        rows: In each row kind, time, three numbers, the state before and after.
         n_x: Number of states.
     """
-    kind, time, *numbers = row[: binding.EVENT_WIDTH].tolist()
-    before = row[binding.EVENT_WIDTH : binding.EVENT_WIDTH + n_x]
+    numbers = rows[:, : binding.EVENT_WIDTH].tolist()
+    before = rows[:, binding.EVENT_WIDTH : binding.EVENT_WIDTH + n_x]
+    after = rows[:, binding.EVENT_WIDTH + n_x :]
+    return [_event_of(*row) for row in zip(numbers, before, after, strict=True)]
+
+
+def _event_of(numbers: list[float], before: Vector, after: Vector) -> Event:
+    kind, time, first, tail, speed = numbers
     if kind == binding.IMPACT:
-        after = row[binding.EVENT_WIDTH + n_x :]
-        return Impact(time=time, state_minus=before, state_plus=after, approach_rate=numbers[0])
+        return Impact(time=time, state_minus=before, state_plus=after, approach_rate=first)
     if kind == binding.RELEASE:
         return Release(time=time, state=before)
-    error, tail, speed = numbers
-    return ZenoPoint(time=time, state=before, limit_error=error, tail=tail, last_speed=speed)
+    return ZenoPoint(time=time, state=before, limit_error=first, tail=tail, last_speed=speed)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -78,7 +82,7 @@ class RecordedRun:
     @cached_property
     def events(self) -> tuple[Event, ...]:
         """The events in order of time."""
-        return tuple(map(self._event, self.record.events))
+        return tuple(events_of(self.record.events, self._n_x))
 
     @cached_property
     def arcs(self) -> tuple[Arc, ...]:
@@ -88,9 +92,6 @@ class RecordedRun:
     @property
     def _n_x(self) -> int:
         return len(self.dynamics.state_names)
-
-    def _event(self, row: Vector) -> Event:
-        return event_of(row, self._n_x)
 
     def _arc(self, row: Vector) -> Arc:
         n_x = self._n_x

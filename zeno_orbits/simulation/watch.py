@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
 
@@ -29,6 +30,8 @@ _ABSOLUTE = 0.1
 _MOST_IMPACTS, _MOST_STEPS = 20_000, 200_000
 _RATED = 32
 """Number of events between two evaluations of the rates."""
+_PASSED = 64
+"""Number of pieces whose states are kept before their largest moduli are taken."""
 
 
 class Reason(Enum):
@@ -58,7 +61,8 @@ class MotionEnd:
     detail: str = ""
 
 
-def transient_settings(error: float, far: Sequence[float] = ()) -> SimulationSettings:
+@lru_cache(maxsize=64)
+def transient_settings(error: float, far: tuple[float, ...] = ()) -> SimulationSettings:
     """Return the settings of a motion that is followed for a long time.
 
     Args:
@@ -68,7 +72,7 @@ def transient_settings(error: float, far: Sequence[float] = ()) -> SimulationSet
     return SimulationSettings(
         tolerance=Tolerance(relative=error, absolute=_ABSOLUTE * error),
         completion=ZenoPassage(tolerance=_LIMIT * error),
-        far=tuple(far) if len(far) else math.inf,
+        far=far or math.inf,
         most_impacts=_MOST_IMPACTS,
         most_steps=_MOST_STEPS,
     )
@@ -96,7 +100,7 @@ def watched(
         goes_on: Whether the state continues an earlier motion, or is near a state of it.
     """
     far = np.full(len(state), np.inf) if bounds is None else bounds
-    settings = transient_settings(error, far[: dynamics.n_q].tolist())
+    settings = transient_settings(error, tuple(far[: dynamics.n_q].tolist()))
     task = SimulationTask(
         dynamics=dynamics,
         state=state,
@@ -106,13 +110,11 @@ def watched(
         goes_on=goes_on,
     )
     watch = _Watch(dynamics, state, until, far, settings.contact)
-    last = state
+    recent = [state[None]]
     try:
         for piece in pieces(task):
             yield from piece.events
-            # The step beyond a bound is also recorded.
-            within = np.all(np.abs(piece.states) <= far, axis=1)
-            last = piece.states[within][-1] if within.any() else last
+            recent = [recent[-1], piece.states] if len(piece.states) else recent
             end = watch.end_after(piece)
             if end is not None:
                 yield end
@@ -120,6 +122,10 @@ def watched(
     except RunawayError as caught:
         name = caught.coordinate or caught.reason.split()[0]
         if caught.coordinate:
+            # The step beyond a bound is also recorded.
+            rows = np.concatenate(recent)
+            within = rows[np.all(np.abs(rows) <= far, axis=1)]
+            last = within[-1] if len(within) else state
             name = _first_beyond(dynamics, last, np.array(caught.state), far) or name
         yield _end(caught, Reason.ESCAPE, name)
     except SimulationError as caught:
@@ -165,31 +171,32 @@ class _Watch:
         bounds: Vector,
         contact: float,
     ) -> None:
-        self._dynamics, self._until = dynamics, until
-        n_q = dynamics.n_q
-        self._bounds = np.where(np.arange(len(bounds)) < n_q, np.inf, bounds)
-        self._is_bounded = bool(np.any(np.isfinite(self._bounds)))
+        self._dynamics, self._until, self._contact = dynamics, until, contact
         self._moving = [k for k in range(len(state)) if k not in dynamics.clock]
-        self._zero = contact * dynamics.own.rates(n_q, len(state))[self._moving]
+        # The simulation itself ends at the bound of a coordinate.
+        self._bounds = bounds[dynamics.n_q :]
+        self._is_bounded = bool(self._bounds.size) and float(self._bounds.min()) < np.inf
         self._largest = np.zeros(len(self._moving))
         self._unrated: list[tuple[Vector, bool]] = [(state, False)]
-        self._reach = np.abs(state[:n_q])
+        self._passed = [state[None, : dynamics.n_q]]
         self._changed = 0.0
 
     def end_after(self, piece: Piece) -> MotionEnd | None:
         """Return the end of the motion if it shows after a piece."""
         n_q, names = self._dynamics.n_q, self._dynamics.state_names
-        for event in piece.events:
-            self._changed = event.time
-            if isinstance(event, Impact) and len(self._unrated) < _RATED:
-                self._unrated.append((event.state_minus, False))
+        if piece.events:
+            self._changed = piece.events[-1].time
+        if len(self._unrated) < _RATED:
+            struck = [(one.state_minus, False) for one in piece.events if isinstance(one, Impact)]
+            self._unrated += struck[: _RATED - len(self._unrated)]
         if self._is_bounded and len(piece.states):
-            beyond = np.max(np.abs(piece.states), axis=0) > self._bounds
+            beyond = np.max(np.abs(piece.states[:, n_q:]), axis=0) > self._bounds
             if beyond.any():
-                return self._ended(piece, Reason.ESCAPE, names[int(np.argmax(beyond))])
-        if 2 * piece.time <= self._until and len(piece.states):
-            passed = np.max(np.abs(piece.states[:, :n_q]), axis=0)
-            self._reach = np.maximum(self._reach, passed)
+                return self._ended(piece, Reason.ESCAPE, names[n_q + int(np.argmax(beyond))])
+        if 2 * piece.time <= self._until:
+            self._passed.append(piece.states[:, :n_q])
+            if len(self._passed) > _PASSED:
+                self._passed = [self._reach()[None]]
         over = piece.time >= self._until
         if not over and piece.events:
             return None
@@ -197,11 +204,15 @@ class _Watch:
             return self._ended(piece, Reason.REST, "")
         if not over:
             return None
-        left = has_left(piece.state[:n_q], self._reach)
+        left = has_left(piece.state[:n_q], self._reach())
         if left.any():
             return self._ended(piece, Reason.ESCAPE, names[int(np.argmax(left))])
         held = piece.locked and self._changed < self._until / 2
         return self._ended(piece, Reason.HELD if held else Reason.HORIZON, "")
+
+    def _reach(self) -> Vector:
+        """Return the largest modulus of each coordinate in the first half of the time."""
+        return np.max(np.abs(np.concatenate(self._passed)), axis=0)
 
     def _ended(self, piece: Piece, reason: Reason, detail: str) -> MotionEnd:
         return MotionEnd(time=piece.time, state=piece.state, reason=reason, detail=detail)
@@ -217,7 +228,9 @@ class _Watch:
         self._unrated.clear()
         now = self._rates(x, locked=locked)
         self._largest = np.max([self._largest, now, *rates], axis=0)
-        if not is_still(now[None, None], self._largest[None], self._zero)[0]:
+        own = dynamics.own.rates(dynamics.n_q, len(x))
+        zero = self._contact * own[self._moving]
+        if not is_still(now[None, None], self._largest[None], zero)[0]:
             return False
         if not dynamics.clock:
             return True
@@ -225,7 +238,7 @@ class _Watch:
         states = np.repeat(x[None], len(turn), axis=0)
         states[:, dynamics.clock] = _turned(x[list(dynamics.clock)], turn)
         phases = np.array([self._rates(state, locked=locked) for state in states])
-        if not is_still(phases[None], self._largest[None], self._zero)[0]:
+        if not is_still(phases[None], self._largest[None], zero)[0]:
             return False
         if not locked:
             return True
