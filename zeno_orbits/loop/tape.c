@@ -63,6 +63,38 @@ enum {
     ONE(OP_MUL_SUB, x * y - w)                                                                     \
     ONE(OP_SUB_MUL, w - x * y)
 
+#ifdef __GNUC__
+/* Each operation jumps to the next by itself: a processor foresees that better than the one jump of
+   a switch. */
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wpedantic"
+#define NEXT                                                                                       \
+    if (code == end) return;                                                                       \
+    x = registers[code->a];                                                                        \
+    y = registers[code->b];                                                                        \
+    w = registers[code->c];                                                                        \
+    goto *places[code->op];
+
+static void carry_out(const zl_instruction *code, long long n, double *registers) {
+    static const void *const places[] = {
+#define ONE(OP, FORMULA) [OP] = &&at_##OP,
+        OPERATIONS(ONE)
+#undef ONE
+    };
+    const zl_instruction *end = code + n;
+    double x, y, w;
+    NEXT
+#define ONE(OP, FORMULA)                                                                           \
+    at_##OP:                                                                                       \
+    registers[code->to] = FORMULA;                                                                 \
+    code++;                                                                                        \
+    NEXT
+    OPERATIONS(ONE)
+#undef ONE
+}
+#undef NEXT
+#pragma GCC diagnostic pop
+#else
 static void carry_out(const zl_instruction *code, long long n, double *registers) {
     const zl_instruction *end = code + n;
     for (; code < end; code++) {
@@ -81,6 +113,7 @@ static void carry_out(const zl_instruction *code, long long n, double *registers
         registers[code->to] = z;
     }
 }
+#endif
 
 /* The same for several states, a row of registers each entry of which belongs to one of them. */
 static void carry_out_lanes(const zl_instruction *code, long long n, double *registers) {
