@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -149,17 +150,24 @@ def detail_of(library: Any, place: int) -> Detail:
     )
 
 
-@dataclass(slots=True)
-class _Parts:
-    """Records as they come, one array a call."""
-
-    steps: list[Vector] = field(default_factory=list[Vector])
-    polynomials: list[Vector] = field(default_factory=list[Vector])
-    arcs: list[Vector] = field(default_factory=list[Vector])
-    events: list[Vector] = field(default_factory=list[Vector])
-
-
 _KINDS = ("steps", "polynomials", "arcs", "events")
+
+
+class _Buffers:
+    """Memory into which one call writes its records."""
+
+    def __init__(self, most: tuple[int, ...], widths: tuple[int, ...]) -> None:
+        self.arrays = [np.empty(shape) for shape in zip(most, widths, strict=True)]
+        self.places = c.RecordsType()
+        for name, rows, array in zip(_KINDS, most, self.arrays, strict=True):
+            setattr(self.places, name, array.ctypes.data)
+            setattr(self.places, f"most_{name}", rows)
+
+    def written(self) -> tuple[Vector, ...]:
+        """Return the rows that the call has written, one array a kind."""
+        places = self.places
+        counts = (places.n_steps, places.n_polynomials, places.n_arcs, places.n_events)
+        return tuple(array[:n].copy() for array, n in zip(self.arrays, counts, strict=True))
 
 
 class LoopRun:
@@ -185,7 +193,8 @@ class LoopRun:
             c.EVENT_WIDTH + 2 * n,
         )
         self._estimates = np.empty((_ESTIMATES, c.ESTIMATE_WIDTH + 2 * n))
-        self._parts = _Parts()
+        self._parts = list[tuple[Vector, ...]]()
+        self._spare = _spare.setdefault(program, {})
         values, state = (np.ascontiguousarray(one, dtype=np.float64) for one in (p, x))
         self._library.zl_begin(
             program.address,
@@ -226,11 +235,12 @@ class LoopRun:
             A status of `loop.h`. A request of memory for estimates is already handled.
         """
         most = (steps, polynomials, arcs, events)
-        arrays = [np.empty(shape) for shape in zip(most, self._widths, strict=True)]
-        places = c.RecordsType()
-        for name, rows, array in zip(_KINDS, most, arrays, strict=True):
-            setattr(places, name, array.ctypes.data)
-            setattr(places, f"most_{name}", rows)
+        spare = self._spare.setdefault(most, [])
+        try:
+            buffers = spare.pop()
+        except IndexError:
+            buffers = _Buffers(most, self._widths)
+        places = buffers.places
         status = c.ESTIMATES
         while status == c.ESTIMATES:
             places.estimates = self._estimates.ctypes.data
@@ -238,14 +248,12 @@ class LoopRun:
             status = self._library.zl_resume(
                 self._program.address, self._place, ctypes.addressof(places)
             )
-            for name, array in zip(_KINDS, arrays, strict=True):
-                n = getattr(places, f"n_{name}")
-                if n:
-                    getattr(self._parts, name).append(array[:n].copy())
+            self._parts.append(buffers.written())
             if status == c.ESTIMATES:
                 more = np.empty((4 * len(self._estimates), self._estimates.shape[1]))
                 more[: len(self._estimates)] = self._estimates
                 self._estimates = more
+        spare.append(buffers)
         return int(status)
 
     def answer(self, found: tuple[float, float, Vector] | None) -> None:
@@ -330,21 +338,26 @@ class LoopRun:
         other._place = ctypes.addressof(other._memory)
         other._widths = self._widths
         other._estimates = self._estimates.copy()
-        other._parts = _Parts(*(list(getattr(self._parts, name)) for name in _KINDS))
+        other._parts = list(self._parts)
+        other._spare = self._spare
         self._library.zl_copy(self._program.address, self._place, other._place)
         return other
 
     def taken(self) -> Record:
         """Return the record since the last call, and clear it."""
-        record, self._parts = self.record(), _Parts()
+        record = self.record()
+        self._parts.clear()
         return record
 
     def record(self) -> Record:
         """Return everything that was recorded so far and not taken."""
-        joined: dict[str, Any] = {}
-        for name, width in zip(_KINDS, self._widths, strict=True):
-            parts: list[Vector] = getattr(self._parts, name)
-            joined[name] = (
-                parts[0] if len(parts) == 1 else np.concatenate([np.empty((0, width)), *parts])
-            )
-        return Record(**joined)
+        if len(self._parts) != 1:
+            nothing = tuple(np.empty((0, width)) for width in self._widths)
+            kinds = zip(nothing, *self._parts, strict=True)
+            self._parts = [tuple(np.concatenate(parts) for parts in kinds)]
+        steps, polynomials, arcs, events = self._parts[0]
+        return Record(steps=steps, polynomials=polynomials, arcs=arcs, events=events)
+
+
+_spare: WeakKeyDictionary[Program, dict[tuple[int, ...], list[_Buffers]]] = WeakKeyDictionary()
+"""Memory of earlier calls, by the numbers of its rows."""
