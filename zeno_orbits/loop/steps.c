@@ -2,9 +2,9 @@
 
 static double spacing(double x) { return nextafter(fabs(x), INFINITY) - fabs(x); }
 
-/* Call a function with the number of states of a leg first: a constant where it is known, so that
-   sums over states become straight code. */
-#define OF_SIZE(m, function, ...)                                                                  \
+/* Call a function with the number of states of a leg first: a constant where the library serves one
+   problem, so that sums over states become straight code. */
+#define OF_MODE(m, function, ...)                                                                  \
     do {                                                                                           \
         if (!KNOWN_STATES)                                                                         \
             function((int)(m)->run->leg.n_y, __VA_ARGS__);                                         \
@@ -13,6 +13,28 @@ static double spacing(double x) { return nextafter(fabs(x), INFINITY) - fabs(x);
         else                                                                                       \
             function(KNOWN_STATES + 2, __VA_ARGS__);                                               \
     } while (0)
+
+/* The same with a constant for each usual number, where the library serves every problem. */
+#define OF_SIZE(m, function, ...)                                                                  \
+    do {                                                                                           \
+        if (KNOWN_STATES)                                                                          \
+            OF_MODE(m, function, __VA_ARGS__);                                                     \
+        else                                                                                       \
+            switch ((m)->run->leg.n_y) {                                                           \
+                AT_SIZE(3, function, __VA_ARGS__)                                                  \
+                AT_SIZE(4, function, __VA_ARGS__)                                                  \
+                AT_SIZE(5, function, __VA_ARGS__)                                                  \
+                AT_SIZE(6, function, __VA_ARGS__)                                                  \
+                AT_SIZE(7, function, __VA_ARGS__)                                                  \
+                AT_SIZE(8, function, __VA_ARGS__)                                                  \
+            default:                                                                               \
+                OF_MODE(m, function, __VA_ARGS__);                                                 \
+            }                                                                                      \
+    } while (0)
+#define AT_SIZE(n, function, ...)                                                                  \
+    case n:                                                                                        \
+        function(n, __VA_ARGS__);                                                                  \
+        break;
 
 #ifdef __GNUC__
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
@@ -216,9 +238,9 @@ ALWAYS_INLINE double norm_of(const double *change, int rows, int n, const double
     return sqrt(sum / (rows * n));
 }
 
-/* One iteration of Newton's method on the stages; the size of its correction. */
-ALWAYS_INLINE double correct(const int n, const Machine *m, const double *y, double size,
-                             const double *scale, double *stages) {
+/* One iteration of Newton's method on the stages, and the size of its correction. */
+ALWAYS_INLINE void correct(const int n, const Machine *m, const double *y, double size,
+                           const double *scale, double *stages, double *norm) {
     const zl_scheme *scheme = &m->problem->scheme;
     const Factors *factors = &m->run->factors;
     double residual[ZL_STAGES * ZL_MOST], change[ZL_STAGES * ZL_MOST];
@@ -265,7 +287,7 @@ ALWAYS_INLINE double correct(const int n, const Machine *m, const double *y, dou
             }
     }
     for (k = 0; k < ZL_STAGES * n; k++) stages[k] += change[k];
-    return norm_of(change, ZL_STAGES, n, scale);
+    *norm = norm_of(change, ZL_STAGES, n, scale);
 }
 
 ALWAYS_INLINE void finish_implicit(const int n, const Machine *m, const double *y, double size,
@@ -318,7 +340,10 @@ ALWAYS_INLINE void implicit_step_of(const int n, const Machine *m, const double 
     for (count = 1; count <= MOST_ITERATIONS; count++) {
         double rate;
         last = norm;
-        norm = correct(n, m, y, size, scale, found->stages);
+        if (KNOWN_STATES)
+            correct(n, m, y, size, scale, found->stages, &norm);
+        else
+            OF_SIZE(m, correct, m, y, size, scale, found->stages, &norm);
         if (count < FIRST_ITERATIONS) continue;
         if (!isfinite(norm)) return;
         rate = last > 0.0 ? norm / last : 1.0;
@@ -335,6 +360,6 @@ ALWAYS_INLINE void implicit_step_of(const int n, const Machine *m, const double 
 static int implicit_step(const Machine *m, const double *y, const double *slope, double size,
                          const double *continued, double start, double ratio, Found *found) {
     int converged = 0;
-    OF_SIZE(m, implicit_step_of, m, y, slope, size, continued, start, ratio, found, &converged);
+    OF_MODE(m, implicit_step_of, m, y, slope, size, continued, start, ratio, found, &converged);
     return converged;
 }
