@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -28,7 +29,7 @@ _SAME_PERIOD, _SAME_STATE = 1e-6, 1e-4
 """Relative difference of periods and states below which two orbits are the same."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class KnownOrbit:
     r"""A stable orbit for comparison with motions.
 
@@ -53,8 +54,12 @@ class KnownOrbit:
 
     def distances(self, state: Vector) -> Vector:
         """Return the relative distance of a state from each state of the orbit, ``(n,)``."""
-        away = np.abs(np.array(self.states) - state) / np.array(self.scale)
-        return np.max(away, axis=1)
+        states, scale = self._arrays
+        return np.max(np.abs(states - state) / scale, axis=1)
+
+    @cached_property
+    def _arrays(self) -> tuple[Vector, Vector]:
+        return np.array(self.states), np.array(self.scale)
 
     def passes(self, state: Vector) -> bool:
         """Return True if a state on the section is a state of the orbit."""
