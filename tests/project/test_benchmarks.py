@@ -41,6 +41,7 @@ REDUCED = {
         *("--grid", "9", "--pushes", "20", "--rig", "2", "--sets", "1"),
         *("--phases", "2", "--steps", "4", "--workers", "1"),
     ),
+    "random_graphs": ("--machines", "4", "--turns", "2"),
     "random_machines": ("--machines", "2", "--turns", "150"),
     "restitution_near_one": ("--repeats", "1"),
     "rig_convergence": ("--only", "portrait", "--points", "3"),
