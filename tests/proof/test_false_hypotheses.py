@@ -179,17 +179,17 @@ ROUGH: dict[str, Callable[[Any, Any], Any]] = {
 
 @pytest.mark.parametrize("name", ANALYTIC)
 def test_a_force_that_is_analytic_and_below_every_unit_changes_no_certificate(
-    zeno: Certificate, name: str
+    impact: Certificate, name: str
 ) -> None:
-    verdict = check_proof(*_of(zeno, _pushed(ANALYTIC[name])))
+    verdict = check_proof(*_of(impact, _pushed(ANALYTIC[name])))
     assert verdict.ok, verdict.claims
 
 
 @pytest.mark.parametrize("name", ROUGH)
 def test_the_same_force_with_a_jump_a_kink_or_a_pole_on_the_way_is_refused(
-    zeno: Certificate, name: str
+    impact: Certificate, name: str
 ) -> None:
-    assert _refusal(*_of(zeno, _pushed(ROUGH[name])))
+    assert _refusal(*_of(impact, _pushed(ROUGH[name])))
 
 
 # Sections just after an impact.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import operator
 import random
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,6 +23,8 @@ _SLACK = mp.mpf(2) ** -120
 _ROUNDING = mp.mpf(2) ** -40
 """Room for derivatives that are found in hardware numbers."""
 _N = 4
+_FIXED = 400
+"""Binary places of the series of a flow: 130 more than its terms are known to."""
 
 
 def text_of(x: Any) -> str:
@@ -66,6 +69,23 @@ def digest_of(problem: Problem) -> str:
         text += f"{names[code]} {','.join(map(str, takes))} {','.join(map(str, gives))}"
         text += f" {float(f.instruction_constant(k)).hex()}\n" if names[code] == "CONST" else "\n"
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _exponential(a: Any) -> Any:
+    """Return the exponential of a matrix by its series, in whole multiples of 2^-_FIXED."""
+    n = range(a.rows)
+    rows = [[int(mp.ldexp(a[i, j], _FIXED)) for j in n] for i in n]
+    term = whole = [[int(i == j) << _FIXED for j in n] for i in n]
+    k = 0
+    while any(map(any, term)):
+        k += 1
+        unit, columns = k << _FIXED, list(zip(*term, strict=True))
+        term = [
+            [(sum(map(operator.mul, row, column)) + unit // 2) // unit for column in columns]
+            for row in rows
+        ]
+        whole = [list(map(operator.add, *pair)) for pair in zip(whole, term, strict=True)]
+    return mp.matrix([[mp.ldexp(mp.mpf(x), -_FIXED) for x in row] for row in whole])
 
 
 class HandMade:
@@ -131,7 +151,7 @@ class HandMade:
         A, b = self._system(mode)
         whole = mp.zeros(_N + 1, _N + 1)
         whole[:_N, :_N], whole[:_N, _N] = A * h, b * h
-        turned = mp.expm(whole)
+        turned = _exponential(whole)
         return turned[:_N, :_N], turned[:_N, _N]
 
     def _system(self, mode: str) -> tuple[Any, Any]:
@@ -183,7 +203,7 @@ class HandMade:
                 (z[0], z[1]) if mode == "free" else (z[2] - self.centre[2], -self.p["omega"] * z[3])
             )
             root -= value / rate
-            if abs(value / rate) < mp.mpf(10) ** -70:
+            if abs(value / rate) < mp.mpf(10) ** -60:
                 break
         z, slope = self._flow(mode, root)
         rate, gradient = self.rate(mode, z), mp.zeros(1, _N)
