@@ -88,6 +88,7 @@ def test_its_fold_is_where_the_closed_form_has_a_multiplier_of_one() -> None:
     assert fold.at.multipliers[0] == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_longer_steps_find_the_same_points() -> None:
     settings = ContinuationSettings(steps=FamilySteps(first=0.1, longest=0.2))
     (family,) = followed(settings).families

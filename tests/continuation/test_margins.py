@@ -60,7 +60,7 @@ def family_in_the_force(box: tuple[float, float], steps: FamilySteps, **numbers:
 @pytest.mark.parametrize(
     ("box", "steps"),
     [
-        ((0.7, 1.5), DEFAULT),
+        pytest.param((0.7, 1.5), DEFAULT, marks=pytest.mark.slow),
         pytest.param((0.5, 1.5), SHORT, marks=pytest.mark.slow),
         ((0.5, 1.5), LONG),
         pytest.param((0.79, 1.01), DEFAULT, marks=pytest.mark.slow),
@@ -86,7 +86,12 @@ def test_so_it_has_with_impacts_that_accumulate() -> None:
 
 @pytest.mark.parametrize(
     ("restitution", "top", "steps"),
-    [(0.0, 1.5, DEFAULT), (0.0, 1.1, SHORT), (0.3, 1.5, LONG), (0.3, 3.0, DEFAULT)],
+    [
+        (0.0, 1.5, DEFAULT),
+        pytest.param(0.0, 1.1, SHORT, marks=pytest.mark.slow),
+        (0.3, 1.5, LONG),
+        (0.3, 3.0, DEFAULT),
+    ],
 )
 def test_a_motion_in_proportion_to_its_force_ends_with_its_amplitude(
     restitution: float, top: float, steps: FamilySteps

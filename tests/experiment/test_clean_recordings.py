@@ -42,7 +42,11 @@ def settled(motion: Motion, rate: float, *, velocities: bool) -> Recording:
     return cut(replace(whole, signals=kept), SETTLED[problem.name], None)
 
 
-@pytest.mark.parametrize("velocities", [True, False], ids=["velocities", "positions"])
+@pytest.mark.parametrize(
+    "velocities",
+    [pytest.param(True, marks=pytest.mark.slow), False],
+    ids=["velocities", "positions"],
+)
 @pytest.mark.parametrize(
     "rate",
     [

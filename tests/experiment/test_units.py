@@ -33,7 +33,11 @@ TABLES = 2e-6
 """Two tables of an orbit differ by so much of its size: each is as exact as half of it."""
 
 
-@pytest.mark.parametrize("units", FAR, ids=str)
+@pytest.mark.parametrize(
+    "units",
+    [FAR[0], *(pytest.param(units, marks=pytest.mark.slow) for units in FAR[1:])],
+    ids=str,
+)
 def test_a_machine_that_nobody_declared_is_the_same(units: Units) -> None:
     def contacts(units: Units) -> np.ndarray:
         table = in_units(zo.load_problem("vibrating_table"), units)

@@ -277,6 +277,7 @@ def _with_a_hole(system: CompletedSystem) -> CompletedSystem:
     return replace(system, gap=h * (h - 1e-3) * (h - 2e-3) / ((h - 1e-3) * (h - 2e-3)))
 
 
+@pytest.mark.slow
 def test_a_constraint_with_a_branch_in_the_way_proves_no_orbit() -> None:
     # The angle jumps by 2 pi once a turn, and the state does not: it never returns, by 9e-14.
     table = load_problem("vibrating_table")

@@ -183,7 +183,9 @@ def test_parameters_that_vary_may_be_named_in_any_order() -> None:
         assert check_proof(dict(proof.certificate)).ok
 
 
-@pytest.mark.parametrize("name", ["forced_oscillator", "solenoid"])
+@pytest.mark.parametrize(
+    "name", ["forced_oscillator", pytest.param("solenoid", marks=pytest.mark.slow)]
+)
 def test_the_certificate_of_plastic_impacts_is_accepted(name: str) -> None:
     problem = zo.load_problem(name)
     orbit = zo.find_orbit_by_shooting(problem, parameters={"restitution": 0.0}).unwrap()

@@ -150,7 +150,10 @@ def test_a_stop_that_pulls_for_a_moment_is_not_proved() -> None:
     assert proof.claim == "exists"
 
 
-@pytest.mark.parametrize("name", ["restitution", "A", "omega"])
+@pytest.mark.parametrize(
+    "name",
+    [*(pytest.param(one, marks=pytest.mark.slow) for one in ("restitution", "A")), "omega"],
+)
 def test_an_orbit_is_proved_over_an_interval_of_any_number(table: ZenoOrbit, name: str) -> None:
     proof = zo.prove(table, over={name: 1e-9})
     assert proof.proved, proof.verdict()

@@ -31,9 +31,15 @@ def _random_ball(chance: random.Random) -> tuple[Fraction, Fraction]:
     return middle, middle + width * scale * chance.choice([0, 1, 1, 1])
 
 
-def test_none_of_10_000_random_balls_is_outside_of_what_is_printed() -> None:
+NUMBERS = pytest.mark.parametrize(
+    "count", [1000, pytest.param(10_000, marks=pytest.mark.slow)], ids=lambda count: f"{count}"
+)
+
+
+@NUMBERS
+def test_no_random_ball_is_outside_of_what_is_printed(count: int) -> None:
     chance, wide = random.Random(1), 0
-    for _ in range(10_000):
+    for _ in range(count):
         low, high = _random_ball(chance)
         a, b = _read(enclosing_decimal(low, high))
         c, d = (Fraction(text) for text in enclosing_ends(low, high))
@@ -70,9 +76,10 @@ def test_none_of_10_000_random_discs_is_outside_of_what_is_printed() -> None:
         assert a * a + b * b <= room * room
 
 
-def test_none_of_10_000_one_sided_bounds_is_on_the_wrong_side() -> None:
+@NUMBERS
+def test_no_one_sided_bound_is_on_the_wrong_side(count: int) -> None:
     chance = random.Random(3)
-    for _ in range(10_000):
+    for _ in range(count):
         x, digits = _random_ball(chance)[0], chance.randint(1, 20)
         assert Fraction(decimal_below(x, digits)) <= x <= Fraction(decimal_above(x, digits))
 
