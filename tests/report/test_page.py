@@ -10,7 +10,6 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from html import unescape
@@ -559,13 +558,6 @@ def test_the_closeup_goes_on_where_the_simulation_ends(subject: Subject) -> None
 # ---------------------------------------------------------------------------- in a browser
 
 
-@pytest.fixture(name="browser", scope="module")
-def _browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    need_browser()
-    with browsers.browser(tmp_path_factory.mktemp("profile")) as found:
-        yield found
-
-
 @pytest.fixture(scope="module")
 def page_file(page: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of the pendulum as a file."""
@@ -721,8 +713,7 @@ def test_the_states_over_time_zoom_too(opened: Browser, subject: Subject) -> Non
     assert (low + high) / 2 == pytest.approx(subject.orbit.zeno_time, rel=1e-9)
 
 
-@pytest.mark.parametrize("width", [390, 1100])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1100, "light")])
 def test_the_page_fits_its_screen_and_follows_its_colours(
     browser: Browser, page_file: Path, width: int, scheme: str
 ) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support import browser as browsers
-from tests.support.browser import Browser, need_browser
+from tests.support.browser import Browser
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -342,15 +340,12 @@ def test_every_tile(subject: Subject, execution: Execution) -> None:
 
 
 @pytest.fixture(scope="module")
-def opened(subject: Subject, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    need_browser()
-    folder = tmp_path_factory.mktemp("data")
-    path: Path = folder / "report.html"
+def opened(subject: Subject, browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Browser:
+    path: Path = tmp_path_factory.mktemp("data") / "report.html"
     path.write_text(page_of(subject, load_bundle()), encoding="utf-8")
-    with browsers.browser(folder / "profile") as found:
-        found.emulate(1100)
-        found.open(path)
-        yield found
+    browser.emulate(1100)
+    browser.open(path)
+    return browser
 
 
 def traces(opened: Browser, plot: str) -> list[tuple[str, list[Any], list[Any]]]:
