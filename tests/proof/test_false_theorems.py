@@ -442,7 +442,7 @@ def _free(change: Callable[[Any], Any]) -> State:
     )
 
 
-@pytest.mark.parametrize("factor", [1 + 1e-6, 1 - 1e-9, -1.0, 1000.0])
+@pytest.mark.parametrize("factor", [1 - 1e-9, -1.0])
 def test_a_certificate_of_another_machine_is_refused(zeno: Certificate, factor: float) -> None:
     assert "motion" in _refusal(
         *_of_changed(zeno, _free(lambda system: factor * system.free_flow[1]))

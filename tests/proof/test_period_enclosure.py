@@ -314,9 +314,9 @@ FALSE: dict[str, tuple[Callable[[zo.ZenoOrbit], zo.ZenoOrbit], str]] = {
 
 
 @pytest.mark.parametrize("name", FALSE)
-def test_numbers_of_no_execution_are_refused(surface: zo.ZenoOrbit, name: str) -> None:
+def test_numbers_of_no_execution_are_refused(table: zo.ZenoOrbit, name: str) -> None:
     change, claim = FALSE[name]
-    found = zo.enclose_period(change(surface))
+    found = zo.enclose_period(change(table))
     assert not found.enclosed
     assert found.claim == claim
     assert f"`{claim}`" in found.verdict()
