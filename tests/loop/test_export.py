@@ -56,7 +56,9 @@ def _expected(name: str, until: float) -> list[tuple[str, list[float]]]:
     return found
 
 
-@pytest.mark.parametrize("name", ["curved_surface", "motor_pendulum"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("curved_surface", marks=pytest.mark.slow), "motor_pendulum"]
+)
 def test_an_exported_problem_gives_the_same_to_the_last_digit(name: str) -> None:
     found = _events_of(name, "--t-end", "3")
     assert found

@@ -203,6 +203,7 @@ def test_parameters_that_are_set_before_the_start_are_obeyed(export: Export) -> 
     assert unit.get("mode") == 1
 
 
+@pytest.mark.slow
 def test_hundreds_of_impacts_before_a_zeno_point_are_counted(export: Export) -> None:
     unit = Unit(export("bouncing_ball"))
     assert unit.set("restitution", 0.99) == OK

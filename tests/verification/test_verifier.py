@@ -546,6 +546,7 @@ class _Late:
         return None if limit is None else replace(limit, time=limit.time + self.delay)
 
 
+@pytest.mark.slow
 def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(
     orbit: ZenoOrbit, problem: Problem
 ) -> None:
