@@ -71,12 +71,12 @@ def test_what_is_fitted_can_be_passed_on(fitted: Identification, problem: Proble
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, problem: Problem) -> None:
-    # Of 8 seeds and 3 numbers at 95 %, 19 or fewer inside has a chance below 1e-3.
+    # Of 5 seeds and 3 numbers at 95 %, 10 or fewer inside has a chance below 1e-3.
     inside = 0
-    for seed in range(1, 9):
+    for seed in range(1, 6):
         found = identify(problem, problem.values(), record(other, problem, seed), SOUGHT)
         inside += sum(one.low <= TRUTH[one.unknown.names[0]] <= one.high for one in found.fitted)
-    assert inside >= 20
+    assert inside >= 11
 
 
 def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(

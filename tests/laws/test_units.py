@@ -23,6 +23,7 @@ FAR = [
     for time in (1e-6, 1.0, 1e6)
     if not length == time == 1.0
 ]
+CORNERS = [units for units in FAR if 1.0 not in (units.length, units.time)]
 MIXED = Units(mass=1e-3, length=1e3, time=1e-3)
 PROBLEMS = (
     "vibrating_table",
@@ -168,7 +169,7 @@ def test_an_orbit_is_the_same(units: Units) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("units", [GRAMS, MIXED, *FAR], ids=name_of)
+@pytest.mark.parametrize("units", [GRAMS, MIXED, *CORNERS], ids=name_of)
 @pytest.mark.parametrize("ask", [simulated, searched, mapped, followed])
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_every_command_tells_the_same(

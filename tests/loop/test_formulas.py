@@ -202,7 +202,12 @@ def test_compiled_formulas_of_every_bundled_problem_give_the_same_bits(name: str
     both = _both(zo.load_problem(name).compiled())
     for task in _tasks(name, 2.0):
         assert _followed(both.compiled, task) == _followed(both.tapes, task)
-    tasks = _tasks(name, 1.0)
+
+
+@pytest.mark.slow
+def test_threads_share_compiled_formulas() -> None:
+    both = _both(zo.load_problem("motor_pendulum").compiled())
+    tasks = _tasks("motor_pendulum", 1.0)
     with ThreadPoolExecutor(4) as pool:
         threads = list(pool.map(lambda task: _followed(both.compiled, task), [*tasks] * 3))
     expected = [_followed(both.tapes, task) for task in tasks]

@@ -21,6 +21,8 @@ MACHINES = Path(__file__).parents[1] / "support" / "machines"
 WITH_AN_ORBIT = sorted(set(one_stop_problems()) - {"bouncing_ball", "falling_pendulum"})
 FOLLOWED = {*WITH_AN_ORBIT} - {"two_tone_table"}
 """`continue` follows one release, or one impact, a period."""
+RECORDED = [name for name in WITH_AN_ORBIT if name != "filtered_pendulum"]
+"""The filtered pendulum takes minutes, and is the pendulum with a lag in its law."""
 
 
 def require_one(story: Story) -> None:
@@ -85,7 +87,7 @@ def test_a_bundled_problem(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*WITH_AN_ORBIT, *map(str, sorted(MACHINES.glob("[a-z]*.py")))])
+@pytest.mark.parametrize("name", [*RECORDED, *map(str, sorted(MACHINES.glob("[a-z]*.py")))])
 def test_a_stiff_machine_and_a_recording_tell_the_same_orbit(name: str) -> None:
     told = data_story_of(name)
     # `rig` takes one Zeno point a period, and `identify` an orbit that tells its restitution.

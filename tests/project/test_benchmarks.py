@@ -35,7 +35,7 @@ REDUCED = {
     "proofs": ("--orbits", "1"),
     "push_gains": (
         *("--problems", "motor_pendulum", "--starts", "0"),
-        *("--objectives", "nearest", "push"),
+        *("--objectives", "nearest"),
     ),
     "pushes": (
         *("--grid", "9", "--pushes", "20", "--rig", "2", "--sets", "1"),

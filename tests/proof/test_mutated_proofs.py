@@ -60,12 +60,12 @@ def remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(judged, "_CHUNK", 10**6)
 
 
-def test_none_of_300_mutations_is_accepted_with_a_claim_that_is_false(
+def test_none_of_100_mutations_is_accepted_with_a_claim_that_is_false(
     certificate: Certificate,
 ) -> None:
     assert check_proof(certificate).ok
     chance, accepted = random.Random(3), 0
-    for _ in range(300):
+    for _ in range(100):
         mutant = copy.deepcopy(certificate)
         mutate(mutant, chance)
         if _accepted(mutant) and mutant != certificate:
@@ -74,7 +74,7 @@ def test_none_of_300_mutations_is_accepted_with_a_claim_that_is_false(
             _require_the_same_machine(mutant["parameters"], certificate["parameters"])
             _require_true(mutant, certificate)
     # Last digits of a set may change within its slack; most changes are refused.
-    assert accepted < 150
+    assert accepted < 50
 
 
 def _require_the_same_machine(mutant: Mapping[str, str], original: Mapping[str, str]) -> None:
