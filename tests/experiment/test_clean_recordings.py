@@ -24,7 +24,10 @@ SETTLED = {"motor_pendulum": 20.0, "forced_oscillator": 30.0}
 Motion = tuple[Problem, HybridDynamics, Execution]
 
 
-@pytest.fixture(scope="module", params=SOUGHT)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param("motor_pendulum", marks=pytest.mark.slow), "forced_oscillator"],
+)
 def motion(request: pytest.FixtureRequest) -> Motion:
     problem = load_problem(request.param)
     dynamics = problem.dynamics(problem.values())

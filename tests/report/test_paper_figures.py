@@ -766,6 +766,9 @@ def test_a_problem_is_searched_at_its_own_numbers(
     assert not Path("none").exists()
 
 
+BESIDE = ("orbit.json", "-o", "f", "--kind", "graph", "--kind", "beside")
+
+
 @pytest.mark.usefixtures("parts")
 @pytest.mark.parametrize(
     ("arguments", "said"),
@@ -776,7 +779,7 @@ def test_a_problem_is_searched_at_its_own_numbers(
         (("no_scene", "-o", "f"), "must be one of"),
         (("motor_pendulum", "--problem", "a.py", "-o", "f"), "must come with an orbit file"),
         (("orbit.json", "-o", "f", "--kind", "graph", "--recording", "a.csv"), "the kind `beside`"),
-        (("orbit.json", "-o", "f", "--recording", "a.csv"), "must hold a recording"),
+        ((*BESIDE, "--recording", "a.csv"), "must hold a recording"),
         (("orbit.json", "-o", "f", "--kind", "film"), "--kind: must be one of graph"),
         (("orbit.json",), "Missing: -o/--output"),
     ],

@@ -140,7 +140,14 @@ def early_ball() -> Shown:
 PROBLEMS["early ball"] = early_ball
 
 
-@pytest.fixture(scope="module", params=PROBLEMS)
+_LONGER = {"elastic", "truncated ball"}
+"""Pictures of more impacts than the others, with nothing else in them."""
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[pytest.mark.slow] * (name in _LONGER)) for name in PROBLEMS],
+)
 def problem(request: pytest.FixtureRequest) -> Shown:
     return PROBLEMS[request.param]()
 
