@@ -73,7 +73,12 @@ LONG = {
 
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(p, marks=[pytest.mark.slow] if p.name in LONG else []) for p in PAGES],
+    [
+        pytest.param(p, marks=[pytest.mark.slow] if p.name in LONG else [])
+        for p in PAGES
+        # The slow tests run every block of the others at once.
+        if p.name not in LONG or p not in SLOW
+    ],
     ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_the_blocks_of_a_page_run(page: Path, here: Path) -> None:
