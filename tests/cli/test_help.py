@@ -150,8 +150,8 @@ QUICK = tuple(example for example in EXAMPLES if not LONG_WORDS & set(example))
 LONG = tuple(example for example in EXAMPLES if LONG_WORDS & set(example))
 
 
-HERE = tuple(example for example in LONG if "--scheduler" not in example)
-"""Those that need no cluster; `test_cluster` has one."""
+HERE = tuple(example for example in LONG if not {"--scheduler", "push"} & set(example))
+"""Those that need no cluster; `test_cluster` has one. `docs/pushes.md` runs that of a push."""
 
 
 @pytest.mark.parametrize("example", QUICK, ids=" ".join)
