@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from tests.support.commands import (
     examples,
     raising,
 )
+from tests.support.pages import ROOT, blocks, commands
 from zeno_orbits.cli import build_parser
 from zeno_orbits.cli.help import GROUPS
 from zeno_orbits.errors import ZenoOrbitsError
@@ -150,8 +152,21 @@ QUICK = tuple(example for example in EXAMPLES if not LONG_WORDS & set(example))
 LONG = tuple(example for example in EXAMPLES if LONG_WORDS & set(example))
 
 
-HERE = tuple(example for example in LONG if not {"--scheduler", "push"} & set(example))
-"""Those that need no cluster; `test_cluster` has one. `docs/pushes.md` runs that of a push."""
+ON_PAGES = [
+    {*shlex.split(line)}
+    for page in (ROOT / "docs").glob("*.md")
+    for block in blocks(page)
+    if block.language == "sh" and not block.left_out
+    for line in commands(block)
+]
+"""Words of each command that `test_pages` runs."""
+
+HERE = tuple(
+    example
+    for example in LONG
+    if "--scheduler" not in example and not any({*example} <= words for words in ON_PAGES)
+)
+"""Those that need no cluster and that no page runs; `test_cluster` has one."""
 
 
 @pytest.mark.parametrize("example", QUICK, ids=" ".join)
