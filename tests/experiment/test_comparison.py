@@ -217,7 +217,10 @@ FALSE: dict[str, tuple[Change, str]] = {
 }
 
 
-@pytest.mark.parametrize("name", FALSE)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == "never at rest")) for name in FALSE],
+)
 def test_what_shows_no_such_orbit_is_told_with_the_reason(
     name: str, orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:

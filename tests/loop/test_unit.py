@@ -226,6 +226,7 @@ def test_an_input_acts_from_the_communication_point_on(export: Export) -> None:
     assert unit.get("speed") == pytest.approx(-9.81 * 0.2 - 2.0 * 0.3, abs=1e-13)
 
 
+@pytest.mark.slow
 def test_a_gain_can_be_tuned_between_steps(export: Export) -> None:
     # On the stop and in a flight: the run starts anew there with the other gain.
     problem = zo.load_problem("motor_pendulum")

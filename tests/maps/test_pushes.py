@@ -28,9 +28,8 @@ def lifted_pushes(set_: tuple[float, float, float], **parameters: float) -> Push
     return zo.largest_push(orbit, problem=LIFTED, settings=settings)
 
 
-@pytest.mark.parametrize(
-    "set_", [SETS[3], *(pytest.param(one, marks=pytest.mark.slow) for one in SETS)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("set_", SETS)
 def test_the_largest_push_gives_the_speed_of_one_flight_and_one_impact(
     set_: tuple[float, float, float],
 ) -> None:

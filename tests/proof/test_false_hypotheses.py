@@ -295,6 +295,7 @@ def test_a_constraint_with_a_branch_in_the_way_proves_no_orbit() -> None:
     assert "not proved to be analytic along the motion" in proof.reason
 
 
+@pytest.mark.slow
 def test_a_gap_with_a_hole_in_the_way_is_refused_by_the_checker() -> None:
     orbit = zo.find_orbit_by_shooting("vibrating_table").unwrap()
     certificate = dict(zo.prove(orbit).certificate)

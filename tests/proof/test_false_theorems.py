@@ -554,7 +554,13 @@ def test_a_range_of_a_certificate_for_one_value_is_refused(zeno: Certificate) ->
     assert _refusal({**zeno, "over": {"beauty": text_of(1e-30)}})
 
 
-@pytest.mark.parametrize("name", ["m", "c", "k", "A", "omega", "stop", "restitution"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("m", "c")),
+        *("k", "A", "omega", "stop", "restitution"),
+    ],
+)
 def test_the_orbit_of_another_value_of_a_parameter_is_refused(zeno: Certificate, name: str) -> None:
     false = copy.deepcopy(zeno)
     value = float(_value(zeno["parameters"][name]))
