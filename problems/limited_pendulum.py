@@ -19,6 +19,7 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     """Return the completed system: the states of `motor_pendulum`."""
     unlimited = UNLIMITED.model(p)
     mechanism, motors = unlimited.mechanism, unlimited.drive.motors
+    assert motors is not None
     limited = ca.fmin(p["U"], ca.fmax(-p["U"], motors.voltage))
     drive = full_drive(mechanism, replace(motors, voltage=limited))
     # An empty tuple makes the limits switches.

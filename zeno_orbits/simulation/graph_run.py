@@ -73,6 +73,11 @@ _CORNER = 1e-6
 """Part of the problem's time within which impacts on two stops come in a corner."""
 _SHORT = 1e-5
 """Part of the problem's time below which shrinking intervals of a switch accumulate."""
+_NEAR_KINK = 1e6
+"""Distance of a singular state from a kink, in rounding levels of its condition."""
+_FAST, _SOON = 0.2, 1e-3
+"""Ratio of intervals that shrink in a few events, and the part of the problem's time below which
+they do."""
 _FALLING = 0.9
 """Largest ratio of intervals that shrink to a limit."""
 _SPLIT, _SPLIT_RESOLVED = 1e-8, 1e-4
@@ -256,15 +261,15 @@ class GraphRun(ReferenceRun):
                     arc, end = self._followed(start, flow, natural, on_guard=on_guard)
                 except StepSizeError as error:
                     # Another guard may fall before the flow of this branch ends to exist.
-                    reached = start.time + (start.speed or 1.0) * error.time
-                    if not 0.0 < reached - start.time <= window:
-                        raise type(error)(error.reason, time=reached, state=error.state) from error
                     del self.arcs[n_arcs:]
-                    window = (reached - start.time) * (1.0 - _BEFORE)
+                    reached = (start.speed or 1.0) * error.time
+                    if not 0.0 < reached <= window:
+                        raise self._singular(error, start.time + reached) from error
+                    window = reached * (1.0 - _BEFORE)
                     self.follower.until = start.time + window
                     arc, end = self._followed(start, flow, natural, on_guard=on_guard)
-                    if arc.ending is Ending.HORIZON:
-                        raise type(error)(error.reason, time=reached, state=error.state) from error
+                    if arc.ending is Ending.HORIZON and self.interruption is None:
+                        raise self._singular(error, start.time + reached) from error
                 if self.follower.until == until or arc.ending is not Ending.HORIZON:
                     break
                 if self.interruption is not None and self.interruption.passage is None:
@@ -275,6 +280,18 @@ class GraphRun(ReferenceRun):
             self.follower.until = until
         self.window = max(_GROW * (arc.end_time - arc.start_time), _SHORTEST * self.own.time)
         return arc, end
+
+    def _singular(self, error: StepSizeError, time: float) -> StepSizeError:
+        """Return an error with the time of the execution, and a kink that is zero there."""
+        x = np.array(error.state)[: len(self.dynamics.state_names)]
+        guards, rounding, _ = self.graph.guards(x)
+        n = self.graph.n_declared
+        kinks = np.flatnonzero(np.abs(guards[n:]) <= _NEAR_KINK * rounding[n:])
+        reason = error.reason
+        if kinks.size:
+            name = self.graph.switch_names[n + int(kinks[0])]
+            reason = f"{reason}; a formula has no derivative at its own kink `{name}`"
+        return StepSizeError(reason, time=time, state=error.state)
 
     def _followed(
         self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
@@ -666,7 +683,14 @@ class GraphRun(ReferenceRun):
         intervals = np.diff(times)
         is_kink = self.graph.switch_names.index(name) >= self.graph.n_declared
         shrink = len(times) == _IN_ROW and bool(np.all(np.diff(intervals) < 0.0))
-        if shrink and not is_kink and intervals[-1] < _SHORT * self.own.time:
+        slow = shrink and intervals[-1] < _SHORT * self.own.time
+        last = intervals[-3:]
+        fast = (
+            len(last) == 3
+            and bool(np.all(last[1:] < _FAST * last[:-1]))
+            and last[-1] < _SOON * self.own.time
+        )
+        if (slow or fast) and not is_kink:
             raise switches_accumulate(name, time, after)
         if self.n_switches > self.settings.most_impacts:
             raise does_not_accumulate(self.settings.most_impacts, time, after)
