@@ -32,6 +32,8 @@ _WAIT, _LONGEST = 1.05, 4.0
 """Times to wait for a return, in units of its guess. The mode after its end must be seen."""
 _AT_ONCE = 1e-9
 """Part of the period in which an event belongs to the start."""
+_CORRECTIONS, _ON = 6, 1e-15
+"""Corrections of a state onto its constraints, and a deviation that is rounding."""
 _MOST_ITERATIONS = 30
 _EXACT = 3e-14
 """Relative correction below which Newton's method has converged to rounding."""
@@ -175,6 +177,7 @@ def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
         x: The state, ``(n_x,)``.
         mode: The mode just after the event of the section.
     """
+    x = _on_constraints(graph, x)
     closed, sides = graph.mode_of(mode.closed, mode.sides)
     for k in closed:
         x = graph.view((tuple(j for j in closed if j != k), sides), k).on_stop(x)
@@ -183,6 +186,20 @@ def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
         view = graph.view((closed, sides), stop)
         x = x.copy()
         x[:n_q] -= view.gap(x) * view.impulse_direction(x)[n_q : 2 * n_q]
+    return x
+
+
+def _on_constraints(graph: GraphDynamics, x: Vector) -> Vector:
+    """Return a state moved onto the constraints and the circle of the clock, by Newton's method."""
+    view = graph.first
+    if view.differentiation is None or view.holonomic(x).size == 0:
+        return x
+    differentials = view.differentiation.by(())
+    for _ in range(_CORRECTIONS):
+        off = view.holonomic(x)
+        if not np.any(np.abs(off) > _ON):
+            break
+        x = x - np.linalg.pinv(differentials.holonomic(x)[:, : x.size]) @ off
     return x
 
 
