@@ -97,7 +97,7 @@ def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Drawing:
     hip = length * along(x["q1"])
     knee = hip - p["l_thigh"] * along(x["q2"])
     foot = knee - p["l_shank"] * along(x["q3"])
-    points = [tuple(ca.vertsplit(point)) for point in (hip, knee, foot)]
+    points = [(point[0], point[1]) for point in (hip, knee, foot)]
     return {"stance leg": [(0, 0), points[0]], "swing leg": points, "hip": [points[0]]}
 
 

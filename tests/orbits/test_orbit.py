@@ -274,8 +274,8 @@ def test_an_entry_of_the_wrong_type_is_named(
 
 
 def test_a_newer_format_is_refused_before_anything_else(tmp_path: Path) -> None:
-    text = json.dumps({"format": FORMAT + 1})
-    words = f"its format {FORMAT + 1} is newer than {FORMAT}, the newest this version reads"
+    text = json.dumps({"format": FORMAT + 2})
+    words = f"its format {FORMAT + 2} is newer than {FORMAT}, the newest this version reads"
     assert words in _refusal(tmp_path, text)
 
 
@@ -459,7 +459,7 @@ def _spoilt(*path: str | int, to: Any) -> str:
             "`phases[1].impacts[0].time` must be a number, but it is ",
         ),
         (("format",), 1, "`release_state` must be there, but it is missing"),
-        (("format",), 3, "its format 3 is newer than 2"),
+        (("format",), 3, "its format 3 is of a machine with several stops"),
     ],
 )
 def test_a_file_of_several_phases_that_contradicts_itself_is_refused(

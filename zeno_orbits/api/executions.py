@@ -170,7 +170,8 @@ def sample_execution(
     from zeno_orbits.experiment import Sampling, sampled
 
     known = known_problem(problem)
-    dynamics = known.dynamics(known.values(gains=gains, parameters=parameters))
+    values = known.values(gains=gains, parameters=parameters)
+    dynamics = None if known.has_graph else known.dynamics(values)
     sampling = Sampling(rate=rate, noise=noise, seed=seed)
     return sampled(known, dynamics, execution, sampling)
 

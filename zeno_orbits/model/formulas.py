@@ -131,7 +131,7 @@ def acceleration_formula(problem: Problem) -> Any:
     the formula is valid on the whole stop (theory (9)).
     """
     symbols = problem.symbols()
-    system = problem.model(symbols)
+    system = problem.one_stop_model(symbols)
     at_rest = _resting(system)
     states = dict(
         zip((s.name() for s in ca.symvar(system.state)), problem.state_names, strict=True)

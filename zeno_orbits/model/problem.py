@@ -165,6 +165,20 @@ class Problem(Declared):
         except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError):
             return False
 
+    def one_stop_model(self, symbols: Mapping[str, ca.SX]) -> CompletedSystem:
+        """Return the completed system of a machine with one stop and no switch.
+
+        Args:
+            symbols: Gains and parameters by name.
+
+        Raises:
+            InputError: If the machine has several stops or switches.
+        """
+        system = self.model(symbols)
+        if system.graph is not None:
+            raise _needs_one_stop(self)
+        return system
+
     @property
     def has_graph(self) -> bool:
         """True for a machine with several stops or with switches."""
@@ -545,6 +559,14 @@ _MOST = 16
 """Number of cached compiled problems, limited for a session that creates thousands."""
 
 
+def _needs_one_stop(problem: Problem) -> InputError:
+    """Return the refusal of a machine with several stops or switches."""
+    return InputError(
+        f"Argument `problem`: `{problem.name}` has several stops or switches. Only `simulate`, "
+        "`search`, `verify` and `continue` accept such a machine in this version."
+    )
+
+
 @lru_cache(maxsize=_MOST)
 def _built(problem: Problem) -> tuple[CompletedSystem, dict[str, ca.SX]]:
     """Return the completed system of a problem, and the symbols of its parameters."""
@@ -583,10 +605,7 @@ def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
 
     system, symbols = _built(problem)
     if system.graph is not None:
-        raise InputError(
-            f"Argument `problem`: `{problem.name}` has several stops or switches. Only `simulate`, "
-            "`search`, `verify` and `continue` accept such a machine in this version."
-        )
+        raise _needs_one_stop(problem)
     names = problem.state_names
     if transform is not None:
         system = transform(system)

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from zeno_orbits.errors import InputError, OrbitFileError
 from zeno_orbits.kinds import checked
+from zeno_orbits.orbits.event_orbit import EVENT_FORMAT
 from zeno_orbits.orbits.orbit import (
     FORMAT,
     ONE_RELEASE,
@@ -167,6 +168,9 @@ def _format(entries: Mapping[str, Any]) -> int:
     if isinstance(number, bool) or not isinstance(number, int) or number < 1:
         found = json.dumps(number) if "format" in entries else "missing"
         raise EntryError("format", "a positive whole number", found)
+    if number == EVENT_FORMAT:
+        machine = "a machine with several stops or switches"
+        raise _ContradictionError(f"its format {number} is of {machine} (`read_event_orbit`)")
     if number > FORMAT:
         newest = f"{FORMAT}, the newest this version reads"
         raise _ContradictionError(f"its format {number} is newer than {newest}")

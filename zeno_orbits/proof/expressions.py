@@ -97,7 +97,7 @@ def proof_expressions(
         TranslationError: If an operation is not analytic.
     """
     symbols = problem.symbols()
-    system = problem.model(symbols)
+    system = problem.one_stop_model(symbols)
     x, p = system.state, ca.vertcat(*symbols.values())
     given = [
         system.free_flow,
@@ -219,7 +219,7 @@ def stop_identities(problem: Problem, own: OwnScale) -> tuple[ca.Function, dict[
         zero, and the description of each identity, mapped to the size of its terms.
     """
     symbols = problem.symbols()
-    s = problem.model(symbols)
+    s = problem.one_stop_model(symbols)
     gap, rate = (ca.jacobian(one, s.state).T for one in (s.gap, s.gap_rate))
     columns: list[Any] = [
         (gap * s.free_flow, -s.gap_rate),

@@ -197,7 +197,7 @@ class _Bounds:
 
     def __init__(self, problem: Problem, numbers: ParameterValues, state: Vector) -> None:
         symbols = problem.symbols()
-        system = problem.model(symbols)
+        system = problem.one_stop_model(symbols)
         if system.law_numbers.numel() != 1 or ca.depends_on(system.law_numbers, system.state):
             raise InputError("A neighbourhood needs impacts with a constant restitution.")
         outputs = [system.free_flow, system.impulse_direction, system.gap_acceleration]

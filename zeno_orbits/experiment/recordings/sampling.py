@@ -63,13 +63,13 @@ class Sampling:
 
 
 def sampled(
-    problem: Problem, dynamics: HybridDynamics, execution: Execution, sampling: Sampling
+    problem: Problem, dynamics: HybridDynamics | None, execution: Execution, sampling: Sampling
 ) -> Recording:
     """Return the states of an execution at evenly spaced times.
 
     Args:
         problem: The problem.
-        dynamics: The system that was simulated.
+        dynamics: The system that was simulated, or ``None`` for several stops or switches.
         execution: The execution to record.
         sampling: Sampling interval and noise.
 
@@ -77,7 +77,11 @@ def sampled(
         InputError: If there are fewer than two samples, or too many.
     """
     time = np.arange(sampling.count(execution.end_time)) / sampling.rate
-    values = state_nodes(dynamics, execution.arcs).at(np.minimum(time, execution.end_time))
+    time_inside = np.minimum(time, execution.end_time)
+    if dynamics is None:
+        values = np.array([execution.state_at(moment) for moment in time_inside.tolist()])
+    else:
+        values = state_nodes(dynamics, execution.arcs).at(time_inside)
     values = values[:, : len(problem.state_names)]
     extent = np.ptp(values, axis=0)
     random = np.random.default_rng(sampling.seed)

@@ -97,7 +97,7 @@ def machine(problem: Problem, rig: Rig) -> Machine:
         InputError: If the problem does not support a part of the rig.
     """
     symbols = problem.symbols()
-    system = problem.model(symbols)
+    system = problem.one_stop_model(symbols)
     require_place(problem, system, rig)
     parts = _Parts(problem, system, rig)
     p = ca.vertcat(*symbols.values())

@@ -141,7 +141,7 @@ def formulas_of(problem: Problem) -> Formulas:
     after the impact.
     """
     symbols = problem.symbols()
-    system = problem.model(symbols)
+    system = problem.one_stop_model(symbols)
     parts: tuple[Any, ...] = (
         system.free_flow,
         system.locked_flow,

@@ -1,0 +1,91 @@
+"""Commands on machines with several stops or switches: what they print, write and refuse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import zeno_orbits as zo
+from tests.support.commands import NO, YES, ask, assert_refused
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+def test_simulate_names_stops_and_switches() -> None:
+    answer = ask("simulate", "kneed_walker", "--t-end", "1.2")
+    assert answer.code == YES
+    for words in ("impact knee", "Zeno point knee +-", "switch heel strike", "2 switches"):
+        assert words in answer.out
+    events = ask("simulate", "kneed_walker", "--t-end", "1.2", "--json").data["events"]
+    assert {event["event"] for event in events} == {"impact", "zeno_point", "switch"}
+    assert events[0]["stop"] == "knee"
+    assert events[-1]["switch"] == "heel strike"
+
+
+def test_simulate_writes_samples_and_a_picture() -> None:
+    answer = ask("simulate", "clapper", "--t-end", "8", "-o", "data.csv", "--plot", "states.png")
+    assert answer.code == YES
+    assert Path("data.csv").stat().st_size > 1000
+    assert Path("states.png").stat().st_size > 1000
+    assert "locked at lower" in answer.out
+
+
+def test_search_writes_a_file_that_verify_passes() -> None:
+    answer = ask("search", "hopper", "-o", "hopper.json")
+    assert answer.code == YES
+    assert "Found: stable orbit `switch kink 2" in answer.out
+    assert "Written: hopper.json" in answer.out
+    checked = ask("verify", "hopper.json", "--margins")
+    assert checked.code == YES
+    assert "switch_transversality" in checked.out
+    certificate = ask("verify", "hopper.json", "--json").data
+    assert certificate["passed"]
+    assert certificate["events"][-1] == "impact stop"
+    assert "shape" not in certificate
+
+
+def test_verify_refuses_a_changed_file() -> None:
+    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    data = json.loads(Path("hopper.json").read_text())
+    data["start_state"]["speed"] *= 1.001
+    Path("hopper.json").write_text(json.dumps(data))
+    answer = ask("verify", "hopper.json")
+    assert answer.code == NO
+    assert answer.out.startswith("Refused: `events`")
+
+
+@pytest.mark.slow
+def test_continue_follows_an_event_sequence() -> None:
+    answer = ask("continue", "hopper", "--parameter", "restitution=0.4:0.6", "-o", "family.json")
+    assert answer.code == YES
+    family = json.loads(Path("family.json").read_text())["families"][0]
+    assert [end["kind"] for end in family["ends"]] == 2 * ["end of the range"]
+    for point in family["points"]:
+        # The multiplier is the square of the restitution.
+        assert point["multipliers"][0][0] == pytest.approx(point["value"] ** 2, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--vary", "a=1:3"],
+        ["--objective", "energy"],
+        ["--bound", "period=:1"],
+        ["--shape", "zeno"],
+        ["--candidates", "2"],
+    ],
+)
+def test_search_refuses_options_for_machines_with_one_stop(options: list[str]) -> None:
+    assert_refused(ask("search", "hopper", *options), options[0], "one stop")
+
+
+def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() -> None:
+    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    assert_refused(ask("map", "hopper", "--x", "a=10:20", "--y", "s=0.1:0.2"), "`hopper`")
+    assert_refused(ask("zeno-condition", "hopper"), "`hopper`")
+    assert_refused(ask("push", "hopper.json"), "format 3")
+    assert_refused(ask("plot", "hopper.json", "-o", "pictures"), "format 3")
+    assert_refused(ask("verify", "hopper.json", "--rigorous"), "--rigorous", "one stop")
+    assert_refused(ask("search", "bouncing_ball", "--section", "impact stop"), "--section")

@@ -1,0 +1,250 @@
+"""Orbits of machines with several stops or switches: published values, closed forms, files."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import zeno_orbits as zo
+
+
+@cache
+def _orbit(name: str, **numbers: float) -> zo.EventOrbit:
+    return zo.find_event_orbit(name, parameters=numbers)
+
+
+WALKER_MULTIPLIERS = (0.3531363 + 0.552108j, 0.3531363 - 0.552108j, 0.1438697)
+"""From a program that shares no code with this one, to seven digits."""
+
+
+def test_the_walker_with_plastic_knees_has_the_published_gait() -> None:
+    orbit = _orbit("kneed_walker", restitution=0.0)
+    assert orbit.certificate["passed"]
+    assert orbit.sequence == ("zeno knee", "switch heel strike")
+    assert orbit.period == pytest.approx(0.56457806957, abs=1e-10)
+    knee = orbit.events[0]
+    assert knee.time == pytest.approx(0.34881592073, abs=1e-10)
+    assert knee.state["dq2"] - knee.state["dq3"] == pytest.approx(-7.711117507, abs=1e-8)
+    start = [orbit.start_state[name] for name in ("q1", "q2", "dq1", "dq2")]
+    told = [0.18816565351, -0.28890268731, -1.10894729114, -0.05771782658]
+    assert start == pytest.approx(told, abs=1e-9)
+    assert orbit.floquet_multipliers == pytest.approx(WALKER_MULTIPLIERS, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_the_multipliers_of_a_walker_are_those_of_differences_of_its_returns() -> None:
+    orbit = _orbit("kneed_walker", restitution=0.3)
+    problem = zo.load_problem("kneed_walker")
+    names = problem.state_names
+    x = np.array([orbit.start_state[name] for name in names])
+    # Directions that keep the start: both legs on the slope, and a straight swing leg.
+    basis = np.array(
+        [[1, -1, -1, 0, 0, 0], [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 1]], dtype=np.float64
+    )
+
+    def returned(y: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        run = zo.simulate(
+            problem,
+            until=0.7,
+            parameters={"restitution": 0.3},
+            start=dict(zip(names, map(float, y), strict=True)),
+        )
+        return run.switches[0].state_plus
+
+    step = 1e-5
+    columns = [(returned(x + step * d) - returned(x - step * d)) / (2 * step) for d in basis]
+    matrix = np.linalg.lstsq(basis.T, np.array(columns).T, rcond=None)[0]
+    found = sorted(np.linalg.eigvals(matrix), key=lambda mu: (-abs(mu), -mu.imag))
+    assert orbit.floquet_multipliers == pytest.approx(tuple(found), abs=1e-6)
+
+
+@pytest.mark.slow
+def test_gaits_with_a_zeno_knee_end_where_heel_strike_meets_the_zeno_point() -> None:
+    orbit = _orbit("kneed_walker", restitution=0.37)
+    family = zo.continue_orbit(orbit, "restitution", (0.3, 0.5)).families[0]
+    assert family.last.kind is zo.SpecialPointKind.EVENTS_MEET
+    assert family.last.at.value == pytest.approx(0.38397, abs=5e-6)
+    assert family.last.error < 1e-9
+    assert family.last.detail.endswith("zeno knee and switch heel strike")
+    assert all(point.stable for point in family.points)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("section", ["zeno knee", "switch heel strike"])
+def test_a_gait_is_the_same_from_every_section(section: str) -> None:
+    orbit = zo.find_event_orbit("kneed_walker", section=section)
+    usual = _orbit("kneed_walker")
+    assert orbit.events[-1].name == section
+    assert orbit.certificate["passed"]
+    assert orbit.period == pytest.approx(usual.period, rel=1e-12)
+    assert orbit.floquet_multipliers == pytest.approx(usual.floquet_multipliers, abs=1e-8)
+
+
+def test_both_halves_of_a_clapper_are_mirror_images() -> None:
+    orbit = _orbit("clapper")
+    period = 2 * math.pi / 0.3
+    assert orbit.certificate["passed"]
+    assert orbit.period == pytest.approx(period, rel=1e-13)
+    events = {event.name: event for event in orbit.events if not event.name.startswith("impact")}
+    between = (events["zeno upper"].time - events["zeno lower"].time) % period
+    assert between == pytest.approx(period / 2, rel=1e-11)
+    # On the stop `d` the spring holds the mass until the force is less: A cos(omega t) = k d.
+    release = events["release upper"]
+    assert release.state["cosine"] == pytest.approx(1.0 / 5.0, abs=1e-11)
+
+
+def test_the_first_impact_of_a_clapper_follows_the_matrix_exponential() -> None:
+    orbit = _orbit("clapper")
+    at = [event.name for event in orbit.events].index("release upper")
+    release = orbit.events[at]
+    hit = next(event for event in orbit.events[at:] if event.name == "impact lower")
+    # x'' = -x - 0.1 x' + 5 cos(0.3 t), with the clock as two states.
+    flow = np.array([[0, 1, 0, 0], [-1, -0.1, 5, 0], [0, 0, 0, -0.3], [0, 0, 0.3, 0]])
+    start = [release.state[name] for name in ("place", "speed", "cosine", "sine")]
+    end = expm(flow * (hit.time - release.time)) @ start
+    wanted = [hit.state[name] for name in ("place", "speed", "cosine", "sine")]
+    assert end == pytest.approx(wanted, abs=1e-10)
+
+
+@pytest.mark.parametrize(("a", "s", "e"), [(20.0, 0.1, 0.5), (5.0, 0.3, 0.8), (40.0, 0.02, 0.2)])
+def test_a_hopper_has_the_speed_and_the_multiplier_of_its_closed_form(
+    a: float, s: float, e: float
+) -> None:
+    orbit = _orbit("hopper", a=a, s=s, restitution=e)
+    impact = orbit.events[-1]
+    assert impact.state["speed"] ** 2 == pytest.approx(2 * a * s / (1 - e**2), rel=1e-12)
+    # The impact takes the part 1 - e^2 of the energy, and the push gives the same each time.
+    assert orbit.floquet_multipliers == pytest.approx((e**2,), abs=1e-10)
+
+
+@pytest.mark.slow
+def test_a_limit_that_is_never_reached_changes_nothing() -> None:
+    orbit = _orbit("limited_pendulum", U=1000.0)
+    unlimited = zo.find_orbit("motor_pendulum").unwrap()
+    assert orbit.sequence == ("release stop", "zeno stop")
+    assert orbit.period == pytest.approx(unlimited.period, rel=1e-11)
+    ours = np.array(orbit.floquet_multipliers[: len(unlimited.floquet_multipliers)])
+    assert ours == pytest.approx(np.array(unlimited.floquet_multipliers), abs=1e-7)
+
+
+def test_a_limited_voltage_has_its_orbit() -> None:
+    orbit = _orbit("limited_pendulum")
+    assert orbit.certificate["passed"]
+    voltage = {"Kp": 2.5, "Kd": -1.0, "U": 5.0}
+    limits = [event for event in orbit.events if event.name.startswith("switch")]
+    assert limits
+    for event in limits:
+        wanted = -voltage["Kp"] * event.state["theta1"] - voltage["Kd"] * event.state["dtheta1"]
+        assert abs(wanted) == pytest.approx(voltage["U"], abs=1e-10)
+
+
+def test_a_relay_has_the_published_bounces() -> None:
+    orbit = zo.find_event_orbit("relay", section="zeno open")
+    assert orbit.certificate["passed"]
+    on, off = (event.time for event in orbit.events if event.name == "switch kink 1")
+    first = {}
+    for event in orbit.events:
+        first.setdefault(event.name, event)
+    milliseconds = {
+        "release open": (on, 0.54922195966),
+        "impact closed": (on, 2.09300141683),
+        "zeno closed": (on, 2.56120736805),
+        "release closed": (off, 24.2984216485 - 20),
+        "impact open": (off, 27.3932730156 - 20),
+        "zeno open": (off, 28.7985429859 - 20),
+    }
+    for name, (since, wanted) in milliseconds.items():
+        assert 1e3 * (first[name].time - since) == pytest.approx(wanted, abs=2e-9), name
+    assert first["impact closed"].state["dz"] == pytest.approx(-1.79987359610, abs=1e-9)
+    assert first["impact open"].state["dz"] == pytest.approx(0.81032276748, abs=1e-9)
+    assert orbit.floquet_multipliers == () or abs(orbit.floquet_multipliers[0]) < 1e-5
+
+
+# Files, and orbits that are false.
+
+
+def test_a_file_holds_every_number_to_the_last_bit(tmp_path: Path) -> None:
+    orbit = _orbit("hopper")
+    zo.write_event_orbit(orbit, tmp_path / "hopper.json")
+    assert zo.read_event_orbit(tmp_path / "hopper.json") == orbit
+    assert zo.verify(tmp_path / "hopper.json").passed
+
+
+def test_an_orbit_without_a_certificate_is_verified_from_its_data() -> None:
+    bare = replace(_orbit("kneed_walker"), certificate={}, floquet_multipliers=())
+    certificate = zo.verify(bare)
+    assert certificate.passed
+    assert certificate.stable
+    assert certificate.multipliers == pytest.approx(
+        _orbit("kneed_walker").floquet_multipliers, abs=1e-9
+    )
+
+
+def _moved(orbit: zo.EventOrbit, place: int, **changes: Any) -> zo.EventOrbit:
+    events = list(orbit.events)
+    events[place] = replace(events[place], **changes)
+    return replace(orbit, events=tuple(events))
+
+
+def test_false_orbits_are_refused_with_the_residual_that_explains_it() -> None:
+    orbit = _orbit("kneed_walker")
+    start = {**orbit.start_state, "dq1": orbit.start_state["dq1"] * (1 + 1e-6)}
+    assert "closure" in zo.verify(replace(orbit, start_state=start)).failed
+    late = _moved(orbit, 0, time=orbit.events[0].time + 1e-6)
+    assert zo.verify(late).failed[0] == "events"
+    other = _moved(orbit, 0, state={**orbit.events[0].state, "q1": 0.0})
+    assert zo.verify(other).failed[0] == "events"
+    longer = replace(orbit, period=orbit.period * (1 + 1e-7))
+    assert "period" in zo.verify(longer).failed
+    fewer = replace(orbit, events=orbit.events[1:])
+    assert zo.verify(fewer).failed[0] == "events"
+    stiffer = replace(orbit, parameters={**orbit.parameters, "restitution": 0.21})
+    assert zo.verify(stiffer).failed[0] == "events"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"events": []}, "at least one event"),
+        ({"period": 0.0}, "positive `period`"),
+        ({"sequence": ["zeno stop"]}, "its `sequence` is `zeno stop`"),
+        ({"period": 1.0}, "not at the end of its `period`"),
+        ({"start_state": None}, "start_state"),
+        ({"gains": {"Kp": "much"}}, "gains"),
+    ],
+)
+def test_a_file_that_contradicts_itself_is_refused(
+    tmp_path: Path, change: dict[str, Any], words: str
+) -> None:
+    file = tmp_path / "orbit.json"
+    file.write_text(json.dumps(_orbit("hopper").as_json() | change))
+    with pytest.raises(zo.OrbitFileError, match=words):
+        zo.read_event_orbit(file)
+
+
+def test_events_out_of_order_are_refused(tmp_path: Path) -> None:
+    data = _orbit("hopper").as_json()
+    data["events"] = [data["events"][1], data["events"][0], *data["events"][2:]]
+    data["sequence"] = [event["name"] for event in data["events"]]
+    file = tmp_path / "orbit.json"
+    file.write_text(json.dumps(data))
+    with pytest.raises(zo.OrbitFileError, match="not in order of time"):
+        zo.read_event_orbit(file)
+
+
+def test_a_section_that_does_not_occur_is_refused_with_the_known_events() -> None:
+    with pytest.raises(zo.InputError, match=r"zeno knee.*but it is `zeno elbow`"):
+        zo.find_event_orbit("kneed_walker", section="zeno elbow")
+
+
+def test_a_machine_with_one_stop_has_no_event_orbit() -> None:
+    with pytest.raises(zo.InputError, match="`bouncing_ball` has one stop"):
+        zo.find_event_orbit("bouncing_ball")
