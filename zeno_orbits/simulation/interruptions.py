@@ -175,8 +175,7 @@ def undetermined_contact(names: str, time: float, state: Vector) -> Simultaneous
         state: State there, ``(n_x,)``.
     """
     return SimultaneousEventsError(
-        f"The contact of the stops {names} is not determined: no set, or more than one set of "
-        "closed stops fulfils the laws",
+        f"The laws of contact determine no set, or several sets of closed stops among {names}",
         time=time,
         state=tuple(state.tolist()),
     )
