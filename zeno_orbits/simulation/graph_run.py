@@ -237,7 +237,9 @@ class GraphRun(ReferenceRun):
         for name in self.graph.switch_names[: self.graph.n_declared]:
             times = [*self.switched.get(name, ())[-4:], limit.time]
             intervals = np.diff(times)
-            if len(intervals) == 4 and bool(np.all(intervals[1:] < _FALLING * intervals[:-1])):
+            soon = intervals[-1] < _SOON * self.own.time
+            shrink = len(intervals) == 4 and bool(np.all(np.diff(intervals) < 0.0))
+            if soon and shrink and intervals[-1] < _FALLING * intervals[-2]:
                 what = f"events of the switch `{name}` come"
                 raise accumulate_together(self.stop_name, what, limit.time, limit.state)
 
@@ -290,7 +292,7 @@ class GraphRun(ReferenceRun):
         reason = error.reason
         if kinks.size:
             name = self.graph.switch_names[n + int(kinks[0])]
-            reason = f"{reason}; a formula has no derivative at its own kink `{name}`"
+            reason = f"{reason}; a formula is not differentiable at its own kink `{name}`"
         return StepSizeError(reason, time=time, state=error.state)
 
     def _followed(

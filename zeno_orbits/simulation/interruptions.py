@@ -160,7 +160,7 @@ def switches_accumulate(switch: str, time: float, state: Vector) -> ChatterError
         state: State there, ``(n_x,)``.
     """
     return ChatterError(
-        f"Events of the switch `{switch}` accumulate: their limit has no continuation",
+        f"Events of the switch `{switch}` accumulate, and the execution ends at their limit",
         time=time,
         state=tuple(state.tolist()),
     )
