@@ -49,6 +49,7 @@ from zeno_orbits.simulation.interruptions import (
     leaves_set,
     slides,
     switches_accumulate,
+    undefined_guard,
     undetermined_contact,
 )
 from zeno_orbits.simulation.reference_run import ImpactSequence, ReferenceRun, is_slack
@@ -237,9 +238,9 @@ class GraphRun(ReferenceRun):
         for name in self.graph.switch_names[: self.graph.n_declared]:
             times = [*self.switched.get(name, ())[-4:], limit.time]
             intervals = np.diff(times)
-            soon = intervals[-1] < _SOON * self.own.time
             shrink = len(intervals) == 4 and bool(np.all(np.diff(intervals) < 0.0))
-            if soon and shrink and intervals[-1] < _FALLING * intervals[-2]:
+            soon = shrink and intervals[-1] < _SOON * self.own.time
+            if soon and intervals[-1] < _FALLING * intervals[-2]:
                 what = f"events of the switch `{name}` come"
                 raise accumulate_together(self.stop_name, what, limit.time, limit.state)
 
@@ -505,6 +506,9 @@ class GraphRun(ReferenceRun):
                 rounding = contact * view.own.gap
                 yield _Guard(_Kind.GAP, k, view.free, x, 1.0, on_guard, rounding)
         values, levels, _ = self.graph.guards(x)
+        unknown = np.flatnonzero(np.isnan(values))
+        if unknown.size:
+            raise undefined_guard(self.graph.switch_names[int(unknown[0])], start.time, x)
         for s, above in enumerate(self._signs()):
             value = float(values[s] if above else -values[s])
             flow = self.graph.guard_flow(mode, s, bool(above))

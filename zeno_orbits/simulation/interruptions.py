@@ -166,6 +166,21 @@ def switches_accumulate(switch: str, time: float, state: Vector) -> ChatterError
     )
 
 
+def undefined_guard(switch: str, time: float, state: Vector) -> SimulationError:
+    """Return the error of a switch whose guard is not a number.
+
+    Args:
+        switch: Name of the switch.
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return SimulationError(
+        f"The guard of the switch `{switch}` must be a number, but it is NaN",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
 def undetermined_contact(names: str, time: float, state: Vector) -> SimultaneousEventsError:
     """Return the error of stops whose contact the laws do not determine.
 
