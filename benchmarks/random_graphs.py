@@ -736,7 +736,11 @@ def _within_sensitivity(run: Run, loose: Run, seen: list[Seen], end: float) -> V
 
 def _kink_in_every_flight(run: Run, time: float) -> bool:
     """Test whether a kink is crossed in the last two flights of a sequence before a time."""
-    kinds = [event.kind for event in run.events if event.time < time + 1e-6]
+    kinds = [
+        "reset" if event.kind == "switch" and event.name else event.kind
+        for event in run.events
+        if event.time < time + 1e-6
+    ]
     while kinds and kinds[-1] == "zeno":
         kinds.pop()
     text = " ".join(kinds[-6:]).removesuffix(" switch").removesuffix(" switch")
@@ -753,8 +757,9 @@ def _ending(
     if error is not None:
         name = type(error).__name__
         names = {run.refused.reason} if run.refused else set[str]()
-        if names == {"ChatterError"}:  # a switch whose guard is zero and falls after its reset
-            names.add("SimulationError")
+        if names == {"ChatterError"}:
+            # A switch may leave its guard at zero and falling, or accumulate with impacts.
+            names |= {"SimulationError", "SimultaneousEventsError"}
         if run.refused and name in names and run.refused.time < error.time + 1e-3:
             return Verdict("refused", name, n, notes)
         if run.unsure and run.unsure.time < error.time + 1e-6:
