@@ -757,10 +757,12 @@ def _ending(
     if error is not None:
         name = type(error).__name__
         names = {run.refused.reason} if run.refused else set[str]()
+        # An accumulation may be refused as soon as it is recognized.
+        early = 0.1 if names & {"ChatterError", "SimultaneousEventsError"} else 1e-3
         if names == {"ChatterError"}:
             # A switch may leave its guard at zero and falling, or accumulate with impacts.
             names |= {"SimulationError", "SimultaneousEventsError"}
-        if run.refused and name in names and run.refused.time < error.time + 1e-3:
+        if run.refused and name in names and run.refused.time < error.time + early:
             return Verdict("refused", name, n, notes)
         if run.unsure and run.unsure.time < error.time + 1e-6:
             return Verdict("unsure", f"{run.unsure}; {name}", n, notes)
