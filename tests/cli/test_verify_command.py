@@ -186,7 +186,7 @@ def test_an_orbit_file_that_is_cut_short_is_refused(
 
 
 def _newer(data: dict[str, Any]) -> Any:
-    return {**data, "format": 3}
+    return {**data, "format": 4}
 
 
 def _other_format(data: dict[str, Any]) -> Any:
@@ -264,7 +264,7 @@ def _single_multiplier(data: dict[str, Any]) -> Any:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (_newer, ("format 3", "newer")),
+        (_newer, ("format 4", "newer")),
         (_other_format, ("`format`",)),
         (_list, ("object",)),
         (_nan, ("`period`", "finite")),
