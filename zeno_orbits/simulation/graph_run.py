@@ -19,14 +19,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, PenetrationError, SimulationError, StepSizeError
+from zeno_orbits.errors import InputError, PenetrationError, StepSizeError
 from zeno_orbits.integrators import GuardedFlow, Outcome, Passage
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
+from zeno_orbits.simulation.accumulations import Accumulations
 from zeno_orbits.simulation.admission import require_admissible
 from zeno_orbits.simulation.arc_follower import ArcStart, launched
 from zeno_orbits.simulation.completion import ZenoExtrapolation
@@ -48,7 +49,6 @@ from zeno_orbits.simulation.interruptions import (
     enters_by_switch,
     leaves_set,
     slides,
-    switches_accumulate,
     undefined_guard,
     undetermined_contact,
 )
@@ -66,21 +66,8 @@ _GROW, _SHORTEST = 4.0, 1e-3
 """Next window over the previous arc or window, and the shortest window over the problem's time."""
 _BEFORE = 1e-9
 """Part of a window that is left out where the flow of a branch ends to exist."""
-_IN_TURN, _IN_ROW = 16, 7
-"""Impacts on several stops, and events of one switch, whose intervals are compared."""
-_LAST = 6
-"""Impacts of which half change the stop where they come in turn."""
-_CORNER = 1e-6
-"""Part of the problem's time within which impacts on two stops come in a corner."""
-_SHORT = 1e-5
-"""Part of the problem's time below which shrinking intervals of a switch accumulate."""
 _NEAR_KINK = 1e6
 """Distance of a singular state from a kink, in rounding levels of its condition."""
-_FAST, _SOON = 0.2, 1e-3
-"""Ratio of intervals that shrink in a few events, and the part of the problem's time below which
-they do."""
-_FALLING = 0.9
-"""Largest ratio of intervals that shrink to a limit."""
 _SPLIT, _SPLIT_RESOLVED = 1e-8, 1e-4
 """Largest error of a Zeno point whose flights are split by a kink, and the part of the first speed
 from which it is accepted."""
@@ -148,8 +135,7 @@ class GraphRun(ReferenceRun):
         window: Time in which the next event is first looked for [s].
         flipped: Time and switch of the last start on the wrong side of a switch.
         n_switches: Number of switches so far.
-        recent: Times and stops of the last impacts.
-        switched: Times of the last switches, by name.
+        seen: The last impacts and switches, by which accumulations are recognized.
     """
 
     graph: GraphDynamics
@@ -163,8 +149,7 @@ class GraphRun(ReferenceRun):
     window: float = np.inf
     flipped: tuple[float, int] | None = None
     n_switches: int = 0
-    recent: tuple[tuple[float, str], ...] = ()
-    switched: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
+    seen: Accumulations = field(default_factory=Accumulations)
 
     def execution(self) -> Execution:
         """Return the execution so far."""
@@ -214,7 +199,7 @@ class GraphRun(ReferenceRun):
 
     def reach(self, limit: ZenoLimit, last: Impact, last_speed: float) -> None:
         """Record a Zeno point."""
-        self._require_no_switches(limit)
+        self.seen.require_no_switches(limit.time, self.stop_name, limit.state, self.own.time)
         n_arcs = len(self.arcs)
         ReferenceRun.reach(self, limit, last, last_speed)
         if len(self.arcs) > n_arcs:
@@ -228,21 +213,6 @@ class GraphRun(ReferenceRun):
             rough = ZenoExtrapolation(tolerance=_SPLIT, resolved=_SPLIT_RESOLVED)
             return rough.limit(self.dynamics, estimates)
         return limit
-
-    def _require_no_switches(self, limit: ZenoLimit) -> None:
-        """Refuse a Zeno point at which events of a switch accumulate as well.
-
-        Raises:
-            SimultaneousEventsError: If the intervals of a switch shrink to the Zeno time.
-        """
-        for name in self.graph.switch_names[: self.graph.n_declared]:
-            times = [*self.switched.get(name, ())[-4:], limit.time]
-            intervals = np.diff(times)
-            shrink = len(intervals) == 4 and bool(np.all(np.diff(intervals) < 0.0))
-            soon = shrink and intervals[-1] < _SOON * self.own.time
-            if soon and intervals[-1] < _FALLING * intervals[-2]:
-                what = f"events of the switch `{name}` come"
-                raise accumulate_together(self.stop_name, what, limit.time, limit.state)
 
     def reaches(self, arc: Arc, natural: Ending) -> bool:
         """Return True if an arc ended at the event of the stop that the run looks at."""
@@ -361,17 +331,11 @@ class GraphRun(ReferenceRun):
             guards, rounding, _ = self.graph.guards(x)
             zero = np.flatnonzero(np.abs(guards) <= 1e3 * rounding)
             kinks = [int(s) for s in zero if s >= self.graph.n_declared]
-            if self._is_in_corner():
-                raise self._accumulates_in_turn(error.time, x) from error
+            if self.seen.is_in_corner(self.own.time):
+                raise self.seen.in_turn(error.time, x) from error
             if not kinks:
                 raise
             raise slides(self.graph.switch_names[kinks[0]], error.time, x) from error
-
-    def _is_in_corner(self) -> bool:
-        """Return True if the last impacts on two stops come within rounding of each other."""
-        if len(self.recent) < _LAST or not self._in_turn():
-            return False
-        return self.recent[-1][0] - self.recent[-2][0] < _CORNER * self.own.time
 
     def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
         """Return the next start after an arc that another event ended."""
@@ -397,7 +361,7 @@ class GraphRun(ReferenceRun):
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map in the mode that its impulses determine."""
         before = self.rest
-        self._require_one_stop(time, state_minus)
+        self.seen.see_impact(time, self.stop_name, state_minus)
         self.split_by = self.split_by[1], frozenset()
         if approach_rate < 0.0:
             self._look(self._kept(state_minus), self.focus)
@@ -411,29 +375,6 @@ class GraphRun(ReferenceRun):
                 self.events.append(Release(time=time, state=state, stop=self.graph.stop_names[k]))
                 self.n_releases += 1
         return after
-
-    def _require_one_stop(self, time: float, x: Vector) -> None:
-        """Refuse impacts that accumulate on several stops in turn.
-
-        Raises:
-            SimultaneousEventsError: If the intervals of such impacts shrink to a limit.
-        """
-        self.recent = (*self.recent[1 - _IN_TURN :], (time, self.stop_name))
-        if len(self.recent) < _IN_TURN:
-            return
-        intervals = np.diff([moment for moment, _ in self.recent])
-        if self._in_turn() and intervals[-1] < _ACCUMULATED * intervals[0]:
-            raise self._accumulates_in_turn(time, x)
-
-    def _in_turn(self) -> bool:
-        """Return True if the last impacts are on several stops in turn."""
-        names = [name for _, name in self.recent[-_LAST:]]
-        return sum(one != other for one, other in pairwise(names)) >= _LAST // 2
-
-    def _accumulates_in_turn(self, time: float, x: Vector) -> SimulationError:
-        others = sorted({name for _, name in self.recent[-_LAST:]} - {self.stop_name})
-        what = f"impacts on {', '.join(f'`{name}`' for name in others)} come"
-        return accumulate_together(self.stop_name, what, time, x)
 
     # Modes.
 
@@ -684,20 +625,8 @@ class GraphRun(ReferenceRun):
         event = SwitchEvent(time=time, name=name, state_minus=before, state_plus=after)
         self.events.append(event)
         self.n_switches += 1
-        times = (*self.switched.get(name, ())[1 - _IN_ROW :], time)
-        self.switched[name] = times
-        intervals = np.diff(times)
-        is_kink = self.graph.switch_names.index(name) >= self.graph.n_declared
-        shrink = len(times) == _IN_ROW and bool(np.all(np.diff(intervals) < 0.0))
-        slow = shrink and intervals[-1] < _SHORT * self.own.time
-        last = intervals[-3:]
-        fast = (
-            len(last) == 3
-            and bool(np.all(last[1:] < _FAST * last[:-1]))
-            and last[-1] < _SOON * self.own.time
-        )
-        if (slow or fast) and not is_kink:
-            raise switches_accumulate(name, time, after)
+        if self.graph.switch_names.index(name) < self.graph.n_declared:
+            self.seen.see_switch(time, name, after, self.own.time)
         if self.n_switches > self.settings.most_impacts:
             raise does_not_accumulate(self.settings.most_impacts, time, after)
 

@@ -1,0 +1,138 @@
+"""Events that accumulate without a Zeno point of one stop: they end an execution with an error.
+
+The events of a switch may accumulate, impacts may accumulate on several stops in turn, and a switch
+may accumulate together with the impacts of a stop. Each is recognized by intervals that shrink to a
+limit. No law continues the motion beyond such a limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.simulation.interruptions import accumulate_together, switches_accumulate
+
+_IN_TURN, _IN_ROW = 16, 7
+"""Impacts on several stops, and events of one switch, whose intervals are compared."""
+_LAST = 6
+"""Impacts of which half change the stop where they come in turn."""
+_CORNER = 1e-6
+"""Part of the problem's time within which impacts on two stops come in a corner."""
+_SHORT = 1e-5
+"""Part of the problem's time below which shrinking intervals of a switch accumulate."""
+_FAST, _SOON = 0.2, 1e-3
+"""Ratio of intervals that shrink in a few events, and the part of the problem's time below which
+they do."""
+_FALLING = 0.9
+"""Largest ratio of intervals that shrink to a limit."""
+_ACCUMULATED = 1e-3
+"""Largest ratio of the last of many intervals to the first."""
+
+
+@dataclass(slots=True)
+class Accumulations:
+    """The last impacts and switches of an execution.
+
+    Attributes:
+        impacts: Times and stops of the last impacts.
+        switches: Times of the last switches, by name.
+    """
+
+    impacts: tuple[tuple[float, str], ...] = ()
+    switches: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
+
+    def see_impact(self, time: float, stop: str, x: Vector) -> None:
+        """Record an impact, unless impacts accumulate on several stops in turn.
+
+        Args:
+            time: When [s].
+            stop: Name of the stop.
+            x: State before it, ``(n_x,)``.
+
+        Raises:
+            SimultaneousEventsError: If the intervals of such impacts shrink to a limit.
+        """
+        self.impacts = (*self.impacts[1 - _IN_TURN :], (time, stop))
+        if len(self.impacts) < _IN_TURN:
+            return
+        intervals = np.diff([moment for moment, _ in self.impacts])
+        if self._in_turn and intervals[-1] < _ACCUMULATED * intervals[0]:
+            raise self.in_turn(time, x)
+
+    def see_switch(self, time: float, name: str, x: Vector, scale: float) -> None:
+        """Record an event of a declared switch, unless such events accumulate.
+
+        Args:
+            time: When [s].
+            name: Name of the switch.
+            x: State after it, ``(n_x,)``.
+            scale: The problem's time [s].
+
+        Raises:
+            ChatterError: If the intervals of the switch shrink to a limit.
+        """
+        times = (*self.switches.get(name, ())[1 - _IN_ROW :], time)
+        self.switches[name] = times
+        intervals = np.diff(times)
+        shrink = len(times) == _IN_ROW and bool(np.all(np.diff(intervals) < 0.0))
+        slow = shrink and intervals[-1] < _SHORT * scale
+        last = intervals[-3:]
+        fast = (
+            len(last) == 3
+            and bool(np.all(last[1:] < _FAST * last[:-1]))
+            and last[-1] < _SOON * scale
+        )
+        if slow or fast:
+            raise switches_accumulate(name, time, x)
+
+    def require_no_switches(self, time: float, stop: str, x: Vector, scale: float) -> None:
+        """Refuse a Zeno point at which events of a switch accumulate as well.
+
+        Args:
+            time: Zeno time [s].
+            stop: Name of the stop.
+            x: Zeno state, ``(n_x,)``.
+            scale: The problem's time [s].
+
+        Raises:
+            SimultaneousEventsError: If the intervals of a switch shrink to the Zeno time.
+        """
+        for name, times in self.switches.items():
+            intervals = np.diff([*times[-4:], time])
+            shrink = len(intervals) == 4 and bool(np.all(np.diff(intervals) < 0.0))
+            soon = shrink and intervals[-1] < _SOON * scale
+            if soon and intervals[-1] < _FALLING * intervals[-2]:
+                what = f"events of the switch `{name}` come"
+                raise accumulate_together(stop, what, time, x)
+
+    def is_in_corner(self, scale: float) -> bool:
+        """Return True if the last impacts on several stops nearly coincide.
+
+        Args:
+            scale: The problem's time [s].
+        """
+        if len(self.impacts) < _LAST or not self._in_turn:
+            return False
+        return self.impacts[-1][0] - self.impacts[-2][0] < _CORNER * scale
+
+    def in_turn(self, time: float, x: Vector) -> SimulationError:
+        """Return the error of impacts that accumulate on several stops in turn.
+
+        Args:
+            time: When [s].
+            x: State there, ``(n_x,)``.
+        """
+        names = [name for _, name in self.impacts[-_LAST:]]
+        others = sorted({*names} - {names[-1]})
+        what = f"impacts on {', '.join(f'`{name}`' for name in others)} come"
+        return accumulate_together(names[-1], what, time, x)
+
+    @property
+    def _in_turn(self) -> bool:
+        """True if the last impacts are on several stops in turn."""
+        names = [name for _, name in self.impacts[-_LAST:]]
+        return sum(one != other for one, other in pairwise(names)) >= _LAST // 2
