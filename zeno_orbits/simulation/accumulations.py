@@ -27,8 +27,10 @@ _SHORT = 1e-5
 _FAST, _SOON = 0.2, 1e-3
 """Ratio of intervals that shrink in a few events, and the part of the problem's time below which
 they do."""
-_FALLING = 0.9
-"""Largest ratio of intervals that shrink to a limit."""
+_FALLING, _ALIKE = 0.9, 0.1
+"""Largest ratio of intervals that shrink to a limit, and the least ratio of two such ratios."""
+_HALF = 0.5
+"""Largest ratio of the last three intervals to the three before them, where they shrink."""
 _ACCUMULATED = 1e-3
 """Largest ratio of the last of many intervals to the first."""
 
@@ -60,7 +62,8 @@ class Accumulations:
         if len(self.impacts) < _IN_TURN:
             return
         intervals = np.diff([moment for moment, _ in self.impacts])
-        if self._in_turn and intervals[-1] < _ACCUMULATED * intervals[0]:
+        falls = np.sum(intervals[-3:]) < _HALF * np.sum(intervals[-6:-3])
+        if self._in_turn and falls and intervals[-1] < _ACCUMULATED * intervals[0]:
             raise self.in_turn(time, x)
 
     def see_switch(self, time: float, name: str, x: Vector, scale: float) -> None:
@@ -103,9 +106,10 @@ class Accumulations:
         """
         for name, times in self.switches.items():
             intervals = np.diff([*times[-4:], time])
-            shrink = len(intervals) == 4 and bool(np.all(np.diff(intervals) < 0.0))
-            soon = shrink and intervals[-1] < _SOON * scale
-            if soon and intervals[-1] < _FALLING * intervals[-2]:
+            if len(intervals) < 4 or not intervals[-1] < _SOON * scale:
+                continue
+            ratios = intervals[1:] / intervals[:-1]
+            if np.max(ratios) < _FALLING and np.min(ratios) > _ALIKE * np.max(ratios):
                 what = f"events of the switch `{name}` come"
                 raise accumulate_together(stop, what, time, x)
 
