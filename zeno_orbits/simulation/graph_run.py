@@ -49,6 +49,7 @@ from zeno_orbits.simulation.interruptions import (
     enters_by_switch,
     leaves_set,
     slides,
+    switches_accumulate,
     undefined_guard,
     undetermined_contact,
 )
@@ -368,13 +369,25 @@ class GraphRun(ReferenceRun):
             self._take_sides(self.dynamics.reset_map(state_minus, approach_rate))
             self._look(self.rest, self.focus)
         after = ReferenceRun.impact(self, time, state_minus, approach_rate)
-        state_plus = self.arcs[-1].end_state if after is None and self.arcs else state_minus
+        if after is None:
+            return None
+        # The reset changes the forces on the other closed stops.
+        candidates = self._closed(after)
+        closed = self._contact_set(time, after.state, candidates) if self.rest else self.rest
         for k in before:
-            if k not in self.rest:
-                state = state_plus if after is None else after.state
-                self.events.append(Release(time=time, state=state, stop=self.graph.stop_names[k]))
+            if k not in (*self.rest, self.focus) or (self.rest and k not in closed):
+                name = self.graph.stop_names[k]
+                self.events.append(Release(time=time, state=after.state, stop=name))
                 self.n_releases += 1
-        return after
+        if not self.rest or closed == candidates:
+            return after
+        self.current = None
+        self._look(tuple(k for k in closed if k != self.focus), self.focus)
+        if after.mode is Mode.LOCKED and self.focus not in closed:
+            return replace(after, mode=Mode.FREE)
+        if after.impact is None:
+            return after
+        return replace(after, resting=self.dynamics.resting(after.impact.state_plus))
 
     # Modes.
 
@@ -573,6 +586,9 @@ class GraphRun(ReferenceRun):
             and self.graph.guards(start.state)[2][s] > 0.0
         ):
             raise armed_at_start(name, start.time, start.state)
+        if armed and float(guard.flow.guard(guard.y)[1]) > 0.0:
+            # The guard rose by less than its rounding and fell again.
+            raise switches_accumulate(name, start.time, start.state)
         self._change_side(s)
         self._look(self.rest, self.focus)
         if start.impact is None:
