@@ -186,7 +186,9 @@ def _margins(graph: GraphDynamics, found: EventReturn) -> Mapping[Margin, float]
     before = 0.0
     for place, events in enumerate(_phases(found.events)):
         event = events[-1]
-        margins[Margin(loss=Loss.EVENTS, place=place)] = events[0].time - before
+        if not isinstance(event, Release):
+            # The end of a contact phase has a law of its own, theory (39).
+            margins[Margin(loss=Loss.EVENTS, place=place)] = events[0].time - before
         before = event.time
         if isinstance(events[0], Impact):
             rate = -events[0].approach_rate
