@@ -120,6 +120,12 @@ def test_a_gap_with_a_kink_is_refused() -> None:
         _system(bent, 0.5, switches=())
 
 
+def test_a_kink_in_the_gap_of_any_stop_is_refused() -> None:
+    bent = _mechanism(gap=None, stops=_stops(lambda q: q, lambda q: ca.fmin(2 - q, 4 - q)))
+    with pytest.raises(ValueError, match="`gap` must be smooth"):
+        _system(bent)
+
+
 def _problem(model: Any, **changes: Any) -> zo.Problem:
     given: dict[str, Any] = {
         "name": "trial",

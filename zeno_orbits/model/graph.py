@@ -14,18 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TypeVar
 
 import casadi as ca
 
 from zeno_orbits.model.auxiliary import Auxiliary
 from zeno_orbits.model.circuits import Drive
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
-from zeno_orbits.model.kinks import Branched, branched
+from zeno_orbits.model.kinks import branched
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch, require_event_names
-
-_Part = TypeVar("_Part", HybridLagrangian, Drive)
 
 GraphMode = tuple[tuple[int, ...], tuple[bool, ...]]
 """A mode: the indices of its closed stops in increasing order, and the side of every kink."""
@@ -96,23 +93,27 @@ class ModeGraph:
             switch: Index of a declared switch, or of a kink after these.
         """
         closed, sides = mode
-        flow = self.one_stop(mode, self._any_open(closed)).free_flow
-        if len(closed) == len(self.stops):
+        opened = [k for k in range(len(self.stops)) if k not in closed]
+        if opened:
+            flow = self.one_stop(mode, opened[0]).free_flow
+        else:
             flow = self.one_stop((closed[:-1], sides), closed[-1]).locked_flow
         declared = len(self.switches)
         if switch < declared:
             return ca.SX(self.switches[switch].guard), flow
         return self._on_branch(sides)[2][switch - declared], flow
 
-    def _any_open(self, closed: Sequence[int]) -> int:
-        return next((k for k in range(len(self.stops)) if k not in closed), 0)
-
     def _on_branch(self, sides: tuple[bool, ...]) -> _Branch:
         """Return mechanism, drive and conditions on a branch of the kinks."""
         if sides not in self._branches:
-            mechanism, found = _smooth(self.mechanism, self.state, sides, after=self.drive)
-            drive, _ = _smooth(self.drive, self.state, sides, before=self.mechanism)
-            self._branches[sides] = mechanism, drive, found.smooth
+            parts = _formulas_of(self.mechanism), _formulas_of(self.drive)
+            found = branched([one for part in parts for one in part.values()], self.state, sides)
+            n = len(parts[0])
+            self._branches[sides] = (
+                replace(self.mechanism, **dict(zip(parts[0], found.formulas[:n], strict=True))),
+                replace(self.drive, **dict(zip(parts[1], found.formulas[n:], strict=True))),
+                found.smooth,
+            )
         return self._branches[sides]
 
 
@@ -183,15 +184,19 @@ def _graph(
             "Argument `drive` must not be a corrected drive in a machine with several stops or "
             "switches: use `full_drive`."
         )
-    normals = ca.jacobian(ca.vertcat(*(stop.gap for stop in stops)), mechanism.q)
+    gaps = ca.vertcat(*(stop.gap for stop in stops))
+    _require_smooth(
+        one.state, gap=gaps, holonomic=mechanism.holonomic, mass_matrix=mechanism.mass_matrix
+    )
+    normals = ca.jacobian(gaps, mechanism.q)
     inverse_mass, _ = accelerate(mechanism, ca.SX.zeros(one.n_q))
-    _, found = _smooth(mechanism, one.state, (), after=drive)
+    formulas = [*_formulas_of(mechanism).values(), *_formulas_of(drive).values()]
     bare = ModeGraph(
         mechanism=mechanism,
         drive=drive,
         stops=stops,
         switches=switches,
-        conditions=found.conditions,
+        conditions=branched(formulas, one.state).conditions,
         delassus=ca.mtimes([normals, inverse_mass, normals.T]),
         resets=tuple(_reset(one, switch) for switch in switches),
         state=one.state,
@@ -243,31 +248,14 @@ def _formulas_of(part: HybridLagrangian | Drive) -> dict[str, ca.SX]:
     }
 
 
-def _smooth(
-    part: _Part,
-    state: ca.SX,
-    sides: Sequence[bool],
-    *,
-    before: HybridLagrangian | None = None,
-    after: Drive | None = None,
-) -> tuple[_Part, Branched]:
-    """Return a mechanism or drive on a branch, with the kinks of both in one order.
+def _require_smooth(state: ca.SX, **formulas: ca.SX) -> None:
+    """Refuse a kink where a machine needs a derivative.
 
     Raises:
-        ValueError: If a gap, a constraint or the mass matrix has a kink.
+        ValueError: If a formula has a kink. The message names it.
     """
-    own = _formulas_of(part)
-    formulas = [
-        *(() if before is None else _formulas_of(before).values()),
-        *own.values(),
-        *(() if after is None else _formulas_of(after).values()),
-    ]
-    found = branched(formulas, state, sides)
-    first = 0 if before is None else len(_formulas_of(before))
-    smooth = dict(zip(own, found.formulas[first : first + len(own)], strict=True))
-    for name in ("gap", "holonomic", "mass_matrix"):
-        if name in own and branched([own[name]], state).conditions:
+    for name, formula in formulas.items():
+        if branched([formula], state).conditions:
             raise ValueError(
                 f"Argument `{name}` must be smooth, but it holds a kink: declare two stops instead."
             )
-    return replace(part, **smooth), found
