@@ -6,6 +6,7 @@ or the time between two events.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
@@ -14,10 +15,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.return_maps import (
+    LOOSER,
+    PATIENCE,
     DifferentiatedReturn,
     LazyMargins,
     Loss,
     Margin,
+    turns_of_clock,
 )
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import CompiledGraph, GraphDynamics
@@ -27,28 +31,23 @@ from zeno_orbits.orbits import (
     Section,
     SectionMode,
     event_return,
+    fall_at,
     kept_directions,
     loosened,
     on_section,
     orbit_event_name,
+    phases_of_events,
     sequence_of,
-    state_before,
 )
 from zeno_orbits.simulation import (
     Arc,
-    Ending,
-    Event,
     Impact,
     Release,
     SimulationSettings,
     SwitchEvent,
     least_inside,
+    state_before,
 )
-
-_LOOSER = 30.0
-"""Factor on the tolerances for the second computation of a point."""
-_PATIENCE = 4.0
-"""Longest time to wait for a return, in periods."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +107,7 @@ class EventReturns:
 
     def loosened(self) -> Self:
         """Return the same map at a looser tolerance."""
-        return replace(self, settings=loosened(self.settings, factor=_LOOSER))
+        return replace(self, settings=loosened(self.settings, factor=LOOSER))
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         """Return the directions that keep the constraints, as a chart around a state.
@@ -142,7 +141,7 @@ class EventReturns:
             x,
             section=self.section.name,
             n_returns=self.section.n_returns,
-            guess=horizon / _PATIENCE,
+            guess=horizon / PATIENCE,
             settings=self.settings,
             parameters=line.moving,
             mode=self.section.mode,
@@ -154,19 +153,13 @@ class EventReturns:
                 time=found.period,
                 state=tuple(x.tolist()),
             )
-        clock = self.compiled.graph.mechanism.clock
-        turns = 0.0
-        if clock is not None:
-            first = graph.first.clock[0]
-            turn = 2 * np.pi * abs(float(x[first]) / float(graph.first.free.rate(x)[first + 1]))
-            turns = found.period / turn if np.isfinite(turn) and turn > 0.0 else 0.0
         return DifferentiatedReturn(
             time=found.period,
             end=found.end,
             by_state=found.by_state,
             by_parameter=found.by_parameters @ line.slopes,
             margins=LazyMargins(lambda: _margins(graph, found)),
-            turns=turns,
+            turns=turns_of_clock(graph.first, x, found.period),
         )
 
 
@@ -184,67 +177,27 @@ def _margins(graph: GraphDynamics, found: EventReturn) -> Mapping[Margin, float]
         Margin(loss=Loss.FREQUENCY): 1 / found.period,
     }
     before = 0.0
-    for place, events in enumerate(_phases(found.events)):
-        event = events[-1]
+    phases = phases_of_events([orbit_event_name(event) for event in found.events])
+    ends = [found.events[phase[-1]].time for phase in phases]
+    for place, phase in enumerate(phases):
+        first, event = found.events[phase[0]], found.events[phase[-1]]
         if not isinstance(event, Release):
             # The end of a contact phase has a law of its own, theory (39).
-            margins[Margin(loss=Loss.EVENTS, place=place)] = events[0].time - before
+            margins[Margin(loss=Loss.EVENTS, place=place)] = first.time - before
         before = event.time
-        if isinstance(events[0], Impact):
-            rate = -events[0].approach_rate
-            margins[Margin(loss=Loss.FIRST_IMPACT, place=place)] = rate
+        if isinstance(first, Impact):
+            margins[Margin(loss=Loss.FIRST_IMPACT, place=place)] = -first.approach_rate
         if isinstance(event, Release | SwitchEvent):
-            rate = _fall(graph, event, arcs)
+            rate = fall_at(graph, arcs, event)
             if rate is not None:
                 loss = Loss.RELEASE_RATE if isinstance(event, Release) else Loss.SWITCH_RATE
                 margins[Margin(loss=loss, place=place)] = rate
     for arc in arcs:
-        place = sum(1 for one in _phases(found.events) if one[-1].time < arc.end_time)
+        place = bisect_left(ends, arc.end_time)
         for loss, value in _least_guards(graph, arc):
             key = Margin(loss=loss, place=place)
             margins[key] = min(value, margins.get(key, value))
     return margins
-
-
-def _phases(events: tuple[Event, ...]) -> list[list[Event]]:
-    """Return the events of each entry of the event sequence."""
-    phases: list[list[Event]] = []
-    for event in events:
-        last = phases[-1][-1] if phases else None
-        goes_on = (
-            isinstance(last, Impact)
-            and not isinstance(event, Release | SwitchEvent)
-            and event.stop == last.stop
-            and _accumulates(events, last)
-        )
-        if goes_on:
-            phases[-1].append(event)
-        else:
-            phases.append([event])
-    return phases
-
-
-def _accumulates(events: tuple[Event, ...], impact: Impact) -> bool:
-    """Return True if an impact belongs to a sequence that ends in a Zeno point."""
-    for event in events[events.index(impact) + 1 :]:
-        if not isinstance(event, Impact) or event.stop != impact.stop:
-            return orbit_event_name(event) == f"zeno {impact.stop}"
-    return False
-
-
-def _fall(graph: GraphDynamics, event: Release | SwitchEvent, arcs: list[Arc]) -> float | None:
-    """Return how fast a guard falls at its event, or ``None`` if an impact opened the stop."""
-    arc = next((one for one in arcs if one.end_time == event.time), None)
-    if arc is None or arc.ending not in (Ending.RELEASE, Ending.SWITCH):
-        return None
-    closed, sides = graph.mode_of(arc.closed, arc.sides)
-    if isinstance(event, Release):
-        stop = graph.stop_names.index(event.stop)
-        view = graph.view((tuple(k for k in closed if k != stop), sides), stop)
-        return -view.multiplier_rate(arc.end_state)
-    switch = graph.switch_names.index(event.name)
-    above = switch < graph.n_declared or sides[switch - graph.n_declared]
-    return -float(graph.guard_flow((closed, sides), switch, above).guard(arc.end_state)[1])
 
 
 def _least_guards(graph: GraphDynamics, arc: Arc) -> list[tuple[Loss, float]]:
@@ -255,7 +208,7 @@ def _least_guards(graph: GraphDynamics, arc: Arc) -> list[tuple[Loss, float]]:
     found: list[tuple[Loss, float]] = []
     for k in range(len(graph.stop_names)):
         if k in closed:
-            view = graph.view((tuple(j for j in closed if j != k), sides), k)
+            view = graph.holding((closed, sides), k)
             least = least_inside(arc, view.multiplier, view.multiplier_rate)
             loss = Loss.ADHESION
         else:

@@ -238,7 +238,7 @@ class SectionReturns:
 
     def loosened(self) -> Self:
         """Return the same map at a looser tolerance."""
-        return replace(self, settings=loosened(self.settings, factor=_LOOSER))
+        return replace(self, settings=loosened(self.settings, factor=LOOSER))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,7 +259,7 @@ class ReleaseReturns(SectionReturns):
             by_state=found.by_state,
             by_parameter=found.by_parameters @ line.slopes,
             margins=LazyMargins(lambda: self._margins(dynamics, found)),
-            turns=_turns(dynamics, x, found.period.value),
+            turns=turns_of_clock(dynamics, x, found.period.value),
         )
 
     def _margins(self, dynamics: HybridDynamics, found: ReturnDerivative) -> Mapping[Margin, float]:
@@ -301,8 +301,10 @@ def _inside(arc: Arc, part: float) -> Vector:
     return arc.flow_state_at(part * arc.duration)[: len(arc.start_state)]
 
 
-_LOOSER = 30.0
+LOOSER = 30.0
 """Factor on the tolerances for the second computation of a point."""
+PATIENCE = 4.0
+"""Longest time to wait for a return, in periods of the start."""
 
 
 def _least_gap(dynamics: HybridDynamics, flight: Arc) -> float | None:
@@ -440,12 +442,18 @@ class ImpactReturns(SectionReturns):
             by_parameter=after.state[:, n_x:] @ line.slopes,
             margins=margins,
             volume=_volume(dynamics, perturbations, arc, impact),
-            turns=_turns(dynamics, x, impact.time),
+            turns=turns_of_clock(dynamics, x, impact.time),
         )
 
 
-def _turns(dynamics: HybridDynamics, x: Vector, time: float) -> float:
-    """Return the number of turns of the clock in a time, 0 without a steadily turning clock."""
+def turns_of_clock(dynamics: HybridDynamics, x: Vector, time: float) -> float:
+    """Return the number of turns of the clock in a time, 0 without a steadily turning clock.
+
+    Args:
+        dynamics: The system.
+        x: Any state, ``(n_x,)``.
+        time: The time [s].
+    """
     turn = steady_turn(dynamics, x)
     return time / turn if turn else 0.0
 

@@ -10,7 +10,13 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.corrector import FamilyMetric
 from zeno_orbits.continuation.event_returns import EventReturns, EventSection
-from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
+from zeno_orbits.continuation.return_maps import (
+    PATIENCE,
+    Composed,
+    ImpactReturns,
+    ReleaseReturns,
+    ReturnMap,
+)
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.kinds import Checked
@@ -23,13 +29,10 @@ from zeno_orbits.orbits import (
     SectionMode,
     ZenoOrbit,
     event_return,
-    state_before,
 )
 from zeno_orbits.search import settle
-from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings, state_before
 
-_PATIENCE = 4.0
-"""Longest time to wait for a return, in periods of the start."""
 ONE_RETURN = 1
 
 
@@ -130,9 +133,7 @@ def start_at_release(
     Raises:
         InputError: If a name or a range does not fit, or the orbit belongs to another problem.
     """
-    if orbit.problem != problem.name:
-        message = f"must be of problem `{problem.name}`, but it is of `{orbit.problem}`"
-        raise InputError(f"Argument `orbit` {message}.")
+    _require_orbit_of(problem, orbit.problem)
     orbit.shape.require_one_release()
     values = orbit.values(problem)
     setup = Setup(
@@ -141,7 +142,7 @@ def start_at_release(
         box=box,
         section=ReleaseReturns,
         metric=FamilyMetric(
-            scale=_sizes(problem, orbit), unit=box[1] - box[0], horizon=_PATIENCE * orbit.period
+            scale=_sizes(problem, orbit), unit=box[1] - box[0], horizon=PATIENCE * orbit.period
         ),
         simulation=settings.simulation,
     )
@@ -200,7 +201,7 @@ def start_at_impact(
         metric=FamilyMetric(
             scale=cycle.execution.own.not_small(cycle.scale(), _SETTLED),
             unit=box[1] - box[0],
-            horizon=_PATIENCE * cycle.period,
+            horizon=PATIENCE * cycle.period,
         ),
         simulation=settings.simulation,
     )
@@ -227,20 +228,16 @@ def start_at_event(
         InputError: If a name or a range does not fit, or the orbit belongs to another problem.
         SimulationError: If the orbit does not return.
     """
-    if orbit.problem != problem.name:
-        message = f"must be of problem `{problem.name}`, but it is of `{orbit.problem}`"
-        raise InputError(f"Argument `orbit` {message}.")
+    _require_orbit_of(problem, orbit.problem)
     values = orbit.values(problem)
     s = _checked(problem, values, "in", parameter, box)
     graph = problem.graph_dynamics(values)
     x = np.array(problem.state_vector(orbit.start_state))
-    name = orbit.events[-1].name
-    n_returns = sum(event.name == name for event in orbit.events)
     found = event_return(
         graph,
         x,
-        section=name,
-        n_returns=n_returns,
+        section=orbit.section,
+        n_returns=orbit.n_returns,
         guess=orbit.period,
         settings=settings.simulation,
     )
@@ -249,8 +246,8 @@ def start_at_event(
         parameter=parameter,
         box=box,
         section=EventSection(
-            name=name,
-            n_returns=n_returns,
+            name=orbit.section,
+            n_returns=orbit.n_returns,
             sequence=orbit.sequence,
             mode=SectionMode.of(found.execution.arcs[0]),
         ),
@@ -259,7 +256,7 @@ def start_at_event(
                 np.max(np.abs([state_before(event) for event in found.events]), axis=0), 1e-9
             ),
             unit=box[1] - box[0],
-            horizon=_PATIENCE * orbit.period,
+            horizon=PATIENCE * orbit.period,
         ),
         simulation=settings.simulation,
     )
@@ -304,6 +301,17 @@ def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
     direction = np.zeros(p.size)
     direction[problem.place(parameter, argument="in")] = 1.0
     return Line(origin=p * (1 - direction), direction=direction)
+
+
+def _require_orbit_of(problem: Problem, name: str) -> None:
+    """Reject an orbit of another problem.
+
+    Raises:
+        InputError: If the name is another.
+    """
+    if name != problem.name:
+        message = f"must be of problem `{problem.name}`, but it is of `{name}`"
+        raise InputError(f"Argument `orbit` {message}.")
 
 
 def _checked(

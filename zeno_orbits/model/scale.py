@@ -9,6 +9,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 
+_NOTHING = 1e-12
+"""Largest size of a state, in its characteristic scale, that is zero to rounding.
+
+Such a state is not a unit of its error.
+"""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnScale:
@@ -70,6 +76,15 @@ class OwnScale:
         shares = sizes / usual
         largest = float(np.max(shares)) or 1.0
         return np.where(shares > part * largest, shares, largest) * usual
+
+    def not_zero(self, sizes: Vector) -> Vector:
+        """Return sizes of states, those that are zero to rounding replaced by the scale.
+
+        Args:
+            sizes: Sizes of the states of a motion, ``(n_x,)``.
+        """
+        usual = self.states(len(sizes))
+        return np.where(sizes > _NOTHING * usual, sizes, usual)
 
     def states(self, n_x: int) -> Vector:
         """Return the size of each state, ``(n_x,)``."""

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 from zeno_orbits.errors import OrbitFileError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.simulation import Event, Impact, SwitchEvent, ZenoPoint, event_name
+from zeno_orbits.simulation import Event, ZenoPoint, event_name
 from zeno_orbits.work import Columns, Displayed, EntryError, by_name, restored, write_whole
 
 EVENT_FORMAT = 3
@@ -85,6 +85,16 @@ class EventOrbit(Displayed):
         """
         return sequence_of([event.name for event in self.events])
 
+    @property
+    def section(self) -> str:
+        """Name of the event at which the period starts and ends."""
+        return self.events[-1].name
+
+    @property
+    def n_returns(self) -> int:
+        """Number of such events in a period."""
+        return sum(event.name == self.section for event in self.events)
+
     def values(self, problem: Problem) -> ParameterValues:
         """Return the orbit's parameter values for its problem.
 
@@ -119,14 +129,23 @@ def sequence_of(names: Sequence[str]) -> tuple[str, ...]:
     Args:
         names: Names of the events in order.
     """
-    found: list[str] = []
-    for name in names:
+    return tuple(names[phase[-1]] for phase in phases_of_events(names))
+
+
+def phases_of_events(names: Sequence[str]) -> list[list[int]]:
+    """Return the indices of the events of each phase: impacts belong to their Zeno point.
+
+    Args:
+        names: Names of the events in order.
+    """
+    phases: list[list[int]] = []
+    for k, name in enumerate(names):
         kind, _, what = name.partition(" ")
-        if kind == "zeno":
-            while found and found[-1] == f"impact {what}":
-                found.pop()
-        found.append(name)
-    return tuple(found)
+        phase = [k]
+        while kind == "zeno" and phases and names[phases[-1][-1]] == f"impact {what}":
+            phase = phases.pop() + phase
+        phases.append(phase)
+    return phases
 
 
 def orbit_event_name(event: Event) -> str:
@@ -136,15 +155,6 @@ def orbit_event_name(event: Event) -> str:
         event: The event.
     """
     return f"zeno {event.stop}" if isinstance(event, ZenoPoint) else event_name(event)
-
-
-def state_before(event: Event) -> Any:
-    """Return the state just before an event, ``(n_x,)``.
-
-    Args:
-        event: The event.
-    """
-    return event.state_minus if isinstance(event, Impact | SwitchEvent) else event.state
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,15 +17,18 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits.event_orbit import orbit_event_name
+from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.simulation import (
     Arc,
+    Ending,
     Event,
     Execution,
     GraphShifts,
-    Impact,
+    Release,
     SimulationSettings,
-    ZenoExtrapolation,
+    SwitchEvent,
     simulate,
+    state_after,
 )
 
 _WAIT, _LONGEST = 1.05, 4.0
@@ -78,7 +81,6 @@ class EventReturn:
         execution: The execution, beyond the end of the return.
         by_state: Derivative of the end with respect to the start, ``(n_x, n_x)``.
         by_parameters: Derivative of the end with respect to the parameters, ``(n_x, k)``.
-        period_by: Derivatives of the period, ``(n_x + k,)``.
     """
 
     start: Vector
@@ -88,16 +90,6 @@ class EventReturn:
     execution: Execution
     by_state: Vector
     by_parameters: Vector
-    period_by: Vector
-
-
-def resolved(settings: SimulationSettings) -> SimulationSettings:
-    """Return settings by which all impacts are resolved one by one.
-
-    Args:
-        settings: The settings.
-    """
-    return replace(settings, completion=ZenoExtrapolation())
 
 
 def event_return(
@@ -127,7 +119,7 @@ def event_return(
         SimulationError: If the event does not follow within a few times the guess.
     """
     start = x if mode is None else on_section(graph, x, mode)
-    exact, n_x = resolved(settings), len(start)
+    exact, n_x = replace(settings, completion=extrapolated(settings)), len(start)
     execution = simulate(graph, start, until=_WAIT * guess, settings=exact)
     times = _times_of(execution, section, guess)
     if len(times) < n_returns or times[n_returns - 1] == execution.end_time:
@@ -147,13 +139,12 @@ def event_return(
         if orbit_event_name(event) == section and event.time == end:
             return EventReturn(
                 start=start,
-                end=event.state_plus if isinstance(event, Impact) else event.state,
+                end=state_after(event),
                 period=end,
                 events=tuple(events),
                 execution=execution,
                 by_state=shift.state[:, :n_x],
                 by_parameters=shift.state[:, n_x:],
-                period_by=shift.time,
             )
     raise SimulationError(
         f"The event `{section}` lacks a derivative", time=end, state=tuple(start.tolist())
@@ -180,7 +171,7 @@ def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
     x = _on_constraints(graph, x)
     closed, sides = graph.mode_of(mode.closed, mode.sides)
     for k in closed:
-        x = graph.view((tuple(j for j in closed if j != k), sides), k).on_stop(x)
+        x = graph.holding((closed, sides), k).on_stop(x)
     if mode.stop:
         stop, n_q = graph.stop_names.index(mode.stop), graph.n_q
         view = graph.view((closed, sides), stop)
@@ -203,12 +194,40 @@ def _on_constraints(graph: GraphDynamics, x: Vector) -> Vector:
     return x
 
 
-def sizes_of(execution: Execution, graph: GraphDynamics) -> Vector:
-    """Return the size of each state along an execution, ``(n_x,)``."""
-    ends = np.array([arc.end_state for arc in execution.arcs])
-    largest = np.max(np.abs(ends), axis=0)
-    own = graph.own.states(len(largest))
-    return np.where(largest > 1e-12 * own, largest, own)
+def largest_states(arcs: Sequence[Arc], graph: GraphDynamics) -> Vector:
+    """Return the size of each state at the ends of arcs, ``(n_x,)``.
+
+    Args:
+        arcs: The arcs.
+        graph: The graph of modes, whose scales replace sizes that are zero.
+    """
+    largest = np.max(np.abs(np.array([arc.end_state for arc in arcs])), axis=0)
+    return graph.own.not_zero(largest)
+
+
+def fall_at(
+    graph: GraphDynamics, arcs: Sequence[Arc], event: Release | SwitchEvent
+) -> float | None:
+    """Return how fast the guard of a release or a switch falls there.
+
+    Args:
+        graph: The graph of modes.
+        arcs: The arcs around the event.
+        event: The event.
+
+    Returns:
+        Minus the rate of the guard. ``None`` if an impact opened the stop.
+    """
+    endings = (Ending.RELEASE, Ending.SWITCH)
+    arc = next((a for a in arcs if a.end_time == event.time and a.ending in endings), None)
+    if arc is None:
+        return None
+    mode, x = graph.mode_of(arc.closed, arc.sides), arc.end_state
+    if isinstance(event, Release):
+        return -graph.holding(mode, graph.stop_names.index(event.stop)).multiplier_rate(x)
+    switch = graph.switch_names.index(event.name)
+    above = switch < graph.n_declared or arc.sides[switch - graph.n_declared]
+    return -float(graph.guard_flow(mode, switch, above).guard(x)[1])
 
 
 def closed_return(
@@ -250,7 +269,7 @@ def closed_return(
         )
         if mode is None:
             mode = SectionMode.of(found.execution.arcs[0])
-        scale, guess = sizes_of(found.execution, graph), found.period
+        scale, guess = largest_states(found.execution.arcs, graph), found.period
         matrix = (np.eye(len(x)) - found.by_state) * scale[None, :] / scale[:, None]
         change = scale * np.linalg.lstsq(matrix, (found.end - found.start) / scale, rcond=1e-12)[0]
         size = float(np.max(np.abs(change) / scale))
@@ -281,7 +300,7 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
         graph: The graph of modes.
         found: The return.
     """
-    scale = sizes_of(found.execution, graph)
+    scale = largest_states(found.execution.arcs, graph)
     derivative = found.by_state * scale[None, :] / scale[:, None]
     keeps = kept_directions(graph, found.start, scale)
     matrix = keeps.T @ derivative @ keeps
@@ -345,10 +364,10 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         raise InputError(
             f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."
         )
-    scale = sizes_of(execution, graph)
+    scale = largest_states(execution.arcs, graph)
     for chosen in _sections(execution, graph) if section is None else [section]:
         marks = [
-            (event.time, event.state_plus if isinstance(event, Impact) else event.state)
+            (event.time, state_after(event))
             for event, name in zip(execution.events, names, strict=True)
             if name == chosen
         ]

@@ -19,12 +19,6 @@ ROUNDING = 4e-15
 """Relative rounding error per event. Two runs may share it, so it is not visible in a difference.
 """
 
-_NOTHING = 1e-12
-"""Largest size of a state, in its characteristic scale, that is zero to rounding.
-
-Such a state is not a unit of its error.
-"""
-
 
 class Kind(Enum):
     """Kinds of landmarks."""
@@ -115,8 +109,7 @@ def sizes_of(states: Sequence[Sequence[float] | Vector], own: OwnScale = USUAL) 
     The value zero is replaced by the state's characteristic scale.
     """
     largest = np.max(np.abs(np.array(states, dtype=np.float64)), axis=0)
-    usual = own.states(len(largest))
-    return np.where(largest > _NOTHING * usual, largest, usual)
+    return own.not_zero(largest)
 
 
 def _landmark(event: Event) -> Landmark:

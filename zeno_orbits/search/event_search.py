@@ -21,9 +21,9 @@ from zeno_orbits.orbits import (
     multipliers_of_return,
     near_return,
     orbit_event_name,
-    state_before,
 )
-from zeno_orbits.simulation import SimulationSettings, simulate
+from zeno_orbits.search.closing import named
+from zeno_orbits.simulation import SimulationSettings, simulate, state_before
 from zeno_orbits.work import Progress, silent, versions
 
 _TIMES = (25.0, 100.0, 400.0)
@@ -59,8 +59,8 @@ def find_event_orbit(
     graph, settings = problem.graph_dynamics(values), simulation or SimulationSettings()
     starts = problem.starts if start is None else (start,)
     trouble: SimulationError | None = None
-    for named in starts:
-        x = np.array(problem.state_vector(named))
+    for begin in starts:
+        x = np.array(problem.state_vector(begin))
         slowest = own_time(graph.first, x)
         times = [part * slowest for part in _TIMES] if until is None else [until]
         for time in times:
@@ -97,19 +97,17 @@ def _orbit_of(
     problem: Problem, values: ParameterValues, graph: GraphDynamics, found: EventReturn
 ) -> EventOrbit:
     """Return the orbit of a periodic return."""
-
-    def named(x: Vector) -> dict[str, float]:
-        return dict(zip(problem.state_names, map(float, x), strict=True))
-
     return EventOrbit(
         problem=problem.name,
         parameters=dict(values.parameters),
         gains=dict(values.gains),
         period=found.period,
-        start_state=named(found.start),
+        start_state=named(problem, found.start),
         events=tuple(
             OrbitEvent(
-                name=orbit_event_name(event), time=event.time, state=named(state_before(event))
+                name=orbit_event_name(event),
+                time=event.time,
+                state=named(problem, state_before(event)),
             )
             for event in found.events
         ),

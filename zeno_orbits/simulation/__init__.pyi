@@ -33,6 +33,8 @@ from .execution import Release as Release
 from .execution import SwitchEvent as SwitchEvent
 from .execution import ZenoPoint as ZenoPoint
 from .execution import event_name as event_name
+from .execution import state_after as state_after
+from .execution import state_before as state_before
 from .sensitivity import ArcShifts as ArcShifts
 from .sensitivity import EventShift as EventShift
 from .sensitivity import Perturbations as Perturbations

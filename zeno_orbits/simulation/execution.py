@@ -128,6 +128,24 @@ def event_name(event: Event) -> str:
     return f"{words[type(event)]} {event.stop}".rstrip()
 
 
+def state_before(event: Event) -> Vector:
+    """Return the state just before an event, ``(n_x,)``.
+
+    Args:
+        event: The event.
+    """
+    return event.state_minus if isinstance(event, Impact | SwitchEvent) else event.state
+
+
+def state_after(event: Event) -> Vector:
+    """Return the state just after an event, ``(n_x,)``.
+
+    Args:
+        event: The event.
+    """
+    return event.state_plus if isinstance(event, Impact) else event.state
+
+
 _AT_ONCE = 1e-6
 """A release earlier than this part of a period belongs to the start of the execution."""
 
@@ -273,7 +291,7 @@ class Execution(Displayed):
 
     def _shown_columns(self) -> Columns:
         """Return the events."""
-        after = [e.state_plus if isinstance(e, Impact) else e.state for e in self.events]
+        after = [state_after(event) for event in self.events]
         return {
             "time": [event.time for event in self.events],
             "event": [event_name(event) for event in self.events],

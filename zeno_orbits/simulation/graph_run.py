@@ -396,7 +396,7 @@ class GraphRun(ReferenceRun):
 
     def _holding(self, closed: tuple[int, ...], stop: int) -> HybridDynamics:
         """Return the system in which a closed stop of a mode is the stop."""
-        return self._view(tuple(k for k in closed if k != stop), stop)
+        return self.graph.holding((closed, self.sides), stop)
 
     def _look(self, rest: tuple[int, ...], focus: int) -> None:
         """Look at a stop, with others closed beside it."""

@@ -102,11 +102,8 @@ class GraphShifts:
 
     def _of(self, arc: Arc, stop: int) -> Perturbations:
         """Return the derivatives of a stop in the mode of an arc, with that stop open."""
-        closed, sides = self.graph.mode_of(arc.closed, arc.sides or self._any_sides())
+        closed, sides = self.graph.mode_of(arc.closed, arc.sides)
         return self._at((tuple(k for k in closed if k != stop), sides), stop)
-
-    def _any_sides(self) -> tuple[bool, ...]:
-        return (True,) * (len(self.graph.switch_names) - self.graph.n_declared)
 
     def _at(self, mode: GraphMode, stop: int) -> Perturbations:
         key = (mode, stop)
@@ -196,7 +193,7 @@ class GraphShifts:
             stop = self.graph.stop_names.index(event.stop)
             kept = [name for name in following.closed if name in arc.closed and name != event.stop]
             closed, _ = self.graph.mode_of(kept, ())
-            mode: GraphMode = closed, following.sides or self._any_sides()
+            mode: GraphMode = closed, following.sides
             perturbations = self._at(mode, stop)
             before = self._with_rate(perturbations, event, here)
             after = perturbations.struck(event, before)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,23 +26,24 @@ from zeno_orbits.orbits import (
     OrbitEvent,
     at_looser_tolerance,
     event_return,
+    extrapolated,
+    fall_at,
+    largest_states,
     multipliers_of_return,
     orbit_event_name,
-    resolved,
     sequence_of,
-    state_before,
 )
 from zeno_orbits.simulation import (
     Arc,
-    Ending,
     Event,
     Execution,
     Impact,
     Release,
     SimulationSettings,
-    SwitchEvent,
     ZenoPoint,
     simulate,
+    state_after,
+    state_before,
 )
 from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.verifier import VerificationSettings
@@ -102,7 +103,7 @@ def verify_events(
     margins: dict[str, float] = {}
     integration_error = math.inf
     if periods:
-        first, scale = periods[0], _scale(graph, periods[0])
+        first, scale = periods[0], largest_states(periods[0].arcs, graph)
         residuals = {
             "events": _miss(orbit, said, first, scale),
             "closure": _distance(first.state, start, scale),
@@ -157,15 +158,14 @@ def _periods(
     """Return the integrated periods, and the reason for an early end."""
     until = orbit.period * (n_periods + _BEYOND * n_periods)
     try:
-        execution = simulate(graph, start, until=until, settings=resolved(settings))
+        exact = replace(settings, completion=extrapolated(settings))
+        execution = simulate(graph, start, until=until, settings=exact)
         trouble = ""
     except SimulationError as error:
         if error.execution is None:
             return [], str(error)
         execution, trouble = error.execution, str(error)
-    section = orbit.events[-1].name
-    n_returns = sum(event.name == section for event in orbit.events)
-    return list(_split(execution, section, n_returns)), trouble
+    return list(_split(execution, orbit.section, orbit.n_returns)), trouble
 
 
 def _split(execution: Execution, section: str, n_returns: int) -> Iterator[_Period]:
@@ -181,7 +181,7 @@ def _split(execution: Execution, section: str, n_returns: int) -> Iterator[_Peri
                 arcs=tuple(a for a in execution.arcs if begin <= a.start_time < event.time),
                 start=begin,
                 end=event.time,
-                state=event.state_plus if isinstance(event, Impact) else event.state,
+                state=state_after(event),
             )
             begin, first = event.time, place + 1
 
@@ -211,12 +211,6 @@ def _miss(
 
 def _distance(x: Vector, y: Vector, scale: Vector) -> float:
     return float(np.max(np.abs(x - y) / scale))
-
-
-def _scale(graph: GraphDynamics, period: _Period) -> Vector:
-    largest = np.max(np.abs(np.array([arc.end_state for arc in period.arcs])), axis=0)
-    own = graph.own.states(len(largest))
-    return np.where(largest > 1e-12 * own, largest, own)
 
 
 def _of_kind(periods: Sequence[_Period], kind: type[ZenoPoint]) -> list[ZenoPoint]:
@@ -265,16 +259,15 @@ def _sampled(graph: GraphDynamics, period: _Period) -> dict[str, float]:
                     gap = graph.view(graph.open_mode, k).gap(x)
                     lowest, depth = min(lowest, gap), max(depth, gap)
                 else:
-                    others = tuple(j for j in closed if j != k)
-                    pressed = graph.view((others, sides), k).multiplier(x)
+                    pressed = graph.holding((closed, sides), k).multiplier(x)
                     adhesion, force = min(adhesion, pressed), max(force, pressed)
             crossed = max(crossed, _wrong_side(graph, arc, x))
-        held = graph.view(graph.open_mode, 0).holonomic(arc.end_state)
+        held = graph.first.holonomic(arc.end_state)
         constraints = max([constraints, *np.abs(held).tolist()])
     found = {"penetration": abs(lowest) / depth, "adhesion": abs(adhesion) / force}
     if graph.switch_names:
         found["switches"] = crossed
-    if len(graph.view(graph.open_mode, 0).holonomic(period.state)):
+    if len(graph.first.holonomic(period.state)):
         found["holonomic"] = constraints
     return found
 
@@ -294,42 +287,28 @@ def _wrong_side(graph: GraphDynamics, arc: Arc, x: Vector) -> float:
 def _margins(graph: GraphDynamics, period: _Period) -> dict[str, float]:
     """Return the distances to the loss of an event, the smallest of each kind."""
     found: dict[str, list[float]] = {}
-    opening: dict[str, bool] = {}
+
+    def keep(name: str, value: float | None) -> None:
+        if value is not None:
+            found.setdefault(name, []).append(value)
+
+    strikes = dict.fromkeys(graph.stop_names, False)
     for event in period.events:
         if isinstance(event, Impact):
-            if not opening.get(event.stop):
-                found.setdefault("first_impact_speed", []).append(-event.approach_rate)
-            opening[event.stop] = True
+            keep("first_impact_speed", None if strikes[event.stop] else -event.approach_rate)
+            strikes[event.stop] = True
         elif isinstance(event, ZenoPoint):
-            opening[event.stop] = False
+            strikes[event.stop] = False
             arc = next((a for a in period.arcs if a.start_time >= event.time), None)
             if arc is not None:
-                closed, sides = graph.mode_of(arc.closed, arc.sides)
-                stop = graph.stop_names.index(event.stop)
-                view = graph.view((tuple(k for k in closed if k != stop), sides), stop)
-                rate = -view.gap_acceleration(event.state)
-                found.setdefault("gap_acceleration", []).append(rate)
-    for arc in period.arcs:
-        if arc.ending is Ending.RELEASE:
-            event = next(
-                e for e in period.events if isinstance(e, Release) and e.time == arc.end_time
-            )
-            closed, sides = graph.mode_of(arc.closed, arc.sides)
-            stop = graph.stop_names.index(event.stop)
-            view = graph.view((tuple(k for k in closed if k != stop), sides), stop)
-            rate = -view.multiplier_rate(arc.end_state)
-            found.setdefault("release_transversality", []).append(rate)
-        elif arc.ending is Ending.SWITCH:
-            event = next(
-                (e for e in period.events if isinstance(e, SwitchEvent) and e.time == arc.end_time),
-                None,
-            )
-            if event is not None:
-                mode = graph.mode_of(arc.closed, arc.sides)
-                switch = graph.switch_names.index(event.name)
-                above = switch < graph.n_declared or arc.sides[switch - graph.n_declared]
-                rate = -graph.guard_flow(mode, switch, above).guard(arc.end_state)[1]
-                found.setdefault("switch_transversality", []).append(float(rate))
+                mode, stop = (
+                    graph.mode_of(arc.closed, arc.sides),
+                    graph.stop_names.index(event.stop),
+                )
+                keep("gap_acceleration", -graph.holding(mode, stop).gap_acceleration(event.state))
+        else:
+            what = "release" if isinstance(event, Release) else "switch"
+            keep(f"{what}_transversality", fall_at(graph, period.arcs, event))
     return {name: min(values) for name, values in found.items()}
 
 
@@ -337,16 +316,14 @@ def _multipliers(
     graph: GraphDynamics, orbit: EventOrbit, start: Vector, settings: SimulationSettings
 ) -> tuple[tuple[complex, ...], float]:
     """Return the multipliers and the estimated error of the largest, infinite if unknown."""
-    section = orbit.events[-1].name
-    n_returns = sum(event.name == section for event in orbit.events)
     found: list[tuple[complex, ...]] = []
     with suppress(ZenoOrbitsError):
         for chosen in (settings, at_looser_tolerance(settings)):
             one = event_return(
                 graph,
                 start,
-                section=section,
-                n_returns=n_returns,
+                section=orbit.section,
+                n_returns=orbit.n_returns,
                 guess=orbit.period,
                 settings=chosen,
             )

@@ -188,6 +188,16 @@ class GraphDynamics:
             self._views[key] = bind(system, self.p, base)
         return self._views[key]
 
+    def holding(self, mode: GraphMode, stop: int) -> HybridDynamics:
+        """Return the system of a closed stop, whose locked flow is the flow of the mode.
+
+        Args:
+            mode: The mode.
+            stop: Index of the closed stop.
+        """
+        closed, sides = mode
+        return self.view((tuple(k for k in closed if k != stop), sides), stop)
+
     def _scale(self, stop: int) -> OwnScale:
         return self.view(self.open_mode, stop).own
 

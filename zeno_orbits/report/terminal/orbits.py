@@ -23,7 +23,6 @@ from zeno_orbits.report.table import (
 from zeno_orbits.report.terminal.console import line_width, print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.arrays import Vector
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import EventOrbit, OrbitPhase, ZenoOrbit
     from zeno_orbits.precision import Assured
@@ -131,11 +130,11 @@ def _time(event: Event) -> str:
 
 def _moving(problem: Problem, events: Sequence[Event]) -> list[str]:
     """Return the informative states at events, without the clock, constant states and dh/dt."""
-    from zeno_orbits.simulation import Impact
+    from zeno_orbits.simulation import Impact, state_before
 
     if not events:
         return []
-    states = np.array([_state_at(event) for event in events])
+    states = np.array([state_before(event) for event in events])
     rates = np.array([one.approach_rate if isinstance(one, Impact) else 0.0 for one in events])
     n_timeless = len(problem.state_names) - (2 if problem.clock else 0)
     found: list[str] = []
@@ -159,13 +158,6 @@ def _event_name(line: _Line, errors: Mapping[int, float]) -> str:
     return f"{event_name(line)} +- {f'{error:.0e}' if math.isfinite(error) else '?'}"
 
 
-def _state_at(event: Event) -> Vector:
-    """Return the state at an event, at an impact or switch just before it, ``(n_x,)``."""
-    from zeno_orbits.simulation import Impact, SwitchEvent
-
-    return event.state_minus if isinstance(event, Impact | SwitchEvent) else event.state
-
-
 def _approach_rate(event: Event) -> str:
     from zeno_orbits.simulation import Impact
 
@@ -173,9 +165,11 @@ def _approach_rate(event: Event) -> str:
 
 
 def _state_column(name: str, index: int) -> Column[_Line]:
-    """Return the column of a state."""
+    """Return the column of a state, at an impact or switch just before it."""
+    from zeno_orbits.simulation import state_before
+
     return number_column(
-        name, lambda line: _unless_skipped(line, lambda event: f"{_state_at(event)[index]:.5g}")
+        name, lambda line: _unless_skipped(line, lambda event: f"{state_before(event)[index]:.5g}")
     )
 
 
