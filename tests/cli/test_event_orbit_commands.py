@@ -89,3 +89,13 @@ def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() 
     assert_refused(ask("plot", "hopper.json", "-o", "pictures"), "format 3")
     assert_refused(ask("verify", "hopper.json", "--rigorous"), "--rigorous", "one stop")
     assert_refused(ask("search", "bouncing_ball", "--section", "impact stop"), "--section")
+
+
+def test_continue_refuses_values_beside_an_orbit_file_and_an_orbit_of_another_problem() -> None:
+    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    words = ("continue", "hopper", "--parameter", "s=0.05:0.2", "--from", "hopper.json")
+    assert_refused(ask(*words, "--set", "a=10"), "--from", "--set")
+    other = ("continue", "clapper", "--parameter", "d=0.5:2", "--from", "hopper.json")
+    assert_refused(ask(*other), "`clapper`", "`hopper`")
+    outside = ("continue", "hopper", "--parameter", "s=0.2:0.4", "--set", "s=0.1")
+    assert_refused(ask(*outside), "s = 0.1")

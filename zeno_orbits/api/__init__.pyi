@@ -2,7 +2,6 @@ from .checks import check_certificate as check_certificate
 from .checks import check_certificate_of as check_certificate_of
 from .checks import enclose_period as enclose_period
 from .checks import floquet_multipliers as floquet_multipliers
-from .checks import holds_events as holds_events
 from .checks import prove as prove
 from .checks import require_proof_extra as require_proof_extra
 from .checks import system_of as system_of
@@ -16,7 +15,9 @@ from .executions import simulate as simulate
 from .executions import simulate_to_accuracy as simulate_to_accuracy
 from .executions import simulate_with_error as simulate_with_error
 from .executions import unfinished as unfinished
+from .inputs import any_orbit as any_orbit
 from .inputs import as_orbit as as_orbit
+from .inputs import holds_events as holds_events
 from .inputs import known_problem as known_problem
 from .inputs import problem_of as problem_of
 from .inputs import split_numbers as split_numbers

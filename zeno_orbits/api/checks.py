@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from zeno_orbits.api.inputs import (
     Named,
     Numbers,
+    any_orbit,
     as_orbit,
     front_door,
     known_problem,
@@ -16,7 +17,7 @@ from zeno_orbits.api.inputs import (
 )
 from zeno_orbits.errors import finite_number, named_numbers, positive_number
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit, holds_events, read_event_orbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
@@ -50,13 +51,10 @@ def verify(
     """
     from zeno_orbits.verification import verifier, verify_events
 
-    if not isinstance(orbit, ZenoOrbit | EventOrbit) and holds_events(orbit):
-        orbit = read_event_orbit(orbit)
-    if isinstance(orbit, EventOrbit):
-        known = problem_of(orbit, problem)
-        return verify_events(orbit, known, settings=settings, on_progress=on_progress)
-    orbit = as_orbit(orbit)
+    orbit = any_orbit(orbit)
     known = problem_of(orbit, problem)
+    if isinstance(orbit, EventOrbit):
+        return verify_events(orbit, known, settings=settings, on_progress=on_progress)
     return verifier.verify(
         orbit, known, settings=settings, dynamics=dynamics, on_progress=on_progress
     )

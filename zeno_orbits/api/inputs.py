@@ -19,7 +19,7 @@ from zeno_orbits.model import (
     locate_problem,
     split_fidelity,
 )
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit, read_orbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit, holds_events, read_event_orbit, read_orbit
 from zeno_orbits.work import Plan, Workers
 
 if TYPE_CHECKING:
@@ -179,3 +179,10 @@ def file_of(problem: Named) -> ProblemFile:
 def as_orbit(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
     """Return the orbit given by a file or the orbit itself."""
     return orbit if isinstance(orbit, ZenoOrbit) else read_orbit(orbit)
+
+
+def any_orbit(orbit: ZenoOrbit | EventOrbit | str | Path) -> ZenoOrbit | EventOrbit:
+    """Return the orbit given by a file of any format, or the orbit itself."""
+    if isinstance(orbit, ZenoOrbit | EventOrbit):
+        return orbit
+    return read_event_orbit(orbit) if holds_events(orbit) else read_orbit(orbit)

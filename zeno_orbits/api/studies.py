@@ -12,6 +12,7 @@ from zeno_orbits.api.inputs import (
     Axis,
     Named,
     Numbers,
+    any_orbit,
     as_axis,
     as_orbit,
     file_of,
@@ -22,7 +23,7 @@ from zeno_orbits.api.inputs import (
 )
 from zeno_orbits.errors import InputError, named_numbers, number_range
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit, holds_events, read_event_orbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Plan, Progress, Workers, silent
 
 if TYPE_CHECKING:
@@ -71,30 +72,16 @@ def continue_orbit(
     from zeno_orbits import continuation
 
     box = number_range("box", box)
-    if not isinstance(orbit, ZenoOrbit | EventOrbit) and holds_events(orbit):
-        orbit = read_event_orbit(orbit)
-    if isinstance(orbit, EventOrbit):
-        if second is not None:
-            raise InputError("Argument `second` needs a machine with one stop and no switch.")
-        with _crew(problem or orbit.problem, plan_of(workers, plan), on_progress) as crew:
-            known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
-            return continuation.continue_events(
-                known,
-                orbit,
-                parameter,
-                box,
-                settings=settings,
-                on_progress=on_progress,
-                crew=crew,
-            )
-    orbit = as_orbit(orbit)
-    if orbit.shape.n_phases != 1:
+    orbit = any_orbit(orbit)
+    if isinstance(orbit, EventOrbit) and second is not None:
+        raise InputError("Argument `second` needs a machine with one stop and no switch.")
+    if isinstance(orbit, ZenoOrbit) and orbit.shape.n_phases != 1:
         wanted = "must have one Zeno point or one impact per period"
         raise InputError(f"Argument `orbit` {wanted}, but its shape is `{orbit.shape.text}`.")
     source = problem or orbit.problem
     with _crew(source, plan_of(workers, plan), on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
-        if orbit.shape.starts_at_release:
+        if isinstance(orbit, EventOrbit) or orbit.shape.starts_at_release:
             return continuation.continue_orbit(
                 known,
                 orbit,
@@ -172,7 +159,7 @@ def orbit_inside(
     *,
     numbers: Numbers | None = None,
     on_progress: Progress = silent,
-) -> ZenoOrbit:
+) -> ZenoOrbit | EventOrbit:
     """Return the orbit that a simulation reaches at values inside some ranges.
 
     A default outside its range is replaced by the middle of the range.
@@ -187,9 +174,12 @@ def orbit_inside(
         OrbitNotFoundError: If the simulation does not reach such an orbit.
     """
     from zeno_orbits.continuation import start_orbit, values_inside
+    from zeno_orbits.search import find_event_orbit
 
     given = dict(numbers or {})
     values = values_inside(problem, problem.values(numbers=given), ranges, given)
+    if problem.has_graph:
+        return find_event_orbit(problem, values, on_progress=on_progress)
     return start_orbit(problem, values, on_progress=on_progress)
 
 

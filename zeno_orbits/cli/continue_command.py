@@ -173,15 +173,6 @@ def _continued(
     second = None
     if options.second is not None:
         second = api.second_parameter(options.second.name, options.second.box, options.point)
-    if problem.has_graph:
-        return api.continue_orbit(
-            _event_orbit(options, problem, progress),
-            name,
-            box,
-            problem=options.problem,
-            second=second,
-            **common,
-        )
     orbit = _orbit(options, problem, progress)
     return api.continue_orbit(orbit, name, box, problem=options.problem, second=second, **common)
 
@@ -198,24 +189,9 @@ def _require_agreement(options: argparse.Namespace) -> None:
         raise InputError("Argument `start` needs --section impact.")
 
 
-def _event_orbit(
-    options: argparse.Namespace, problem: zo.Problem, progress: report.ProgressLine
-) -> zo.EventOrbit:
-    """Return the orbit to start from, of a machine with several stops or switches."""
-    import zeno_orbits as zo
-
-    if options.start_orbit is not None:
-        return zo.read_event_orbit(options.start_orbit)
-    name, (low, high) = options.range
-    value = options.set.get(name, problem.values().number(name))
-    given = options.set if low <= value <= high else {**options.set, name: (low + high) / 2}
-    gains, parameters = api.split_numbers(problem, given)
-    return api.find_event_orbit(problem, gains=gains, parameters=parameters, on_progress=progress)
-
-
 def _orbit(
     options: argparse.Namespace, problem: zo.Problem, progress: report.ProgressLine
-) -> zo.ZenoOrbit:
+) -> zo.ZenoOrbit | zo.EventOrbit:
     """Return the orbit to start from."""
     if options.start_orbit is None:
         ranges = [one for one in (options.range, options.second) if one is not None]
@@ -223,4 +199,4 @@ def _orbit(
     if options.set:
         message = "cannot be combined with --set: the orbit file defines all values"
         raise InputError(f"Argument `from` {message}.")
-    return api.as_orbit(options.start_orbit)
+    return api.any_orbit(options.start_orbit)

@@ -1,7 +1,6 @@
 from .amplitude import orbit_amplitude as orbit_amplitude
 from .branch import FamilySteps as FamilySteps
 from .continuation import SecondParameter as SecondParameter
-from .continuation import continue_events as continue_events
 from .continuation import continue_impacts as continue_impacts
 from .continuation import continue_orbit as continue_orbit
 from .continuation import start_orbit as start_orbit

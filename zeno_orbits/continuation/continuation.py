@@ -54,7 +54,7 @@ class SecondParameter(Checked):
 
 def continue_orbit(
     problem: Problem,
-    orbit: ZenoOrbit,
+    orbit: ZenoOrbit | EventOrbit,
     parameter: str,
     box: tuple[float, float],
     *,
@@ -81,41 +81,12 @@ def continue_orbit(
         WorkError: If the work cannot be finished.
     """
     settings = settings or ContinuationSettings()
-    start = start_at_release(problem, orbit, parameter, box, settings)
+    if isinstance(orbit, EventOrbit):
+        start = start_at_event(problem, orbit, parameter, box, settings)
+    else:
+        start = start_at_release(problem, orbit, parameter, box, settings)
     dispatch = Dispatch(problem=problem, settings=settings, on_progress=on_progress, crew=crew)
     return continue_from(start, dispatch, second=second)
-
-
-def continue_events(
-    problem: Problem,
-    orbit: EventOrbit,
-    parameter: str,
-    box: tuple[float, float],
-    *,
-    settings: ContinuationSettings | None = None,
-    on_progress: Progress = silent,
-    crew: Crew | None = None,
-) -> Continuation:
-    """Return the family of an orbit of a machine with several stops or switches.
-
-    Args:
-        problem: The problem.
-        orbit: An orbit of the problem. Its parameter must lie in the box.
-        parameter: Name of a gain or a parameter.
-        box: Range of the parameter, lower end first.
-        settings: Settings of the continuation.
-        on_progress: Called with each point.
-        crew: Workers. By default this process runs all jobs.
-
-    Raises:
-        InputError: If a name or a range does not fit, or the orbit belongs to another problem.
-        SimulationError: If the orbit does not close.
-        WorkError: If the work cannot be finished.
-    """
-    settings = settings or ContinuationSettings()
-    start = start_at_event(problem, orbit, parameter, box, settings)
-    dispatch = Dispatch(problem=problem, settings=settings, on_progress=on_progress, crew=crew)
-    return continue_from(start, dispatch)
 
 
 def continue_impacts(

@@ -350,14 +350,13 @@ class GraphRun(ReferenceRun):
             return self._switched(start, arc, guard)
         self.current = None
         if guard.kind is _Kind.MULTIPLIER:
-            return self._released(arc, guard.index, closed)
+            self._look(tuple(k for k in closed if k != guard.index), guard.index)
+            return self.release(arc.end_time, arc.end_state)
         self._look(closed, guard.index)
         rate = self.dynamics.gap_rate(arc.end_state)
         if guard.unit != 1.0:
             rate = guard.unit * float(found.passage.state[-1])
-        if abs(rate) <= self.small_rate:
-            return self.on_stop(arc.end_time, self.dynamics.on_stop(arc.end_state))
-        return self.landing(arc.end_time, arc.end_state, rate)
+        return self.meet(arc.end_time, arc.end_state, rate)
 
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map in the mode that its impulses determine."""
@@ -557,16 +556,6 @@ class GraphRun(ReferenceRun):
         return f"{guard.kind.value} {names[guard.index]}"
 
     # Events.
-
-    def _released(self, arc: Arc, stop: int, closed: tuple[int, ...]) -> ArcStart | None:
-        """Open a closed stop whose multiplier fell through zero."""
-        self._look(tuple(k for k in closed if k != stop), stop)
-        state = self.dynamics.on_stop(arc.end_state)
-        self.events.append(Release(time=arc.end_time, state=state, stop=self.stop_name))
-        self.n_releases += 1
-        if self.n_releases >= self.most_releases:
-            return None
-        return ArcStart(mode=Mode.FREE, time=arc.end_time, state=state)
 
     def _on_other_side(self, start: ArcStart, guard: _Guard) -> ArcStart:
         """Return the same start on the other side of a switch, whose guard is zero there.

@@ -173,12 +173,21 @@ class ReferenceRun:
             return self._in_other_mode(start, error)
         if not self.reaches(arc, Ending.RELEASE):
             return self.interrupted(start, arc)
-        state = self.dynamics.on_stop(arc.end_state)
-        self.events.append(Release(time=arc.end_time, state=state, stop=self.stop_name))
+        return self.release(arc.end_time, arc.end_state)
+
+    def release(self, time: float, x: Vector) -> ArcStart | None:
+        """Record a release, and return the start of the flight after it.
+
+        Args:
+            time: When [s].
+            x: State at the end of the contact, ``(n_x,)``.
+        """
+        state = self.dynamics.on_stop(x)
+        self.events.append(Release(time=time, state=state, stop=self.stop_name))
         self.n_releases += 1
         if self.n_releases >= self.most_releases:
             return None
-        return ArcStart(mode=Mode.FREE, time=arc.end_time, state=state)
+        return ArcStart(mode=Mode.FREE, time=time, state=state)
 
     def free_flight(self, start: ArcStart) -> ArcStart | None:
         """Follow the free flow from a start or a release to an impact."""
@@ -189,11 +198,19 @@ class ReferenceRun:
             return self._hop(start, error)
         if not self.reaches(arc, Ending.IMPACT):
             return self.interrupted(start, arc)
-        rate = self.dynamics.gap_rate(arc.end_state)
+        return self.meet(arc.end_time, arc.end_state, self.dynamics.gap_rate(arc.end_state))
+
+    def meet(self, time: float, x: Vector, rate: float) -> ArcStart | None:
+        """Return the next start where the gap closes: the stop is struck, or only touched.
+
+        Args:
+            time: When [s].
+            x: State there, ``(n_x,)``.
+            rate: Gap rate there. If it is no larger than rounding, the stop is touched.
+        """
         if abs(rate) <= self.small_rate:
-            # The gap closes no faster than rounding: the stop is touched, not struck.
-            return self.on_stop(arc.end_time, self.dynamics.on_stop(arc.end_state))
-        return self.landing(arc.end_time, arc.end_state, rate)
+            return self.on_stop(time, self.dynamics.on_stop(x))
+        return self.landing(time, x, rate)
 
     def _hop(self, start: ArcStart, error: PenetrationError) -> ArcStart | None:
         """Follow a flight that is lower than the rounding of the gap, if that explains an error."""
