@@ -36,8 +36,6 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         kinetic=p["m"] * rate**2 / 2,
         potential=p["ks"] * (p["zs"] - opening) ** 2 / 2,
         passive_force=-p["b"] * rate,
-        # The clock belongs to the voltage. No force acts at its phase.
-        applied_force=0 * clock.cosine,
         clock=clock,
         stops=(
             Stop(name="closed", gap=opening, restitution=p["restitution"]),

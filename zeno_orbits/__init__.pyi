@@ -84,8 +84,8 @@ from .model.stops import Stop as Stop
 from .model.stops import Switch as Switch
 from .orbits.bounds import Bound as Bound
 from .orbits.event_orbit import EventOrbit as EventOrbit
-from .orbits.event_orbit import read_event_orbit as read_event_orbit
-from .orbits.event_orbit import write_event_orbit as write_event_orbit
+from .orbits.event_orbit_file import read_event_orbit as read_event_orbit
+from .orbits.event_orbit_file import write_event_orbit as write_event_orbit
 from .orbits.orbit import ZenoOrbit as ZenoOrbit
 from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.orbit_file import read_orbit as read_orbit

@@ -13,12 +13,12 @@ from .digest import digest_of as digest_of
 from .digest import same_equations as same_equations
 from .event_orbit import EventOrbit as EventOrbit
 from .event_orbit import OrbitEvent as OrbitEvent
-from .event_orbit import holds_events as holds_events
+from .event_orbit_file import holds_events as holds_events
 from .event_orbit import orbit_event_name as orbit_event_name
 from .event_orbit import phases_of_events as phases_of_events
-from .event_orbit import read_event_orbit as read_event_orbit
+from .event_orbit_file import read_event_orbit as read_event_orbit
 from .event_orbit import sequence_of as sequence_of
-from .event_orbit import write_event_orbit as write_event_orbit
+from .event_orbit_file import write_event_orbit as write_event_orbit
 from .event_section import EventReturn as EventReturn
 from .event_section import SectionMode as SectionMode
 from .event_section import kept_directions as kept_directions

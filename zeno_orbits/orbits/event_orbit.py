@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from zeno_orbits.errors import OrbitFileError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.simulation import Event, ZenoPoint, event_name
-from zeno_orbits.work import Columns, Displayed, EntryError, by_name, restored, write_whole
+from zeno_orbits.work import Columns, Displayed, by_name
 
 EVENT_FORMAT = 3
 """Version of the format of orbit files that list events."""
@@ -155,96 +151,3 @@ def orbit_event_name(event: Event) -> str:
         event: The event.
     """
     return f"zeno {event.stop}" if isinstance(event, ZenoPoint) else event_name(event)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Entries:
-    """Entries of the file."""
-
-    problem: str
-    parameters: Mapping[str, float]
-    gains: Mapping[str, float]
-    period: float
-    start_state: Mapping[str, float]
-    events: tuple[OrbitEvent, ...]
-    sequence: tuple[str, ...]
-    floquet_multipliers: tuple[complex, ...] = ()
-    certificate: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    versions: Mapping[str, Any] = field(default_factory=dict[str, Any])
-
-
-def write_event_orbit(orbit: EventOrbit, path: Path | str) -> None:
-    """Write an orbit file completely or not at all.
-
-    Args:
-        orbit: The orbit.
-        path: The file. An existing file is replaced.
-
-    Raises:
-        InputError: If the folder cannot be written.
-    """
-    write_whole(Path(path), json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n")
-
-
-def holds_events(path: Path | str) -> bool:
-    """Return True if a file is an orbit file that lists events."""
-    try:
-        data: object = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(data, dict) and cast("dict[str, Any]", data).get("format") == EVENT_FORMAT
-
-
-def read_event_orbit(path: Path | str) -> EventOrbit:
-    """Read an orbit file that lists events.
-
-    Args:
-        path: The file.
-
-    Raises:
-        OrbitFileError: If the file is not such a file, or its entries contradict each other.
-    """
-    path = Path(path)
-    try:
-        data: object = json.loads(path.read_text(encoding="utf-8"))
-        entries = restored(_Entries, data, finite=True)
-    except OSError as error:
-        raise OrbitFileError(path, f"it cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise OrbitFileError(path, "it is not UTF-8 text") from error
-    except EntryError as error:
-        raise OrbitFileError(path, str(error)) from error
-    except (ValueError, RecursionError) as error:
-        raise OrbitFileError(path, f"it is not complete JSON ({error})") from error
-    _require_order(path, entries)
-    return EventOrbit(
-        problem=entries.problem,
-        parameters=entries.parameters,
-        gains=entries.gains,
-        period=entries.period,
-        start_state=entries.start_state,
-        events=entries.events,
-        floquet_multipliers=entries.floquet_multipliers,
-        certificate=entries.certificate,
-        versions={name: str(value) for name, value in entries.versions.items()},
-    )
-
-
-def _require_order(path: Path, entries: _Entries) -> None:
-    """Reject events that contradict each other.
-
-    Raises:
-        OrbitFileError: If a period is not positive, an event comes before the one before it or
-            after the period, or the sequence belongs to other events.
-    """
-    times = [0.0, *(event.time for event in entries.events)]
-    if not entries.events or not entries.period > 0.0:
-        raise OrbitFileError(path, "it must have a positive `period` and at least one event")
-    if any(later < earlier for earlier, later in itertools.pairwise(times)):
-        raise OrbitFileError(path, "its `events` are not in order of time")
-    if times[-1] != entries.period:
-        raise OrbitFileError(path, "its last event is not at the end of its `period`")
-    found = sequence_of([event.name for event in entries.events])
-    if found != entries.sequence:
-        said, has = ", ".join(entries.sequence), ", ".join(found)
-        raise OrbitFileError(path, f"its `sequence` is `{said}`, but its events are `{has}`")

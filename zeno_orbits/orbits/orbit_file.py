@@ -49,6 +49,18 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
             a name occurs twice in it, or if its entries contradict each other.
     """
     path = Path(path)
+    return orbit_from_json(plain_data(path), path)
+
+
+def plain_data(path: Path) -> object:
+    """Return the plain data of a JSON file in which every name occurs once.
+
+    Args:
+        path: The file.
+
+    Raises:
+        OrbitFileError: If the file is missing, truncated, no text, or repeats a name.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -56,12 +68,11 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
     except UnicodeDecodeError as error:
         raise OrbitFileError(path, "it is not UTF-8 text") from error
     try:
-        data = json.loads(text, object_pairs_hook=_unique)
+        return json.loads(text, object_pairs_hook=_unique)
     except EntryError as error:
         raise OrbitFileError(path, str(error)) from error
     except (ValueError, RecursionError) as error:
         raise OrbitFileError(path, f"it is not complete JSON ({error})") from error
-    return orbit_from_json(data, path)
 
 
 @checked
