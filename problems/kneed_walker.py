@@ -59,13 +59,16 @@ def after_heel_strike(p: Mapping[str, ca.SX], q: ca.SX, v: ca.SX) -> ca.SX:
     foot, stance, swing, rates = (ca.SX.sym("r", n) for n in (2, 1, 1, 4))
     state = ca.vertcat(foot, stance, swing)
     length = p["l_thigh"] + p["l_shank"]
-    hip = foot + length * along(stance)
+    # In units of the leg the foot has the scale of an angle, so rounding does not depend on units.
+    hip = length * (foot + along(stance))
     masses = [*leg(p, hip, stance, stance), *leg(p, hip, swing, swing), (p["m_hip"], hip)]
     mass = ca.hessian(energies(masses, state, rates, p["g"])[0], rates)[0]
     held = ca.jacobian(hip - length * along(swing), state)
-    system = ca.vertcat(ca.horzcat(mass, -held.T), ca.horzcat(held, ca.SX.zeros(2, 2)))
-    momentum = ca.mtimes(mass, ca.vertcat(0, 0, v[0], v[1]))
-    after = ca.solve(system, ca.vertcat(momentum, ca.SX.zeros(2)))[2:4]
+    # v+ = v- - M^-1 J' (J M^-1 J')^-1 J v-, with the Jacobian J of the foot that strikes.
+    before = ca.vertcat(0, 0, v[0], v[1])
+    response = ca.mtimes(ca.inv(mass), held.T)
+    impulse = ca.mtimes(ca.inv(ca.mtimes(held, response)), ca.mtimes(held, before))
+    after = (before - ca.mtimes(response, impulse))[2:4]
     return ca.substitute(after, state, ca.vertcat(0, 0, q[0], q[1]))
 
 

@@ -39,6 +39,37 @@ def test_the_walker_with_plastic_knees_has_the_published_gait() -> None:
     assert orbit.floquet_multipliers == pytest.approx(WALKER_MULTIPLIERS, abs=1e-6)
 
 
+@pytest.mark.parametrize("factor", [1e3, 1e-6])
+@pytest.mark.parametrize(
+    ("name", "lengths", "states"),
+    [
+        ("kneed_walker", ("l_thigh", "l_shank", "b_thigh", "b_shank", "g"), ()),
+        ("clapper", ("d", "A"), ("place", "speed")),
+        ("hopper", ("a", "s", "g"), ("height", "speed")),
+    ],
+)
+def test_events_do_not_depend_on_the_unit_of_length(
+    name: str, lengths: tuple[str, ...], states: tuple[str, ...], factor: float
+) -> None:
+    problem = zo.load_problem(name)
+    parameters = {one: factor * problem.values().parameters[one] for one in lengths}
+    start = {
+        one: value * (factor if one in states else 1.0) for one, value in problem.starts[0].items()
+    }
+    scaled = replace(
+        problem,
+        starts=(start,),
+        parameters=tuple(
+            replace(one, default=parameters.get(one.name, one.default))
+            for one in problem.parameters
+        ),
+    )
+    there, here = (zo.simulate(one, until=3.0).events for one in (scaled, problem))
+    assert [type(event) for event in there] == [type(event) for event in here]
+    for one, other in zip(there, here, strict=True):
+        assert one.time == pytest.approx(other.time, abs=1e-11)
+
+
 @pytest.mark.slow
 def test_the_multipliers_of_a_walker_are_those_of_differences_of_its_returns() -> None:
     orbit = _orbit("kneed_walker", restitution=0.3)
