@@ -114,6 +114,26 @@ def test_what_is_no_orbit_is_not_proved(table: ZenoOrbit, surface: ZenoOrbit, na
     assert f"`{claim}`" in proof.verdict()
 
 
+@pytest.mark.slow
+def test_a_basin_is_much_larger_than_a_box_lies_in_the_sampled_ball_and_its_certificate_holds() -> (
+    None
+):
+    orbit = zo.find_orbit_by_shooting("torque_pendulum").unwrap()
+    box, basin = zo.prove(orbit), zo.prove(orbit, basin=True)
+    ball = zo.recovery(orbit)
+    assert basin.inside
+    assert basin.stable
+    for name, (_, half) in basin.box.items():
+        assert 1e5 * box.box[name][1] < half < ball.extents[name]
+    assert check_proof(dict(basin.certificate)).ok
+
+
+def test_a_map_that_turns_every_box_out_of_itself_gets_no_basin(surface: ZenoOrbit) -> None:
+    proof = zo.prove(surface, basin=True)
+    assert not proof.proved
+    assert proof.claim == "inclusion"
+
+
 def test_a_reset_of_the_wrong_sign_is_not_proved(table: ZenoOrbit) -> None:
     problem = load_problem("vibrating_table")
 

@@ -67,6 +67,7 @@ def prove(
     problem: Named | None = None,
     over: Numbers | None = None,
     radius: float | None = None,
+    basin: bool = False,
     on_progress: Progress = silent,
 ) -> Proof:
     """Prove that an orbit exists and return the certificate, or the claim that cannot be proved.
@@ -77,6 +78,8 @@ def prove(
         over: Gain or parameter to the radius of its interval. The proof covers the whole interval.
         radius: Radius of the box on the section, relative to the size of each coordinate. The
             default is chosen automatically.
+        basin: True for a box that the return map maps into its interior, as large as the
+            enclosures allow. Every execution from it converges to the orbit.
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
@@ -94,8 +97,10 @@ def prove(
     known = problem_of(orbit, problem)
     if radius is not None:
         radius = positive_number("radius", radius)
+        if basin:
+            raise InputError("Argument `radius` sets the box, but `basin` chooses it. Remove one.")
     over = {name: finite_number(name, half) for name, half in named_numbers("over", over).items()}
-    settings = ProofSettings(radius=radius)
+    settings = ProofSettings(radius=radius, basin=basin)
     return proved(orbit, known, over=over, settings=settings, on_progress=on_progress)
 
 

@@ -35,6 +35,7 @@ def add_prove(commands: Any) -> None:
         [
             "zeno-orbits prove orbit.json -o proof.json",
             "zeno-orbits prove --check proof.json",
+            "zeno-orbits prove orbit.json --basin",
             "zeno-orbits prove orbit.json --radius 1e-7",
             "zeno-orbits prove orbit.json --interval Kp=2.5:1e-8",
         ],
@@ -57,6 +58,12 @@ def add_prove(commands: Any) -> None:
         help="relative radius of the box (chosen automatically by default)",
     )
     parser.add_argument(
+        "--basin",
+        action="store_true",
+        help="prove a box of initial states that converge to the orbit, as large as the enclosures "
+        "allow",
+    )
+    parser.add_argument(
         "--interval",
         dest="over",
         type=read_interval,
@@ -71,6 +78,8 @@ def _run_prove(options: argparse.Namespace) -> int:
     if (options.orbit is None) == (options.check is None):
         given = "both are there" if options.orbit else "both are missing"
         raise InputError(f"One of `ORBIT.json` and `--check` must be given, but {given}.")
+    if options.basin and options.radius is not None:
+        raise InputError("Option `--radius` sets the box, but `--basin` chooses it. Remove one.")
     if options.check is not None:
         return _check(options)
     require_outputs(options, pictures=(), reads=(options.orbit,))
@@ -81,15 +90,22 @@ def _run_prove(options: argparse.Namespace) -> int:
             problem=problem,
             over=_over(options, problem, {**orbit.gains, **orbit.parameters}),
             radius=options.radius,
+            basin=options.basin,
             on_progress=progress,
         )
+    sampled = api.recovery(orbit, problem=problem) if options.basin and proof.box else None
     written = options.output if proof.proved else None
     if written is not None:
         api.write_proof(proof.certificate, written)
     if options.json:
-        print_json(proof.as_json())
+        data = proof.as_json()
+        if sampled is not None:
+            data["sampled_extents"] = {name: sampled.extents[name] for name in proof.box}
+        print_json(data)
     else:
         report.print_lines(proof.lines())
+        if sampled is not None:
+            report.print_basin(proof, sampled)
         if written is not None:
             say_written(options, [written])
     return YES if proof.proved else NO

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 from flint import arb, ctx
 
 from zeno_orbits.errors import ProofError
@@ -36,6 +38,12 @@ _REFINEMENTS = 8
 _FINE = 4e-15
 """Radius of the box that determines the digits, relative to the size of each coordinate."""
 _BITS = 96
+_ENLARGEMENTS = 12
+"""Largest number of larger boxes that are tried for a basin."""
+_GROWTH, _WORTH = 100.0, 1.2
+"""First and smallest factor from a box to a larger box."""
+_THINNEST = 0.01
+"""Smallest ratio by which a side of the box is shortened relative to the others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,11 +53,14 @@ class ProofSettings:
     Attributes:
         radius: Radius of a single box, relative to the size of each coordinate. None chooses a box
             automatically, and a much smaller box in it for the digits.
+        basin: True for a box that is mapped into its interior and is as large as the enclosures
+            allow.
         bits: Precision of the ball arithmetic [bits].
         walk: Settings of the steps.
     """
 
     radius: float | None = None
+    basin: bool = False
     bits: int = _BITS
     walk: WalkSettings = field(default_factory=WalkSettings)
 
@@ -90,6 +101,8 @@ def prove(
             system = BallSystem(problem, values, over, orbit.period)
             require_hypotheses(problem, values, over, system)
             found = _found(orbit, problem, system, over, settings, on_progress)
+            if settings.basin:
+                found = _enlarged(orbit, system, found, settings, on_progress)
             passes = [found]
             if found.by_krawczyk and found.start.places and not over and settings.radius is None:
                 passes += _refined(orbit, system, found, settings, on_progress)
@@ -160,6 +173,47 @@ def _moved(start: SectionStart, step: Sequence[Ball]) -> list[Ball]:
     for k, change in zip(start.places, step, strict=True):
         y[k] = (y[k] + change).mid()
     return y
+
+
+def _enlarged(
+    orbit: ZenoOrbit,
+    system: BallSystem,
+    found: JudgedBox,
+    settings: ProofSettings,
+    on_progress: Progress,
+) -> JudgedBox:
+    """Return the largest box found that the return map maps into its interior.
+
+    Boxes grow by a constant factor until a box fails. Then the factor is bisected. The sides of the
+    next box are the geometric means of those of the box and of its image, since the map contracts
+    a box best whose sides are in the ratio of those of its image.
+
+    Raises:
+        ProofError: If the return map does not map the first box into its interior.
+    """
+    if not found.returned.included:
+        reason = "the return map does not map a box with sides along the coordinates into itself"
+        raise ProofError("inclusion", reason)
+    start, d = found.start, len(found.start.places)
+    largest, most = found, math.inf
+    for _ in range(_ENLARGEMENTS if d else 0):
+        factor = min(_GROWTH, math.sqrt(most))
+        if factor < _WORTH:
+            break
+        sides = np.array([float(one.rad()) for one in largest.start.at.U[:d]])
+        image = np.array([float(one.abs_upper()) for one in largest.returned.image]) / sides
+        shape = sides * np.sqrt(np.maximum(image / np.max(image), _THINNEST))
+        radii = [*(factor * shape), *(float(one.rad()) for one in start.at.U[d:])]
+        try:
+            wide = start_on_section(system, start.at.m, start.places, start.others, radii)
+            tried = judge(wide, walked(orbit, system, wide, settings.walk, on_progress)).judged
+        except ProofError:
+            tried = None
+        if tried is None or not tried.returned.included:
+            most = factor
+        else:
+            largest, most = tried, most / factor
+    return largest
 
 
 def _refined(

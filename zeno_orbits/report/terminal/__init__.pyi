@@ -26,6 +26,7 @@ from .searches import print_candidates as print_candidates
 from .searches import objective_reached as objective_reached
 from .searches import print_search as print_search
 from .searches import print_solver as print_solver
+from .studies import print_basin as print_basin
 from .studies import print_attractor as print_attractor
 from .studies import print_families as print_families
 from .studies import print_map as print_map

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
     from zeno_orbits.maps import Attractor, ParameterMap, Pushes, Recovery
     from zeno_orbits.precision import ReductionCost, Trial, WorkPrecision
+    from zeno_orbits.proof import Proof
 
 _ROUNDING = 1e-12
 """A multiplier of a branch below this value is rounding error."""
@@ -165,6 +166,19 @@ def print_recovery(found: Recovery) -> None:
     if extents:
         print_lines([""])
         print_table(extent_columns(found), extents)
+
+
+def print_basin(proof: Proof, sampled: Recovery) -> None:
+    """Print the proved box of initial states beside the ball of the same orbit that was sampled."""
+    print_lines(["", "P maps box 1 into its interior. Its half-widths, beside the sampled ball:"])
+    columns: list[Column[tuple[str, float]]] = [
+        text_column("state", lambda row: row[0]),
+        number_column("box 1", lambda row: f"{row[1]:.3g}"),
+        number_column("ball", lambda row: f"{sampled.extents[row[0]]:.3g}"),
+        number_column("ratio", lambda row: f"{row[1] / sampled.extents[row[0]]:.1g}"),
+        text_column("unit", lambda row: sampled.units[row[0]]),
+    ]
+    print_table(columns, [(name, half) for name, (_, half) in proof.box.items()])
 
 
 def _range(values: Sequence[float]) -> str:
