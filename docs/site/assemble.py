@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from commands import command_page
+from equations import direct
 from examples import examples
 from navigation import navigation
 
@@ -25,6 +26,7 @@ ELSEWHERE = ("CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "CHANGELOG.md", "LICENSE",
 READ_BY_DEVELOPERS = ("tests/README.md", "benchmarks/README.md")
 REFERENCE, COMMANDS = "docs/reference.md", "docs/commands.md"
 EXAMPLES = "docs/examples.md"
+EQUATIONS = "docs/theory.md"
 
 
 def assemble(folder: Path) -> None:
@@ -42,9 +44,10 @@ def assemble(folder: Path) -> None:
 
 
 def _for_sphinx(text: str) -> str:
-    """Return a page whose anchors are targets, and whose links to the README lead to the front."""
+    """Return a page whose anchors are targets, and whose links lead to pages of the site."""
     text = re.sub(r'^<a id="([^"]+)"></a>\n', r"(\1)=\n", text, flags=re.MULTILINE)
     text = re.sub(r'^- <a id="([^"]+)"></a>', r"- (\1)=\n  ", text, flags=re.MULTILINE)
+    text = direct(text, (ROOT / EQUATIONS).read_text())
     return text.replace("](../README.md", "](../index.md")
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -9,14 +10,20 @@ import pytest
 import zeno_orbits as zo
 from docs.site.commands import command_page
 from docs.site.docstrings import linked
+from docs.site.equations import direct
 from docs.site.examples import examples
 from docs.site.navigation import navigation
 from zeno_orbits.verification.certificate import RESIDUALS
 
 ROOT = Path(__file__).parents[2]
+THEORY = ROOT / "docs" / "theory.md"
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 SOURCES = sorted([*(ROOT / "zeno_orbits").rglob("*.py"), *(ROOT / "problems").rglob("*.py")])
+
+
+def _one_line(document: Path) -> str:
+    return " ".join(document.read_text().split())
 
 
 def _anchors(document: Path) -> set[str]:
@@ -41,8 +48,50 @@ def test_every_link_of_a_document_leads_somewhere(document: Path) -> None:
             assert anchor in _anchors(path), target
 
 
+def _equations() -> Counter[str]:
+    """Return equation number to the number of pages that contain it, the list apart."""
+    pages = [path for path in (ROOT / "docs").glob("*.md") if path != THEORY]
+    anchors = [anchor for path in pages for anchor in _anchors(path)]
+    return Counter(anchor.removeprefix("eq-") for anchor in anchors if anchor.startswith("eq-"))
+
+
+def test_the_list_of_the_theory_leads_to_every_equation_and_each_has_one_page() -> None:
+    rows = re.findall(
+        r'^\| <a id="eq-(\d+)"></a>\((\d+)\) \| \[(.+)\]\((\w+\.md)#eq-(\d+)\) \|$',
+        THEORY.read_text(),
+        re.MULTILINE,
+    )
+    numbers = [int(row[0]) for row in rows]
+    assert numbers == sorted(set(numbers))
+    for anchor, shown, title, page, target in rows:
+        assert anchor == shown == target
+        assert f"\n### ({shown}) {title}\n" in (THEORY.parent / page).read_text()
+    assert set(_equations().values()) == {1}
+    assert {str(number) for number in numbers} == set(_equations())
+
+
+def test_a_page_of_the_theory_states_the_equations_that_it_contains() -> None:
+    pages = sorted((ROOT / "docs").glob("theory_*.md"))
+    assert len(pages) == 6
+    for page in pages:
+        stated = re.findall(r"This page contains the equations (.*?)\. ", _one_line(page))
+        numbers: set[int] = set()
+        for first, last in re.findall(r"\((\d+)\)(?: to \((\d+)\))?", stated[0]):
+            numbers |= set(range(int(first), int(last or first) + 1))
+        assert numbers == {int(name.removeprefix("eq-")) for name in _anchors(page)}
+        assert f"| {stated[0]} |" in THEORY.read_text()
+
+
+def test_a_link_to_the_list_of_equations_leads_past_it_on_the_site() -> None:
+    cited = "[theory (7)](theory.md#eq-7), [(65)](../docs/theory.md#eq-65), [all](theory.md)"
+    led = direct(cited, THEORY.read_text())
+    assert led == cited.replace("theory.md#eq-7", "theory_model.md#eq-7").replace(
+        "theory.md#eq-65", "theory_orbits.md#eq-65"
+    )
+
+
 def test_every_equation_that_a_docstring_cites_exists() -> None:
-    numbers = {anchor.removeprefix("eq-") for anchor in _anchors(ROOT / "docs" / "theory.md")}
+    numbers = set(_equations())
     for source in SOURCES:
         for cited in re.findall(r"theory ((?:\(\d+\)(?:, | and |-)?)+)", source.read_text()):
             assert set(re.findall(r"\d+", cited)) <= numbers, (source.name, cited)
@@ -56,7 +105,7 @@ def test_every_source_that_a_docstring_cites_is_listed() -> None:
 
 
 def test_every_residual_is_explained_in_the_theory() -> None:
-    theory = (ROOT / "docs" / "theory.md").read_text()
+    theory = (ROOT / "docs" / "theory_orbits.md").read_text()
     assert all(f"`{name}`" in theory for name in RESIDUALS)
 
 

@@ -602,7 +602,8 @@ def test_a_subject_is_followed_or_says_why_it_is_not(monkeypatch: pytest.MonkeyP
 
 
 def test_every_law_has_the_number_that_the_theory_gives_it() -> None:
-    theory = (Path(__file__).parents[2] / "docs" / "theory.md").read_text(encoding="utf-8")
+    pages = (Path(__file__).parents[2] / "docs").glob("theory_*.md")
+    theory = "".join(page.read_text(encoding="utf-8") for page in pages)
     titles = {
         int(number): title for number, title in re.findall(r"^### \((\d+)\) (.*)$", theory, re.M)
     }
