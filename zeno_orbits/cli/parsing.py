@@ -144,7 +144,7 @@ def read_interval(text: str) -> tuple[str, float, float]:
     wanted = f"have numbers for `{name}`"
     width = _number(radius, wanted)
     if not 0.0 < width < math.inf:
-        raise argparse.ArgumentTypeError(f"must have a radius above 0, but it is {width:g}")
+        raise argparse.ArgumentTypeError(f"must have a radius above 0, but the radius is {width:g}")
     return name, _number(value, wanted), width
 
 

@@ -90,14 +90,14 @@ def add_rig(commands: Any) -> None:
         "--cycles",
         type=read_count,
         metavar="N",
-        help=f"number of settled cycles, with an orbit (default: {_CYCLES})",
+        help=f"number of settled cycles, for an orbit (default: {_CYCLES})",
     )
     parser.add_argument(
         "--t-end",
         dest="until",
         type=read_number,
         metavar="T",
-        help="end of the simulation, with a problem [s] (default: 10)",
+        help="end of the simulation [s], for a problem in place of an orbit (default: 10)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, help="write the measured signals here, as a recording"

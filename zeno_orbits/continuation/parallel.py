@@ -67,7 +67,7 @@ class Dispatch:
             return self
         if self.crew.problem_file.load() is not self.problem:
             wanted = "must be the problem that the workers of `crew` load"
-            raise InputError(f"Argument `problem` {wanted}, but it is another problem.")
+            raise InputError(f"Argument `problem` {wanted}.")
         identity = {"work": "continuation", **own, "problem_digest": self.crew.problem_file.digest}
         plan = replace(self.crew.plan, chunk=1, identity={**identity, **self.crew.plan.identity})
         claim(plan)

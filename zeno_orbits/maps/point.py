@@ -202,7 +202,7 @@ class Point:
         return outcome_of(motion, close=self._accuracy.near, apart=_APART)
 
     def _is_worth_it(self, repeated: Repetition) -> bool:
-        """Return True if Newton's method may converge, also after an earlier failure."""
+        """Return True if another attempt of Newton's method is worthwhile."""
         before, at = self._tried.get(repeated.returns, (np.inf, -np.inf))
         # A motion that never converges passes near many orbits. The attempts become less frequent.
         later = len(self._amplitudes) >= at + _LATER * 2 ** max(self._failures - 1, 0)

@@ -138,10 +138,10 @@ class Bridge:
     """
 
     QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
-        positive("supply", 12.0, "V", "no voltage is larger"),
+        positive("supply", 12.0, "V", "supply voltage, which limits all voltages"),
         _nonnegative("resistance", 0.0, "ohm", "transistors in the path of the current"),
-        positive("frequency", 20e3, "Hz", "pulses a second"),
-        _nonnegative("dead_time", 0.0, "s", "both transistors of a leg off at an edge"),
+        positive("frequency", 20e3, "Hz", "pulses per second"),
+        _nonnegative("dead_time", 0.0, "s", "time at every edge with both transistors off"),
         _nonnegative("diode_drop", 0.0, "V", "over a diode that carries the current"),
     )
 

@@ -248,7 +248,7 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _pieces(file: BinaryIO) -> Iterator[str]:
-    """Yield a file in pieces of whole lines with normalised ends. The last line may be cut."""
+    """Yield a file in pieces of whole lines with normalised line ends. The last line may be cut."""
     path = Path(file.name)
     rest = b""
     first = True

@@ -157,7 +157,7 @@ def of_one_orbit(passages: Sequence[Passage | str]) -> list[Passage]:
     away = first.leaves_both() if len(proved) > 1 else ""
     require(not away, f"more than one fixed point may lie in the first box, as {away}")
     same = all(one.word == first.word for one in proved)
-    require(same, "the passes are of different return maps")
+    require(same, "the passes belong to different return maps")
     return proved
 
 

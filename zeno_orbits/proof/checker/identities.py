@@ -170,9 +170,7 @@ def _require_low_degree(graph: Graph, outputs: Sequence[int]) -> None:
             degree[place] = max(2, degree[given[1]]) if given[0] == "sqrt" else 2
         else:
             degree[place] = name != "constant"
-        require(
-            degree[place] << _MOST_ROOTS < 1 << _DEGREE, "the formulas are too deep to be compared"
-        )
+        require(degree[place] << _MOST_ROOTS < 1 << _DEGREE, "the formulas are nested too deeply")
 
 
 def require_impacts(
