@@ -15,7 +15,7 @@ from zeno_orbits.api.inputs import (
     known_problem,
     problem_of,
 )
-from zeno_orbits.errors import finite_number, named_numbers, positive_number
+from zeno_orbits.errors import InputError, finite_number, named_numbers, positive_number
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Progress, silent
