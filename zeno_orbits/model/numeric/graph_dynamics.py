@@ -19,11 +19,13 @@ from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compile_system
 from zeno_orbits.model.numeric.compiled_flow import (
     CompiledFlow,
+    FlowMemory,
     ModeFunctions,
     dense_function,
     mode_functions,
 )
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import OwnScale
 
 _ZERO = 1e-12
@@ -155,6 +157,7 @@ class GraphDynamics:
         self.n_declared = len(graph.switches)
         self._views: dict[tuple[GraphMode, int], HybridDynamics] = {}
         self._flows: dict[tuple[GraphMode, int, bool], CompiledFlow] = {}
+        self._scales: dict[int, OwnScale] = {}
         self._delassus = Call(compiled.delassus, self.p)
         self._resets = [Call(one, self.p) for one in compiled.resets]
         self.open_mode: GraphMode = ((), (True,) * len(graph.conditions))
@@ -184,8 +187,7 @@ class GraphDynamics:
         key = (mode, stop)
         if key not in self._views:
             system = self.compiled.system(mode, stop)
-            base = None if mode == self.open_mode else partial(self._scale, stop)
-            self._views[key] = bind(system, self.p, base)
+            self._views[key] = bind(system, self.p, partial(self._scale, stop))
         return self._views[key]
 
     def holding(self, mode: GraphMode, stop: int) -> HybridDynamics:
@@ -199,13 +201,29 @@ class GraphDynamics:
         return self.view((tuple(k for k in closed if k != stop), sides), stop)
 
     def _scale(self, stop: int) -> OwnScale:
-        return self.view(self.open_mode, stop).own
+        """Return the scales of a stop, from the branches of the kinks at the initial states."""
+        if stop not in self._scales:
+            view, compiled = self.view(self.open_mode, stop), self.compiled
+            system = compiled.system(self.open_mode, stop)
+            branch = partial(self._on_branch, stop) if compiled.graph.conditions else None
+            self._scales[stop] = own_scale(
+                view, compiled.starts, compiled.state_units, system.clock, system.further, branch
+            )
+        return self._scales[stop]
+
+    def _on_branch(self, stop: int, x: Vector) -> HybridDynamics:
+        """Return the system of a stop on the branch of the kinks at a state, all stops open."""
+        guards = self.compiled.switches(x, self.p, np.ones(x.size))[0].full().ravel()
+        sides = tuple(bool(value > 0.0) for value in guards[self.n_declared :])
+        return self.view(((), sides), stop)
 
     def guard_flow(self, mode: GraphMode, switch: int, above: bool) -> CompiledFlow:
         """Return the flow of a mode, with the guard of a switch on one side of it."""
         key = (mode, switch, above)
         if key not in self._flows:
-            self._flows[key] = CompiledFlow(self.compiled.guard(mode, switch, above), self.p)
+            functions = self.compiled.guard(mode, switch, above)
+            memory = FlowMemory(functions, lambda: self.own.weights(len(self.state_names)))
+            self._flows[key] = CompiledFlow(functions, self.p, memory)
         return self._flows[key]
 
     def guards(self, x: Vector) -> tuple[Vector, Vector, Vector]:

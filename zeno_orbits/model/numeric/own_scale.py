@@ -11,7 +11,7 @@ all other scales to 1, so a mechanism of everyday size has the scale 1 in SI uni
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,8 @@ _BAND, _WIDE = 3, 5
 value."""
 _DECADES = 3
 """Other sizes are rounded to powers of ten with exponents that this divides."""
-_PHASES = 4
+_PHASES, _MANY_PHASES = 4, 64
+"""Phases of the clock at which the scales are evaluated, of smooth formulas and with kinks."""
 _FIXED = ("rad", "1")
 """Units of coordinates whose scale is 1 in every problem."""
 
@@ -92,6 +93,7 @@ def own_scale(
     units: Sequence[str],
     clock: Sequence[int] = (),
     further: Sequence[int] = (),
+    branch: Callable[[Vector], HybridDynamics] | None = None,
 ) -> OwnScale:
     """Return the characteristic scales of a problem, from its initial states.
 
@@ -102,11 +104,13 @@ def own_scale(
         clock: Indices of the clock in the state. The scales are evaluated at four phases of the
             clock.
         further: Indices of the states of circuits and of additional states.
+        branch: Function that returns the system on the branch of its kinks at a state. The default
+            is the system itself, which has no kinks.
     """
     with np.errstate(all="ignore"):
         # A value that overflows gets the scale 1.
-        reach = reach_of(dynamics, starts, units, clock)
-        states = _in_phases(np.array(starts, dtype=np.float64), clock)
+        reach = reach_of(dynamics, starts, units, clock, branch)
+        states = _in_phases(np.array(starts, dtype=np.float64), clock, branch is not None)
         inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
         gap, time = np.float64(reach.gap), np.float64(reach.time)
         return OwnScale(
@@ -117,13 +121,17 @@ def own_scale(
             multiplier=_rounded(float(gap / time / time * inertia), _WIDE),
             sizes=(
                 *map(_rounded, reach.states.tolist()),
-                *_further_sizes(dynamics, states, further, float(time)),
+                *_further_sizes(dynamics, states, further, float(time), branch),
             ),
         )
 
 
 def _further_sizes(
-    dynamics: HybridDynamics, states: Vector, further: Sequence[int], time: float
+    dynamics: HybridDynamics,
+    states: Vector,
+    further: Sequence[int],
+    time: float,
+    branch: Callable[[Vector], HybridDynamics] | None,
 ) -> list[float]:
     r"""Return the scales of the states after the velocities, up to the last additional state.
 
@@ -134,18 +142,20 @@ def _further_sizes(
     for k in further:
         found = 0.0
         for x in states:
-            rate, slope = dynamics.free.rate(x)[k], dynamics.free.jacobian(x)[k, k]
+            flow = dynamics.free if branch is None else branch(x).free
+            rate, slope = flow.rate(x)[k], flow.jacobian(x)[k, k]
             way = min(abs(rate) * time, abs(rate / slope) if slope != 0.0 else math.inf)
             found = max(found, abs(float(x[k])), float(way))
         sizes[k - first] = _rounded(found)
     return sizes
 
 
-def _in_phases(states: Vector, clock: Sequence[int]) -> Vector:
-    """Return states with their clock turned to four phases, if there is one."""
+def _in_phases(states: Vector, clock: Sequence[int], has_kinks: bool) -> Vector:
+    """Return states with their clock turned to several phases, if there is one."""
     if clock:
-        turns = np.tile(2 * math.pi * np.arange(_PHASES) / _PHASES, len(states))
-        states = np.repeat(states, _PHASES, axis=0)
+        n = _MANY_PHASES if has_kinks else _PHASES
+        turns = np.tile(2 * math.pi * np.arange(n) / n, len(states))
+        states = np.repeat(states, n, axis=0)
         states[:, clock[0]], states[:, clock[1]] = np.cos(turns), np.sin(turns)
     return states
 
@@ -155,6 +165,7 @@ def reach_of(
     starts: Sequence[Sequence[float]],
     units: Sequence[str],
     clock: Sequence[int] = (),
+    branch: Callable[[Vector], HybridDynamics] | None = None,
 ) -> Reach:
     """Return the reach of a problem, which is the scales of `own_scale` before rounding.
 
@@ -164,9 +175,12 @@ def reach_of(
         units: Unit of each state. Coordinates with the same unit share a scale.
         clock: Indices of the clock in the state. The scales are evaluated at four phases of the
             clock.
+        branch: As for `own_scale`.
     """
-    states, n_q = _in_phases(np.array(starts, dtype=np.float64), clock), dynamics.n_q
-    rates = np.array([dynamics.free.rate(x) for x in states])
+    states = _in_phases(np.array(starts, dtype=np.float64), clock, branch is not None)
+    n_q = dynamics.n_q
+    flows = [dynamics.free if branch is None else branch(x).free for x in states]
+    rates = np.array([flow.rate(x) for flow, x in zip(flows, states, strict=True)])
     places = _alike(np.max(np.abs(states[:, :n_q]), axis=0), units)
     velocities = _alike(np.max(np.abs(rates[:, :n_q]), axis=0), units, fixed=0.0)
     accelerations = _alike(np.max(np.abs(rates[:, n_q : 2 * n_q]), axis=0), units, fixed=0.0)
