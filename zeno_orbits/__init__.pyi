@@ -39,6 +39,7 @@ from .errors import PenetrationError as PenetrationError
 from .errors import SimulationError as SimulationError
 from .errors import SimultaneousEventsError as SimultaneousEventsError
 from .errors import SlidingError as SlidingError
+from .errors import SwitchingTimesError as SwitchingTimesError
 from .errors import ZenoOrbitsError as ZenoOrbitsError
 from .experiment.comparison.comparison import Comparison as Comparison
 from .experiment.identification.identification import Identification as Identification
@@ -82,6 +83,8 @@ from .model.rig_parts import Sensors as Sensors
 from .model.rig_parts import Switching as PwmSettings
 from .model.stops import Stop as Stop
 from .model.stops import Switch as Switch
+from .model.waveforms import harmonics as harmonics
+from .model.waveforms import piecewise as piecewise
 from .orbits.bounds import Bound as Bound
 from .orbits.event_orbit import EventOrbit as EventOrbit
 from .orbits.event_orbit_file import read_event_orbit as read_event_orbit
@@ -192,6 +195,7 @@ __all__ = [
     "Stop",
     "Switch",
     "SwitchEvent",
+    "SwitchingTimesError",
     "TargetAmplitude",
     "TargetPeriod",
     "Truncation",
@@ -220,6 +224,7 @@ __all__ = [
     "find_orbit_by_shooting",
     "floquet_multipliers",
     "full_drive",
+    "harmonics",
     "hybrid_system",
     "ideal_torque_drive",
     "identify",
@@ -229,6 +234,7 @@ __all__ = [
     "orbit_from_json",
     "parallel_map",
     "parameter_map",
+    "piecewise",
     "plot",
     "plot_zeno_neighbourhood",
     "plot_zeno_set",

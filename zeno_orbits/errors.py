@@ -26,6 +26,19 @@ class InputError(ZenoOrbitsError, ValueError):
     """An argument, a name or a file is not usable. The message gives the reason."""
 
 
+class SwitchingTimesError(InputError):
+    """The switching times of a piecewise input coincide, change order or leave the period.
+
+    Attributes:
+        lower: Value of the time that must be lower [s].
+        upper: Value of the time that must be higher [s].
+    """
+
+    def __init__(self, message: str, lower: float, upper: float) -> None:
+        super().__init__(message)
+        self.lower, self.upper = lower, upper
+
+
 def _about_file(kind: str, path: Path, wanted: str, reason: str) -> str:
     """Return the message about an unusable file, without the requirement if it cannot be read."""
     if reason.startswith("it cannot be read"):

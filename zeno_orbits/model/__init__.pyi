@@ -73,3 +73,5 @@ from .scale import USUAL as USUAL
 from .stops import Stop as Stop
 from .stops import Switch as Switch
 from .units import powers_of as powers_of
+from .waveforms import harmonics as harmonics
+from .waveforms import piecewise as piecewise

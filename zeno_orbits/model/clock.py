@@ -7,6 +7,7 @@ wrapped.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -46,6 +47,11 @@ class Clock:
     def rate(self) -> ca.SX:
         """Their time derivatives, ``(2,)`` [1/s]."""
         return self.frequency * ca.vertcat(-self.sine, self.cosine)
+
+    @property
+    def period(self) -> ca.SX:
+        r"""Time of a turn, :math:`2\pi/\omega` [s]."""
+        return 2 * math.pi / self.frequency
 
     @property
     def off_circle(self) -> ca.SX:

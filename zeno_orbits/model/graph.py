@@ -23,6 +23,7 @@ from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
 from zeno_orbits.model.kinks import branched
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch, require_event_names
+from zeno_orbits.model.waveforms import TimeOrder, time_orders
 
 GraphMode = tuple[tuple[int, ...], tuple[bool, ...]]
 """A mode: the indices of its closed stops in increasing order, and the side of every kink."""
@@ -41,6 +42,7 @@ class ModeGraph:
         stops: Its stops.
         switches: The declared switches.
         conditions: The conditions of the kinks of its formulas, whose zeros are switches.
+        time_orders: Orders of the switching times of its piecewise inputs.
         delassus: Delassus matrix :math:`J W J^\top` of all stops.
         resets: State after every declared switch, ``(n_x,)``.
         state: ``(q, v, states of the drive, clock)``.
@@ -51,6 +53,7 @@ class ModeGraph:
     stops: tuple[Stop, ...]
     switches: tuple[Switch, ...]
     conditions: tuple[ca.SX, ...]
+    time_orders: tuple[TimeOrder, ...]
     delassus: ca.SX
     resets: tuple[ca.SX, ...]
     state: ca.SX
@@ -147,7 +150,8 @@ def complete(
     Raises:
         ValueError: If the restitution is missing or given twice, if a corrected drive would make it
             depend on the state, if drives share a state, if an impact with zero speed would change
-            additional states, or if a stop or switch is invalid.
+            additional states, if a stop or switch is invalid, or if a piecewise input has switching
+            times of the state or no `switches`.
 
     Source: [Moreau1988]_ for the impact law, theory (6)-(9), and (20) for a corrected drive.
     """
@@ -156,6 +160,11 @@ def complete(
             raise ValueError("Argument `restitution` is missing.")
         one = completed(lagrangian, drive, ca.SX(restitution))
         if switches is None:
+            if _time_orders(one):
+                raise ValueError(
+                    "Argument `switches` must be given, even if it is empty, to a machine with a "
+                    "piecewise input."
+                )
             return one
         stops = (Stop(name="stop", gap=lagrangian.gap, restitution=restitution),)
     else:
@@ -197,12 +206,28 @@ def _graph(
         stops=stops,
         switches=switches,
         conditions=branched(formulas, one.state).conditions,
+        time_orders=_time_orders(one),
         delassus=ca.mtimes([normals, inverse_mass, normals.T]),
         resets=tuple(_reset(one, switch) for switch in switches),
         state=one.state,
     )
     require_event_names([*(stop.name for stop in stops), *bare.switch_names])
     return bare
+
+
+def _time_orders(one: CompletedSystem) -> tuple[TimeOrder, ...]:
+    """Return the orders of switching times in the formulas of a machine.
+
+    Raises:
+        ValueError: If a time depends on the state.
+    """
+    formulas = (*_formulas_of(one.mechanism).values(), *_formulas_of(one.drive).values())
+    orders = time_orders(formulas)
+    if any(ca.depends_on(ca.vertcat(order.lower, order.upper), one.state) for order in orders):
+        raise ValueError(
+            "Argument `times` of a piecewise input must hold numbers, gains and parameters only."
+        )
+    return orders
 
 
 def _reset(one: CompletedSystem, switch: Switch) -> ca.SX:

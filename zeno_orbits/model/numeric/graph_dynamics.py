@@ -121,6 +121,14 @@ class CompiledGraph:
         return dense_function(name, [x, p], outputs)
 
     @cached_property
+    def times(self) -> ca.Function:
+        """``p -> (lower times, upper times)`` of all orders of switching times."""
+        orders = self.graph.time_orders
+        lower = ca.vertcat(*(one.lower for one in orders))
+        upper = ca.vertcat(*(one.upper for one in orders))
+        return dense_function("times", [self._parameters], [lower, upper])
+
+    @cached_property
     def delassus(self) -> ca.Function:
         """``(x, p) -> J W J^T`` of all stops."""
         return dense_function(
@@ -147,9 +155,16 @@ class GraphDynamics:
         Args:
             compiled: The functions.
             values: Parameter vector, gains then parameters.
+
+        Raises:
+            SwitchingTimesError: If the switching times of a piecewise input do not increase.
         """
         self.compiled = compiled
         self.p = np.array(values, dtype=np.float64)
+        if compiled.graph.time_orders:
+            lower, upper = (one.full().ravel() for one in compiled.times(self.p))
+            for k, order in enumerate(compiled.graph.time_orders):
+                order.require(float(lower[k]), float(upper[k]))
         self.state_names = compiled.state_names
         graph = compiled.graph
         self.stop_names = tuple(stop.name for stop in graph.stops)
