@@ -46,6 +46,14 @@ def test_search_writes_a_file_that_verify_passes() -> None:
     assert "shape" not in certificate
 
 
+def test_plot_draws_the_pictures_that_an_orbit_has() -> None:
+    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    answer = ask("plot", "hopper.json", "-o", "pictures", "--json")
+    # No impacts accumulate, and the problem has no outputs.
+    assert answer.data == {"pictures": ["pictures/portraits.png", "pictures/time.png"]}
+    assert all(Path(path).stat().st_size > 1000 for path in answer.data["pictures"])
+
+
 def test_verify_refuses_a_changed_file() -> None:
     zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     data = json.loads(Path("hopper.json").read_text())
@@ -86,7 +94,9 @@ def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() 
     assert_refused(ask("map", "hopper", "--x", "a=10:20", "--y", "s=0.1:0.2"), "`hopper`")
     assert_refused(ask("zeno-condition", "hopper"), "`hopper`")
     assert_refused(ask("push", "hopper.json"), "format 3")
-    assert_refused(ask("plot", "hopper.json", "-o", "pictures"), "format 3")
+    region = ("plot", "hopper.json", "-o", "pictures", "--kind", "region")
+    assert_refused(ask(*region), "--kind region", "one stop")
+    assert_refused(ask("plot", "hopper.json", "--kind", "zeno"), "--kind zeno")
     assert_refused(ask("verify", "hopper.json", "--rigorous"), "--rigorous", "one stop")
     assert_refused(ask("search", "bouncing_ball", "--section", "impact stop"), "--section")
 

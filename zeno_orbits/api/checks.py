@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from zeno_orbits.api.inputs import (
     Named,
@@ -21,7 +21,7 @@ from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
-    from zeno_orbits.model import HybridDynamics
+    from zeno_orbits.model import GraphDynamics, HybridDynamics
     from zeno_orbits.orbits import Multipliers
     from zeno_orbits.proof import PeriodEnclosure, Proof, ProofVerdict, Replay
     from zeno_orbits.verification import OrbitCertificate, VerificationSettings
@@ -216,8 +216,24 @@ def require_proof_extra(what: str) -> None:
     require_flint(what)
 
 
-def system_of(orbit: ZenoOrbit, problem: Problem, *, use_reference: bool = False) -> HybridDynamics:
+@overload
+def system_of(
+    orbit: ZenoOrbit, problem: Problem, *, use_reference: bool = False
+) -> HybridDynamics: ...
+
+
+@overload
+def system_of(
+    orbit: ZenoOrbit | EventOrbit, problem: Problem
+) -> HybridDynamics | GraphDynamics: ...
+
+
+def system_of(
+    orbit: ZenoOrbit | EventOrbit, problem: Problem, *, use_reference: bool = False
+) -> HybridDynamics | GraphDynamics:
     """Return the dynamics of an orbit at its gains and parameters.
+
+    For an orbit of events it is the graph of modes.
 
     Args:
         orbit: The orbit.
@@ -229,6 +245,8 @@ def system_of(orbit: ZenoOrbit, problem: Problem, *, use_reference: bool = False
     """
     from zeno_orbits.verification import problem_dynamics
 
+    if isinstance(orbit, EventOrbit):
+        return problem.graph_dynamics(orbit.values(problem))
     return problem_dynamics(orbit, problem, use_reference=use_reference)
 
 

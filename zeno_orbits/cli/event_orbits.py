@@ -50,7 +50,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
 
     _refuse(options, _SEARCH)
     if options.candidates != 1:
-        raise InputError(_needs_one_stop("--candidates"))
+        raise InputError(needs_one_stop("--candidates"))
     if options.output is not None:
         require_writable(options.output)
     with report.ProgressLine(options.interrupts.check) as progress:
@@ -92,7 +92,7 @@ def verify_events(options: argparse.Namespace) -> int:
 
     _refuse(options, _VERIFY)
     if options.model == "reference":
-        raise InputError(_needs_one_stop("--model reference"))
+        raise InputError(needs_one_stop("--model reference"))
     settings = api.verification_settings(
         accuracy=options.accuracy,
         tolerance=options.tolerance,
@@ -117,10 +117,11 @@ def verify_events(options: argparse.Namespace) -> int:
 def _refuse(options: argparse.Namespace, names: dict[str, str]) -> None:
     for name, option in names.items():
         if getattr(options, name, None):
-            raise InputError(_needs_one_stop(option))
+            raise InputError(needs_one_stop(option))
 
 
-def _needs_one_stop(option: str) -> str:
+def needs_one_stop(option: str) -> str:
+    """Return the message that refuses an option for machines with several stops or switches."""
     return (
         f"Option `{option}` needs a machine with one stop and no switch in this version: leave it "
         "out."

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
+from zeno_orbits.cli.event_orbits import needs_one_stop
 from zeno_orbits.cli.options import (
     YES,
     add_command,
@@ -57,9 +58,11 @@ def add_plot(commands: Any) -> None:
 
 
 def _run_plot(options: argparse.Namespace) -> int:
+    import zeno_orbits as zo
     from zeno_orbits.report import motion_of, plots
 
-    orbit, problem = orbit_and_problem(options)
+    orbit = api.any_orbit(options.orbit)
+    problem = api.problem_of(orbit, options.problem)
     dynamics = api.system_of(orbit, problem)
     require_folder(options.output)
     execution = motion_of(orbit, problem, dynamics, periods=options.periods)
@@ -68,15 +71,19 @@ def _run_plot(options: argparse.Namespace) -> int:
         "time": lambda: plots.plot_time_series(problem, execution),
         "outputs": lambda: plots.plot_outputs(problem, orbit.values(problem), execution),
         "zeno": lambda: plots.plot_zeno_zoom(problem, execution, dynamics),
-        "region": lambda: plots.plot_zeno_region(problem, dynamics, execution),
     }
-    rests = orbit.shape.starts_at_release
-    has = {
-        "outputs": bool(problem.outputs),
-        "zeno": rests,
-        "region": rests and plots.has_zeno_region(dynamics),
-    }
-    kinds = options.kind or [kind for kind in _PICTURES if has.get(kind, True)]
+    has = {"outputs": bool(problem.outputs)}
+    if isinstance(orbit, zo.EventOrbit):
+        if "region" in (options.kind or ()):
+            raise InputError(needs_one_stop("--kind region"))
+        rests = any(name.startswith("zeno ") for name in orbit.sequence)
+    else:
+        one = api.system_of(orbit, problem)
+        draw["region"] = lambda: plots.plot_zeno_region(problem, one, execution)
+        rests = orbit.shape.starts_at_release
+        has["region"] = rests and plots.has_zeno_region(one)
+    has["zeno"] = rests
+    kinds = options.kind or [kind for kind in draw if has.get(kind, True)]
     if "outputs" in kinds and not problem.outputs:
         raise InputError(
             f"Argument `kind` must be a picture that `{problem.name}` has, but it lacks outputs."

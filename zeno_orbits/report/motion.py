@@ -8,8 +8,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import ZenoOrbit, placed
+from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit, placed
 from zeno_orbits.simulation import Execution, Mode, simulate
 
 _LONGER = 1e-6
@@ -19,23 +19,29 @@ STOP = "stop"
 
 
 def motion_of(
-    orbit: ZenoOrbit, problem: Problem, dynamics: HybridDynamics, *, periods: int = 1
+    orbit: ZenoOrbit | EventOrbit,
+    problem: Problem,
+    dynamics: HybridDynamics | GraphDynamics,
+    *,
+    periods: int = 1,
 ) -> Execution:
     """Simulate periods of an orbit from its start.
 
     Args:
         orbit: The orbit.
         problem: Its problem.
-        dynamics: The problem at the parameter values of the orbit.
+        dynamics: The problem at the parameter values of the orbit, for an orbit of events the graph
+            of modes.
         periods: Number of periods.
 
     Raises:
         SimulationError: If the execution cannot be continued: a false orbit may run anywhere.
     """
     start = np.array(problem.state_vector(orbit.start_state))
-    shape = orbit.shape.at_restitution(dynamics.restitution)
-    # The verifier rejects an initial state off the section, but the simulator must accept it.
-    start = placed(dynamics, shape, start)
+    if isinstance(orbit, ZenoOrbit) and isinstance(dynamics, HybridDynamics):
+        shape = orbit.shape.at_restitution(dynamics.restitution)
+        # The verifier rejects an initial state off the section, but the simulator must accept it.
+        start = placed(dynamics, shape, start)
     return simulate(dynamics, start, until=periods * orbit.period * (1 + _LONGER))
 
 

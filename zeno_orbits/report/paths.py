@@ -27,11 +27,30 @@ class ArcPath:
         kind: ``free``, ``locked``, or ``tail`` for the end of an impact sequence.
         times: Times [s], ``(m,)``.
         states: States there, ``(m, n_x)``.
+        closed: Names of the closed stops, empty for a machine with one unnamed stop.
     """
 
     kind: str
     times: Vector
     states: Vector
+    closed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnPhase:
+    """A stretch of an execution in which the same stops are closed.
+
+    Attributes:
+        mode: Off all stops, or on a stop.
+        closed: Names of the closed stops, empty for a machine with one unnamed stop.
+        start: When it starts [s].
+        end: When it ends [s].
+    """
+
+    mode: Mode
+    closed: tuple[str, ...]
+    start: float
+    end: float
 
 
 def paths_of(execution: Execution, *, least: int = 8) -> list[ArcPath]:
@@ -52,7 +71,7 @@ def paths_of(execution: Execution, *, least: int = 8) -> list[ArcPath]:
             continue
         times, states = _smooth(arc, ranges, 2 if is_tail else least)
         kind = "tail" if is_tail else arc.mode.value
-        paths.append(ArcPath(kind=kind, times=times, states=states))
+        paths.append(ArcPath(kind=kind, times=times, states=states, closed=arc.closed))
     return paths
 
 
@@ -83,12 +102,33 @@ def _states_at(arc: Arc, times: Vector) -> Vector:
     return np.array([arc.state_at(time) for time in times.tolist()])
 
 
-def drawn_phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:
-    """Return mode, start and end of every phase. A Zeno tail belongs to the preceding flights."""
-    starts = [execution.arcs[0]]
-    starts += [arc for last, arc in pairwise(execution.arcs) if arc.mode is not last.mode]
+def drawn_phases_of(execution: Execution) -> list[DrawnPhase]:
+    """Return every phase. A Zeno tail belongs to the preceding flights."""
+    arcs = execution.arcs
+    starts = [arcs[0]]
+    starts += [
+        arc for last, arc in pairwise(arcs) if (arc.mode, arc.closed) != (last.mode, last.closed)
+    ]
     times = [*(arc.start_time for arc in starts), execution.end_time]
-    return [(arc.mode, *ends) for arc, ends in zip(starts, pairwise(times), strict=True)]
+    return [
+        DrawnPhase(mode=arc.mode, closed=arc.closed, start=start, end=end)
+        for arc, (start, end) in zip(starts, pairwise(times), strict=True)
+    ]
+
+
+def stops_of(execution: Execution) -> tuple[str, ...]:
+    """Return the names of the stops that an execution meets, in alphabetical order.
+
+    A machine with one stop and no switch has a stop without a name.
+    """
+    closed = {name for arc in execution.arcs for name in arc.closed}
+    met = (*execution.impacts, *execution.zeno_points, *execution.releases)
+    return tuple(sorted((closed | {event.stop for event in met}) - {""}))
+
+
+def switches_of(execution: Execution) -> tuple[str, ...]:
+    """Return the names of the switches that occur in an execution, in alphabetical order."""
+    return tuple(sorted({event.name for event in execution.switches}))
 
 
 def shown_states(problem: Problem) -> list[int]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.simulation import Arc, Ending, Execution, Impact, ZenoPoint
 
 SAMPLES = 160
@@ -90,8 +90,15 @@ class CloseUp:
         return flights
 
 
-def close_up(execution: Execution, dynamics: HybridDynamics) -> CloseUp:
+def close_up(execution: Execution, dynamics: HybridDynamics | GraphDynamics) -> CloseUp:
     """Return the neighbourhood of the last Zeno point.
+
+    In a machine with several stops, the gap and the impacts are those of the stop of the Zeno
+    point, and the neighbourhood begins where this stop opens.
+
+    Args:
+        execution: The execution.
+        dynamics: The system that was simulated.
 
     Raises:
         InputError: If the execution reaches no Zeno point.
@@ -99,8 +106,20 @@ def close_up(execution: Execution, dynamics: HybridDynamics) -> CloseUp:
     if not execution.zeno_points:
         raise InputError("Argument `execution` lacks a Zeno point.")
     zeno = execution.zeno_points[-1]
-    begin = max((r.time for r in execution.releases if r.time < zeno.time), default=0.0)
-    impacts = tuple(event for event in execution.impacts if begin <= event.time <= zeno.time)
+    if isinstance(dynamics, GraphDynamics):
+        tail = next(arc for arc in execution.arcs if arc.end_time == zeno.time)
+        stop = dynamics.stop_names.index(zeno.stop)
+        mode = dynamics.mode_of(tail.closed, tail.sides)
+        dynamics = dynamics.view(mode, stop)
+        ends = [arc.end_time for arc in execution.arcs if zeno.stop in arc.closed]
+    else:
+        ends = [release.time for release in execution.releases]
+    begin = max((time for time in ends if time < zeno.time), default=0.0)
+    impacts = tuple(
+        event
+        for event in execution.impacts
+        if begin <= event.time <= zeno.time and event.stop == zeno.stop
+    )
     resolved = [arc for arc in execution.arcs if arc.ending is not Ending.ZENO]
     arcs = tuple(arc for arc in resolved if arc.start_time >= begin)
     return CloseUp(

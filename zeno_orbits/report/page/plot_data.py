@@ -102,7 +102,9 @@ def _series(subject: Subject, execution: Execution) -> dict[str, Any]:
             for label, row in zip(labels, entries, strict=True)
         ],
         "locked": [
-            [start, end] for mode, start, end in drawn_phases_of(execution) if mode is Mode.LOCKED
+            [phase.start, phase.end]
+            for phase in drawn_phases_of(execution)
+            if phase.mode is Mode.LOCKED
         ],
         "impacts": [impact.time for impact in execution.impacts],
         "zeno": execution.zeno_points[-1].time if execution.zeno_points else None,

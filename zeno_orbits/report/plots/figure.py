@@ -14,7 +14,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import Comparison
 from zeno_orbits.maps import ParameterMap
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import Multipliers, ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, Multipliers, ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.motion import motion_of
 from zeno_orbits.report.plots.certificate import plot_certificate, plot_multipliers
@@ -93,6 +93,14 @@ def _of_orbit(
     return plot_portraits(problem, execution, width=width, axes=axes)
 
 
+def _of_events(
+    orbit: EventOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
+) -> Figure:
+    problem = problem or load_problem(orbit.problem)
+    execution = motion_of(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
+    return plot_portraits(problem, execution, width=width, axes=axes)
+
+
 def _of_execution(
     execution: Execution, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
@@ -112,6 +120,7 @@ def _of_continuation(
 _PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Figure]] = {
     Execution: _of_execution,
     ZenoOrbit: _of_orbit,
+    EventOrbit: _of_events,
     SearchResult: lambda found, problem, width, axes: _of_orbit(
         found.unwrap(), problem, width, axes
     ),

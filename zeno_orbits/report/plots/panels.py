@@ -26,6 +26,7 @@ _MOST_TICKS, _FEWEST_TICKS = 9, 2
 """Intervals between the ticks of an axis across."""
 _SIGN, _BETWEEN, _BESIDE = 0.06, 0.1, 0.55
 """Width of a sign of a tick label, between two labels, and next to a panel [in]."""
+_NO_MARKER = ("None", "none", "", " ", None)
 _ABOVE = "above"
 """Name of a legend above the panels."""
 
@@ -230,6 +231,8 @@ def _entries(panels: Sequence[Axes]) -> dict[str, Any]:
         ax.tick_params(which="both", labelsize=TEXT - 1)
         for text in (ax.xaxis.label, ax.yaxis.label):
             text.set_fontsize(TEXT)
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.get_offset_text().set_fontsize(TEXT - 1)
         handles, labels = ax.get_legend_handles_labels()
         for handle, label in zip(handles, labels, strict=True):
             if label not in entries and _is_seen(ax, handle):
@@ -238,14 +241,22 @@ def _entries(panels: Sequence[Axes]) -> dict[str, Any]:
 
 
 def _is_seen(ax: Axes, handle: Any) -> bool:
-    """Return True unless a line lies outside its panel. A line without points is a legend entry."""
+    """Return True unless a line lies outside its panel, or is a point without a marker.
+
+    A line without points is a legend entry.
+    """
     if not isinstance(handle, Line2D) or not np.size(handle.get_xdata()):
         return True
     # The query of the limits updates the transform to the drawn content.
     ax.get_xlim()
     path = handle.get_transform().transform_path(handle.get_path()).cleaned(remove_nans=True)
+    vertices = np.asarray(path.vertices)
+    # The last vertex of a clean path only ends it.
+    is_point = len(vertices) > 1 and float(np.max(np.ptp(vertices[:-1], axis=0))) < 1.0
+    if is_point and handle.get_marker() in _NO_MARKER:
+        return False
     box = ax.bbox.padded(1.0)
-    return box.count_contains(path.vertices) > 0 or path.intersects_bbox(box, filled=False)
+    return box.count_contains(vertices) > 0 or path.intersects_bbox(box, filled=False)
 
 
 def _length(label: str) -> int:

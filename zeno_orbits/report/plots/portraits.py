@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
 from zeno_orbits.report.paths import ArcPath, paths_of
+from zeno_orbits.report.plots.looks import Looks, looks_of, mark_switches
 from zeno_orbits.report.plots.panels import portraits_of
 from zeno_orbits.report.plots.style import (
     AFTER,
     BEFORE,
     FULL_WIDTH,
     JUMP,
-    LOOKS,
     mark_completion,
 )
 from zeno_orbits.simulation import Execution
@@ -37,7 +37,7 @@ def plot_portraits(
     width: float = FULL_WIDTH,
     axes: Sequence[Axes] = (),
 ) -> Figure:
-    """Return the phase portraits of a problem: arcs by mode, resets, Zeno points, releases.
+    """Return the phase portraits of a problem: arcs by mode, resets and events.
 
     Args:
         problem: The problem, whose ``portraits`` name the axes.
@@ -46,10 +46,10 @@ def plot_portraits(
         axes: Axes to draw into, one per portrait, by default on a new figure.
     """
     panels, pairs = portraits_of(problem, width, height=2.5, axes=axes)
-    impacts, paths = execution.impacts, paths_of(execution)
+    impacts, paths, looks = execution.impacts, paths_of(execution), looks_of(execution)
     for ax, pair in pairs:
         for path in paths:
-            ax.plot(*path.states[:, pair].T, **LOOKS[path.kind])
+            ax.plot(*path.states[:, pair].T, **looks.path(path))
         if impacts:
             before = np.array([impact.state_minus[pair] for impact in impacts]).T
             after = np.array([impact.state_plus[pair] for impact in impacts]).T
@@ -57,17 +57,18 @@ def plot_portraits(
             ax.plot(*after, **AFTER)
             ax.plot(*before, **BEFORE)
         mark_completion(ax, execution, pair)
-        _add_arrows(ax, paths, pair)
+        mark_switches(ax, execution, looks, pair)
+        _add_arrows(ax, paths, looks, pair)
     return panels.finished()
 
 
-def _add_arrows(ax: Axes, paths: Sequence[ArcPath], pair: Sequence[int]) -> None:
+def _add_arrows(ax: Axes, paths: Sequence[ArcPath], looks: Looks, pair: Sequence[int]) -> None:
     """Show the direction of the longest arcs by an arrow in the middle of each."""
     ranges = np.array([np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())])
-    curves = [(path.kind, path.states[:, list(pair)]) for path in paths]
-    found = [(*_middle(curve, ranges), kind) for kind, curve in curves]
+    curves = [(looks.path(path)["color"], path.states[:, list(pair)]) for path in paths]
+    found = [(*_middle(curve, ranges), colour) for colour, curve in curves]
     found = sorted((one for one in found if one[0] > _LONG), key=lambda one: -one[0])
-    for _, ends, kind in found[:_MOST_ARROWS]:
+    for _, ends, colour in found[:_MOST_ARROWS]:
         ax.annotate(
             "",
             xy=tuple(ends[1]),
@@ -75,7 +76,7 @@ def _add_arrows(ax: Axes, paths: Sequence[ArcPath], pair: Sequence[int]) -> None
             arrowprops={
                 "arrowstyle": "-|>",
                 "mutation_scale": 11.0,
-                "color": LOOKS[kind]["color"],
+                "color": colour,
                 "shrinkA": 0.0,
                 "shrinkB": 0.0,
             },

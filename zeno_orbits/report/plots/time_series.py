@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
+from zeno_orbits.report.plots.looks import Looks, looks_of
 from zeno_orbits.report.plots.panels import is_wide, panels_of
-from zeno_orbits.report.plots.style import ARCS, FULL_WIDTH, INK, LOOKS, TINTS, ZENO
+from zeno_orbits.report.plots.style import ARCS, FULL_WIDTH, ZENO
 from zeno_orbits.report.symbols import label_of, math_symbol, quantity_label
 from zeno_orbits.simulation import Execution, Mode
 
@@ -55,7 +56,8 @@ def plot_time_series(
 ) -> Figure:
     """Return coordinates, their velocities and currents over time.
 
-    Phases are shaded, Zeno points are marked, and impacts are ticks on the upper edge. The clock
+    Phases are shaded in the colours of their closed stops, Zeno points are marked, impacts are
+    ticks on the upper edge, and switches are lines. The clock
     states of a forced problem, which follow the velocities and are dimensionless, are omitted. A
     motion that oscillates too fast for the figure is drawn as the range that it covers.
 
@@ -121,7 +123,7 @@ def _over_time(
     n = len(labels)
     across = 2 if is_wide(width) and n > 1 else 1
     panels = panels_of(width, n, height=max(1.25, 2.0 / n), columns=across, axes=axes)
-    paths = paths_of(execution)
+    paths, looks = paths_of(execution), looks_of(execution)
     values = [columns(path.states) for path in paths]
     room = panels.width / across
     turns = [_turns([one[:, column] for one in values]) for column in range(n)]
@@ -133,10 +135,12 @@ def _over_time(
             _draw_envelope(ax, paths, drawn, min(round(_BINS * room), fewest // _TURNS_A_BIN))
         else:
             for path, one in zip(paths, drawn, strict=True):
-                ax.plot(path.times, one, **LOOKS[path.kind])
+                ax.plot(path.times, one, **looks.path(path))
         ax.margins(y=0.14)
         ax.autoscale_view()
-        _mark_events(ax, execution, columns, column, room)
+        _mark_phases(ax, execution, looks, room)
+        _mark_zeno_points(ax, execution, columns, column, room)
+        _mark_events(ax, execution, looks, room)
         ax.set(ylabel=label, xlim=(execution.arcs[0].start_time, _end(execution)))
     return panels.finished(TIME)
 
@@ -163,21 +167,48 @@ def _draw_envelope(ax: Axes, paths: Sequence[ArcPath], drawn: Sequence[Vector], 
     ax.fill_between(middles, [low[0], *low, low[-1]], [high[0], *high, high[-1]], **_ENVELOPE)
 
 
-def _mark_events(
+def _mark_phases(ax: Axes, execution: Execution, looks: Looks, room: float) -> None:
+    """Shade phases in the colours of their closed stops, one above the other."""
+    phases = drawn_phases_of(execution)
+    if len(phases) > _MOST_EVENTS * room:
+        return
+    for phase in phases:
+        tints = looks.tints(phase)
+        for k, tint in enumerate(tints):
+            bottom, top = k / len(tints), (k + 1) / len(tints)
+            look: dict[str, Any] = {"color": tint, "lw": 0, "gid": phase.mode.value}
+            ax.axvspan(phase.start, phase.end, bottom, top, **look)
+
+
+def _mark_zeno_points(
     ax: Axes, execution: Execution, columns: Columns, column: int, room: float
 ) -> None:
-    """Shade phases and mark impacts and Zeno points, unless there are too many to be seen."""
-    phases, impacts = drawn_phases_of(execution), [impact.time for impact in execution.impacts]
-    if len(phases) <= _MOST_EVENTS * room:
-        for mode, start, end in phases:
-            ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value)
+    """Mark Zeno points, unless there are too many phases to be seen."""
+    if len(drawn_phases_of(execution)) <= _MOST_EVENTS * room:
         for zeno in execution.zeno_points:
             value = columns(zeno.state[None, :])[0, column]
             ax.plot(zeno.time, value, label="Zeno point", **ZENO)
-    if impacts and _apart(impacts, execution) <= _MOST_EVENTS * room:
-        edge = ax.get_xaxis_transform()
-        ax.vlines(impacts, 0.91, 1.0, color=INK, lw=0.8, transform=edge, gid="impact")
-        ax.plot([], [], color=INK, ls="", marker="|", ms=7, label="impact")
+
+
+def _mark_events(ax: Axes, execution: Execution, looks: Looks, room: float) -> None:
+    """Mark impacts by ticks and switches by lines, unless there are too many to be seen."""
+    edge = ax.get_xaxis_transform()
+    impacts: dict[tuple[str, str], list[float]] = {}
+    for impact in execution.impacts:
+        impacts.setdefault(looks.impact(impact), []).append(impact.time)
+    if _is_clear([impact.time for impact in execution.impacts], execution, room):
+        for (colour, label), times in impacts.items():
+            ax.vlines(times, 0.91, 1.0, color=colour, lw=0.8, transform=edge, gid="impact")
+            ax.plot([], [], color=colour, ls="", marker="|", ms=7, label=label)
+    if _is_clear([switch.time for switch in execution.switches], execution, room):
+        for switch in execution.switches:
+            look = looks.switch(switch)
+            ax.axvline(switch.time, lw=0.9, zorder=1.8, gid="switch", **look)
+
+
+def _is_clear(times: Sequence[float], execution: Execution, room: float) -> bool:
+    """Return True if there are events, and few enough to be drawn singly."""
+    return bool(times) and _apart(times, execution) <= _MOST_EVENTS * room
 
 
 def _apart(times: Sequence[float], execution: Execution) -> int:
@@ -187,7 +218,7 @@ def _apart(times: Sequence[float], execution: Execution) -> int:
 
 
 def _end(execution: Execution) -> float:
-    """Return the end of a figure, which is later if an impact at the end would be on its edge."""
+    """Return the end of a figure, which is later if an event at the end would be on its edge."""
     start, end = execution.arcs[0].start_time, execution.end_time
-    last = execution.impacts[-1].time if execution.impacts else start
+    last = max([start, *(one.time for one in (*execution.impacts, *execution.switches))])
     return end + _EDGE * (end - start) if last > end - _EDGE * (end - start) else end

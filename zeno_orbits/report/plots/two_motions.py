@@ -157,10 +157,10 @@ def _coordinates(two: TwoMotions, width: float, unit: float = 1.0) -> Panels:
     """Return one panel per coordinate over time in some unit, the model's locked phases shaded."""
     panels = panels_of(width, two.dynamics.n_q, height=1.15, columns=1)
     for row, ax in enumerate(panels):
-        for mode, start, end in drawn_phases_of(two.model):
-            word = "locked phase" if mode is Mode.LOCKED else None
-            look: dict[str, Any] = {"color": TINTS[mode], "lw": 0, "gid": mode.value}
-            ax.axvspan(start / unit, end / unit, label=word, **look)
+        for phase in drawn_phases_of(two.model):
+            word = "locked phase" if phase.mode is Mode.LOCKED else None
+            look: dict[str, Any] = {"color": TINTS[phase.mode], "lw": 0, "gid": phase.mode.value}
+            ax.axvspan(phase.start / unit, phase.end / unit, label=word, **look)
         ax.set(ylabel=label_of(two.problem, row))
     return panels
 

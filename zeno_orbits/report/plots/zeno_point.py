@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
+from zeno_orbits.report.plots.looks import UNNAMED
 from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import (
     ARCS,
@@ -31,7 +32,7 @@ _REMAINING = r"time to Zeno point $t_\infty - t$ [s]"
 def plot_zeno_zoom(
     problem: Problem,
     execution: Execution,
-    dynamics: HybridDynamics,
+    dynamics: HybridDynamics | GraphDynamics,
     *,
     width: float = FULL_WIDTH,
     axes: Sequence[Axes] = (),
@@ -77,7 +78,7 @@ def _draw_gap(ax: Axes, zoom: CloseUp, unit: str) -> None:
         ax.plot(end + offsets, gaps, **LAW)
     ax.plot(end, 0.0, label="Zeno point", **ZENO)
     ax.set(xlim=(start, min(end + 0.25 * length, zoom.arcs[-1].end_time + 0.05 * length)))
-    ax.set(xlabel="time $t$ [s]", ylabel=f"gap $h$ [{unit}]")
+    ax.set(xlabel="time $t$ [s]", ylabel=_gap_label(zoom, unit))
     ax.set_ylim(-0.05 * highest, 1.1 * highest)
 
 
@@ -94,7 +95,7 @@ def _draw_flights(ax: Axes, zoom: CloseUp, unit: str) -> None:
             ax.plot(-offsets[seen], np.maximum(gaps[seen], 0.1 * lowest), **look)
     _logarithmic(ax)
     ax.set_ylim(lowest, 4 * max(peaks))
-    ax.set(xlabel=_REMAINING, ylabel=f"gap $h$ [{unit}]")
+    ax.set(xlabel=_REMAINING, ylabel=_gap_label(zoom, unit))
 
 
 def _draw_speeds(ax: Axes, zoom: CloseUp, unit: str) -> None:
@@ -114,7 +115,13 @@ def _draw_closing(ax: Axes, zoom: CloseUp, unit: str) -> None:
     ax.plot([0.0, 0.0], [impact.approach_rate, 0.0], **JUMP)
     ax.plot(0.0, impact.approach_rate, **BEFORE)
     ax.plot(0.0, 0.0, label="Zeno point", **ZENO)
-    ax.set(xlabel=f"gap $h$ [{unit}]", ylabel=rf"gap rate $\dot h$ [{unit}/s]")
+    ax.set(xlabel=_gap_label(zoom, unit), ylabel=rf"gap rate $\dot h$ [{unit}/s]")
+
+
+def _gap_label(zoom: CloseUp, unit: str) -> str:
+    """Return the label of an axis that shows the gap, with the name of its stop."""
+    words = "" if zoom.zeno.stop in ("", *UNNAMED) else f" of {zoom.zeno.stop}"
+    return f"gap $h${words} [{unit}]"
 
 
 def _logarithmic(ax: Axes) -> None:

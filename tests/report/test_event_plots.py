@@ -1,0 +1,159 @@
+"""Pictures of machines with several stops or switches: what is shaded, marked and named."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+
+import zeno_orbits as zo
+from zeno_orbits.orbits import EventOrbit
+from zeno_orbits.report import motion_of, plots
+from zeno_orbits.simulation import Execution
+
+
+@cache
+def _orbit(name: str) -> EventOrbit:
+    return zo.find_event_orbit(name)
+
+
+@cache
+def _motion(name: str) -> Execution:
+    orbit, problem = _orbit(name), zo.load_problem(name)
+    return motion_of(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
+
+
+def _labels(figure: Figure) -> set[str]:
+    return {text.get_text() for legend in figure.legends for text in legend.get_texts()}
+
+
+def _points(line: Line2D) -> np.ndarray:
+    return np.asarray(line.get_xydata())
+
+
+def _shaded(ax: Axes) -> list[Rectangle]:
+    return [patch for patch in ax.patches if isinstance(patch, Rectangle)]
+
+
+def _spans(ax: Axes) -> dict[str, list[tuple[float, float]]]:
+    """Return the shaded intervals of a panel by colour."""
+    found: dict[str, list[tuple[float, float]]] = {}
+    for patch in _shaded(ax):
+        ends = (patch.get_x(), patch.get_x() + patch.get_width())
+        found.setdefault(to_hex(patch.get_facecolor()), []).append(ends)
+    return found
+
+
+def test_the_closed_intervals_of_each_stop_are_shaded_in_a_colour_of_its_own() -> None:
+    orbit, execution = _orbit("clapper"), _motion("clapper")
+    figure = plots.plot_time_series(zo.load_problem("clapper"), execution)
+    spans = _spans(figure.axes[0])
+    times = {event.name: event.time for event in orbit.events}
+    # The period starts at the Zeno point of the upper stop.
+    assert orbit.section == "zeno upper"
+    closed = [(times["zeno lower"], times["release lower"]), (0.0, times["release upper"])]
+    seen = [one for intervals in spans.values() for one in intervals]
+    for interval in closed:
+        assert any(one == pytest.approx(interval, abs=1e-6 * orbit.period) for one in seen)
+    colours = [
+        next(c for c, parts in spans.items() if any(p == pytest.approx(i, abs=1e-5) for p in parts))
+        for i in closed
+    ]
+    assert len(set(colours)) == 2
+    # By symmetry both stops are closed equally long.
+    assert np.ptp(closed[0]) == pytest.approx(np.ptp(closed[1]), rel=1e-9)
+    for name in ("upper", "lower"):
+        assert {f"locked arc: {name}", f"impact: {name}"} <= _labels(figure)
+
+
+def test_two_stops_that_are_closed_at_once_share_the_height_of_a_panel() -> None:
+    def pair(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        stops = tuple(
+            zo.Stop(name=name, gap=q[k], restitution=0.0)
+            for k, name in enumerate(("left", "right"))
+        )
+        balls = zo.HybridLagrangian.from_energies(
+            q=q, v=v, kinetic=ca.dot(v, v) / 2, potential=p["g"] * (q[0] + q[1]), stops=stops
+        )
+        return zo.hybrid_system(balls, zo.no_drive(balls))
+
+    problem = zo.Problem(
+        name="two_balls",
+        title="two balls",
+        source="here",
+        state_names=("a", "b", "da", "db"),
+        state_units=("m", "m", "m/s", "m/s"),
+        parameters=(zo.Quantity.positive("g", 10.0, "m/s^2", "gravity"),),
+        gains=(),
+        model=pair,
+        starts=({"a": 0.2, "b": 0.8},),
+        portraits=(("a", "da"),),
+        amplitude_of="a",
+    )
+    figure = zo.plot(zo.simulate(problem, until=1.0), problem=problem)
+    heights = sorted(
+        {(patch.get_y(), patch.get_y() + patch.get_height()) for patch in _shaded(figure.axes[0])}
+    )
+    assert heights == [(0.0, 0.5), (0.0, 1.0), (0.5, 1.0)]
+    # A ball falls from the height h in sqrt(2 h / g).
+    both = [patch for patch in _shaded(figure.axes[0]) if patch.get_height() == 0.5]
+    assert {round(patch.get_x(), 9) for patch in both} == {round(math.sqrt(0.16), 9)}
+
+
+def test_switches_are_lines_at_their_times_and_marks_at_their_states() -> None:
+    orbit, problem = _orbit("hopper"), zo.load_problem("hopper")
+    figure = plots.plot_time_series(problem, _motion("hopper"))
+    for ax in figure.axes:
+        drawn = [float(_points(line)[0, 0]) for line in ax.lines if line.get_gid() == "switch"]
+        told = [event.time for event in orbit.events if event.name.startswith("switch")]
+        assert sorted(drawn) == pytest.approx(told, abs=1e-9)
+    assert {"switch: kink 1", "switch: kink 2", "impact"} <= _labels(figure)
+    # The stop of this machine has no name.
+    assert not any(label.endswith(": stop") for label in _labels(figure))
+    (portrait,) = plots.plot_portraits(problem, _motion("hopper")).axes
+    marks = [_points(line)[0] for line in portrait.lines if line.get_gid() == "switch"]
+    # The push ends and would begin again at the height s, and the speed is zero at the top.
+    height = problem.values().parameters["s"]
+    assert sorted(mark[0] for mark in marks)[:2] == pytest.approx([height, height], abs=1e-9)
+    assert min(abs(mark[1]) for mark in marks) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_an_orbit_of_events_is_drawn_as_portraits_with_its_resets() -> None:
+    orbit = _orbit("kneed_walker")
+    figure = zo.plot(orbit)
+    assert {"switch: heel strike", "locked arc: knee", "Zeno point", "reset"} <= _labels(figure)
+    strike = orbit.events[-1].state
+    start = orbit.start_state
+    resets = [_points(line) for line in figure.axes[0].lines if line.get_label() == "reset"]
+    # Heel strike leads from the state before it to the start of the period.
+    wanted = np.array([[strike["q1"], strike["dq1"]], [start["q1"], start["dq1"]]])
+    assert any(one == pytest.approx(wanted, abs=1e-8) for one in resets if one.shape == (2, 2))
+
+
+def test_the_legend_lacks_a_contact_phase_that_is_a_point_of_the_portrait() -> None:
+    figure = plots.plot_portraits(zo.load_problem("clapper"), _motion("clapper"))
+    assert "Zeno point" in _labels(figure)
+    assert not any(label.startswith("locked arc") for label in _labels(figure))
+
+
+def test_the_gap_of_a_zoom_is_the_gap_of_the_stop_at_the_zeno_point() -> None:
+    orbit, problem = _orbit("clapper"), zo.load_problem("clapper")
+    graph = problem.graph_dynamics(orbit.values(problem))
+    figure = plots.plot_zeno_zoom(problem, _motion("clapper"), graph)
+    assert figure.axes[0].get_ylabel() == "gap $h$ of upper [m]"
+    times, gaps = _points(figure.axes[0].lines[1]).T
+    middle = len(times) // 2
+    place = _motion("clapper").state_at(float(times[middle]))[0]
+    assert gaps[middle] == pytest.approx(1.0 - place, abs=1e-12)
+    (speeds,) = [line for line in figure.axes[2].lines if line.get_label() == "before impact"]
+    assert len(_points(speeds)) == sum(event.name == "impact upper" for event in orbit.events)
