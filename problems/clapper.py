@@ -13,6 +13,7 @@ import casadi as ca
 from zeno_orbits import (
     Clock,
     CompletedSystem,
+    Drawing,
     HybridLagrangian,
     Problem,
     Quantity,
@@ -42,6 +43,16 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     return hybrid_system(mass, no_drive(mass))
 
 
+def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Drawing:
+    """Return the mass between the walls of its frame [m]."""
+    side = p["d"] / 8
+    left, right, wall = x["place"] - side, x["place"] + side, p["d"] + side
+    return {
+        "stop": [(-wall, 4 * side), (-wall, -side), (wall, -side), (wall, 4 * side)],
+        "mass": [(left, -side), (right, -side), (right, side), (left, side), (left, -side)],
+    }
+
+
 PROBLEM = Problem(
     name="clapper",
     title="mass on a spring between two stops, forced by a cosine, no motor",
@@ -62,4 +73,5 @@ PROBLEM = Problem(
     starts=({"cosine": 1.0},),
     portraits=(("place", "speed"),),
     amplitude_of="place",
+    drawing=drawing,
 )

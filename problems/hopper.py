@@ -12,6 +12,7 @@ import casadi as ca
 
 from zeno_orbits import (
     CompletedSystem,
+    Drawing,
     HybridLagrangian,
     Problem,
     Quantity,
@@ -36,6 +37,16 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     return hybrid_system(mass, no_drive(mass), p["restitution"], switches=())
 
 
+def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Drawing:
+    """Return the mass above the floor [m]."""
+    side, low = p["s"] / 4, x["height"]
+    high = low + 2 * side
+    return {
+        "stop": [(-4 * side, 0), (4 * side, 0)],
+        "mass": [(-side, low), (side, low), (side, high), (-side, high), (-side, low)],
+    }
+
+
 PROBLEM = Problem(
     name="hopper",
     title="hopping mass with a switched push, no motor",
@@ -54,4 +65,5 @@ PROBLEM = Problem(
     starts=({"height": 0.0, "speed": 1.0},),
     portraits=(("height", "speed"),),
     amplitude_of="height",
+    drawing=drawing,
 )

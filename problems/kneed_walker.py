@@ -95,13 +95,23 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
 
 
 def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Drawing:
-    """Return both legs, with the stance foot at the origin [m]."""
+    """Return both legs on the slope, with the stance foot at the origin [m]."""
     length = p["l_thigh"] + p["l_shank"]
     hip = length * along(x["q1"])
+    stance_knee = p["l_shank"] * along(x["q1"])
     knee = hip - p["l_thigh"] * along(x["q2"])
     foot = knee - p["l_shank"] * along(x["q3"])
-    points = [(point[0], point[1]) for point in (hip, knee, foot)]
-    return {"stance leg": [(0, 0), points[0]], "swing leg": points, "hip": [points[0]]}
+    # The slope falls in the direction of the walk. It is far longer than a frame.
+    slope = ca.vertcat(ca.cos(p["slope"]), -ca.sin(p["slope"]))
+    points = {
+        "ground": [-20 * length * slope, 20 * length * slope],
+        "stance leg": [ca.SX.zeros(2), stance_knee, hip],
+        "swing leg": [foot, knee, hip],
+        "stance knee": [stance_knee],
+        "swing knee": [knee],
+        "hip": [hip],
+    }
+    return {name: [(one[0], one[1]) for one in line] for name, line in points.items()}
 
 
 PROBLEM = Problem(

@@ -18,6 +18,7 @@ from zeno_orbits import (
     Auxiliary,
     Clock,
     CompletedSystem,
+    Drawing,
     HybridLagrangian,
     Problem,
     Quantity,
@@ -58,6 +59,17 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     return hybrid_system(armature, coil)
 
 
+def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Drawing:
+    """Return the armature between the core and the open stop [m]."""
+    side = p["d"] / 8
+    low, high, wide = x["z"], x["z"] + side, 5 * side
+    top = p["d"] + side
+    return {
+        "stop": [(wide, 0), (-1.2 * wide, 0), (-1.2 * wide, top), (-0.6 * wide, top)],
+        "armature": [(-wide, low), (wide, low), (wide, high), (-wide, high), (-wide, low)],
+    }
+
+
 PROBLEM = Problem(
     name="relay",
     title="relay that bounces at both stops, its coil under a square wave",
@@ -84,4 +96,5 @@ PROBLEM = Problem(
     starts=({"z": 9e-4, "cosine": 1.0},),
     portraits=(("z", "dz"), ("z", "flux")),
     amplitude_of="z",
+    drawing=drawing,
 )

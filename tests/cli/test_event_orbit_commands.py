@@ -54,6 +54,15 @@ def test_plot_draws_the_pictures_that_an_orbit_has() -> None:
     assert all(Path(path).stat().st_size > 1000 for path in answer.data["pictures"])
 
 
+def test_figures_draws_the_mechanism_and_the_portraits() -> None:
+    words = ("--kind", "mechanism", "--kind", "portraits", "--json")
+    answer = ask("figures", "hopper", "-o", "figures", *words)
+    assert answer.code == YES
+    names = [f"figures/{name}" for name in ("fig3_mechanism", "fig4_portraits")]
+    assert answer.data["figures"] == [f"{name}.{kind}" for name in names for kind in ("pdf", "png")]
+    assert answer.data["left_out"] == {}
+
+
 def test_verify_refuses_a_changed_file() -> None:
     zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     data = json.loads(Path("hopper.json").read_text())
@@ -97,6 +106,9 @@ def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() 
     region = ("plot", "hopper.json", "-o", "pictures", "--kind", "region")
     assert_refused(ask(*region), "--kind region", "one stop")
     assert_refused(ask("plot", "hopper.json", "--kind", "zeno"), "--kind zeno")
+    for kind in ("graph", "region", "beside"):
+        answer = ask("figures", "hopper.json", "-o", "figures", "--kind", kind)
+        assert_refused(answer, "one stop", "`hopper`")
     assert_refused(ask("verify", "hopper.json", "--rigorous"), "--rigorous", "one stop")
     assert_refused(ask("search", "bouncing_ball", "--section", "impact stop"), "--section")
 

@@ -13,7 +13,6 @@ from zeno_orbits.cli.options import (
     add_command,
     add_orbit,
     add_problem_file,
-    orbit_and_problem,
     print_json,
     say_written,
 )
@@ -146,7 +145,7 @@ def add_figures(commands: Any) -> None:
         type=read_count,
         default=3,
         metavar="N",
-        help="number of periods to show with another motion",
+        help="number of periods to show with another motion, and of a walk",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the figures")
 
@@ -185,12 +184,13 @@ def _run_figures(options: argparse.Namespace) -> int:
 
 
 def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plots.Material:
+    import zeno_orbits as zo
     from zeno_orbits.report import motion_of, plots
 
     orbit, problem = _orbit_and_problem(options, progress)
     dynamics = api.system_of(orbit, problem)
     one = motion_of(orbit, problem, dynamics)
-    if not one.zeno_points:
+    if isinstance(orbit, zo.ZenoOrbit) and not one.zeno_points:
         message = "must reach a Zeno point, but its period contains only other impacts"
         raise InputError(f"Argument `orbit` {message}. See `verify`.")
 
@@ -201,8 +201,9 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plo
         period=orbit.period,
         one=one,
         several=motion_of(orbit, problem, dynamics, periods=options.periods),
+        periods=options.periods,
         other=lambda: api.counterpart_of(
-            orbit,
+            _with_one_stop(orbit),
             problem,
             recording=options.data,
             periods=options.periods,
@@ -211,15 +212,27 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plo
     )
 
 
+def _with_one_stop(orbit: zo.ZenoOrbit | zo.EventOrbit) -> zo.ZenoOrbit:
+    """Return the orbit of a machine with one stop and no switch, and refuse others."""
+    import zeno_orbits as zo
+
+    if isinstance(orbit, zo.EventOrbit):
+        raise InputError(needs_one_stop("--kind beside"))
+    return orbit
+
+
 def _orbit_and_problem(
     options: argparse.Namespace, progress: report.ProgressLine
-) -> tuple[zo.ZenoOrbit, zo.Problem]:
+) -> tuple[zo.ZenoOrbit | zo.EventOrbit, zo.Problem]:
     """Return the orbit of a file, or the orbit of a problem at its default parameters."""
     if options.orbit.suffix == ".json":
-        return orbit_and_problem(options)
+        orbit = api.any_orbit(options.orbit)
+        return orbit, api.problem_of(orbit, options.problem)
     if options.problem is not None:
         message = "must come with an orbit file, but a problem is named already"
         raise InputError(f"Argument `problem` {message}.")
     problem = api.known_problem(str(options.orbit))
     progress("searching for the orbit")
+    if problem.has_graph:
+        return api.find_event_orbit(problem, on_progress=progress), problem
     return api.search_gains(problem, free={}, on_progress=progress).unwrap(), problem

@@ -9,7 +9,7 @@ import casadi as ca
 
 Lines = Mapping[str, Sequence[tuple[Any, Any]]]
 """Corners of each line by name, across and upwards [m]. A single corner is a joint or a point mass.
-The line named ``stop`` is drawn as the stop."""
+The lines named ``stop`` and ``ground`` are drawn as such."""
 
 Drawing = Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Lines]
 """From named states and named gains and parameters to the lines."""

@@ -61,6 +61,17 @@ class Looks:
         """
         return _STOPS[self.stops.index(closed[0]) % len(_STOPS)][0]
 
+    def mode(self, mode: Mode, closed: Sequence[str]) -> str:
+        """Return the name of a mode.
+
+        Args:
+            mode: Off all stops, or on a stop.
+            closed: Names of the closed stops, empty for a machine with one unnamed stop.
+        """
+        if self.stops in ((), UNNAMED):
+            return "off the stop" if mode is Mode.FREE else "on the stop"
+        return f"contact: {', '.join(closed)}" if closed else "no contact"
+
     def tints(self, phase: DrawnPhase) -> list[str]:
         """Return the colours that shade a phase, one per closed stop."""
         if not phase.closed:

@@ -17,7 +17,9 @@ from matplotlib.patches import Circle, Rectangle
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Drive, ParameterValues, Problem
-from zeno_orbits.report.motion import STOP, MachineMotion, frame_of, machine_motion
+from zeno_orbits.report.motion import GROUND, STOP, MachineMotion, frame_of, machine_motion
+from zeno_orbits.report.paths import stops_of, switches_of
+from zeno_orbits.report.plots.looks import Looks, looks_of
 from zeno_orbits.report.plots.style import ARCS, COLUMN_WIDTH, INK, TEXT
 from zeno_orbits.report.symbols import math_symbol
 from zeno_orbits.simulation import Execution
@@ -28,6 +30,8 @@ _WIDTH, _HEIGHT, _DEPTH = 1.7, 1.75, 1.0
 """Width of an element, distance of two loops and height of one, in units of the drawing."""
 
 _EDGE = 0.2
+_TITLES = {False: "mechanism at the release", True: "mechanism at the start of the period"}
+"""Title of a mechanism, for a machine with one stop and for one with named stops or switches."""
 
 
 class ElementKind(Enum):
@@ -74,7 +78,7 @@ def plot_mechanism(
     *,
     width: float = COLUMN_WIDTH,
 ) -> Figure:
-    """Return the mechanism at its release above the loops of its circuit.
+    """Return the mechanism at the start of an orbit above the loops of its circuit.
 
     A problem without a circuit has the mechanism alone, one without a drawing the circuit alone.
 
@@ -100,32 +104,47 @@ def plot_mechanism(
     panels = figure.subplots(len(rows), 1, squeeze=False, height_ratios=rows)[:, 0].tolist()
     if problem.drawing is not None:
         motion = machine_motion(problem, values, execution, period, n=_GHOSTS)
-        _draw_mechanism(panels[0], motion)
-        panels[0].set_title("(a) mechanism at the release" if loops else "mechanism", size=TEXT)
+        named = bool(stops_of(execution) or switches_of(execution))
+        _draw_mechanism(panels[0], motion, looks_of(execution))
+        panels[0].set_title(f"(a) {_TITLES[named]}" if loops else "mechanism", size=TEXT)
     if loops:
         _draw_loops(panels[-1], loops)
         panels[-1].set_title("(b) circuit" if len(rows) > 1 else "circuit", size=TEXT)
     return figure
 
 
-def _draw_mechanism(ax: Axes, motion: MachineMotion) -> None:
-    """Draw a mechanism at the release, with the rest of its period in a pale colour."""
+def _draw_mechanism(ax: Axes, motion: MachineMotion, looks: Looks) -> None:
+    """Draw a mechanism at its start, with the rest of its period in a pale colour."""
     across, upwards = frame_of(motion)
     ax.set(xlim=across, ylim=upwards)
-    ax.set_xlabel("across [m]", size=TEXT)
-    ax.set_ylabel("upwards [m]", size=TEXT)
-    ax.tick_params(labelsize=TEXT)
+    label_lengths(ax)
     ax.set_aspect("equal")
     for name, corners in motion.lines.items():
         # A stop on a moving link is drawn once, as the joints and links are enough to see it move.
-        for k in (0,) if name == STOP else reversed(range(len(motion.times))):
+        for k in (0,) if name in (STOP, GROUND) else reversed(range(len(motion.times))):
             look: dict[str, Any] = {"color": INK, "lw": 2.5, "zorder": 4}
             if k:
-                colour = ARCS[motion.modes[k]]["color"]
+                closed = motion.closed[k]
+                colour = looks.colour(closed) if closed else ARCS[motion.modes[k]]["color"]
                 look = {"color": colour, "lw": 1.2, "alpha": 0.35, "zorder": 2}
             if corners.shape[1] == 1:
                 look |= {"marker": "o", "ms": 3 if k else 5, "mfc": "white", "ls": ""}
             ax.plot(*corners[k].T, solid_capstyle="round", **look)
+
+
+def label_lengths(ax: Axes) -> None:
+    """Label the axes of a drawing in metres, in powers of ten for a small machine.
+
+    Args:
+        ax: The panel.
+    """
+    ax.set_xlabel("across [m]", size=TEXT)
+    ax.set_ylabel("upwards [m]", size=TEXT)
+    ax.tick_params(labelsize=TEXT)
+    ax.ticklabel_format(scilimits=(-3, 4))
+    ax.locator_params(axis="x", nbins=7)
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.get_offset_text().set_fontsize(TEXT)
 
 
 def circuit_loops(problem: Problem) -> list[Loop]:

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
 
+from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import Counterpart
-from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
+from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
+from zeno_orbits.report.motion import machine_motion
 from zeno_orbits.report.plots.animation import film_of, gif_of, has_ffmpeg, mp4_of
 from zeno_orbits.report.plots.graph import plot_graph
 from zeno_orbits.report.plots.mechanism import plot_mechanism
@@ -35,23 +37,26 @@ class Material:
         values: Parameter values of the orbit.
         dynamics: The problem at these values.
         period: Period of the orbit [s].
-        one: The motion over one period, from the release.
+        one: The motion over one period, from its start.
         several: The motion over several periods.
+        periods: Number of periods of ``several``.
         other: Function that returns the motion for comparison with the model. It is called only if
             needed.
     """
 
     problem: Problem
     values: ParameterValues
-    dynamics: HybridDynamics
+    dynamics: HybridDynamics | GraphDynamics
     period: float
     one: Execution
     several: Execution
+    periods: int
     other: Callable[[], Counterpart]
 
 
 def graph_files(material: Material) -> dict[str, bytes]:
     """Return the hybrid system and its completion as graphs."""
+    _one_stop(material)
     return _files({"fig2_systems": plot_graph(material.problem, material.values)})
 
 
@@ -63,7 +68,7 @@ def mechanism_files(material: Material) -> dict[str, bytes]:
 
 def region_files(material: Material) -> dict[str, bytes]:
     """Return the region of Theorem 1, the orbit's locked arc on it."""
-    problem, dynamics = material.problem, material.dynamics
+    problem, dynamics = material.problem, _one_stop(material)
     return _files({"region": plot_zeno_region(problem, dynamics, material.one, width=COLUMN_WIDTH)})
 
 
@@ -77,7 +82,7 @@ def beside_files(material: Material) -> dict[str, bytes]:
     """Return the model and another motion: over time, by phase, impacts, portraits, zoom."""
     one = TwoMotions(
         problem=material.problem,
-        dynamics=material.dynamics,
+        dynamics=_one_stop(material),
         model=material.one,
         other=material.other(),
     )
@@ -93,8 +98,15 @@ def beside_files(material: Material) -> dict[str, bytes]:
 
 
 def animation_files(material: Material) -> dict[str, bytes]:
-    """Return the machine in motion: a GIF, and an MP4 where ffmpeg is found."""
-    film = film_of(material.problem, material.values, material.one, material.period)
+    """Return the machine in motion: a GIF, and an MP4 where ffmpeg is found.
+
+    A machine that advances is shown over several periods.
+    """
+    problem, values, period = material.problem, material.values, material.period
+    if machine_motion(problem, values, material.several, material.periods * period, n=2).renamed:
+        film = film_of(problem, values, material.several, period, periods=material.periods)
+    else:
+        film = film_of(problem, values, material.one, period)
     files = {"machine.gif": gif_of(film)}
     return files | ({"machine.mp4": mp4_of(film)} if has_ffmpeg() else {})
 
@@ -108,6 +120,20 @@ PAPER: dict[str, Callable[[Material], dict[str, bytes]]] = {
     "animation": animation_files,
 }
 """Functions that write the files of each kind of figure."""
+
+
+def _one_stop(material: Material) -> HybridDynamics:
+    """Return the system of a machine with one stop and no switch.
+
+    Raises:
+        InputError: If the machine has several stops or switches.
+    """
+    if isinstance(material.dynamics, GraphDynamics):
+        raise InputError(
+            f"This figure needs a machine with one stop and no switch, unlike "
+            f"`{material.problem.name}`."
+        )
+    return material.dynamics
 
 
 def _files(figures: Mapping[str, Figure]) -> dict[str, bytes]:
