@@ -28,10 +28,12 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.loop import whole_source
 from zeno_orbits.loop.source import FLAGS, HERE, LIBRARIES
+from zeno_orbits.model.numeric import graph_dynamics
 from zeno_orbits.simulation import (
     arc_follower,
     completion,
     event_rules,
+    graph_run,
     reference_run,
     rescaled_flight,
     small_hops,
@@ -99,6 +101,12 @@ RULES: dict[str, float] = {
     "FLIGHT_STEPS": rescaled_flight._MOST_STEPS,
     "MOST_CORRECTIONS": rescaled_flight._MOST_CORRECTIONS,
     "CLOSE": rescaled_flight._CLOSE,
+    "SWITCH_ZERO": graph_dynamics._ZERO,
+    "APART": graph_run._APART,
+    "GROW": graph_run._GROW,
+    "SHORTEST": graph_run._SHORTEST,
+    "SPENT": graph_run._SPENT,
+    "LEAST_IMPULSE": graph_run._LEAST_IMPULSE,
 }
 
 

@@ -16,6 +16,10 @@ IMPACT, ZENO, RELEASE, HORIZON = range(4)
 
 DONE, FULL, ESTIMATES, CURVE, TOO_STIFF, SINGULAR, NOT_FINITE, LEFT = range(8)
 MANY_STEPS, MANY_IMPACTS, BEYOND, GROWS, NOT_CLOSING, INTO_STOP, TOO_LARGE = range(8, 15)
+BESIDE = 15
+
+GUARDS, LOOKS = 16, 4
+OTHER_GAP, OTHER_MULTIPLIER, DECLARED, KINK = range(4)
 
 _number, _count, _address = ctypes.c_double, ctypes.c_longlong, ctypes.c_void_p
 
@@ -53,6 +57,45 @@ class ProblemType(ctypes.Structure):
         ("carried", _count * 3),
         ("tapes", TapeType * TAPES),
         ("scheme", SchemeType),
+        ("beside", _address),
+    ]
+
+
+class GuardType(ctypes.Structure):
+    """A guard beside the guard of a stop: ``zl_guard``."""
+
+    _fields_ = [
+        *((name, _count) for name in ("kind", "stop")),
+        *((name, _count * 2) for name in ("place", "bounds_place")),
+        *((name, TapeType * 2) for name in ("value", "bounds")),
+        ("sign", _number),
+    ]
+
+
+class BesideType(ctypes.Structure):
+    """What a machine has beside a stop: ``zl_beside``."""
+
+    _fields_ = [
+        *((name, _count) for name in ("n_guards", "n_switches", "n_stops", "stop", "n_registers")),
+        *((name, _count) for name in ("switches_place", "delassus_place")),
+        *((name, TapeType) for name in ("switches", "delassus")),
+        ("guards", _address),
+    ]
+
+
+class PlaceType(ctypes.Structure):
+    """Where a run stands between two arcs: ``zl_place``."""
+
+    _fields_ = [
+        *((name, _number) for name in ("time", "speed", "lift", "window", "quiet")),
+        *((name, _number) for name in ("first_speed", "fastest")),
+        *((name, _number * MOST) for name in ("state", "plus", "resting", "rate", "sizes")),
+        ("rounding", _number * GUARDS),
+        ("looks", _number * (3 * LOOKS)),
+        *((name, _count) for name in ("mode", "has_speed", "has_impact", "in_sequence")),
+        *((name, _count) for name in ("first_impact", "n_impacts", "n_landings", "n_releases")),
+        *((name, _count) for name in ("n_arcs", "n_estimates", "n_steps", "next_look")),
+        *((name, _count) for name in ("n_looks", "which")),
     ]
 
 
@@ -137,6 +180,8 @@ def declared(library: Any) -> Any:
             [pointer, pointer, pointer, _number, _number, _number, pointer],
         ),
         "zl_evaluate": (None, [pointer, pointer, whole, pointer, pointer]),
+        "zl_put": (None, [pointer] * 2),
+        "zl_where": (None, [pointer] * 2),
         "zl_copy": (None, [pointer] * 3),
         "zl_tangent_work": (_count, [pointer] * 2),
         "zl_follow": (_count, [*[pointer] * 4, _count, pointer]),

@@ -91,7 +91,7 @@ def _data(program: Program, run: ExportedRun, stem: str) -> Iterable[str]:
     scheme = ",\n        ".join(_scheme(problem.scheme))
     carried = ", ".join(map(str, problem.carried))
     counts = f"{problem.n_x}, {problem.n_q}, {problem.n_p}, {{{carried}}}"
-    whole = f"{counts},\n    {{\n        {tapes}\n    }},\n    {{\n        {scheme}\n    }}"
+    whole = f"{counts},\n    {{\n        {tapes}\n    }},\n    {{\n        {scheme}\n    }},\n    0"
     yield f"const zl_problem {stem}_problem = {{\n    {whole}\n}};\n"
     yield f"const zl_settings {stem}_settings = {{\n    {_settings(run.settings)}\n}};\n"
     yield _array(f"const double {stem}_parameters[]", map(_number, run.values.tolist()))

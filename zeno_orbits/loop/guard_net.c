@@ -4,11 +4,9 @@ typedef struct {
     double offset, pair[2], state[ZL_MOST];
 } Place;
 
-/* 1 if bounds of the guard are known, 2 if it is a state beside. */
-static int kind_of_bounds(const Curve *curve);
-
 typedef struct {
     const Curve *curve;
+    int is_carried; /* the guard is a state, beside its formula */
     /* State and guard inside a step as dense output has them. */
     void (*state_at)(const Curve *curve, double offset, double *state, double *pair);
     /* Bounds of the guard and of two derivatives over a box that holds a piece of the step; not of
@@ -97,7 +95,7 @@ static double first_of_all(const Net *net, const double *before, const double *a
         }
         middle.offset = (left.offset + right.offset) / 2;
         net->state_at(net->curve, middle.offset, middle.state, middle.pair);
-        if (kind_of_bounds(net->curve) == 2 && is_denied(net, &middle, width)) return left.offset;
+        if (net->is_carried && is_denied(net, &middle, width)) return left.offset;
         if (starts && middle.pair[0] <= 0.0) {
             left = right;
             n--;

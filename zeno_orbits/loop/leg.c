@@ -79,11 +79,6 @@ static int is_rounding(Step *step, double fall) {
     return fabs(pair[1]) * (leg->time + fall) < leg->rounding;
 }
 
-static int kind_of_bounds(const Curve *curve) {
-    const Machine *m = ((const Step *)(const void *)curve)->m;
-    return 1 + (int)m->problem->carried[m->run->leg.mode];
-}
-
 /* Move the ends of a box outwards by the rounding of formulas in it. */
 static void widen(double *box, int n) {
     int i;
@@ -148,16 +143,20 @@ static void box_of_cubic(const Step *step, const Place *left, const Place *right
     }
 }
 
-static void bounds_between(const Curve *curve, const Place *left, const Place *right, int all,
-                           double *found) {
-    const Step *step = (const Step *)(const void *)curve;
-    const int watched = ZL_WATCHED + (int)step->m->run->leg.mode;
-    double box[2 * ZL_MOST];
+static void box_of_step(const Step *step, const Place *left, const Place *right, double *box) {
     if (step->coefficients)
         box_of_polynomial(step, left, right, box);
     else
         box_of_cubic(step, left, right, box);
     widen(box, (int)step->m->run->leg.n_y);
+}
+
+static void bounds_between(const Curve *curve, const Place *left, const Place *right, int all,
+                           double *found) {
+    const Step *step = (const Step *)(const void *)curve;
+    const int watched = ZL_WATCHED + (int)step->m->run->leg.mode;
+    double box[2 * ZL_MOST];
+    box_of_step(step, left, right, box);
     intervals_run(&step->m->problem->tapes[watched], step->m->registers[watched], box, all, found);
 }
 
@@ -174,6 +173,7 @@ static double leg_fall(Step *step, const double *before, const double *after) {
     if (step->m->problem->tapes[ZL_WATCHED + leg->mode].n_outputs) {
         Net net;
         net.curve = &step->curve;
+        net.is_carried = (int)step->m->problem->carried[leg->mode];
         net.state_at = state_inside;
         net.bounds = bounds_between;
         fall = first_of_all(&net, before, after, step->before, step->after, fall, on_guard,
@@ -429,6 +429,9 @@ static int watch(const Machine *m, const double *y) {
 
 enum { LEG_GOES_ON = 100, LEG_FELL, LEG_AT_HORIZON };
 
+/* Whether another guard may fall in a part of a step from its start to a state: see `beside.c`. */
+static int falls_beside(const Step *step, double size, const double *end);
+
 static int step_failed(zl_run *run, int status) {
     run->detail.time = run->leg.time;
     run->detail.n_state = run->leg.n_y;
@@ -483,8 +486,11 @@ static int step_leg(const Machine *m) {
         int over = leg->time + end >= leg->horizon;
         leg_end(&step, over ? leg->horizon - leg->time : fall, leg->end);
         leg->duration = over ? leg->horizon : leg->time + fall;
+        if (m->problem->beside && falls_beside(&step, leg->duration - leg->time, leg->end))
+            return ZL_BESIDE;
         return over ? LEG_AT_HORIZON : LEG_FELL;
     }
+    if (m->problem->beside && falls_beside(&step, size, after)) return ZL_BESIDE;
     if (leg->on_guard) {
         double change = greater(leg->largest_change, fabs(before[1]) * size);
         leg->largest_change = greater(change, fabs(guard[1]) * size);

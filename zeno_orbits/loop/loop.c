@@ -22,6 +22,7 @@
 #include "eigenvalues.c"
 #include "leg.c"
 #include "zeno.c"
+#include "beside.c"
 #include "machine.c"
 
 long long zl_size(const zl_problem *problem) {
@@ -29,6 +30,7 @@ long long zl_size(const zl_problem *problem) {
     int k;
     for (k = 0; k < ZL_TAPES; k++) n += room_of(problem, k);
     for (k = 0; k < ZL_MODES; k++) n += problem->tapes[ZL_RATE + k].n_registers * ZL_LANES;
+    if (problem->beside) n += problem->beside->n_registers;
     return (long long)sizeof(zl_run) + n * (long long)sizeof(double);
 }
 
@@ -47,6 +49,7 @@ int zl_begin(const zl_problem *problem, zl_run *run, const zl_settings *settings
             intervals_prepare(&problem->tapes[k], m.registers[k], m.p);
         else if ((k < ZL_JACOBIAN || k >= ZL_GAP) && problem->tapes[k].n_outputs)
             tape_prepare(&problem->tapes[k], m.registers[k], m.p);
+    if (problem->beside) prepare_beside(&m);
     memcpy(run->start.state, x, (size_t)problem->n_x * sizeof(double));
     run->small_gap = settings->contact * settings->gap;
     run->small_rate = settings->contact * settings->gap_rate;
@@ -184,6 +187,49 @@ void zl_evaluate(const zl_problem *problem, zl_run *run, int tape, const double 
         intervals_run(&problem->tapes[tape], m.registers[tape], varying, 1, outputs);
     else
         evaluate_at(&m, tape, varying, outputs);
+}
+
+void zl_put(zl_run *run, const zl_place *place) {
+    Start *start = &run->start;
+    run->place = *place;
+    start->mode = place->mode;
+    start->time = place->time;
+    start->has_speed = place->has_speed;
+    start->has_impact = place->has_impact;
+    start->speed = place->speed;
+    start->lift = place->lift;
+    memcpy(start->state, place->state, sizeof start->state);
+    memcpy(start->plus, place->plus, sizeof start->plus);
+    memcpy(start->resting, place->resting, sizeof start->resting);
+    memcpy(start->rate, place->rate, sizeof start->rate);
+    restore_place(run);
+    run->first_speed = place->first_speed;
+    run->n_impacts = place->n_impacts;
+    run->n_landings = place->n_landings;
+    run->n_releases = place->n_releases;
+    run->n_arcs = place->n_arcs;
+    run->n_rows = run->n_polynomials = run->in_hop = 0;
+    run->stage = AT_START;
+}
+
+void zl_where(const zl_run *run, zl_place *place) {
+    const Start *start = &run->start;
+    *place = run->place;
+    place->mode = start->mode;
+    place->time = start->time;
+    place->has_speed = start->has_speed;
+    place->has_impact = start->has_impact;
+    place->speed = start->speed;
+    place->lift = start->lift;
+    memcpy(place->state, start->state, sizeof start->state);
+    memcpy(place->plus, start->plus, sizeof start->plus);
+    memcpy(place->resting, start->resting, sizeof start->resting);
+    memcpy(place->rate, start->rate, sizeof start->rate);
+    place->first_speed = run->first_speed;
+    place->n_impacts = run->n_impacts;
+    place->n_landings = run->n_landings;
+    place->n_releases = run->n_releases;
+    place->n_arcs = run->n_arcs;
 }
 
 void zl_copy(const zl_problem *problem, const zl_run *from, zl_run *to) {

@@ -7,9 +7,9 @@
 #ifndef ZENO_LOOP_H
 #define ZENO_LOOP_H
 
-enum { ZL_MOST = 32, ZL_LANES = 8, ZL_STAGES = 7, ZL_LOOKS = 4 };
+enum { ZL_MOST = 32, ZL_LANES = 8, ZL_STAGES = 7, ZL_LOOKS = 4, ZL_GUARDS = 16 };
 /* Most entries of a state, those of a rescaled flight included; tapes carried out in step; stages
-   of an implicit step, and looks at the pace of a run that are kept. */
+   of an implicit step; looks at the pace of a run that are kept; guards beside that of a stop. */
 
 typedef struct {
     int op, to, a, b, c;
@@ -54,11 +54,33 @@ typedef struct {
     double values[2 * 4], columns[2 * 4 * ZL_STAGES], rows[2 * 4 * ZL_STAGES];
 } zl_scheme;
 
+/* A guard beside that of the stop which a run looks at: the gap of another open stop, the multiplier
+   of another closed stop, or a switch. Its formulas hold in the mode off the stop, and on it. */
+enum { ZL_OTHER_GAP, ZL_OTHER_MULTIPLIER, ZL_DECLARED, ZL_KINK };
+
+typedef struct {
+    long long kind, stop;
+    long long place[2], bounds_place[2]; /* of registers in those of a run */
+    zl_tape value[2];                    /* the guard and its rate */
+    zl_tape bounds[2];                   /* as ZL_WATCHED; without outputs if samples are enough */
+    double sign;                         /* side of a switch: its guard is the formula times this */
+} zl_guard;
+
+/* What a machine with several stops or switches has beside a stop. The switches come last. */
+typedef struct {
+    long long n_guards, n_switches, n_stops, stop, n_registers;
+    long long switches_place, delassus_place;
+    zl_tape switches; /* of a state and the sizes of its entries: all formulas, then their sizes */
+    zl_tape delassus; /* J W J' of all stops */
+    const zl_guard *guards;
+} zl_beside;
+
 typedef struct {
     long long n_x, n_q, n_p;
     long long carried[ZL_MODES]; /* the guard of a mode is a state, beside its formula */
     zl_tape tapes[ZL_TAPES];
     zl_scheme scheme;
+    const zl_beside *beside; /* or null */
 } zl_problem;
 
 /* How a sequence of impacts is completed. */
@@ -105,7 +127,8 @@ enum {
     ZL_GROWS,         /* a velocity grows without end */
     ZL_NOT_CLOSING,   /* an impact does not close the gap */
     ZL_INTO_STOP,     /* the reset sends the state into the stop */
-    ZL_TOO_LARGE      /* more states than ZL_MOST */
+    ZL_TOO_LARGE,     /* more states than ZL_MOST */
+    ZL_BESIDE         /* the arc that zl_where tells may have another event: the caller follows it */
 };
 
 /* What a status is about. */
@@ -113,6 +136,19 @@ typedef struct {
     double time, state[ZL_MOST], number, steps;
     long long n_state, index;
 } zl_detail;
+
+/* Where a run stands between two arcs, if it has guards beside that of a stop. */
+typedef struct {
+    double time, speed, lift, window, quiet, first_speed, fastest;
+    double state[ZL_MOST], plus[ZL_MOST], resting[ZL_MOST], rate[ZL_MOST];
+    double sizes[ZL_MOST], rounding[ZL_GUARDS];
+    double looks[3 * ZL_LOOKS]; /* steps, time and largest speed of each */
+    long long mode, has_speed, has_impact, in_sequence, first_impact;
+    long long n_impacts, n_landings, n_releases, n_arcs, n_estimates;
+    long long n_steps, next_look, n_looks, which;
+} zl_place;
+/* The window is the time in which the next event is looked for first. Before the time `quiet` no
+   Zeno point is accepted. `sizes` and `rounding` are those of switches and of other guards. */
 
 typedef struct zl_run zl_run;
 
@@ -141,6 +177,8 @@ ZL_EXPORT int zl_begin_leg(const zl_problem *problem, zl_run *run, const zl_sett
                            const double *p, const double *y, int on_guard, double rounding);
 ZL_EXPORT int zl_resume_leg(const zl_problem *problem, zl_run *run, zl_records *records);
 ZL_EXPORT int zl_fault(const double *v);
+ZL_EXPORT void zl_put(zl_run *run, const zl_place *place);
+ZL_EXPORT void zl_where(const zl_run *run, zl_place *place);
 ZL_EXPORT void zl_copy(const zl_problem *problem, const zl_run *from, zl_run *to);
 
 #endif

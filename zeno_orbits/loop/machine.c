@@ -201,13 +201,17 @@ static int start_leg_at(const Machine *m, int mode, double unit, double launch, 
     run->leg.start_time = start->time;
     run->leg.on_guard = on_guard;
     run->leg.rounding = rounding;
-    if (!begin_leg(m, mode, unit, y, (settings->until - start->time) / unit, settings->relative,
+    run->limit = settings->until;
+    if (m->problem->beside) run->limit = lesser(settings->until, start->time + run->window);
+    if (!begin_leg(m, mode, unit, y, (run->limit - start->time) / unit, settings->relative,
                    absolute)) {
         run->leg.time = 0.0;
         return step_failed(run, ZL_NOT_FINITE);
     }
     run->stage = IN_LEG;
-    return GO_ON;
+    if (!m->problem->beside) return GO_ON;
+    run->begins_on_guard = on_guard;
+    return is_clear_at_start(m) ? GO_ON : ZL_BESIDE;
 }
 
 static int start_leg(const Machine *m, int mode, double size, int on_guard) {
@@ -273,6 +277,18 @@ static int end_leg(const Machine *m, int outcome) {
     const Leg *leg = &run->leg;
     const double none[3] = {0.0, 0.0, 0.0};
     double end[ZL_MOST], gap[2], time = leg->start_time + leg->unit * leg->duration;
+    if (m->problem->beside) {
+        if (outcome == LEG_AT_HORIZON && run->limit < run->settings.until) {
+            /* Not yet over: the leg is followed again, to a later end. */
+            run->window *= GROW;
+            return start_leg_at(m, (int)leg->mode, leg->unit, leg->launch, leg->rounding,
+                                leg->absolute, (int)run->begins_on_guard);
+        }
+        if (outcome == LEG_FELL) {
+            run->window = greater(GROW * (time - leg->start_time), SHORTEST * run->settings.time);
+            if (!ends_alone(m)) return ZL_BESIDE;
+        }
+    }
     if (outcome == LEG_AT_HORIZON) {
         write_leg(m, ZL_HORIZON, run->settings.until);
         run->stage = OVER;
@@ -285,6 +301,7 @@ static int end_leg(const Machine *m, int outcome) {
         evaluate_at(m, ZL_GAP, run->start.state, gap);
         return start_leg(m, ZL_FREE, run->settings.gap, gap[0] <= run->small_gap);
     }
+    if (m->problem->beside && leg->mode != ZL_LOCKED && !strikes_alone(m, end)) return ZL_BESIDE;
     write_leg(m, leg->mode == ZL_LOCKED ? ZL_RELEASE : ZL_IMPACT, time);
     if (leg->mode == ZL_LOCKED) {
         double state[ZL_MOST];
@@ -305,14 +322,16 @@ static int end_leg(const Machine *m, int outcome) {
     return GO_ON;
 }
 
-/* Go over to the locked arc after a Zeno point, if there is one before the end of the time. */
+/* Go over to the locked arc after a Zeno point: NO_LIMIT if there is none before the end of the
+   time, ZL_BESIDE if another event may come before it. */
 static int accepted(const Machine *m, const Limit *limit) {
     zl_run *run = m->run;
-    if (limit->time >= run->settings.until || mode_on_stop(m, limit->state) == ZL_FREE) return 0;
+    if (limit->time >= run->settings.until || mode_on_stop(m, limit->state) == ZL_FREE) return NO_LIMIT;
+    if (m->problem->beside && !is_clear_at_limit(m, limit)) return ZL_BESIDE;
     reach(m, limit, run->start.time, run->start.speed);
     start_without_speed(run, ZL_LOCKED, limit->time);
     memcpy(run->start.state, limit->state, (size_t)m->problem->n_x * sizeof(double));
-    return 1;
+    return GO_ON;
 }
 
 /* Start the flight after an impact, unless the impacts so far tell their Zeno point. */
@@ -347,7 +366,10 @@ static int start_flight(const Machine *m) {
         run->answered = 0;
         return ZL_CURVE;
     }
-    if (found == LIMIT && accepted(m, &limit)) return GO_ON;
+    if (found == LIMIT) {
+        int status = accepted(m, &limit);
+        if (status != NO_LIMIT) return status;
+    }
     if (run->n_impacts - run->first_impact > run->settings.most_impacts) {
         run->detail.time = start->time;
         run->detail.n_state = m->problem->n_x;
@@ -362,6 +384,7 @@ static int start_phase(const Machine *m) {
     zl_run *run = m->run;
     const double *x = run->start.state;
     double gap[2];
+    if (m->problem->beside) keep_place(run);
     if (run->start.has_speed) return start_flight(m);
     run->in_sequence = 0;
     if (run->start.mode == ZL_LOCKED)
@@ -400,7 +423,7 @@ static int has_room(const Machine *m) {
 }
 
 /* Do the next thing: a step, an event, the start of an arc. */
-static int advance(const Machine *m) {
+static int do_next(const Machine *m) {
     zl_run *run = m->run;
     int outcome;
     switch (run->stage) {
@@ -412,10 +435,23 @@ static int advance(const Machine *m) {
     case IN_LEG:
         outcome = step_leg(m);
         if (outcome == LEG_GOES_ON) return GO_ON;
-        if (outcome == ZL_LEFT) return leave_leg(m);
+        if (outcome == ZL_LEFT && !m->problem->beside) return leave_leg(m);
         if (outcome == LEG_FELL || outcome == LEG_AT_HORIZON) return end_leg(m, outcome);
         return outcome;
     default:
         return ZL_DONE;
     }
+}
+
+/* The same. With guards beside that of the stop, an arc that does not simply go on is the caller's,
+   from its start. */
+static int advance(const Machine *m) {
+    zl_run *run = m->run;
+    int status;
+    if (!m->problem->beside) return do_next(m);
+    status = do_next(m);
+    if (status == GO_ON || status == ZL_DONE || status == ZL_ESTIMATES) return status;
+    restore_place(run);
+    run->stage = AT_START;
+    return ZL_BESIDE;
 }

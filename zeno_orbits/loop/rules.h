@@ -84,3 +84,13 @@
 #define FLIGHT_STEPS 1000
 #define MOST_CORRECTIONS 10
 #define CLOSE 1e-07
+
+/* model/numeric/graph_dynamics.py */
+#define SWITCH_ZERO 1e-12
+
+/* simulation/graph_run.py */
+#define APART 1e-11
+#define GROW 4.0
+#define SHORTEST 0.001
+#define SPENT 1000.0
+#define LEAST_IMPULSE 1e-12

@@ -28,6 +28,12 @@ typedef struct {
     double steps, time, speed;
 } Look;
 
+/* A guard beside that of the stop, in the present leg: at the start of a step, and its rounding. */
+typedef struct {
+    long long on_guard;
+    double before[2], rounding, largest_change;
+} Watched;
+
 struct zl_run {
     zl_settings settings;
     Start start;
@@ -44,6 +50,10 @@ struct zl_run {
     long long n_impacts, n_landings, n_releases, n_arcs, n_estimates;
     long long n_steps, next_look, n_looks, which, n_rows, n_polynomials;
     long long has_jacobian[ZL_MODES], has_lanes[ZL_MODES];
+    zl_place place;     /* at the start of the present arc */
+    double window, limit; /* of the present leg; the latter is its latest end */
+    long long begins_on_guard;
+    Watched watched[ZL_GUARDS];
     Factors factors; /* the last: a run begins without them */
 };
 
@@ -52,7 +62,7 @@ typedef struct {
     const zl_problem *problem;
     zl_run *run;
     zl_records *records;
-    double *p, *registers[ZL_TAPES], *lanes[ZL_MODES];
+    double *p, *registers[ZL_TAPES], *lanes[ZL_MODES], *beside;
 } Machine;
 
 static int is_watched(int tape) { return ZL_WATCHED <= tape && tape < ZL_WATCHED + ZL_MODES; }
@@ -80,6 +90,7 @@ static Machine machine_of(const zl_problem *problem, zl_run *run, zl_records *re
         m.lanes[k] = place;
         place += problem->tapes[ZL_RATE + k].n_registers * ZL_LANES;
     }
+    m.beside = place;
     return m;
 }
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.loop import binding as c
-from zeno_orbits.loop.program import Program
+from zeno_orbits.loop.program import TapedProblem
 
 _STEPS, _POLYNOMIALS, _ARCS, _EVENTS = 1024, 256, 128, 128
 """Rows of the records that one call writes."""
@@ -173,7 +173,9 @@ class _Buffers:
 class LoopRun:
     """One execution in the library. It can be resumed after every status but an error."""
 
-    def __init__(self, program: Program, settings: c.SettingsType, p: Vector, x: Vector) -> None:
+    def __init__(
+        self, program: TapedProblem, settings: c.SettingsType, p: Vector, x: Vector
+    ) -> None:
         """Begin a run.
 
         Args:
@@ -269,6 +271,24 @@ class LoopRun:
             self._place, int(found is not None), time, error, padded.ctypes.data
         )
 
+    def put(self, place: c.PlaceType, estimates: Vector) -> None:
+        """Start the run anew between two arcs, with its parameters and settings.
+
+        Args:
+            place: Start, counts, and the rounding of other guards.
+            estimates: Estimates of the present sequence of impacts, a row each.
+        """
+        if len(estimates) >= len(self._estimates):
+            self._estimates = np.empty((4 * len(estimates), self._estimates.shape[1]))
+        self._estimates[: len(estimates)] = estimates
+        self._library.zl_put(self._place, ctypes.addressof(place))
+
+    def where(self) -> tuple[c.PlaceType, Vector]:
+        """Return where the run stands after the status ``BESIDE``, and the estimates so far."""
+        place = c.PlaceType()
+        self._library.zl_where(self._place, ctypes.addressof(place))
+        return place, self._estimates[: place.n_estimates].copy()
+
     def detail(self) -> Detail:
         """Return the details of the last status."""
         return detail_of(self._library, self._place)
@@ -359,5 +379,5 @@ class LoopRun:
         return Record(steps=steps, polynomials=polynomials, arcs=arcs, events=events)
 
 
-_spare: WeakKeyDictionary[Program, dict[tuple[int, ...], list[_Buffers]]] = WeakKeyDictionary()
+_spare: WeakKeyDictionary[TapedProblem, dict[tuple[int, ...], list[_Buffers]]] = WeakKeyDictionary()
 """Memory of earlier calls, by the numbers of its rows."""

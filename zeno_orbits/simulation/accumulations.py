@@ -7,6 +7,7 @@ limit. No law continues the motion beyond such a limit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -27,6 +28,8 @@ _SHORT = 1e-5
 _FAST, _SOON = 0.2, 1e-3
 """Ratio of intervals that shrink in a few events, and the part of the problem's time below which
 they do."""
+_COMPARED = 4
+"""Last events of a switch that are compared with a Zeno time."""
 _FALLING, _ALIKE = 0.9, 0.1
 """Largest ratio of intervals that shrink to a limit, and the least ratio of two such ratios."""
 _HALF = 0.5
@@ -61,10 +64,22 @@ class Accumulations:
         self.impacts = (*self.impacts[1 - _IN_TURN :], (time, stop))
         if len(self.impacts) < _IN_TURN:
             return
+        if not self._in_turn:
+            return
         intervals = np.diff([moment for moment, _ in self.impacts])
         falls = np.sum(intervals[-3:]) < _HALF * np.sum(intervals[-6:-3])
-        if self._in_turn and falls and intervals[-1] < _ACCUMULATED * intervals[0]:
+        if falls and intervals[-1] < _ACCUMULATED * intervals[0]:
             raise self.in_turn(time, x)
+
+    def see_impacts(self, times: Sequence[float], stop: str) -> None:
+        """Record impacts on one stop after `_LAST` others on it: they do not come in turn.
+
+        Args:
+            times: When [s].
+            stop: Name of the stop.
+        """
+        last = tuple((time, stop) for time in times[-_IN_TURN:])
+        self.impacts = (*self.impacts[len(last) - _IN_TURN :], *last)[-_IN_TURN:]
 
     def see_switch(self, time: float, name: str, x: Vector, scale: float) -> None:
         """Record an event of a declared switch, unless such events accumulate.
@@ -105,8 +120,8 @@ class Accumulations:
             SimultaneousEventsError: If the intervals of a switch shrink to the Zeno time.
         """
         for name, times in self.switches.items():
-            intervals = np.diff([*times[-4:], time])
-            if len(intervals) < 4 or not intervals[-1] < _SOON * scale:
+            intervals = np.diff([*times[-_COMPARED:], time])
+            if len(intervals) < _COMPARED or not intervals[-1] < _SOON * scale:
                 continue
             ratios = intervals[1:] / intervals[:-1]
             if np.max(ratios) < _FALLING and np.min(ratios) > _ALIKE * np.max(ratios):
@@ -134,6 +149,15 @@ class Accumulations:
         others = sorted({*names} - {names[-1]})
         what = f"impacts on {', '.join(f'`{name}`' for name in others)} come"
         return accumulate_together(names[-1], what, time, x)
+
+    def quiet(self, scale: float) -> float:
+        """Return the time before which a Zeno point may be one of switches as well [s].
+
+        Args:
+            scale: The problem's time [s].
+        """
+        last = (times[-1] for times in self.switches.values() if len(times) >= _COMPARED)
+        return max(last, default=-np.inf) + _SOON * scale
 
     @property
     def _in_turn(self) -> bool:

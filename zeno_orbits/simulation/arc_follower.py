@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,6 +80,24 @@ class _Look:
     speed: float
 
 
+class Pace(NamedTuple):
+    """The steps of an execution so far, by which one that will not end is recognized.
+
+    Attributes:
+        n_steps: Number of steps.
+        next_look: Number of steps at the next look.
+        looks: Steps, time and largest velocity of the last looks.
+        fastest: Largest velocity since the last look.
+        which: Index of that velocity.
+    """
+
+    n_steps: int
+    next_look: int
+    looks: tuple[tuple[float, float, float], ...]
+    fastest: float
+    which: int
+
+
 @dataclass(slots=True, kw_only=True)
 class ArcFollower:
     """Follows the arcs of one execution and counts their steps.
@@ -115,6 +134,17 @@ class ArcFollower:
         if np.min(self.far) < math.inf:
             far = np.asarray(self.far, dtype=np.float64)
             self._reach = np.broadcast_to(far, (self.dynamics.n_q,))
+
+    @property
+    def pace(self) -> Pace:
+        """The steps so far."""
+        looks = [(float(one.steps), one.time, one.speed) for one in self._looks[-_RISING:]]
+        return Pace(self._n_steps, self._next_look, tuple(looks), self._fastest, self._which)
+
+    @pace.setter
+    def pace(self, pace: Pace) -> None:
+        self._n_steps, self._next_look, looks, self._fastest, self._which = pace
+        self._looks = [_Look(steps=int(n), time=time, speed=speed) for n, time, speed in looks]
 
     def follow(
         self,

@@ -35,6 +35,7 @@ from zeno_orbits.simulation.event_rules import stop_holds
 from zeno_orbits.simulation.execution import (
     Arc,
     Ending,
+    Event,
     Execution,
     Impact,
     Mode,
@@ -65,6 +66,10 @@ _CONTINUOUS = 1e-6
 """
 _GROW, _SHORTEST = 4.0, 1e-3
 """Next window over the previous arc or window, and the shortest window over the problem's time."""
+_SPENT = 1e3
+"""Rounding levels below zero to which a guard may be at a Zeno point."""
+_LEAST_IMPULSE = 1e-12
+"""Impulse or rate of a closed stop in an impact that counts as zero, over the largest."""
 _BEFORE = 1e-9
 """Part of a window that is left out where the flow of a branch ends to exist."""
 _NEAR_KINK = 1e6
@@ -180,6 +185,11 @@ class GraphRun(ReferenceRun):
     # What the reference asks of a run that has more than one stop.
 
     @property
+    def last_event(self) -> Event | None:
+        """The last event, if there is one."""
+        return self.events[-1] if self.events else None
+
+    @property
     def place(self) -> object:
         """The stop of the impacts of a sequence, and the stops closed beside it."""
         return self.rest, self.focus
@@ -190,6 +200,12 @@ class GraphRun(ReferenceRun):
             self.current = ReferenceRun.sequence(self)
             self.split_by = frozenset(), frozenset()
         return self.current
+
+    def impact_sequence(self, start: ArcStart) -> ArcStart | None:
+        """Follow one flight of a sequence of impacts, or go to its Zeno point."""
+        if start.speed is None:
+            return start
+        return self.after_impact(self.sequence(), start, start.speed)
 
     def on_stop(self, time: float, x: Vector) -> ArcStart:
         """Return the mode that holds on the stop at zero gap rate."""
@@ -310,11 +326,11 @@ class GraphRun(ReferenceRun):
             signs = np.where(self._signs(), guards, -guards)
             # A kink that splits every flight is zero at the limit itself.
             signs[list(self.split_by[0])] = np.inf
-            if not np.all(signs > -1e3 * rounding):
+            if not np.all(signs > -_SPENT * rounding):
                 return False
         values, rounding, _ = self.graph.guards(limit.state)
         for kink in self.split_by[0]:
-            if abs(values[kink]) <= 1e3 * rounding[kink]:
+            if abs(values[kink]) <= _SPENT * rounding[kink]:
                 self._require_continuous(kink, limit.time, limit.state)
         return True
 
@@ -330,7 +346,7 @@ class GraphRun(ReferenceRun):
         except PenetrationError as error:
             x = np.array(error.state)[: start.state.size]
             guards, rounding, _ = self.graph.guards(x)
-            zero = np.flatnonzero(np.abs(guards) <= 1e3 * rounding)
+            zero = np.flatnonzero(np.abs(guards) <= _SPENT * rounding)
             kinks = [int(s) for s in zero if s >= self.graph.n_declared]
             if self.seen.is_in_corner(self.own.time):
                 raise self.seen.in_turn(error.time, x) from error
@@ -586,7 +602,7 @@ class GraphRun(ReferenceRun):
 
     def _has_fallen(self, switch: int, time: float) -> bool:
         """Return True if the last event is this switch at this time. It falls again from above."""
-        last = self.events[-1] if self.events else None
+        last = self.last_event
         name = self.graph.switch_names[switch]
         return isinstance(last, SwitchEvent) and last.name == name and last.time == time
 
@@ -744,7 +760,7 @@ class GraphRun(ReferenceRun):
         if not self.rest:
             return ()
         matrix, k = self.graph.delassus(x), self.focus
-        small = 1e-12 * float(np.max(np.abs(matrix)))
+        small = _LEAST_IMPULSE * float(np.max(np.abs(matrix)))
         for n in range(len(self.rest), -1, -1):
             for closed in combinations(self.rest, n):
                 kept = list(closed)

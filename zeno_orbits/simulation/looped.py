@@ -46,7 +46,7 @@ from zeno_orbits.work import silent
 _STEPS, _EVENTS = 256, 12
 """Rows of the records of a piece: about a sequence of impacts to its release."""
 
-_COMPLETIONS: dict[type, int] = {
+COMPLETIONS: dict[type, int] = {
     ZenoExtrapolation: binding.EXTRAPOLATION,
     ZenoPassage: binding.PASSAGE,
     Truncation: binding.TRUNCATION,
@@ -60,7 +60,7 @@ def serves(task: SimulationTask) -> bool:
     return (
         task.dynamics.formulas is not None
         and loop_steps(task.settings.engine) is not None
-        and type(task.settings.completion) in _COMPLETIONS
+        and type(task.settings.completion) in COMPLETIONS
         and program_of(task.dynamics.formulas.system) is not None
     )
 
@@ -168,7 +168,7 @@ def _execution(
 
 def run_settings(task: SimulationTask, **others: Any) -> RunSettings:
     """Return accuracy and limits in the loop's format, with some of the values replaced."""
-    settings = replace(_shared_settings(*_shared_by(task)), **_own_limits(task))
+    settings = replace(shared_settings(*_shared_by(task)), **_own_limits(task))
     return replace(settings, **others) if others else settings
 
 
@@ -202,10 +202,10 @@ def _shared_by(task: SimulationTask) -> tuple[SimulationSettings, OwnScale, floa
 def _shared_memory(
     chosen: SimulationSettings, own: OwnScale, restitution: float, n_x: int, n_q: int
 ) -> binding.SettingsType:
-    return _shared_settings(chosen, own, restitution, n_x, n_q).filled()
+    return shared_settings(chosen, own, restitution, n_x, n_q).filled()
 
 
-def _shared_settings(
+def shared_settings(
     chosen: SimulationSettings, own: OwnScale, restitution: float, n_x: int, n_q: int
 ) -> RunSettings:
     """Return accuracy and limits of all tasks on systems with some scales and a restitution."""
@@ -231,7 +231,7 @@ def _shared_settings(
         flight_weights=own.flight_weights(n_x),
         reach=np.broadcast_to(np.asarray(chosen.far, dtype=np.float64), n_q).tolist(),
         **steps._asdict(),
-        completion=_COMPLETIONS[type(rule)],
+        completion=COMPLETIONS[type(rule)],
         limit_tolerance=rule.tolerance if extrapolates else 0.0,
         resolved=rule.resolved if extrapolates else 0.0,
         delta=rule.delta if isinstance(rule, Truncation) else 0.0,

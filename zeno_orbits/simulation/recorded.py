@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from zeno_orbits.integrators import (
     radau_scheme,
 )
 from zeno_orbits.loop import Record, TapedProblem, binding, program_of
-from zeno_orbits.model import CompiledFlow, HybridDynamics
+from zeno_orbits.model import CompiledFlow, HybridDynamics, OwnScale
 from zeno_orbits.simulation.execution import (
     Arc,
     Ending,
@@ -41,26 +41,55 @@ _ENDINGS = {
 }
 
 
-def events_of(rows: Vector, n_x: int) -> list[Event]:
+def events_of(rows: Vector, n_x: int, stop: str = "") -> list[Event]:
     """Return the events of rows of the record.
 
     Args:
         rows: In each row kind, time, three numbers, the state before and after.
         n_x: Number of states.
+        stop: Name of the stop.
     """
     numbers = rows[:, : binding.EVENT_WIDTH].tolist()
     before = rows[:, binding.EVENT_WIDTH : binding.EVENT_WIDTH + n_x]
     after = rows[:, binding.EVENT_WIDTH + n_x :]
-    return [_event_of(*row) for row in zip(numbers, before, after, strict=True)]
+    return [_event_of(*row, stop) for row in zip(numbers, before, after, strict=True)]
 
 
-def _event_of(numbers: list[float], before: Vector, after: Vector) -> Event:
+def _event_of(numbers: list[float], before: Vector, after: Vector, stop: str) -> Event:
     kind, time, first, tail, speed = numbers
     if kind == binding.IMPACT:
-        return Impact(time=time, state_minus=before, state_plus=after, approach_rate=first)
+        return Impact(
+            time=time, state_minus=before, state_plus=after, approach_rate=first, stop=stop
+        )
     if kind == binding.RELEASE:
-        return Release(time=time, state=before)
-    return ZenoPoint(time=time, state=before, limit_error=first, tail=tail, last_speed=speed)
+        return Release(time=time, state=before, stop=stop)
+    return ZenoPoint(
+        time=time, state=before, limit_error=first, tail=tail, last_speed=speed, stop=stop
+    )
+
+
+class History(Protocol):
+    """The source of an execution, whose arcs and events are made at the first question."""
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Name of each state."""
+        ...
+
+    @property
+    def own(self) -> OwnScale:
+        """Characteristic scales of the problem."""
+        ...
+
+    @property
+    def end_time(self) -> float:
+        """Time of the end [s]."""
+        ...
+
+    @property
+    def end_state(self) -> Vector:
+        """State at the end, ``(n_x,)``."""
+        ...
 
 
 @dataclass(kw_only=True, eq=False)
@@ -88,6 +117,26 @@ class RecordedRun:
     def arcs(self) -> tuple[Arc, ...]:
         """The arcs in order of time."""
         return tuple(map(self._arc, self.record.arcs))
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Name of each state."""
+        return self.dynamics.state_names
+
+    @property
+    def own(self) -> OwnScale:
+        """Characteristic scales of the problem."""
+        return self.dynamics.own
+
+    @property
+    def end_time(self) -> float:
+        """Time of the end [s]."""
+        return float(self.record.arcs[-1, 2])
+
+    @property
+    def end_state(self) -> Vector:
+        """State at the end, ``(n_x,)``."""
+        return self.record.arcs[-1, binding.ARC_WIDTH + self._n_x :][: self._n_x]
 
     @property
     def _n_x(self) -> int:
@@ -141,15 +190,15 @@ class RecordedExecution(Execution):
     """An execution whose arcs and events are made of a record at the first question."""
 
     __slots__ = ("_run",)
-    _run: RecordedRun
+    _run: History
 
     @classmethod
-    def of(cls, run: RecordedRun) -> RecordedExecution:
+    def of(cls, run: History) -> RecordedExecution:
         """Return the execution of a run."""
         made = object.__new__(cls)
         for name, value in (
-            ("state_names", run.dynamics.state_names),
-            ("own", run.dynamics.own),
+            ("state_names", run.state_names),
+            ("own", run.own),
             ("_run", run),
         ):
             object.__setattr__(made, name, value)
@@ -158,15 +207,12 @@ class RecordedExecution(Execution):
     @property
     def end_time(self) -> float:
         """Time of its end [s], without a look at any arc if none was made."""
-        return super().end_time if self._has_arcs else float(self._run.record.arcs[-1, 2])
+        return super().end_time if self._has_arcs else self._run.end_time
 
     @property
     def end_state(self) -> Vector:
         """State at its end, ``(n_x,)``, likewise."""
-        if self._has_arcs:
-            return super().end_state
-        first = binding.ARC_WIDTH + len(self.state_names)
-        return self._run.record.arcs[-1, first : first + len(self.state_names)]
+        return super().end_state if self._has_arcs else self._run.end_state
 
     @property
     def _has_arcs(self) -> bool:

@@ -135,6 +135,16 @@ class ReferenceRun:
             own=self.own,
         )
 
+    @property
+    def has_flown(self) -> bool:
+        """True if an arc has been followed."""
+        return bool(self.arcs)
+
+    @property
+    def reached(self) -> float:
+        """Time that the arcs have reached [s]."""
+        return self.arcs[-1].end_time if self.arcs else 0.0
+
     def admitted(self, x: Vector, *, checked: bool = True) -> ArcStart | None:
         """Return the first start.
 
@@ -298,7 +308,7 @@ class ReferenceRun:
         )
         self.events.append(impact)
         self.n_impacts += 1
-        if self.arcs:
+        if self.has_flown:
             self.n_landings += 1
             if self.n_landings >= self.most_impacts:
                 return None
@@ -332,13 +342,28 @@ class ReferenceRun:
         sequence = self.sequence()
         here: ArcStart | None = start
         while here is not None and here.speed is not None and sequence.place == self.place:
-            zeno = self._zeno_point(here, here.speed, sequence.estimates)
-            if zeno is not None:
-                return zeno
-            if self.n_impacts - sequence.first_impact > self.settings.most_impacts:
-                raise does_not_accumulate(self.settings.most_impacts, here.time, here.state)
-            here = self.rescaled_flight(here, here.speed)
+            here = self.after_impact(sequence, here, here.speed)
         return here
+
+    def after_impact(
+        self, sequence: ImpactSequence, start: ArcStart, speed: float
+    ) -> ArcStart | None:
+        """Go to the Zeno point if the impacts so far determine it, else follow one flight.
+
+        Args:
+            sequence: The sequence of impacts.
+            start: Start of the flight.
+            speed: Gap rate there.
+
+        Raises:
+            ChatterError: If the sequence has too many impacts.
+        """
+        zeno = self._zeno_point(start, speed, sequence.estimates)
+        if zeno is not None:
+            return zeno
+        if self.n_impacts - sequence.first_impact > self.settings.most_impacts:
+            raise does_not_accumulate(self.settings.most_impacts, start.time, start.state)
+        return self.rescaled_flight(start, speed)
 
     @property
     def place(self) -> object:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.graph_run import GraphRun
 from zeno_orbits.simulation.legs import LegFollower
 from zeno_orbits.simulation.looped import by_loop, pieces_by_loop, serves
+from zeno_orbits.simulation.looped_graph import LoopedGraphRun, serves_graph
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
@@ -72,8 +74,40 @@ def simulate(
         on_progress=on_progress,
     )
     if graph is not None:
-        return _followed(_graph_run(task, graph), task)
+        return by_graph_loop(task, graph) if serves_graph(task) else by_graph(task, graph)
     return by_loop(task) if serves(task) else by_reference(task)
+
+
+def by_graph_loop(task: SimulationTask, graph: GraphDynamics) -> Execution:
+    """Return the completed execution over a graph of modes, by the loop where one stop is involved.
+
+    Args:
+        task: The simulation task, with the system of the graph's first stop.
+        graph: The graph.
+
+    Raises:
+        InputError: If the state is not admissible.
+        SimulationError: If the execution cannot be continued.
+    """
+    run = LoopedGraphRun(**_graph_parts(task, graph), task=task)
+    try:
+        return _followed(run, task)
+    finally:
+        run.close()
+
+
+def by_graph(task: SimulationTask, graph: GraphDynamics) -> Execution:
+    """Return the same, followed in Python: the reference of the compiled loop.
+
+    Args:
+        task: The simulation task, with the system of the graph's first stop.
+        graph: The graph.
+
+    Raises:
+        InputError: If the state is not admissible.
+        SimulationError: If the execution cannot be continued.
+    """
+    return _followed(GraphRun(**_graph_parts(task, graph)), task)
 
 
 def simulator_in_use() -> str:
@@ -103,10 +137,9 @@ def _followed(run: ReferenceRun, task: SimulationTask) -> Execution:
     try:
         while start is not None:
             start = run.after_phase(start)
-            reached = run.arcs[-1].end_time if run.arcs else 0.0
-            task.on_progress("simulating", reached / task.until)
+            task.on_progress("simulating", run.reached / task.until)
     except SimulationError as error:
-        error.execution = run.execution() if run.arcs else None
+        error.execution = run.execution() if run.has_flown else None
         raise
     return run.execution()
 
@@ -183,16 +216,16 @@ def _run_of(task: SimulationTask) -> ReferenceRun:
     )
 
 
-def _graph_run(task: SimulationTask, graph: GraphDynamics) -> GraphRun:
-    """Return a run over a graph of modes at its start."""
-    return GraphRun(
-        dynamics=task.dynamics,
-        settings=task.settings,
-        follower=_follower(task, LegFollower(task.settings.engine)),
-        most_releases=task.most_releases,
-        most_impacts=task.most_impacts,
-        graph=graph,
-    )
+def _graph_parts(task: SimulationTask, graph: GraphDynamics) -> dict[str, Any]:
+    """Return what a run over a graph of modes begins with."""
+    return {
+        "dynamics": task.dynamics,
+        "settings": task.settings,
+        "follower": _follower(task, LegFollower(task.settings.engine)),
+        "most_releases": task.most_releases,
+        "most_impacts": task.most_impacts,
+        "graph": graph,
+    }
 
 
 def _follower(task: SimulationTask, engine: Engine) -> ArcFollower:

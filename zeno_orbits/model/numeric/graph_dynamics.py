@@ -16,6 +16,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.graph import GraphMode, ModeGraph
 from zeno_orbits.model.numeric.calls import Call
+from zeno_orbits.model.numeric.casadi_calls import caller
 from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compile_system
 from zeno_orbits.model.numeric.compiled_flow import (
     CompiledFlow,
@@ -146,6 +147,22 @@ class CompiledGraph:
         return ca.vertcat(*self.symbols.values())
 
 
+class _SwitchesCall:
+    """The formulas of all switches at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._x, self._size = np.zeros(function.size1_in(0)), np.zeros(function.size1_in(0))
+        self._found = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
+        self._evaluate = caller(function, (self._x, p, self._size), self._found)
+
+    def __call__(self, x: Vector, size: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return guards, their rounding levels and the formulas `armed`, from sizes of states."""
+        self._x[:], self._size[:] = x, size
+        self._evaluate()
+        guards, sizes, armed = self._found
+        return guards.copy(), _ZERO * sizes, armed.copy()
+
+
 class GraphDynamics:
     """A graph of modes as numeric functions of the state ``x``, ``(n_x,)``."""
 
@@ -215,6 +232,10 @@ class GraphDynamics:
         closed, sides = mode
         return self.view((tuple(k for k in closed if k != stop), sides), stop)
 
+    @cached_property
+    def _switches(self) -> _SwitchesCall:
+        return _SwitchesCall(self.compiled.switches, self.p)
+
     def _scale(self, stop: int) -> OwnScale:
         """Return the scales of a stop, from the branches of the kinks at the initial states."""
         if stop not in self._scales:
@@ -245,10 +266,7 @@ class GraphDynamics:
         """Return the guards of all switches, their rounding levels, and the formulas `armed`."""
         if not self.switch_names:
             return np.zeros(0), np.zeros(0), np.zeros(0)
-        size = self.own.states(x.size) + np.abs(x)
-        found = self.compiled.switches(x, self.p, size)
-        guards, sizes, armed = (np.array(one.full()).ravel() for one in found)
-        return guards, _ZERO * sizes, armed
+        return self._switches(x, self.own.states(x.size) + np.abs(x))
 
     def guard_gradient(self, switch: int, x: Vector, chosen: Sequence[int]) -> Vector:
         """Return the derivative of a guard with respect to state and parameters, ``(n_x + k,)``.

@@ -1,0 +1,136 @@
+"""The loop and the reference of several stops and switches agree on every event."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from benchmarks import random_graphs
+from tests.loop.agreement import needs_compiler
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.simulation import (
+    Arc,
+    Event,
+    Execution,
+    SimulationSettings,
+    SimulationTask,
+    simulator,
+)
+
+pytestmark = needs_compiler
+
+EXPLICIT = SimulationSettings(engine=RungeKutta())
+ROUNDING = 1e-11
+"""Of implicit steps, as in `test_equality`."""
+BUNDLED: tuple[tuple[str, float, dict[str, float]], ...] = (
+    ("clapper", 30.0, {}),
+    ("hopper", 5.0, {}),
+    ("kneed_walker", 2.0, {}),
+    ("limited_pendulum", 3.0, {}),
+    ("limited_pendulum", 3.0, {"U": 1000.0}),
+    ("relay", 0.09, {}),
+)
+
+
+def both(
+    problem: zo.Problem, until: float, values: Mapping[str, float], settings: SimulationSettings
+) -> list[tuple[Execution | None, SimulationError | None]]:
+    """Return what the loop and the reference give: executions, and the errors that ended them."""
+    graph = problem.graph_dynamics(problem.values(parameters=dict(values)))
+    task = SimulationTask(
+        dynamics=graph.first,
+        state=np.array(problem.state_vector(problem.starts[0])),
+        until=until,
+        settings=settings,
+    )
+    assert simulator.serves_graph(task)
+    found: list[tuple[Execution | None, SimulationError | None]] = []
+    for run in (simulator.by_graph_loop, simulator.by_graph):
+        try:
+            found.append((run(task, graph), None))
+        except SimulationError as error:
+            found.append((error.execution, error))
+    return found
+
+
+def words(one: Event | Arc) -> list[object]:
+    """Return everything but the numbers of an event or arc."""
+    return [type(one), *(v for v in _values(one) if not isinstance(v, float | np.ndarray))]
+
+
+def numbers(one: Event | Arc) -> list[float]:
+    """Return the numbers of an event or arc."""
+    found: list[float] = []
+    for value in _values(one):
+        if isinstance(value, float):
+            found.append(value)
+        elif isinstance(value, np.ndarray):
+            found += np.asarray(value, dtype=np.float64).tolist()
+    return found
+
+
+def _values(one: Event | Arc) -> list[object]:
+    return [getattr(one, field.name) for field in fields(one) if field.name != "trajectory"]
+
+
+def require_agreement(
+    problem: zo.Problem,
+    until: float,
+    values: Mapping[str, float],
+    settings: SimulationSettings,
+    tolerance: float,
+) -> Execution | None:
+    """Require the same events, arcs and errors, in every bit if the tolerance is zero."""
+    (found, error), (expected, reason) = both(problem, until, values, settings)
+    assert type(error) is type(reason)
+    assert (found is None) == (expected is None)
+    if found is None or expected is None:
+        return None
+    for mine, others in ((found.events, expected.events), (found.arcs, expected.arcs)):
+        assert [words(one) for one in mine] == [words(other) for other in others]
+        for one, other in zip(mine, others, strict=True):
+            if tolerance == 0.0:
+                assert numbers(one) == numbers(other)
+            else:
+                assert numbers(one) == pytest.approx(numbers(other), rel=tolerance, abs=tolerance)
+    if tolerance == 0.0:
+        assert str(error) == str(reason)
+        for one, other in zip(found.arcs, expected.arcs, strict=True):
+            assert one.flow_times.tolist() == other.flow_times.tolist()
+            assert one.flow_states.tolist() == other.flow_states.tolist()
+    return found
+
+
+@pytest.mark.parametrize(("name", "until", "values"), BUNDLED)
+def test_explicit_steps_give_the_same_bits(
+    name: str, until: float, values: dict[str, float]
+) -> None:
+    run = require_agreement(zo.load_problem(name), until, values, EXPLICIT, 0.0)
+    assert run is not None
+    assert len(run.events) >= 10
+
+
+@pytest.mark.parametrize(("name", "until", "values"), BUNDLED)
+def test_the_default_engine_gives_the_same_to_rounding(
+    name: str, until: float, values: dict[str, float]
+) -> None:
+    settings = SimulationSettings()
+    assert require_agreement(zo.load_problem(name), until, values, settings, ROUNDING) is not None
+
+
+@pytest.mark.parametrize("index", range(24))
+def test_random_machines_give_the_same_bits(index: int) -> None:
+    problem = random_graphs.problem(random_graphs.drawn(11, index))
+    require_agreement(problem, 6.0, {}, EXPLICIT, 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", range(24, 100))
+def test_many_random_machines_give_the_same_bits(index: int) -> None:
+    problem = random_graphs.problem(random_graphs.drawn(11, index))
+    require_agreement(problem, 6.0, {}, EXPLICIT, 0.0)
