@@ -19,6 +19,10 @@ from .event_orbit import phases_of_events as phases_of_events
 from .event_orbit_file import read_event_orbit as read_event_orbit
 from .event_orbit import sequence_of as sequence_of
 from .event_orbit_file import write_event_orbit as write_event_orbit
+from .event_quantities import EventQuantities as EventQuantities
+from .event_quantities import Reading as Reading
+from .event_quantities import event_quantity_names as event_quantity_names
+from .event_quantities import require_event_quantity as require_event_quantity
 from .event_section import EventReturn as EventReturn
 from .event_section import SectionMode as SectionMode
 from .event_section import kept_directions as kept_directions

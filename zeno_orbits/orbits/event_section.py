@@ -22,6 +22,7 @@ from zeno_orbits.simulation import (
     Arc,
     Ending,
     Event,
+    EventShift,
     Execution,
     GraphShifts,
     Release,
@@ -81,6 +82,7 @@ class EventReturn:
         execution: The execution, beyond the end of the return.
         by_state: Derivative of the end with respect to the start, ``(n_x, n_x)``.
         by_parameters: Derivative of the end with respect to the parameters, ``(n_x, k)``.
+        shifts: Derivatives of every event, with the state before it. Columns: start, parameters.
     """
 
     start: Vector
@@ -90,6 +92,7 @@ class EventReturn:
     execution: Execution
     by_state: Vector
     by_parameters: Vector
+    shifts: tuple[EventShift, ...]
 
 
 def event_return(
@@ -134,8 +137,10 @@ def event_return(
     end = times[n_returns - 1]
     shifts = GraphShifts(graph=graph, chosen=tuple(parameters), tolerance=exact.tolerance)
     events: list[Event] = []
-    for event, shift in shifts.along(execution):
+    befores: list[EventShift] = []
+    for event, before, shift in shifts.along(execution):
         events.append(event)
+        befores.append(before)
         if orbit_event_name(event) == section and event.time == end:
             return EventReturn(
                 start=start,
@@ -145,6 +150,7 @@ def event_return(
                 execution=execution,
                 by_state=shift.state[:, :n_x],
                 by_parameters=shift.state[:, n_x:],
+                shifts=tuple(befores),
             )
     raise SimulationError(
         f"The event `{section}` lacks a derivative", time=end, state=tuple(start.tolist())

@@ -57,10 +57,11 @@ class GraphShifts:
         default_factory=dict["tuple[GraphMode, int]", Perturbations]
     )
 
-    def along(self, execution: Execution) -> Iterator[tuple[Event, EventShift]]:
-        """Yield every event with the derivatives of its time and of the state after it.
+    def along(self, execution: Execution) -> Iterator[tuple[Event, EventShift, EventShift]]:
+        """Yield every event with the derivatives of its time and of the states before and after it.
 
         The columns of the derivatives are the states of the start, then the chosen parameters.
+        Before an impact they include the gap rate. A Zeno point has one state.
 
         Args:
             execution: The execution. Its impacts must be resolved one by one.
@@ -74,8 +75,9 @@ class GraphShifts:
         bounces: list[Bounce] = []
         while events and events[0].time == arcs[0].start_time:
             first = events.pop(0)
-            here, bounces = self._after(first, here, arcs[0], arcs[0], bounces)
-            yield first, here
+            before = self._before(first, here, arcs[0], arcs[0])
+            here, bounces = self._after(first, before, arcs[0], arcs[0], bounces)
+            yield first, before, here
         for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
             if arc.ending is Ending.HORIZON:
                 return
@@ -84,8 +86,9 @@ class GraphShifts:
             crossed = False
             while events and events[0].time <= arc.end_time:
                 event = events.pop(0)
-                here, bounces = self._after(event, here, arc, following, bounces)
-                yield event, here
+                before = self._before(event, here, arc, following)
+                here, bounces = self._after(event, before, arc, following, bounces)
+                yield event, here if isinstance(event, ZenoPoint) else before, here
                 crossed = True
             if not crossed and arc.ending is not Ending.SWITCH:
                 raise SimulationError(
@@ -190,13 +193,8 @@ class GraphShifts:
         """Return the derivatives after an event, and the impacts of the sequence so far."""
         n_x = arc.start_state.size
         if isinstance(event, Impact):
-            stop = self.graph.stop_names.index(event.stop)
-            kept = [name for name in following.closed if name in arc.closed and name != event.stop]
-            closed, _ = self.graph.mode_of(kept, ())
-            mode: GraphMode = closed, following.sides
-            perturbations = self._at(mode, stop)
-            before = self._with_rate(perturbations, event, here)
-            after = perturbations.struck(event, before)
+            perturbations = self._struck(event, arc, following)
+            after = perturbations.struck(event, here)
             return after, perturbations.joined(bounces, event, after)
         if isinstance(event, ZenoPoint):
             stop = self.graph.stop_names.index(event.stop)
@@ -225,13 +223,18 @@ class GraphShifts:
             after = EventShift(time=after.time, state=after.state, rate=rate)
         return after, []
 
-    def _with_rate(
-        self, perturbations: Perturbations, impact: Impact, here: EventShift
-    ) -> EventShift:
-        """Return the derivatives before an impact, with those of the gap rate."""
-        if here.rate.any():
+    def _struck(self, impact: Impact, arc: Arc, following: Arc) -> Perturbations:
+        """Return the derivatives of an impact in the mode that keeps its closed stops."""
+        kept = [name for name in following.closed if name in arc.closed and name != impact.stop]
+        closed, _ = self.graph.mode_of(kept, ())
+        return self._at((closed, following.sides), self.graph.stop_names.index(impact.stop))
+
+    def _before(self, event: Event, here: EventShift, arc: Arc, following: Arc) -> EventShift:
+        """Return the derivatives before an event, at an impact with those of the gap rate."""
+        if not isinstance(event, Impact) or here.rate.any():
             return here
-        contact = perturbations.differentials.contact(impact.state_minus)
+        differentials = self._struck(event, arc, following).differentials
+        contact = differentials.contact(event.state_minus)
         rate = self._total(contact[GAP_RATE], here)
         return EventShift(time=here.time, state=here.state, rate=rate)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from zeno_orbits.orbits import ONE_ZENO, OrbitShape
@@ -128,6 +128,7 @@ class OrbitCertificate(Displayed):
             the energy balance cannot be checked.
         events: Event sequence of an orbit given by its events, otherwise empty. Such an orbit has
             no `shape`, and neither energies nor truncations are computed for it.
+        quantities: Range of each quantity of its events over one period, by name.
     """
 
     tolerance: float
@@ -148,6 +149,9 @@ class OrbitCertificate(Displayed):
     asked: tuple[Mapping[str, Any], ...] = ()
     open_balance: bool = False
     events: tuple[str, ...] = ()
+    quantities: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict[str, tuple[float, float]]
+    )
 
     def __repr__(self) -> str:
         """Return one line with the verdict and the stability of the orbit."""
@@ -283,7 +287,11 @@ class OrbitCertificate(Displayed):
             "trouble": self.trouble,
             "asked": [dict(one) for one in self.asked],
             **({"open_balance": True} if self.open_balance else {}),
+            **({"quantities": self._ranges()} if self.events else {}),
         }
+
+    def _ranges(self) -> dict[str, list[float]]:
+        return {name: list(ends) for name, ends in self.quantities.items()}
 
 
 def _number(value: float) -> float | None:

@@ -23,6 +23,7 @@ from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.model import GraphDynamics, Problem
 from zeno_orbits.orbits import (
     EventOrbit,
+    EventQuantities,
     OrbitEvent,
     at_looser_tolerance,
     event_return,
@@ -101,6 +102,7 @@ def verify_events(
     said = [_said(problem, event) for event in orbit.events]
     residuals: dict[str, float] = dict.fromkeys(("events", "closure", "period"), math.inf)
     margins: dict[str, float] = {}
+    quantities: dict[str, tuple[float, float]] = {}
     integration_error = math.inf
     if periods:
         first, scale = periods[0], largest_states(periods[0].arcs, graph)
@@ -114,6 +116,7 @@ def verify_events(
         if len(periods) == settings.n_periods > 1:
             residuals["drift"] = max(_distance(one.state, start, scale) for one in periods)
         margins = _margins(graph, first)
+        quantities = _quantities(graph, first, start)
         on_progress("integrating at a looser tolerance", None)
         looser = at_looser_tolerance(settings.simulation)
         others, _ = _periods(graph, orbit, start, looser, 1)
@@ -145,6 +148,7 @@ def verify_events(
         model="derived",
         trouble=trouble,
         events=orbit.sequence,
+        quantities=quantities,
     )
 
 
@@ -310,6 +314,16 @@ def _margins(graph: GraphDynamics, period: _Period) -> dict[str, float]:
             what = "release" if isinstance(event, Release) else "switch"
             keep(f"{what}_transversality", fall_at(graph, period.arcs, event))
     return {name: min(values) for name, values in found.items()}
+
+
+def _quantities(
+    graph: GraphDynamics, period: _Period, start: Vector
+) -> dict[str, tuple[float, float]]:
+    """Return the range of each quantity of the events of the first period."""
+    found = EventQuantities(
+        graph=graph, start=start, period=period.end - period.start, events=period.events
+    )
+    return {name: (one.lowest, one.highest) for name, one in found.table().items()}
 
 
 def _multipliers(

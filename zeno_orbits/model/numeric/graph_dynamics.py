@@ -137,6 +137,11 @@ class CompiledGraph:
         )
 
     @cached_property
+    def delassus_derivative(self) -> ca.Function:
+        """``(x, p) -> (J W J^T, its derivatives with respect to x and p)``, by its columns."""
+        return self._derivative("delassus", ca.vec(self.graph.delassus), self._parameters)
+
+    @cached_property
     def resets(self) -> tuple[ca.Function, ...]:
         """``(x, p) -> x`` after every declared switch."""
         inputs = [self.graph.state, self._parameters]
@@ -296,6 +301,18 @@ class GraphDynamics:
         r"""Return :math:`J W J^\top` of all stops, ``(n_stops, n_stops)``."""
         n = len(self.stop_names)
         return self._delassus(x).copy().reshape(n, n)
+
+    def delassus_derivative(self, x: Vector, chosen: Sequence[int]) -> Vector:
+        r"""Return the derivative of :math:`J W J^\top`, ``(n_stops, n_stops, n_x + k)``.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            chosen: Indices of the parameters, ``(k,)``.
+        """
+        n = len(self.stop_names)
+        _, by_x, by_p = self.compiled.delassus_derivative(x, self.p)
+        by = np.concatenate([by_x.full(), by_p.full()[:, list(chosen)]], axis=1)
+        return by.reshape(n, n, -1)
 
     def equal_stops(self, x: Vector) -> tuple[str, str] | None:
         """Return two stops that are one at a state: equal gaps that the same motion closes."""

@@ -254,9 +254,49 @@ def print_event_orbit(orbit: EventOrbit, certificate: OrbitCertificate) -> None:
         ],
         orbit.events,
     )
+    print_event_quantities(certificate)
     state = ", ".join(f"{name}={value:.10g}" for name, value in orbit.start_state.items())
     print_lines([f"Start, just after `{orbit.events[-1].name}`:", f"  {state}", ""])
     print_verdict(certificate)
+
+
+_SHOWN = {
+    "impact_speed": "impact speed",
+    "impacts": "impacts",
+    "bounce_time": "bounce time [s]",
+    "zeno_time": "Zeno time [s]",
+    "energy_lost": "energy lost",
+}
+"""Printed quantities of a stop, with the heads of their columns."""
+
+
+def print_event_quantities(certificate: OrbitCertificate) -> None:
+    """Print the quantities of every stop that is struck, if the orbit is given by its events.
+
+    Args:
+        certificate: The certificate.
+    """
+    ranges = certificate.quantities
+    names = (name.rpartition(".") for name in ranges)
+    stops = [stop for stop, _, word in names if word == "impact_speed"]
+    if not stops:
+        return
+
+    def cell(word: str) -> Callable[[str], str]:
+        return lambda stop: _range_text(ranges.get(f"{stop}.{word}"))
+
+    columns: list[Column[str]] = [
+        name_column("stop", lambda stop: stop),
+        *(number_column(head, cell(word)) for word, head in _SHOWN.items()),
+    ]
+    print_table(columns, stops)
+
+
+def _range_text(ends: tuple[float, float] | None) -> str:
+    if ends is None:
+        return ""
+    low, high = (f"{end:.8g}" for end in ends)
+    return low if low == high else f"{low} to {high}"
 
 
 def _phase_lines(problem: Problem, orbit: ZenoOrbit, k: int, phase: OrbitPhase) -> list[str]:
@@ -372,6 +412,7 @@ def print_certificate(
         text_column("zero if", lambda name: RESIDUALS[name]),
     ]
     print_table(residual_columns, names)
+    print_event_quantities(certificate)
     if margins:
         _print_margins(certificate)
     if truncation:
