@@ -16,6 +16,7 @@ from pathlib import Path
 from commands import command_page
 from equations import direct
 from examples import examples
+from formulas import joined
 from navigation import navigation
 
 import zeno_orbits
@@ -47,7 +48,7 @@ def _for_sphinx(text: str) -> str:
     """Return a page whose anchors are targets, and whose links lead to pages of the site."""
     text = re.sub(r'^<a id="([^"]+)"></a>\n', r"(\1)=\n", text, flags=re.MULTILINE)
     text = re.sub(r'^- <a id="([^"]+)"></a>', r"- (\1)=\n  ", text, flags=re.MULTILINE)
-    text = direct(text, (ROOT / EQUATIONS).read_text())
+    text = joined(direct(text, (ROOT / EQUATIONS).read_text()))
     return text.replace("](../README.md", "](../index.md")
 
 

@@ -12,6 +12,7 @@ from docs.site.commands import command_page
 from docs.site.docstrings import linked
 from docs.site.equations import direct
 from docs.site.examples import examples
+from docs.site.formulas import joined
 from docs.site.navigation import navigation
 from zeno_orbits.verification.certificate import RESIDUALS
 
@@ -161,6 +162,12 @@ def test_docstrings_cite_by_links_on_the_site() -> None:
     source = ":ref:`[Keller1977] <Keller1977>`"
     wanted = f"As in theory {links[0]} to {links[1]}, and theory {links[2]}. Source: {source}."
     assert linked(cited) == wanted
+
+
+def test_punctuation_stays_with_the_formula_before_it_on_the_site() -> None:
+    assert joined("With $a$ and $b$, as in (1).") == "With $a$ and $b$&#8288;, as in (1)."
+    for code in ("`$a$, $b$.`", "```sh\necho $a$, $b$.\n```"):
+        assert joined(code) == code
 
 
 def test_the_page_of_the_command_line_has_every_command_and_option() -> None:
