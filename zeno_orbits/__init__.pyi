@@ -2,6 +2,7 @@ __version__: str
 
 from .api import ZenoCondition as ZenoCondition
 from .api import find_event_orbit as find_event_orbit
+from .api import search_event_gains as search_event_gains
 from .api import find_orbit_by_shooting as find_orbit_by_shooting
 from .api import compare as compare
 from .api import compile_problem as compile_problem
@@ -111,6 +112,9 @@ from .search.objectives import LeastEnergy as MinEnergy
 from .search.objectives import LeastPeak as MinPeak
 from .report.exploration.explore import explore as explore
 from .search.objectives import MaxPush as MaxPush
+from .search.event_gains import EventSearchResult as EventSearchResult
+from .search.objectives import MinBounceTime as MinBounceTime
+from .search.objectives import MinImpactLoss as MinImpactLoss
 from .search.objectives import NearestGains as NearestGains
 from .search.objectives import TargetAmplitude as TargetAmplitude
 from .search.objectives import TargetPeriod as TargetPeriod
@@ -145,6 +149,7 @@ __all__ = [
     "Drawing",
     "EnclosedEvent",
     "EventOrbit",
+    "EventSearchResult",
     "EventSequence",
     "Execution",
     "ExecutionPlan",
@@ -158,7 +163,9 @@ __all__ = [
     "InputError",
     "MaxMargin",
     "MaxPush",
+    "MinBounceTime",
     "MinEnergy",
+    "MinImpactLoss",
     "MinPeak",
     "MinSpectralRadius",
     "MotorBank",
@@ -248,6 +255,7 @@ __all__ = [
     "report_page",
     "sample_execution",
     "save_figure",
+    "search_event_gains",
     "search_gains",
     "simulate",
     "simulate_experiment",

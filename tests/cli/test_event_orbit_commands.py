@@ -87,15 +87,62 @@ def test_continue_follows_an_event_sequence() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        ["--vary", "a=1:3"],
-        ["--objective", "energy"],
-        ["--bound", "period=:1"],
+        ["--from", "hopper.json"],
         ["--shape", "zeno"],
         ["--candidates", "2"],
     ],
 )
 def test_search_refuses_options_for_machines_with_one_stop(options: list[str]) -> None:
     assert_refused(ask("search", "hopper", *options), options[0], "one stop")
+
+
+def test_search_finds_gains_that_keep_a_bound_and_writes_their_orbit() -> None:
+    answer = ask(
+        *("search", "hopper", "--vary", "a=5:40", "--objective", "impacts"),
+        *("--bound", "stop.impact_speed=2:", "-o", "hopper.json"),
+    )
+    assert answer.code == YES
+    # The loss is the work a s of the push, and v^2 = 2 a s / (1 - e^2).
+    assert "Asked for the least energy lost in impacts in a period: 1.5" in answer.out
+    assert "stop.impact_speed" in answer.out
+    assert "Written: hopper.json" in answer.out
+    orbit = zo.read_event_orbit("hopper.json")
+    assert orbit.parameters["a"] == pytest.approx(15.0, rel=1e-6)
+    assert orbit.certificate["asked"][0]["kept"]
+
+
+def test_search_says_no_if_no_orbit_keeps_a_bound() -> None:
+    words = ("search", "hopper", "--vary", "a=5:40", "--bound", "stop.impact_speed=9:")
+    told = ask(*words, "--json")
+    assert told.code == NO
+    assert told.data["found"] is False
+    assert told.data["search"]["asked"][0]["kept"] is False
+    assert "`stop.impact_speed` leaves its bounds 9: by" in told.data["search"]["detail"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        (["--objective", "impacts=roof"], "--objective", "`roof`"),
+        (["--objective", "energy"], "--objective", "impacts or bounce"),
+        (["--bound", "roof.impact_speed=1:"], "--bound", "stop.impact_speed"),
+        (["--bound", "stop.impacts=:1"], "--bound", "bound a speed"),
+        (["--uncertain", "s=0.1:0.2"], "--uncertain", "robustness, impacts or bounce"),
+        (["--objective", "impacts", "--uncertain", "w=1:2"], "--uncertain", "`w`"),
+        (["--objective", "bounce"], "--objective", "no time of bouncing"),
+        (["--set", "a=50"], "--set", "[5, 40]"),
+    ],
+)
+def test_search_refuses_objectives_and_bounds_without_a_meaning(
+    options: tuple[list[str], str, str],
+) -> None:
+    words, option, reason = options
+    assert_refused(ask("search", "hopper", "--vary", "a=5:40", *words), option, reason)
+
+
+def test_search_of_one_stop_refuses_objectives_about_several() -> None:
+    words = ("search", "vibrating_table", "--vary", "A=0.9:1.1", "--objective", "impacts")
+    assert_refused(ask(*words), "--objective", "several stops or switches")
 
 
 def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() -> None:

@@ -24,7 +24,14 @@ from zeno_orbits.work import Plan, Progress, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.orbits import Bound, OrbitShape
-    from zeno_orbits.search import Candidate, Closing, Objective, SearchResult, SearchSettings
+    from zeno_orbits.search import (
+        Candidate,
+        Closing,
+        EventSearchResult,
+        Objective,
+        SearchResult,
+        SearchSettings,
+    )
     from zeno_orbits.simulation import SimulationSettings
     from zeno_orbits.verification import VerificationSettings
 
@@ -216,6 +223,85 @@ def find_event_orbit(
         certificate=certificate.as_json(),
         floquet_multipliers=certificate.multipliers,
     )
+
+
+@front_door
+def search_event_gains(
+    problem: Named,
+    *,
+    free: Mapping[str, tuple[float, float]] | None = None,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    objective: Objective | None = None,
+    bounds: Sequence[Bound] = (),
+    section: str | None = None,
+    until: float | None = None,
+    n_starts: int = 12,
+    seed: int = 0,
+    settings: SimulationSettings | None = None,
+    on_progress: Progress = silent,
+) -> EventSearchResult:
+    """Find gains of a machine with several stops or switches, and verify its orbit.
+
+    Args:
+        problem: The problem, its name or its file.
+        free: Name to range of the gains and parameters to search. The default is every gain that
+            ``gains`` does not fix, in the range that the problem declares.
+        gains: Gains that differ from their defaults: the initial value of a free gain, the value of
+            a fixed gain.
+        parameters: Parameters that differ from their defaults, free or fixed in the same way.
+        start: State name to initial value of the simulation. The default is each of the problem's
+            starts.
+        objective: `NearestGains` (the default), `TargetPeriod`, `MinSpectralRadius`,
+            `MinImpactLoss` or `MinBounceTime`.
+        bounds: Bounds on the period and on quantities of events, such as ``closed.impact_speed``.
+            With uncertain parameters they hold at every corner.
+        section: Name of the event at which the period starts and ends. The default is chosen by the
+            program.
+        until: Longest time to settle [s].
+        n_starts: Number of further starts in the ranges, if no motion settles at the first.
+        seed: Seed of these starts.
+        settings: Integrator and accuracy.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Returns:
+        The orbit with its certificate and the values of the objective, or the reason why there is
+        none: no orbit keeps the bounds, or an impact vanishes at the optimum.
+
+    Raises:
+        InputError: If a name is unknown, a value is out of range, or the objective needs another
+            machine.
+        SimulationError: If no motion settles to an orbit.
+    """
+    from zeno_orbits.search import search_event_gains as search
+    from zeno_orbits.verification import verify_events
+
+    known = known_problem(problem)
+    result = search(
+        known,
+        known.values(gains=gains, parameters=parameters),
+        free=_boxes(known, gains, free),
+        objective=objective,
+        bounds=bounds,
+        start=start,
+        section=section,
+        until=until,
+        n_starts=n_starts,
+        seed=seed,
+        simulation=settings,
+        on_progress=on_progress,
+    )
+    if result.orbit is None:
+        return result
+    certificate = verify_events(result.orbit, known, on_progress=on_progress)
+    certificate = replace(certificate, asked=result.asked)
+    orbit = replace(
+        result.orbit,
+        certificate=certificate.as_json(),
+        floquet_multipliers=certificate.multipliers,
+    )
+    return replace(result, orbit=orbit, certificate=certificate)
 
 
 @front_door

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from zeno_orbits import api
 from zeno_orbits.cli.options import NO, YES, numbers_of, print_json, say_written
+from zeno_orbits.cli.parsing import over_ranges, read_wish, require_starts_inside
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import require_writable
@@ -15,10 +16,6 @@ if TYPE_CHECKING:
     import zeno_orbits as zo
 
 _SEARCH = {
-    "vary": "--vary",
-    "objective": "--objective",
-    "uncertain": "--uncertain",
-    "keep": "--bound",
     "near": "--from",
     "shape": "--shape",
     "scheduler": "--scheduler",
@@ -36,7 +33,9 @@ _VERIFY = {
 
 
 def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
-    """Find, verify and print the orbit to which a machine settles, and return the exit code.
+    """Find, verify and print the orbit of a machine, and return the exit code.
+
+    Without an objective, bounds and ranges it is the orbit to which the machine settles.
 
     Args:
         options: The command line.
@@ -53,6 +52,8 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
         raise InputError(needs_one_stop("--candidates"))
     if options.output is not None:
         require_writable(options.output)
+    if options.vary or options.objective or options.keep or options.uncertain:
+        return _search_gains(options, problem)
     with report.ProgressLine(options.interrupts.check) as progress:
         orbit = api.find_event_orbit(
             problem,
@@ -73,6 +74,54 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
     report.print_event_orbit(orbit, certificate)
     if passes:
         say_written(options, [] if options.output is None else [options.output])
+    if options.accuracy is not None:
+        report.print_error_estimate(certificate.orbit_error)
+    return YES if passes else NO
+
+
+def _search_gains(options: argparse.Namespace, problem: zo.Problem) -> int:
+    """Find the best orbit in given ranges, verify and print it, and return the exit code."""
+    import zeno_orbits as zo
+
+    numbers = numbers_of(problem, options)
+    free = {**api.free_gains(problem, numbers["gains"] or {}), **options.vary}
+    require_starts_inside(options.set, free)
+    wish = options.objective or read_wish("nearest")
+    objective = wish.objective(problem, free)
+    if options.uncertain:
+        objective = over_ranges(wish, objective, options.uncertain)
+    with report.ProgressLine(options.interrupts.check) as progress:
+        result = api.search_event_gains(
+            problem,
+            free=free,
+            **numbers,
+            start=options.start or None,
+            objective=objective,
+            bounds=tuple(options.keep.values()),
+            section=options.section,
+            until=options.until,
+            n_starts=options.starts,
+            seed=options.seed,
+            settings=api.simulation_settings(options.engine),
+            on_progress=progress,
+        )
+    orbit, certificate = result.orbit, result.certificate
+    if orbit is None or certificate is None:
+        if options.json:
+            print_json({"found": False, "search": result.as_json()})
+        else:
+            report.print_event_search(result)
+        return NO
+    passes = certificate.passed and (certificate.stable or options.allow_unstable)
+    if options.output is not None and passes:
+        zo.write_event_orbit(orbit, options.output)
+    if options.json:
+        print_json(orbit.as_json() | {"search": result.as_json()})
+        return YES if passes else NO
+    report.print_event_orbit(orbit, certificate)
+    if passes:
+        say_written(options, [] if options.output is None else [options.output])
+    report.print_event_search(result)
     if options.accuracy is not None:
         report.print_error_estimate(certificate.orbit_error)
     return YES if passes else NO

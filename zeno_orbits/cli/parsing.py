@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from zeno_orbits.errors import InputError, did_you_mean
@@ -244,6 +245,48 @@ class Wish(NamedTuple):
             message = f"must leave a gain or a parameter free for the {self.word}, but none is free"
             raise InputError(f"Argument `objective` {message}.")
         return self.row.objective(problem, self.operand)
+
+
+_WITH_RANGES = ("robustness", "impacts", "bounce")
+"""Objectives over uncertain ranges. The first of them needs a range."""
+
+
+def over_ranges(wish: Wish, objective: Any, uncertain: Mapping[str, tuple[float, float]]) -> Any:
+    """Return an objective over uncertain ranges.
+
+    Args:
+        wish: The objective as typed.
+        objective: The objective.
+        uncertain: Name to range.
+
+    Raises:
+        InputError: If the objective takes no ranges, or lacks them.
+    """
+    if wish.word not in _WITH_RANGES:
+        words = f"{', '.join(_WITH_RANGES[:-1])} or {_WITH_RANGES[-1]}"
+        raise InputError(f"Argument `--uncertain` must have --objective {words}.")
+    if not uncertain and wish.word == _WITH_RANGES[0]:
+        raise InputError("Argument `--objective robustness` must have --uncertain NAME=LOW:HIGH.")
+    return replace(objective, uncertain=uncertain)
+
+
+def require_starts_inside(
+    given: Mapping[str, float], free: Mapping[str, tuple[float, float]]
+) -> None:
+    """Refuse a start outside its range.
+
+    Args:
+        given: Name to value that was given.
+        free: Name to range of the decision variables.
+
+    Raises:
+        InputError: If a value is outside.
+    """
+    for name, value in given.items():
+        low, high = free.get(name, (-math.inf, math.inf))
+        if not low <= value <= high:
+            message = f"must start in its range [{low:g}, {high:g}]"
+            raise InputError(f"Argument `--set {name}={value:g}` {message}.")
 
 
 def read_wish(text: str) -> Wish:

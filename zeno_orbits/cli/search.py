@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +19,7 @@ from zeno_orbits.cli.options import (
 from zeno_orbits.cli.parsing import (
     Named,
     Once,
+    over_ranges,
     read_bound,
     read_count,
     read_named_number,
@@ -30,6 +28,7 @@ from zeno_orbits.cli.parsing import (
     read_seed,
     read_shape,
     read_wish,
+    require_starts_inside,
 )
 from zeno_orbits.cli.search_output import answer
 from zeno_orbits.errors import InputError
@@ -60,6 +59,7 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum --objective energy --scheduler tcp://host:8786",
             "zeno-orbits search motor_pendulum --set Kp=2.5 --vary Kd=-1.05:-0.95 "
             "--objective push --n-starts 1",
+            "zeno-orbits search relay --vary U=20:24 --objective impacts=closed",
         ],
     )
     add_problem(parser)
@@ -83,8 +83,8 @@ def add_search(commands: Any) -> None:
         action=Named,
         type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="range of an uncertain parameter: --objective robustness takes the worst "
-        "corner of these ranges (repeatable)",
+        help="range of an uncertain parameter: --objective robustness, impacts and bounce take the "
+        "worst corner of these ranges (repeatable)",
     )
     parser.add_argument(
         "--bound",
@@ -94,7 +94,8 @@ def add_search(commands: Any) -> None:
         metavar="NAME=LOWER:UPPER",
         help="bounds on the orbit, with an open end left empty (NAME=:1.2): a state, "
         "current or voltage at all times; period, energy, spectral_radius, or a margin of the "
-        "certificate (repeatable)",
+        "certificate; with several stops the period or a quantity of an event, such as "
+        "STOP.impact_speed (repeatable)",
     )
     parser.add_argument(
         "--initial",
@@ -175,11 +176,11 @@ def _run_search(options: argparse.Namespace) -> int:
     free = {**api.free_gains(problem), **options.vary}
     free = {name: box for name, box in free.items() if name in options.vary or name not in gains}
     values = api.start_values(problem, near=near, gains=gains, parameters=parameters)
-    _require_starts_inside(options.set, free)
+    require_starts_inside(options.set, free)
     wish = options.objective or read_wish("nearest")
     objective = wish.objective(problem, free)
     if options.uncertain or wish.word == "robustness":
-        objective = _over_ranges(wish.word, objective, options.uncertain)
+        objective = over_ranges(wish, objective, options.uncertain)
     bounds = tuple(options.keep.values())
     if near is not None:
         near.shape.agreed(options.shape)
@@ -218,27 +219,3 @@ def _run_search(options: argparse.Namespace) -> int:
 
     # With nothing free there is one start, which is done or not.
     return run_resumable(options, work, finish, keep=bool(free))
-
-
-def _over_ranges(word: str, objective: Any, uncertain: Mapping[str, tuple[float, float]]) -> Any:
-    """Return an objective over uncertain ranges.
-
-    Raises:
-        InputError: If only one of objective and ranges is given.
-    """
-    if word != "robustness":
-        raise InputError("Argument `--uncertain` must have --objective robustness.")
-    if not uncertain:
-        raise InputError("Argument `--objective robustness` must have --uncertain NAME=LOW:HIGH.")
-    return replace(objective, uncertain=uncertain)
-
-
-def _require_starts_inside(
-    given: Mapping[str, float], free: Mapping[str, tuple[float, float]]
-) -> None:
-    """Refuse a start outside its range."""
-    for name, value in given.items():
-        low, high = free.get(name, (-math.inf, math.inf))
-        if not low <= value <= high:
-            message = f"must start in its range [{low:g}, {high:g}]"
-            raise InputError(f"Argument `--set {name}={value:g}` {message}.")

@@ -20,6 +20,7 @@ from .event_orbit_file import read_event_orbit as read_event_orbit
 from .event_orbit import sequence_of as sequence_of
 from .event_orbit_file import write_event_orbit as write_event_orbit
 from .event_quantities import EventQuantities as EventQuantities
+from .event_quantities import PERIOD as PERIOD
 from .event_quantities import Reading as Reading
 from .event_quantities import event_quantity_names as event_quantity_names
 from .event_quantities import require_event_quantity as require_event_quantity

@@ -2,6 +2,8 @@ from .closing import Closing as Closing
 from .closing import OrbitNotClosedError as OrbitNotClosedError
 from .closing import close_orbit as close_orbit
 from .event_search import find_event_orbit as find_event_orbit
+from .event_gains import EventSearchResult as EventSearchResult
+from .event_gains import search_event_gains as search_event_gains
 from .closing import orbit_of as orbit_of
 from .fixed_point import ClosedCycle as ClosedCycle
 from .fixed_point import close_cycle as close_cycle
@@ -18,6 +20,8 @@ from .objectives import FastestContraction as FastestContraction
 from .objectives import LeastEnergy as LeastEnergy
 from .objectives import LeastPeak as LeastPeak
 from .objectives import MaxPush as MaxPush
+from .objectives import MinBounceTime as MinBounceTime
+from .objectives import MinImpactLoss as MinImpactLoss
 from .objectives import NearestGains as NearestGains
 from .objectives import Objective as Objective
 from .objectives import TargetAmplitude as TargetAmplitude

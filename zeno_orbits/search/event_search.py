@@ -1,16 +1,15 @@
 """Orbits of machines with several stops or switches: a simulation settles, Newton's method closes.
 
 The values of gains and parameters are fixed. The motion is simulated until it nearly repeats at
-an event, and the return to this event is solved for its fixed point.
+an event, and the return to this event is solved for its fixed point. `event_gains` varies values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, own_time
 from zeno_orbits.orbits import (
@@ -23,7 +22,7 @@ from zeno_orbits.orbits import (
     orbit_event_name,
 )
 from zeno_orbits.search.closing import named
-from zeno_orbits.simulation import SimulationSettings, simulate, state_before
+from zeno_orbits.simulation import Execution, SimulationSettings, simulate, state_before
 from zeno_orbits.work import Progress, silent, versions
 
 _TIMES = (25.0, 100.0, 400.0)
@@ -56,6 +55,46 @@ def find_event_orbit(
         SimulationError: If no motion settles, or Newton's method does not converge.
         InputError: If the section does not occur.
     """
+    found = settled_return(
+        problem,
+        values,
+        start=start,
+        section=section,
+        until=until,
+        simulation=simulation,
+        on_progress=on_progress,
+    )
+    return event_orbit_of(problem, values, found)
+
+
+def settled_return(
+    problem: Problem,
+    values: ParameterValues,
+    *,
+    start: Mapping[str, float] | None = None,
+    section: str | None = None,
+    until: float | None = None,
+    simulation: SimulationSettings | None = None,
+    changing: Sequence[str] = (),
+    on_progress: Progress = silent,
+) -> EventReturn:
+    """Return the periodic return to which a motion settles.
+
+    Args:
+        problem: The problem.
+        values: Its parameter values.
+        start: State name to initial value, by default each start of the problem in turn.
+        section: Name of the event at which the period starts and ends. By default it is chosen.
+        until: Longest time to settle [s].
+        simulation: Accuracy.
+        changing: Names of gains and parameters that will change. The default section is then, if
+            there is one, an event at a fixed phase of the clock, which every motion has.
+        on_progress: Called with the stage.
+
+    Raises:
+        SimulationError: If no motion settles, or Newton's method does not converge.
+        InputError: If the section does not occur.
+    """
     graph, settings = problem.graph_dynamics(values), simulation or SimulationSettings()
     starts = problem.starts if start is None else (start,)
     trouble: SimulationError | None = None
@@ -66,23 +105,49 @@ def find_event_orbit(
         for time in times:
             on_progress("settling", None)
             try:
-                found = _closed(graph, x, time, section, settings)
+                motion = simulate(graph, x, until=time, settings=settings)
+                chosen = section
+                if section is None and changing:
+                    chosen = _fixed_event(graph, motion, indices_of(values, changing))
+                return _closed(graph, motion, chosen, settings)
             except SimulationError as error:
                 trouble = error
                 if error.execution is not None:
                     break
-            else:
-                return _orbit_of(problem, values, graph, found)
     if trouble is None:
         raise AssertionError("A problem has a start.")
     raise trouble
 
 
+def indices_of(values: ParameterValues, names: Sequence[str]) -> tuple[int, ...]:
+    """Return the places of gains and parameters in the parameter vector.
+
+    Args:
+        values: The values.
+        names: Names of gains and parameters.
+    """
+    order = list(values.numbers)
+    return tuple(order.index(name) for name in names)
+
+
+def _fixed_event(graph: GraphDynamics, motion: Execution, chosen: Sequence[int]) -> str | None:
+    """Return a switch whose guard depends on the clock alone, and on no chosen parameter."""
+    clock = graph.first.clock
+    for event in motion.switches:
+        gradient = graph.guard_gradient(
+            graph.switch_names.index(event.name), np.asarray(event.state_minus), chosen
+        )
+        rest = np.delete(gradient, list(clock))
+        if clock and gradient.any() and not rest.any():
+            return orbit_event_name(event)
+    return None
+
+
 def _closed(
-    graph: GraphDynamics, x: Vector, until: float, section: str | None, settings: SimulationSettings
+    graph: GraphDynamics, motion: Execution, section: str | None, settings: SimulationSettings
 ) -> EventReturn:
-    """Return the periodic return near the end of a simulation."""
-    near = near_return(simulate(graph, x, until=until, settings=settings), graph, section)
+    """Return the periodic return near the end of a motion."""
+    near = near_return(motion, graph, section)
     return closed_return(
         graph,
         near.state,
@@ -93,10 +158,14 @@ def _closed(
     )
 
 
-def _orbit_of(
-    problem: Problem, values: ParameterValues, graph: GraphDynamics, found: EventReturn
-) -> EventOrbit:
-    """Return the orbit of a periodic return."""
+def event_orbit_of(problem: Problem, values: ParameterValues, found: EventReturn) -> EventOrbit:
+    """Return the orbit of a periodic return, not verified.
+
+    Args:
+        problem: The problem.
+        values: Its parameter values.
+        found: The return.
+    """
     return EventOrbit(
         problem=problem.name,
         parameters=dict(values.parameters),
@@ -111,6 +180,6 @@ def _orbit_of(
             )
             for event in found.events
         ),
-        floquet_multipliers=multipliers_of_return(graph, found),
+        floquet_multipliers=multipliers_of_return(problem.graph_dynamics(values), found),
         versions=versions(),
     )

@@ -435,42 +435,152 @@ class MaxPush(Sampled, Checked):
     @property
     def corners(self) -> list[dict[str, float]]:
         """The corners of the uncertain ranges, name to value. Empty without a range."""
-        if not self.uncertain:
-            return []
-        corners = product(*self.uncertain.values())
-        return [dict(zip(self.uncertain, corner, strict=True)) for corner in corners]
+        return corners_of(self.uncertain)
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject impulses of different units, and ranges without a meaning."""
         from zeno_orbits.maps import push_units
-        from zeno_orbits.model import unknown
 
         units = push_units(problem, self.direction, "objective")
         if len(units) > 1:
             wanted = "must name a direction, such as push:NAME=1"
             said = f"the impulses along the coordinates have the units {', '.join(sorted(units))}"
             raise InputError(f"Argument `objective` {wanted}, as {said}.")
-        if len(self.uncertain) > _MOST_UNCERTAIN:
-            wanted = f"must have at most {_MOST_UNCERTAIN} ranges, but it has {len(self.uncertain)}"
-            raise InputError(f"Argument `uncertain` {wanted}.")
-        known = tuple(one.name for one in problem.parameters)
-        for name, (low, high) in self.uncertain.items():
-            if name not in known:
-                raise InputError(unknown("uncertain", name, known))
-            if name in free:
-                raise InputError(f"Argument `uncertain` must not name the unknown `{name}`.")
-            if not low < high:
-                wanted = f"must have a lower end below its upper end for `{name}`"
-                raise InputError(f"Argument `uncertain` {wanted}, but it is {low:g}:{high:g}.")
-        for corner in self.corners:
-            try:
-                problem.values(parameters=corner)
-            except InputError as error:
-                if not str(error).startswith("Argument `parameters`"):
-                    raise
-                where = ", ".join(f"{name} = {value:g}" for name, value in corner.items())
-                wanted = f"must leave valid parameters at the corner {where}"
-                raise InputError(f"Argument `uncertain` {wanted}, but: {error}") from error
+        check_uncertain(self.uncertain, problem, free)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfImpacts(Sampled, Checked):
+    """Base of objectives about the impacts of a machine with several stops or switches.
+
+    Attributes:
+        stop: Name of the stop, or an empty text for all stops.
+        uncertain: Name to range of uncertain parameters. The objective is then the largest value at
+            the search's own values and at all corners of the ranges.
+    """
+
+    stop: str = ""
+    uncertain: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict[str, tuple[float, float]]
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse values of a wrong kind. `check` refuses values without a meaning."""
+        Checked.__post_init__(self)
+        for name, ends in named_numbers("uncertain", self.uncertain).items():
+            number_range("uncertain", ends, name)
+
+    @property
+    @abstractmethod
+    def quantity(self) -> str:
+        """Word of the quantity of a stop, such as ``energy_lost``."""
+
+    @property
+    @abstractmethod
+    def what(self) -> str:
+        """The quantity in words."""
+
+    @property
+    def wish(self) -> str:
+        """The objective in words."""
+        where = f" on {self.stop}" if self.stop else ""
+        ranges = [f"{name} = {low:g} to {high:g}" for name, (low, high) in self.uncertain.items()]
+        over = f" in the worst case for {', '.join(ranges)}" if ranges else ""
+        return f"the least {self.what}{where} in a period{over}"
+
+    def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
+        """Reject an unknown stop, a machine with one stop, and ranges without a meaning."""
+        from zeno_orbits.model import unknown
+
+        if not problem.has_graph:
+            wanted = "needs a machine with several stops or switches in this version"
+            raise InputError(f"Argument `objective` {wanted}: choose another objective.")
+        stops = tuple(stop.name for stop in problem.compiled_graph().graph.stops)
+        if self.stop and self.stop not in stops:
+            raise InputError(unknown("objective", self.stop, stops))
+        check_uncertain(self.uncertain, problem, free)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MinImpactLoss(OfImpacts):
+    """The least kinetic energy lost in impacts per period."""
+
+    @property
+    def quantity(self) -> str:
+        """The lost energy."""
+        return "energy_lost"
+
+    @property
+    def what(self) -> str:
+        """The quantity in words."""
+        return "energy lost in impacts"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MinBounceTime(OfImpacts):
+    """The least time from first impacts to their Zeno points per period."""
+
+    @property
+    def quantity(self) -> str:
+        """The bounce time."""
+        return "bounce_time"
+
+    @property
+    def what(self) -> str:
+        """The quantity in words."""
+        return "time of bouncing"
+
+
+def corners_of(uncertain: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
+    """Return the corners of uncertain ranges, name to value. Empty without a range.
+
+    Args:
+        uncertain: Name to range of the uncertain parameters.
+    """
+    if not uncertain:
+        return []
+    return [dict(zip(uncertain, corner, strict=True)) for corner in product(*uncertain.values())]
+
+
+def check_uncertain(
+    uncertain: Mapping[str, tuple[float, float]],
+    problem: Problem,
+    free: Mapping[str, tuple[float, float]],
+) -> None:
+    """Reject uncertain ranges without a meaning.
+
+    Args:
+        uncertain: Name to range of the uncertain parameters.
+        problem: The problem.
+        free: Name to range of the decision variables.
+
+    Raises:
+        InputError: If there are too many ranges, a name is unknown or free, a range is empty, or a
+            corner has no valid parameters.
+    """
+    from zeno_orbits.model import unknown
+
+    if len(uncertain) > _MOST_UNCERTAIN:
+        wanted = f"must have at most {_MOST_UNCERTAIN} ranges, but it has {len(uncertain)}"
+        raise InputError(f"Argument `uncertain` {wanted}.")
+    known = tuple(one.name for one in problem.parameters)
+    for name, (low, high) in uncertain.items():
+        if name not in known:
+            raise InputError(unknown("uncertain", name, known))
+        if name in free:
+            raise InputError(f"Argument `uncertain` must not name the unknown `{name}`.")
+        if not low < high:
+            wanted = f"must have a lower end below its upper end for `{name}`"
+            raise InputError(f"Argument `uncertain` {wanted}, but it is {low:g}:{high:g}.")
+    for corner in corners_of(uncertain):
+        try:
+            problem.values(parameters=corner)
+        except InputError as error:
+            if not str(error).startswith("Argument `parameters`"):
+                raise
+            where = ", ".join(f"{name} = {value:g}" for name, value in corner.items())
+            wanted = f"must leave valid parameters at the corner {where}"
+            raise InputError(f"Argument `uncertain` {wanted}, but: {error}") from error
 
 
 _MOST_UNCERTAIN = 4
@@ -485,6 +595,7 @@ class Operand(Enum):
     SIGNAL = "the name of a signal"
     NUMBERS = "names with numbers, or nothing"
     DIRECTION = "coordinates with numbers, or nothing"
+    STOP = "the name of a stop, or nothing"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -551,6 +662,19 @@ OBJECTIVES: Mapping[str, ObjectiveWord] = {
         meaning=" (the same over all corners of the ranges of --uncertain)",
         operand=Operand.DIRECTION,
         objective=lambda _, direction: MaxPush(direction=direction),
+    ),
+    "impacts": ObjectiveWord(
+        usage="impacts",
+        meaning=" or impacts=STOP (least energy lost in impacts per period, on one stop; the worst "
+        "case with --uncertain)",
+        operand=Operand.STOP,
+        objective=lambda _, stop: MinImpactLoss(stop=stop),
+    ),
+    "bounce": ObjectiveWord(
+        usage="bounce",
+        meaning=" or bounce=STOP (least time from first impacts to Zeno points, likewise)",
+        operand=Operand.STOP,
+        objective=lambda _, stop: MinBounceTime(stop=stop),
     ),
 }
 """The words of ``--objective``, in the order of its help."""

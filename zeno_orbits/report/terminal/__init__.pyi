@@ -24,6 +24,7 @@ from .progress import line_for_watcher as line_for_watcher
 from .searches import print_bounds as print_bounds
 from .searches import print_candidates as print_candidates
 from .searches import objective_reached as objective_reached
+from .searches import print_event_search as print_event_search
 from .searches import print_search as print_search
 from .searches import print_solver as print_solver
 from .studies import print_basin as print_basin

@@ -11,7 +11,7 @@ from zeno_orbits.report.table import BOUNDS, Column, number_column, text_column
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.search import Candidate, SearchResult, StartAttempt
+    from zeno_orbits.search import Candidate, EventSearchResult, SearchResult, StartAttempt
     from zeno_orbits.simulation import Extent
 
 
@@ -85,6 +85,31 @@ def objective_reached(
             reached = f"{extent.lowest:.8g} to {extent.highest:.8g}"
         found.append(f"Asked for {wish}; measured on a simulation, {name}: {reached}.")
     return found
+
+
+def print_event_search(result: EventSearchResult) -> None:
+    """Print the end of a search over the gains of a machine with several stops or switches.
+
+    Args:
+        result: The result.
+    """
+    if result.detail:
+        print_lines([result.detail])
+    for bound in result.least_speeds:
+        print_lines([f'--bound "{bound.name}={bound.text}" keeps a least speed.'])
+    numbers = _listed(result.free, 10)
+    reached = "" if not result.objective.is_sampled else f": {result.value:.8g}"
+    print_lines([f"Asked for {result.objective.wish}{reached}.", f"  {numbers}"])
+    if result.mean is not None:
+        where = _listed(result.worst_at, 6) or "the search's own values"
+        print_lines(
+            [
+                f"Worst case: {result.worst:.8g} at {where}. "
+                f"Mean over the corners: {result.mean:.8g}."
+            ]
+        )
+    print_bounds(result.asked)
+    print_lines([f"Search: {counted(result.n_orbits, 'orbit')}."])
 
 
 def print_bounds(asked: Sequence[Mapping[str, Any]]) -> None:

@@ -1,0 +1,439 @@
+"""Gains of machines with several stops or switches: the best orbit of events in given ranges.
+
+The orbit is closed anew at every choice of the free values, and the derivatives of objective and
+bounds along the orbits are exact. Uncertain parameters count with their worst corner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import (
+    PERIOD,
+    Bound,
+    EventOrbit,
+    StepError,
+    asked_and_reached,
+    objection_to,
+    require_event_quantity,
+)
+from zeno_orbits.search.event_optimum import Optimum, Trial, along_edges, least_worst
+from zeno_orbits.search.event_points import EventPoint, NoEventError, OrbitsOverValues, Slope
+from zeno_orbits.search.event_search import event_orbit_of, settled_return
+from zeno_orbits.search.objectives import (
+    FastestContraction,
+    NearestGains,
+    Objective,
+    OfImpacts,
+    TargetPeriod,
+    corners_of,
+)
+from zeno_orbits.search.search_problem import clipped
+from zeno_orbits.search.transcription.nearness import Nearness
+from zeno_orbits.simulation import Extent, SimulationSettings
+from zeno_orbits.verification import OrbitCertificate
+from zeno_orbits.work import Progress, silent
+
+_VANISHED = 1e-2
+"""Part of its first speed below which an impact vanishes: 1e-4 of its energy is left. It is also
+the least speed that is suggested."""
+_SMALLEST_SIZE = 1e-2
+"""Smallest size of a free value, in units of its range."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventSearchResult:
+    """The best orbit of events in given ranges, or why there is none.
+
+    Attributes:
+        orbit: The orbit, or ``None``.
+        free: Name to free value at the end of the search.
+        objective: The objective.
+        value: The objective at the search's own parameters.
+        worst: The objective at the worst corner, or at the search's own parameters.
+        worst_at: Name to value of the uncertain parameters there, empty at the search's own.
+        mean: Mean of the objective over the corners, ``None`` without uncertain parameters.
+        asked: The bounds with the ranges that the orbit reaches.
+        vanishing: Speed of each impact that vanishes at the end of the search, by its stop.
+        least_speeds: Bounds that keep a hundredth of the first speeds of these impacts.
+        n_orbits: Number of orbits that were closed.
+        certificate: Certificate of the orbit, ``None`` before a verification.
+        detail: Reason why there is no orbit, or why the search ended early.
+    """
+
+    orbit: EventOrbit | None
+    free: Mapping[str, float] = field(default_factory=dict[str, float])
+    objective: Objective
+    value: float = math.nan
+    worst: float = math.nan
+    worst_at: Mapping[str, float] = field(default_factory=dict[str, float])
+    mean: float | None = None
+    asked: tuple[Mapping[str, Any], ...] = ()
+    vanishing: Mapping[str, float] = field(default_factory=dict[str, float])
+    least_speeds: tuple[Bound, ...] = ()
+    n_orbits: int = 0
+    certificate: OrbitCertificate | None = None
+    detail: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the outcome without the orbit, as plain data."""
+        return {
+            "free": dict(self.free),
+            "objective": self.objective.wish,
+            "value": _finite(self.value),
+            "worst": _finite(self.worst),
+            "worst_at": dict(self.worst_at),
+            "mean": self.mean,
+            "asked": [dict(one) for one in self.asked],
+            "vanishing": dict(self.vanishing),
+            "n_orbits": self.n_orbits,
+            "detail": self.detail,
+        }
+
+
+def search_event_gains(
+    problem: Problem,
+    values: ParameterValues,
+    *,
+    free: Mapping[str, tuple[float, float]],
+    objective: Objective | None = None,
+    bounds: Sequence[Bound] = (),
+    start: Mapping[str, float] | None = None,
+    section: str | None = None,
+    until: float | None = None,
+    n_starts: int = 12,
+    seed: int = 0,
+    simulation: SimulationSettings | None = None,
+    on_progress: Progress = silent,
+) -> EventSearchResult:
+    """Return the best orbit of a machine with several stops or switches, not verified.
+
+    Args:
+        problem: The problem.
+        values: Values of its gains and parameters. Free values start there.
+        free: Name to range of the free gains and parameters.
+        objective: The objective, by default values near their start.
+        bounds: Bounds on the period and on quantities of events, at every corner.
+        start: State name to initial value, by default each start of the problem in turn.
+        section: Name of the event at which the period starts and ends. By default it is chosen.
+        until: Longest time to settle [s].
+        n_starts: Number of further free values, from all over the ranges, that are tried in turn
+            until a motion settles to an orbit.
+        seed: Seed of these values.
+        simulation: Accuracy.
+        on_progress: Called with the stage.
+
+    Raises:
+        InputError: If a name or range is invalid, or the objective needs another machine.
+        SimulationError: If no motion settles to an orbit at any of the free values.
+    """
+    settings = simulation or SimulationSettings()
+    wish = objective or NearestGains(target={})
+    _require_valid(problem, values, free, wish, bounds)
+    if isinstance(wish, NearestGains):
+        values = values.replaced(wish.target)
+    values = clipped(values, free)
+    ranges = np.array(list(free.values()), dtype=np.float64).reshape(-1, 2)
+    uncertain: Mapping[str, tuple[float, float]] = {}
+    if isinstance(wish, OfImpacts):
+        uncertain = wish.uncertain
+    changing = (*free, *uncertain)
+    trouble: SimulationError | None = None
+    for place in _places(values, free, n_starts, seed):
+        try:
+            found = settled_return(
+                problem,
+                place,
+                start=start,
+                section=section,
+                until=until,
+                simulation=settings,
+                changing=changing,
+                on_progress=on_progress,
+            )
+        except SimulationError as error:
+            trouble = error
+            continue
+        orbits = OrbitsOverValues(
+            problem=problem, values=place, names=tuple(free), simulation=settings
+        )
+        orbits.begin(found)
+        task = _Task(
+            orbits=orbits,
+            origin=values,
+            free=free,
+            ranges=ranges,
+            objective=wish,
+            bounds=tuple(bounds),
+            corners=({}, *corners_of(uncertain)),
+            on_progress=on_progress,
+        )
+        return _result(task, np.array([place.number(name) for name in free]))
+    if trouble is None:
+        raise AssertionError("A search has a first place.")
+    raise trouble
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Task:
+    """Everything that a trial needs.
+
+    Attributes:
+        orbits: The orbits over the free values.
+        origin: Values near which free values stay without another objective.
+        free: Name to range of the free values.
+        ranges: The same, ``(k, 2)``.
+        objective: The objective.
+        bounds: The bounds.
+        corners: The corners of uncertain parameters, the search's own parameters first.
+        on_progress: Called with the stage.
+    """
+
+    orbits: OrbitsOverValues
+    origin: ParameterValues
+    free: Mapping[str, tuple[float, float]]
+    ranges: Vector
+    objective: Objective
+    bounds: tuple[Bound, ...]
+    corners: tuple[dict[str, float], ...]
+    on_progress: Progress
+
+    def numbers(self, u: Vector) -> Vector:
+        """Return free values from the unit box."""
+        return self.ranges[:, 0] + u * (self.ranges[:, 1] - self.ranges[:, 0])
+
+    def trial(self, u: Vector) -> Trial:
+        """Return objective and rows at free values in the unit box.
+
+        Raises:
+            SimulationError: If there is no orbit near the last one.
+            StepError: If an event of the objective or a bound does not occur.
+        """
+        self.on_progress("optimizing", None)
+        numbers = self.numbers(u)
+        points = tuple(self.orbits.at(numbers, corner) for corner in self.corners)
+        costs = tuple(self._in_box(self._cost(point, numbers)) for point in points)
+        rows: list[Slope] = []
+        equal: list[Slope] = []
+        for point in points:
+            for bound in self.bounds:
+                found = [self._in_box(one) for one in point.excesses(bound)]
+                if bound.lower == bound.upper:
+                    equal.append(found[0])
+                else:
+                    rows += found
+        if isinstance(self.objective, TargetPeriod):
+            target = self.objective.target
+            exact = Bound(name=PERIOD, lower=target, upper=target)
+            equal.append(self._in_box(points[0].excesses(exact)[0]))
+        return Trial(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
+
+    def optimum(self, first: Trial) -> Optimum:
+        """Return the optimum near a first trial.
+
+        Args:
+            first: The first trial.
+        """
+        found = least_worst(self.trial, first)
+        if isinstance(self.objective, OfImpacts):
+            return along_edges(self.trial, found, abs(first.value) or 1.0)
+        return found
+
+    def _in_box(self, slope: Slope) -> Slope:
+        """Return a number with its derivative with respect to the free values in the unit box."""
+        return Slope(value=slope.value, by=slope.by * (self.ranges[:, 1] - self.ranges[:, 0]))
+
+    def _cost(self, point: EventPoint, numbers: Vector) -> Slope:
+        if isinstance(self.objective, OfImpacts):
+            return point.impact_cost(self.objective)
+        if isinstance(self.objective, FastestContraction):
+            return self.orbits.radius(point, numbers, self.ranges)
+        first = {name: self.origin.number(name) for name in self.free}
+        sizes = {
+            name: max(abs(first[name]), _SMALLEST_SIZE * (high - low))
+            for name, (low, high) in self.free.items()
+        }
+        here = dict(zip(self.free, map(float, numbers), strict=True))
+        wanted = {**first, **self.objective.goal}
+        value = float(Nearness(first=first, sizes=sizes).distance(here, self.objective.goal))
+        by = [(here[name] - wanted[name]) / sizes[name] ** 2 for name in self.free]
+        return Slope(value=value, by=np.array(by))
+
+
+def _result(task: _Task, numbers: Vector) -> EventSearchResult:
+    """Return the result of a search from free values at which there is an orbit.
+
+    Raises:
+        InputError: If the objective has no event there.
+        SimulationError: If a corner has no orbit there.
+    """
+    low, high = task.ranges.T
+    u = (numbers - low) / np.where(high > low, high - low, 1.0)
+    try:
+        first = task.trial(u)
+    except NoEventError as error:
+        wanted = "must be about events of the orbit"
+        raise InputError(f"Argument `{error.argument}` {wanted}, but {error}.") from error
+    best = task.optimum(first) if task.free else Optimum(trial=first, converged=True)
+    if len(task.corners) > 1 and task.free:
+        best = min((best, *_by_nominal(task, first)), key=lambda one: one.trial.rank)
+    return _told(task, first, best)
+
+
+def _by_nominal(task: _Task, first: Trial) -> list[Optimum]:
+    """Return the worst-case optimum near the optimum at the search's own parameters."""
+    alone = replace(task, corners=({},))
+    nominal = alone.optimum(
+        Trial(
+            u=first.u,
+            points=first.points[:1],
+            costs=first.costs[:1],
+            rows=first.rows[: len(first.rows) // len(task.corners)],
+            equal=first.equal[: len(first.equal) // len(task.corners)],
+        ),
+    )
+    try:
+        begin = task.trial(nominal.trial.u)
+    except (SimulationError, StepError):
+        return []
+    return [task.optimum(begin)]
+
+
+def _told(task: _Task, first: Trial, best: Optimum) -> EventSearchResult:
+    """Return the result of an optimum."""
+    trial, objective = best.trial, task.objective
+    point = trial.points[0]
+    corner_costs = [cost.value for cost in trial.costs]
+    place = int(np.argmax(corner_costs))
+    extents = {bound.name: _extent(trial.points, bound.name) for bound in task.bounds}
+    vanishing = _vanishing(objective, first, trial)
+    detail = objection_to(task.bounds, extents)
+    orbit = None
+    if detail:
+        detail = f"No orbit that keeps the bounds was found: {detail}"
+    elif trial.violation:
+        detail = f"No orbit with {objective.wish} was found in the ranges."
+    elif vanishing:
+        detail = _end_of_family(task, trial, vanishing)
+    else:
+        orbit = event_orbit_of(task.orbits.problem, point.values, point.found)
+        if not best.converged:
+            detail = f"The search ended before it converged: {best.reason}."
+    return EventSearchResult(
+        orbit=orbit,
+        free=dict(zip(task.free, map(float, task.numbers(trial.u)), strict=True)),
+        objective=objective,
+        value=corner_costs[0],
+        worst=corner_costs[place],
+        worst_at=task.corners[place],
+        mean=float(np.mean(corner_costs[1:])) if len(corner_costs) > 1 else None,
+        asked=tuple(asked_and_reached(task.bounds, extents)),
+        vanishing=vanishing,
+        least_speeds=_least_speeds(objective, first, vanishing),
+        n_orbits=task.orbits.n_orbits,
+        detail=detail,
+    )
+
+
+def _extent(points: Sequence[EventPoint], name: str) -> Extent:
+    """Return the range of a quantity over all corners."""
+    found = [one for point in points if (one := point.quantities.extent(name)) is not None]
+    return Extent(
+        lowest=min(one.lowest for one in found), highest=max(one.highest for one in found)
+    )
+
+
+def _vanishing(objective: Objective, first: Trial, last: Trial) -> dict[str, float]:
+    """Return the impacts whose speed falls to nothing at every corner."""
+    if not isinstance(objective, OfImpacts):
+        return {}
+    before, after = (
+        [point.impact_speed(objective) for point in trial.points] for trial in (first, last)
+    )
+    speeds = {
+        stop: max(speed.get(stop, 0.0) for speed in after) for stop in before[0] if before[0][stop]
+    }
+    return {stop: v for stop, v in speeds.items() if v < _VANISHED * before[0][stop]}
+
+
+def _least_speeds(
+    objective: Objective, first: Trial, vanishing: Mapping[str, float]
+) -> tuple[Bound, ...]:
+    """Return bounds that keep impacts which would vanish."""
+    if not isinstance(objective, OfImpacts):
+        return ()
+    speeds = first.points[0].impact_speed(objective)
+    return tuple(
+        Bound(name=f"{stop}.impact_speed", lower=float(f"{_VANISHED * speeds[stop]:.1g}"))
+        for stop in vanishing
+    )
+
+
+def _end_of_family(task: _Task, last: Trial, vanishing: Mapping[str, float]) -> str:
+    numbers = zip(task.free, task.numbers(last.u), strict=True)
+    where = ", ".join(f"{name} = {value:.6g}" for name, value in numbers)
+    said = [
+        f"The impact on `{stop}` vanishes at {where}: its speed falls to {speed:.1e}."
+        for stop, speed in vanishing.items()
+    ]
+    return " ".join([*said, "This is the end of a family and not an orbit."])
+
+
+def _places(
+    values: ParameterValues, free: Mapping[str, tuple[float, float]], n_starts: int, seed: int
+) -> list[ParameterValues]:
+    """Return the values at which a search may start: its own, then a Halton sequence."""
+    if not free or n_starts < 1:
+        return [values]
+    # SciPy's statistics take half a second to import.
+    from scipy.stats import qmc
+
+    low, high = np.array(list(free.values())).T
+    places = low + qmc.Halton(len(free), seed=seed).random(n_starts) * (high - low)
+    chosen = [dict(zip(free, map(float, place), strict=True)) for place in places]
+    return [values, *(values.replaced(one) for one in chosen)]
+
+
+def _require_valid(
+    problem: Problem,
+    values: ParameterValues,
+    free: Mapping[str, tuple[float, float]],
+    objective: Objective,
+    bounds: Sequence[Bound],
+) -> None:
+    """Reject a search with unknown names, or one that needs a machine with one stop.
+
+    Raises:
+        InputError: If the search is not valid. The message names the invalid part.
+    """
+    if not isinstance(objective, (NearestGains, OfImpacts, FastestContraction, TargetPeriod)):
+        wanted = "must be one of nearest, period, contraction, impacts or bounce"
+        raise InputError(
+            f"Argument `objective` {wanted} for a machine with several stops or switches, but it "
+            f"asks for {objective.wish}."
+        )
+    for name, box in free.items():
+        problem.require_range(name, box, argument="free")
+    objective.check(problem, free)
+    graph = problem.graph_dynamics(values)
+    for k, bound in enumerate(bounds):
+        require_event_quantity(bound.name, graph, "keep")
+        if ".impacts" in bound.name:
+            raise InputError(
+                f"Argument `keep` must not bound the number `{bound.name}`: bound a speed or a "
+                "time."
+            )
+        if bound.name in [other.name for other in bounds[:k]]:
+            raise InputError(f"Argument `keep` must bound `{bound.name}` once, not twice.")
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,256 @@
+r"""Orbits of events at changing values, with exact derivatives of quantities along the orbits.
+
+At values `p` the start of the orbit solves :math:`x = P(x, p)`. So it moves by
+
+.. math:: \frac{dx}{dp} = (1 - P_x)^{-1} P_p,\qquad
+    \frac{dQ}{dp} = Q_x \frac{dx}{dp} + Q_p
+
+for every quantity `Q` of an event. A direction in which a return has no effect does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model import GraphDynamics, ParameterValues, Problem
+from zeno_orbits.orbits import (
+    Bound,
+    EventQuantities,
+    EventReturn,
+    Reading,
+    StepError,
+    closed_return,
+    multipliers_of_return,
+    orbit_event_name,
+)
+from zeno_orbits.search.event_search import indices_of, settled_return
+from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts
+from zeno_orbits.simulation import SimulationSettings
+
+_RANK = 1e-12
+"""Relative singular value of a return minus the identity that counts as zero."""
+_STEP = 1e-4
+"""Difference of a free value for the derivative of a spectral radius, in units of its range."""
+
+
+class NoEventError(StepError):
+    """The event of an objective or of a bound does not occur in an orbit.
+
+    Attributes:
+        argument: Argument that asks for the event.
+    """
+
+    def __init__(self, argument: str, message: str) -> None:
+        super().__init__(message)
+        self.argument = argument
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slope:
+    """A number at an orbit, and its derivative along the orbits.
+
+    Attributes:
+        value: The number.
+        by: Its derivative with respect to the free values, ``(k,)``.
+    """
+
+    value: float
+    by: Vector
+
+    def __add__(self, other: Slope) -> Slope:
+        """Return the sum."""
+        return Slope(value=self.value + other.value, by=self.by + other.by)
+
+    def scaled(self, factor: float, less: float = 0.0) -> Slope:
+        """Return a multiple of the number minus another."""
+        return Slope(value=factor * (self.value - less), by=factor * self.by)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EventPoint:
+    """An orbit of events at given values.
+
+    Attributes:
+        values: The values.
+        graph: The graph of modes there.
+        found: The periodic return.
+        chosen: Places of the free values in the parameter vector.
+    """
+
+    values: ParameterValues
+    graph: GraphDynamics
+    found: EventReturn
+    chosen: tuple[int, ...]
+
+    @cached_property
+    def quantities(self) -> EventQuantities:
+        """The quantities of its events."""
+        return EventQuantities.of(self.graph, self.found, self.chosen)
+
+    @cached_property
+    def moved(self) -> Vector:
+        """Derivative of its start with respect to the free values, ``(n_x, k)``."""
+        matrix = np.eye(len(self.found.start)) - self.found.by_state
+        moved = np.linalg.lstsq(matrix, self.found.by_parameters, rcond=_RANK)[0]
+        return np.asarray(moved, dtype=np.float64)
+
+    @property
+    def radius(self) -> float:
+        """Spectral radius of the return."""
+        multipliers = multipliers_of_return(self.graph, self.found)
+        return max((abs(mu) for mu in multipliers), default=0.0)
+
+    def slope(self, reading: Reading) -> Slope:
+        """Return a value with its derivative along the orbits.
+
+        Args:
+            reading: The value with its derivatives with respect to start and values.
+        """
+        n_x = len(self.found.start)
+        return Slope(value=reading.value, by=reading.by[:n_x] @ self.moved + reading.by[n_x:])
+
+    def stops(self, objective: OfImpacts) -> tuple[str, ...]:
+        """Return the stops of an objective."""
+        return (objective.stop,) if objective.stop else self.graph.stop_names
+
+    def impact_speed(self, objective: OfImpacts) -> dict[str, float]:
+        """Return the fastest first impact of every stop of an objective that is struck."""
+        found = {
+            stop: self.quantities.extent(f"{stop}.impact_speed") for stop in self.stops(objective)
+        }
+        return {stop: one.highest for stop, one in found.items() if one is not None}
+
+    def impact_cost(self, objective: OfImpacts) -> Slope:
+        """Return the quantity of an objective, summed over stops and sequences.
+
+        Args:
+            objective: The objective.
+
+        Raises:
+            NoEventError: If no such event occurs.
+        """
+        names = [f"{stop}.{objective.quantity}" for stop in self.stops(objective)]
+        readings = [one for name in names for one in self.quantities.readings(name)]
+        if not self.impact_speed(objective) or not readings:
+            where = f"on `{objective.stop}`" if objective.stop else "on any stop"
+            raise NoEventError("objective", f"the orbit has no {objective.what} {where}")
+        total = self.slope(readings[0])
+        for one in readings[1:]:
+            total += self.slope(one)
+        return total
+
+    def excesses(self, bound: Bound) -> list[Slope]:
+        """Return the distances of a quantity from its bounds, positive inside, in units of these.
+
+        Args:
+            bound: The bound.
+
+        Raises:
+            NoEventError: If the event of the quantity does not occur.
+        """
+        slopes = [self.slope(one) for one in self.quantities.readings(bound.name)]
+        if not slopes:
+            raise NoEventError("keep", f"the orbit has no `{bound.name}`")
+        rows: list[Slope] = []
+        if np.isfinite(bound.lower):
+            least = min(slopes, key=lambda one: one.value)
+            rows.append(least.scaled(1 / (abs(bound.lower) or 1.0), bound.lower))
+        if np.isfinite(bound.upper):
+            most = max(slopes, key=lambda one: one.value)
+            rows.append(most.scaled(-1 / (abs(bound.upper) or 1.0), bound.upper))
+        return rows
+
+
+@dataclass(kw_only=True)
+class OrbitsOverValues:
+    """Orbits at changing values, each found from the last one that belongs to the same corner.
+
+    Attributes:
+        problem: The problem.
+        values: Values of everything that is neither free nor at a corner.
+        names: Names of the free values.
+        simulation: Accuracy.
+        n_orbits: Number of orbits so far.
+    """
+
+    problem: Problem
+    values: ParameterValues
+    names: tuple[str, ...]
+    simulation: SimulationSettings
+    n_orbits: int = 0
+    _last: dict[tuple[tuple[str, float], ...], EventReturn] = field(
+        default_factory=dict["tuple[tuple[str, float], ...]", EventReturn]
+    )
+
+    def begin(self, found: EventReturn) -> None:
+        """Take the first orbit."""
+        self._last[()] = found
+
+    def at(self, numbers: Vector, corner: dict[str, float]) -> EventPoint:
+        """Return the orbit at free values and a corner of uncertain parameters.
+
+        Args:
+            numbers: The free values, ``(k,)``.
+            corner: Values of the uncertain parameters.
+
+        Raises:
+            SimulationError: If there is no orbit near the last one.
+        """
+        free = dict(zip(self.names, map(float, numbers), strict=True))
+        values = self.values.replaced({**corner, **free})
+        key = tuple(corner.items())
+        near = self._last.get(key, self._last[()])
+        section = orbit_event_name(near.events[-1])
+        graph, chosen = self.problem.graph_dynamics(values), indices_of(values, self.names)
+        try:
+            found = self._closed(graph, near, section, chosen)
+        except SimulationError:
+            try:
+                settled = settled_return(
+                    self.problem, values, section=section, simulation=self.simulation
+                )
+            except InputError as error:
+                raise StepError(str(error)) from error
+            found = self._closed(graph, settled, section, chosen)
+        self.n_orbits += 1
+        self._last[key] = found
+        return EventPoint(values=values, graph=graph, found=found, chosen=chosen)
+
+    def _closed(
+        self, graph: GraphDynamics, near: EventReturn, section: str, chosen: Sequence[int]
+    ) -> EventReturn:
+        return closed_return(
+            graph,
+            near.start,
+            section=section,
+            n_returns=sum(orbit_event_name(event) == section for event in near.events),
+            guess=near.period,
+            settings=self.simulation,
+            parameters=chosen,
+        )
+
+    def radius(self, point: EventPoint, numbers: Vector, ranges: Vector) -> Slope:
+        """Return the spectral radius, with its derivative by central differences.
+
+        Args:
+            point: The orbit at the free values.
+            numbers: The free values, ``(k,)``.
+            ranges: Their ranges, ``(k, 2)``.
+        """
+        by = np.zeros(len(numbers))
+        for k, (low, high) in enumerate(ranges):
+            ends = [
+                min(max(numbers[k] + sign * _STEP * (high - low), low), high) for sign in (-1, 1)
+            ]
+            radii = [
+                self.at(np.where(np.arange(len(numbers)) == k, end, numbers), {}).radius
+                for end in ends
+            ]
+            by[k] = (radii[1] - radii[0]) / (ends[1] - ends[0])
+        return Slope(value=max(point.radius, LEAST_RADIUS), by=by)
