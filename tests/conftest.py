@@ -11,13 +11,10 @@ import pytest
 from hypothesis import settings
 
 from tests.support.processes import Commands
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import SearchResult, find_orbit
-from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.verifier import problem_dynamics, verify
+from zeno_orbits.verification import OrbitCertificate, problem_dynamics, verify
 
 # Matrices are small: threads of linear algebra would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

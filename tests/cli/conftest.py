@@ -13,8 +13,8 @@ from tests.support.commands import (
     Answer,
     ask,
 )
+from zeno_orbits.model import Problem
 from zeno_orbits.model import formulas as symbolic
-from zeno_orbits.model.problem import Problem
 
 
 @pytest.fixture(name="searched", scope="session")

@@ -11,7 +11,7 @@ import pytest
 from tests.reference.reference_orbit import RELEASE
 from tests.support.commands import YES, ask, examples
 from zeno_orbits.cli import main
-from zeno_orbits.continuation.families import (
+from zeno_orbits.continuation import (
     Continuation,
     Family,
     FamilyPoint,
@@ -19,8 +19,8 @@ from zeno_orbits.continuation.families import (
     SpecialPoint,
     SpecialPointKind,
 )
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.orbits.orbit_file import write_orbit
+from zeno_orbits.model import load_problem
+from zeno_orbits.orbits import write_orbit
 from zeno_orbits.report import plots
 from zeno_orbits.report import terminal as report
 from zeno_orbits.search import close_orbit

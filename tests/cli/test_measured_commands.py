@@ -9,8 +9,7 @@ import pytest
 
 from tests.support.commands import MISUSE, NO, YES, ask, examples
 from zeno_orbits.experiment import Source, read_recording
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
+from zeno_orbits.orbits import ZenoOrbit, read_orbit, write_orbit
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from tests.support.commands import (
     assert_refused,
     contents,
 )
-from zeno_orbits.model.library import bundled_problems, load_problem
+from zeno_orbits.model import bundled_problems, load_problem
 
 pytestmark = pytest.mark.usefixtures("here")
 

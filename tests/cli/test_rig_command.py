@@ -9,8 +9,7 @@ import pytest
 
 from tests.support.commands import MISUSE, NO, YES, Answer, ask
 from zeno_orbits.experiment import Source, read_recording
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.orbit_file import write_orbit
+from zeno_orbits.orbits import ZenoOrbit, write_orbit
 from zeno_orbits.report.terminal import progress
 
 QUICK = ("--only", "friction", "--part", "contact.stiffness=1e5", "--part", "contact.exponent=1")

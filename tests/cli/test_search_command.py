@@ -24,9 +24,9 @@ from tests.support.commands import (
     error_said,
     raising,
 )
-from zeno_orbits.model.library import load_problem
+from zeno_orbits.model import load_problem
 from zeno_orbits.search import SearchSettings
-from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.verification import OrbitCertificate
 
 pytestmark = pytest.mark.usefixtures("here")
 

@@ -11,10 +11,9 @@ from typing import Any
 import pytest
 
 from zeno_orbits.api import SearchNotes
-from zeno_orbits.cli.program import build_parser
+from zeno_orbits.cli import build_parser
 from zeno_orbits.cli.search_output import answer, map_command, on_the_optimum
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
 from zeno_orbits.search import (
     Candidate,
@@ -25,8 +24,9 @@ from zeno_orbits.search import (
     SearchResult,
     SearchStatus,
     StartAttempt,
+    at_ends,
+    far_from_own,
 )
-from zeno_orbits.search.number_notes import at_ends, far_from_own
 from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.simulation import Extent
 

@@ -18,9 +18,8 @@ from tests.support.commands import (
     error_said,
 )
 from zeno_orbits.errors import PenetrationError
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.simulation import Execution, SimulationSettings, simulate
 
 pytestmark = pytest.mark.usefixtures("here")
 

@@ -20,7 +20,7 @@ from tests.support.commands import (
     contents,
     raising,
 )
-from zeno_orbits.precision.work_precision import read_work_precision
+from zeno_orbits.precision import read_work_precision
 
 pytestmark = pytest.mark.usefixtures("here")
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.branch import Branch, FamilySteps, follow_branch
+from zeno_orbits.continuation import FamilySteps, SpecialPointKind
+from zeno_orbits.continuation.branch import Branch, follow_branch
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
-from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, Margin
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits.section import Line, Section
-from zeno_orbits.work.progress import silent
+from zeno_orbits.orbits import Line, Section
+from zeno_orbits.work import silent
 
 
 @dataclass(frozen=True, kw_only=True)

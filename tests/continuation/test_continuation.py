@@ -13,25 +13,32 @@ import pytest
 import zeno_orbits as zo
 from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.reference_orbit import RELEASE
-from zeno_orbits.continuation.amplitude import orbit_amplitude
-from zeno_orbits.continuation.branch import FamilySteps
-from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
+from zeno_orbits.continuation import (
+    ContinuationSettings,
+    Family,
+    FamilySteps,
+    SecondParameter,
+    SpecialCurve,
+    SpecialPointKind,
+    continue_orbit,
+    orbit_amplitude,
+    start_orbit,
+)
 from zeno_orbits.continuation.corrector import first_point
-from zeno_orbits.continuation.families import Family, SpecialCurve, SpecialPointKind
 from zeno_orbits.continuation.return_maps import Composed
-from zeno_orbits.continuation.setup import ContinuationSettings, start_at_release
+from zeno_orbits.continuation.setup import start_at_release
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import complete
-from zeno_orbits.model.drives import full_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.poincare import poincare_map
-from zeno_orbits.orbits.section import release_section
+from zeno_orbits.model import (
+    HybridDynamics,
+    HybridLagrangian,
+    bind,
+    complete,
+    full_drive,
+    load_problem,
+)
+from zeno_orbits.orbits import ZenoOrbit, poincare_map, release_section
 from zeno_orbits.search import close_cycle, close_orbit, orbit_of
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
 OSCILLATOR = load_problem("forced_oscillator")
@@ -225,8 +232,7 @@ def linear_growth(kd: float) -> float:
     mechanism = HybridLagrangian.from_energies(
         q=q, v=v, kinetic=kinetic, potential=potential, gap=q[1]
     )
-    from zeno_orbits.model.drives import MotorBank
-    from zeno_orbits.model.numeric.compiled import compile_system
+    from zeno_orbits.model import MotorBank, compile_system
 
     motor = MotorBank(
         selection=ca.SX([1, 0]),

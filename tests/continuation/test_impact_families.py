@@ -9,17 +9,22 @@ import numpy as np
 import pytest
 
 from tests.reference.linear_impacts import ImpactOscillator, critical
-from zeno_orbits.continuation.branch import FamilySteps
-from zeno_orbits.continuation.continuation import continue_from, continue_impacts
+from zeno_orbits.continuation import (
+    Continuation,
+    ContinuationSettings,
+    FamilySteps,
+    SpecialPointKind,
+    continue_impacts,
+)
+from zeno_orbits.continuation.continuation import continue_from
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
-from zeno_orbits.continuation.families import Continuation, SpecialPointKind
 from zeno_orbits.continuation.parallel import Dispatch
 from zeno_orbits.continuation.return_maps import ImpactReturns
-from zeno_orbits.continuation.setup import ContinuationSettings, FamilyStart, Setup
+from zeno_orbits.continuation.setup import FamilyStart, Setup
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.simulation.simulator import SimulationSettings
-from zeno_orbits.work.progress import silent
+from zeno_orbits.model import load_problem
+from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.work import silent
 
 OSCILLATOR = load_problem("forced_oscillator")
 COCO = {"c": 0.1, "stop": 1.0, "restitution": 0.8}

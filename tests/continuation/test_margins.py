@@ -13,23 +13,27 @@ import pytest
 
 from tests.continuation.test_branches import Formula, formula
 from zeno_orbits.arrays import Vector
+from zeno_orbits.continuation import (
+    ContinuationSettings,
+    Family,
+    FamilySteps,
+    SpecialPointKind,
+    start_orbit,
+)
 from zeno_orbits.continuation.assembly import whole_family
-from zeno_orbits.continuation.branch import Branch, FamilySteps, follow_branch
-from zeno_orbits.continuation.continuation import start_orbit
+from zeno_orbits.continuation.branch import Branch, follow_branch
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
 from zeno_orbits.continuation.ends import locate_end
-from zeno_orbits.continuation.families import Family, HalfCurve, SpecialPointKind
+from zeno_orbits.continuation.families import HalfCurve
 from zeno_orbits.continuation.jobs import FollowHalfCurve
 from zeno_orbits.continuation.margins import Stage, Threat, causes, consequences, threats
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, Margin, ReturnMap
-from zeno_orbits.continuation.setup import ContinuationSettings, Setup, start_at_release
+from zeno_orbits.continuation.setup import Setup, start_at_release
 from zeno_orbits.continuation.two_parameters.plane import CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.section import Line, Section
-from zeno_orbits.work.progress import silent
-from zeno_orbits.work.serialization import plain, restored
+from zeno_orbits.model import load_problem
+from zeno_orbits.orbits import Line, Section, ZenoOrbit
+from zeno_orbits.work import plain, restored, silent
 
 OSCILLATOR = load_problem("forced_oscillator")
 DEFAULT, SHORT = FamilySteps(), FamilySteps(first=0.003, longest=0.01)

@@ -17,22 +17,28 @@ import pytest
 from tests.support.commands import ask, interrupted_when
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands, workers_of
+from zeno_orbits.continuation import (
+    ContinuationSettings,
+    Crew,
+    CurveSteps,
+    FamilySteps,
+    SecondParameter,
+    SpecialPointKind,
+    continue_orbit,
+    start_orbit,
+)
 from zeno_orbits.continuation import parallel as dispatch
-from zeno_orbits.continuation.branch import Branch, FamilySteps
-from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
+from zeno_orbits.continuation.branch import Branch
 from zeno_orbits.continuation.corrector import first_point
-from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
+from zeno_orbits.continuation.families import HalfCurve
 from zeno_orbits.continuation.jobs import FollowDirection, FollowHalfCurve, Job
-from zeno_orbits.continuation.parallel import Crew, Dispatch
-from zeno_orbits.continuation.setup import ContinuationSettings, start_at_release
-from zeno_orbits.continuation.two_parameters.plane import CurveSteps
+from zeno_orbits.continuation.parallel import Dispatch
+from zeno_orbits.continuation.setup import start_at_release
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
-from zeno_orbits.model.library import load_problem, locate_problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, open_pool
+from zeno_orbits.model import load_problem, locate_problem
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, open_pool, plain, restored, silent
 from zeno_orbits.work import scheduling as spreading_module
-from zeno_orbits.work.progress import silent
-from zeno_orbits.work.serialization import plain, restored
 
 YES, MISUSE, INTERRUPTED = 0, 2, 130
 CORES = int(joblib.cpu_count())

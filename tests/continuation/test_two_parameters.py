@@ -11,24 +11,26 @@ import numpy as np
 import pytest
 
 from tests.continuation.test_branches import Formula
-from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
+from zeno_orbits.continuation import (
+    ContinuationSettings,
+    CurveSteps,
+    Family,
+    SecondParameter,
+    SpecialCurve,
+    SpecialPointKind,
+    continue_orbit,
+    start_orbit,
+)
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
-from zeno_orbits.continuation.families import Family, SpecialCurve, SpecialPointKind, whole_curve
+from zeno_orbits.continuation.families import whole_curve
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, Margin
-from zeno_orbits.continuation.setup import ContinuationSettings
 from zeno_orbits.continuation.special_points import INSIDE, located_near
 from zeno_orbits.continuation.two_parameters.boundary import half_boundary
-from zeno_orbits.continuation.two_parameters.plane import (
-    CurveSetup,
-    CurveStart,
-    CurveSteps,
-    ParameterPlane,
-)
+from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.section import Line, Section
-from zeno_orbits.work.progress import silent
+from zeno_orbits.model import load_problem
+from zeno_orbits.orbits import Line, Section, ZenoOrbit
+from zeno_orbits.work import silent
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,13 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from zeno_orbits.experiment import Recording, Sampling, Unknown, identify, sampled
-from zeno_orbits.experiment.recordings.recording import cut
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.experiment import Recording, Sampling, Unknown, cut, identify, sampled
+from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.simulation import Execution, simulate
 
 SOUGHT = {
     "motor_pendulum": Unknown(names=("R",), lower=1.5, upper=6.0),

@@ -16,17 +16,23 @@ import pytest
 
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment import Comparison, RecordedSignal, Recording, compare
-from zeno_orbits.experiment.comparison.deviations import N_BINS, Deviations, between
+from zeno_orbits.experiment import (
+    Comparison,
+    Deviations,
+    OrbitTable,
+    RecordedSignal,
+    Recording,
+    compare,
+    tabulate_orbit,
+)
+from zeno_orbits.experiment.comparison.deviations import N_BINS, between
 from zeno_orbits.experiment.comparison.signal_metrics import greatest
-from zeno_orbits.experiment.orbit_table import OrbitTable, gap_coordinates, tabulate_orbit
+from zeno_orbits.experiment.orbit_table import gap_coordinates
 from zeno_orbits.experiment.recordings.periodicity import periodicity
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import close_orbit
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation import simulate
 
 SIGNALS = ("theta1", "theta2", "current")
 SURE = 5.0
@@ -334,7 +340,7 @@ def test_the_data_are_plain_and_finite(
 def test_each_curve_of_the_picture_is_what_its_label_says(
     orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:
-    from zeno_orbits.report.plots.recording import plot_comparison
+    from zeno_orbits.report.plots import plot_comparison
 
     recording = recorded(table, problem, noise=1e-3)
     found = compare(orbit, problem, recording)

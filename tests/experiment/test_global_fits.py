@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.recordings_of import recorded
-from zeno_orbits.experiment import Identification, Unknown, identify
-from zeno_orbits.experiment.orbit_table import tabulate_orbit
+from zeno_orbits.experiment import Identification, Unknown, identify, tabulate_orbit
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.search import close_orbit
 

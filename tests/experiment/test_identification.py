@@ -11,15 +11,21 @@ import pytest
 
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment import Identification, Recording, UnfittableError, Unknown, identify
+from zeno_orbits.experiment import (
+    Identification,
+    Recording,
+    UnfittableError,
+    Unknown,
+    identify,
+    tabulate_orbit,
+)
 from zeno_orbits.experiment.comparison.folding import folded
 from zeno_orbits.experiment.identification.orbit_sensitivity import orbit_slope
 from zeno_orbits.experiment.identification.uncertainty import unseen_combinations
-from zeno_orbits.experiment.orbit_table import tabulate_orbit
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import close_cycle, close_orbit
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings
 
 SOUGHT = (
     Unknown(names=("R",), lower=2.0, upper=4.0),

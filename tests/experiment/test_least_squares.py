@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from tests.support.recordings_of import recorded
+from zeno_orbits.experiment import OrbitTable, Unknown, tabulate_orbit
 from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.comparison.folding import MOST, Folded, folded
 from zeno_orbits.experiment.identification.least_squares import Fit, fit, weighed
 from zeno_orbits.experiment.identification.predictions import Predictions
-from zeno_orbits.experiment.identification.unknowns import Unknown, unknowns_of
-from zeno_orbits.experiment.orbit_table import OrbitTable, measurement, tabulate_orbit
+from zeno_orbits.experiment.identification.unknowns import unknowns_of
+from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import ZenoOrbit
 
 SIGNALS = ("theta1", "theta2", "current")
 NAMES = ("R", "restitution")

@@ -9,9 +9,7 @@ from typing import Any
 
 import pytest
 
-from zeno_orbits.experiment import Metric, Unknown, Verdict
-from zeno_orbits.experiment.identification.identification import Fitted
-from zeno_orbits.experiment.rig.cycle_comparison import CycleNumbers
+from zeno_orbits.experiment import Fitted, Metric, Unknown, Verdict
 from zeno_orbits.report import terminal
 
 
@@ -105,9 +103,9 @@ def test_fitted_numbers_stand_with_their_errors_and_intervals(
 
 
 def test_cycles_of_a_machine_stand_beside_the_orbit(capsys: pytest.CaptureFixture[str]) -> None:
-    def numbers(*five: float) -> CycleNumbers:
+    def numbers(*five: float) -> SimpleNamespace:
         names = ("impact_time", "impact_rate", "lock_time", "lock_angle", "period")
-        return CycleNumbers(**dict(zip(names, five, strict=True)))
+        return SimpleNamespace(**dict(zip(names, five, strict=True)))
 
     found: Any = SimpleNamespace(
         cycles=4,

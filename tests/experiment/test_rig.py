@@ -15,7 +15,14 @@ from scipy.linalg import expm
 from benchmarks.rig_convergence import fit_order, orbit_distance, spring_contact
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
-from zeno_orbits.experiment import RigSettings, Source, rig_cycles, simulate_rig
+from zeno_orbits.experiment import (
+    RigSettings,
+    Source,
+    compare_cycles,
+    recording_of,
+    rig_cycles,
+    simulate_rig,
+)
 from zeno_orbits.experiment.rig import (
     cut_cycles,
     damping_number,
@@ -24,30 +31,32 @@ from zeno_orbits.experiment.rig import (
 )
 from zeno_orbits.experiment.rig.cycle_comparison import (
     OrbitCurve,
-    compare_cycles,
     drift,
     numbers_of_orbit,
     orbit_curve,
 )
 from zeno_orbits.experiment.rig.cycles import settling_cycles
-from zeno_orbits.experiment.rig.run import recording_of
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model import CompletedSystem, complete
-from zeno_orbits.model.drives import MotorBank, full_drive, quasi_static_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem, load_reference
-from zeno_orbits.model.problem import Problem, restitution
-from zeno_orbits.model.quantities import Quantity
-from zeno_orbits.model.rig_parts import (
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.model import (
     Bridge,
+    CompletedSystem,
     Contact,
     Controller,
     Friction,
     Gear,
+    HybridLagrangian,
+    MotorBank,
+    Problem,
+    Quantity,
     Rig,
     Switching,
+    complete,
+    full_drive,
+    load_problem,
+    load_reference,
+    quasi_static_drive,
 )
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits import ZenoOrbit
 
 FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
 STIFF = Contact(stiffness=1e6)
@@ -88,7 +97,7 @@ DISC = Problem(
     state_units=("rad", "rad/s", "A"),
     parameters=(
         Quantity(name="K", unit="N m/A", meaning="motor constant", default=ELECTRIC["K"]),
-        restitution(0.2),
+        Quantity.restitution(0.2),
     ),
     gains=(gain("V0"), gain("Kp"), gain("Kd")),
     model=disc_system,

@@ -23,7 +23,7 @@ from zeno_orbits.experiment.rig.forces import (
     friction_force,
     teeth_torque,
 )
-from zeno_orbits.model.rig_parts import (
+from zeno_orbits.model import (
     Bridge,
     Contact,
     Controller,

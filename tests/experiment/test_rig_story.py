@@ -14,13 +14,9 @@ import numpy as np
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment import rig_cycles
-from zeno_orbits.experiment.orbit_table import tabulate_orbit
-from zeno_orbits.experiment.rig.cycle_comparison import RigComparison, compare_cycles
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.rig_parts import Contact, Rig
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.experiment import RigComparison, compare_cycles, rig_cycles, tabulate_orbit
+from zeno_orbits.model import Contact, Problem, Rig, load_problem
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import close_orbit
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"

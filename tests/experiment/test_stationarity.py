@@ -8,14 +8,21 @@ import numpy as np
 import pytest
 
 from tests.support.recordings_of import recorded, recording_of
-from zeno_orbits.experiment import Recording, Sampling, UnfittableError, Unknown, identify, sampled
+from zeno_orbits.experiment import (
+    Recording,
+    Sampling,
+    UnfittableError,
+    Unknown,
+    cut,
+    identify,
+    sampled,
+    tabulate_orbit,
+)
 from zeno_orbits.experiment.identification import identification
-from zeno_orbits.experiment.orbit_table import tabulate_orbit
-from zeno_orbits.experiment.recordings.recording import cut
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import close_orbit
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation import simulate
 
 SOUGHT = (
     Unknown(names=("R",), lower=2.0, upper=4.0),

@@ -12,6 +12,7 @@ from tests.support.units import Units, dimension_of, in_units
 from zeno_orbits.experiment import (
     RigSettings,
     Unknown,
+    compare,
     compare_cycles,
     default_rig,
     identify,
@@ -19,10 +20,8 @@ from zeno_orbits.experiment import (
     rig_cycles,
     simulate_rig,
 )
-from zeno_orbits.experiment.comparison.comparison import compare
 from zeno_orbits.experiment.rig.run import rate_weight, rig_tolerance
-from zeno_orbits.model.rig_parts import Contact, Rig
-from zeno_orbits.model.scale import OwnScale
+from zeno_orbits.model import Contact, OwnScale, Rig
 
 GRAMS = Units(mass=1e3, length=1e3, time=1e3)
 """Gram, millimetre, millisecond."""

@@ -15,8 +15,14 @@ import pytest
 
 from tests.support.commands import NO, YES, ask
 from tests.support.recordings_of import recorded, recording_of
-from zeno_orbits.experiment import Recording, Verdict, compare, write_recording
-from zeno_orbits.experiment.orbit_table import OrbitTable, tabulate_orbit
+from zeno_orbits.experiment import (
+    OrbitTable,
+    Recording,
+    Verdict,
+    compare,
+    tabulate_orbit,
+    write_recording,
+)
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import ZenoOrbit, write_orbit
 from zeno_orbits.search import close_orbit

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from zeno_orbits.integrators.collocation import doubled_nodes, radau_nodes, radau_scheme
+from zeno_orbits.integrators import doubled_nodes, radau_nodes, radau_scheme
 
 ROUNDING = 1e-13
 

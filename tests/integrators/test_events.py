@@ -8,9 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from zeno_orbits.integrators import ExplicitStep, PlainFlow, Tolerance
 from zeno_orbits.integrators.events import first_fall
-from zeno_orbits.integrators.flow import PlainFlow, Tolerance
-from zeno_orbits.integrators.steps import ExplicitStep
 
 LOCATED = 1e-14
 """A bracketing root finder stops a few roundings from the root; steps here have size 1 to 3."""

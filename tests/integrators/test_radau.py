@@ -10,22 +10,27 @@ import pytest
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.integrators import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
-from zeno_orbits.integrators.automatic import rates_of, staying_rate
-from zeno_orbits.integrators.collocation import radau_scheme
-from zeno_orbits.integrators.events import SteppedTrajectory
-from zeno_orbits.integrators.flow import (
+from zeno_orbits.integrators import (
+    Automatic,
+    ExplicitStep,
     GuardedFlow,
+    Leg,
+    Outcome,
+    Passage,
     PlainFlow,
+    Radau,
+    RungeKutta,
     StageGuess,
+    SteppedTrajectory,
     Tolerance,
     flow_eigenvalues,
+    radau_scheme,
+    rates_of,
+    staying_rate,
 )
-from zeno_orbits.integrators.steps import ExplicitStep, solved
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, ModeFunctions
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.integrators.steps import solved
+from zeno_orbits.model import CompiledFlow, ModeFunctions, bind, load_problem
+from zeno_orbits.simulation import simulate
 
 TIGHT = Tolerance(relative=1e-11, absolute=1e-12)
 

@@ -22,8 +22,8 @@ from tests.support.extremes import (
     lines,
     vanishing_sequence,
 )
-from zeno_orbits.model.library import load_problem, load_reference
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.model import load_problem, load_reference
+from zeno_orbits.simulation import simulate
 
 TABLE = Path(__file__).parents[2] / "docs" / "extremes.md"
 

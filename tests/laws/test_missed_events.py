@@ -21,8 +21,7 @@ from scipy.optimize import brentq
 
 from tests.support.mechanisms import numeric, slider
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import HybridDynamics, HybridLagrangian
 from zeno_orbits.simulation import Impact, Release, SimulationSettings, simulate
 
 SEED = secrets.randbits(32)

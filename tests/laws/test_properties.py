@@ -23,15 +23,18 @@ from scipy.linalg import expm
 from tests.support.families import BALL, BOWL, CART, LENGTH, OSCILLATOR, Family
 from tests.support.units import PENDULUM, PENDULUM_STATE, Units
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.precision.accuracy import simulate_with_error
-from zeno_orbits.simulation.completion import Truncation
-from zeno_orbits.simulation.execution import Execution, Mode
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.simulation.zeno_limit import TailEstimate, estimate_tail, extrapolate
+from zeno_orbits.model import HybridDynamics, Problem, bind, load_problem
+from zeno_orbits.precision import simulate_with_error
+from zeno_orbits.simulation import (
+    Execution,
+    Mode,
+    SimulationSettings,
+    TailEstimate,
+    Truncation,
+    estimate_tail,
+    extrapolate,
+    simulate,
+)
 
 EPS = 2.0**-52
 DRIFT = 1e-14

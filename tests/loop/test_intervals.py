@@ -13,8 +13,7 @@ from tests.loop.agreement import needs_compiler
 from tests.support.watched import FORMULAS, watched
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import guard_bounds
-from zeno_orbits.loop import Tape, binding, loop_library, tape_of
-from zeno_orbits.loop.program import TapedProblem
+from zeno_orbits.loop import Tape, TapedProblem, binding, loop_library, tape_of
 
 pytestmark = needs_compiler
 

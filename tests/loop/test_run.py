@@ -14,8 +14,7 @@ from tests.loop.agreement import needs_compiler
 from tests.support.one_stop import one_stop_problems
 from zeno_orbits.arrays import Vector
 from zeno_orbits.loop import LoopRun, Record, RunSettings, binding, program_of
-from zeno_orbits.simulation import SimulationTask
-from zeno_orbits.simulation.looped import run_settings
+from zeno_orbits.simulation import SimulationTask, run_settings
 
 pytestmark = needs_compiler
 

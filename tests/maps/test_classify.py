@@ -12,21 +12,17 @@ from tests.support.hard_to_prove import cartesian_pendulum, pendulum
 from tests.support.mechanisms import clocked_oscillator, oscillator
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns
 from zeno_orbits.errors import InputError, RunawayError
+from zeno_orbits.maps import Accuracy, Fate, attractors_at, usual_time
 from zeno_orbits.maps.approach import (
     all_come_nearer,
     is_approached,
     places_on_the_way,
     steps_towards,
 )
-from zeno_orbits.maps.attempt import Accuracy
-from zeno_orbits.maps.attractors import Fate
-from zeno_orbits.maps.classify import attractors_at, usual_time
-from zeno_orbits.model import own_time
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.orbits.poincare import floquet_multipliers
-from zeno_orbits.orbits.section import Line
+from zeno_orbits.model import load_problem, own_time
+from zeno_orbits.orbits import Line, floquet_multipliers
+from zeno_orbits.simulation import SimulationSettings, simulate
 from zeno_orbits.simulation.attractor import TEN_TURNS
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
 START = PENDULUM.state_vector(PENDULUM.starts[0])

@@ -13,19 +13,11 @@ from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.long_simulation import LongRun, attractor_of
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD
 from tests.support.mechanisms import clocked_oscillator, oscillator
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.maps.attractors import (
-    Attractor,
-    Fate,
-    attractor_from_json,
-    attractor_json,
-)
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.problem import (
-    Escape,
-    Problem,
-)
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.maps import Attractor, Fate
+from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
+from zeno_orbits.model import Escape, Problem, load_problem
+from zeno_orbits.simulation import SimulationSettings
 
 QUICK = LongRun(
     until=40.0,

@@ -9,10 +9,8 @@ import pytest
 
 from benchmarks import map_agreement
 from tests.reference.long_simulation import LongRun
-from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.mapping import parameter_map
-from zeno_orbits.maps.plane import Axis, Plane
-from zeno_orbits.model.library import locate_problem
+from zeno_orbits.maps import Attractor, Axis, Fate, Plane, parameter_map
+from zeno_orbits.model import locate_problem
 from zeno_orbits.work import Plan, Workers
 
 ZENO = Attractor(fate=Fate.ZENO, returns=1, period=1.8, multipliers=(0.5 + 0j,))

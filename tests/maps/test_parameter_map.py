@@ -24,12 +24,20 @@ from tests.support.commands import ask, interrupted_when, raising
 from tests.support.processes import Commands, workers_of
 from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
-from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.map_file import read_boundaries, read_map, write_map
-from zeno_orbits.maps.mapping import ParameterMap, parameter_map
-from zeno_orbits.maps.plane import Axis, Plane, chunk_of, require_plane
-from zeno_orbits.model.library import bundled_problems, load_problem, locate_problem
-from zeno_orbits.model.problem import Escape
+from zeno_orbits.maps import (
+    Attractor,
+    Axis,
+    Fate,
+    ParameterMap,
+    Plane,
+    chunk_of,
+    parameter_map,
+    read_boundaries,
+    read_map,
+    require_plane,
+    write_map,
+)
+from zeno_orbits.model import Escape, bundled_problems, load_problem, locate_problem
 from zeno_orbits.work import Cluster, Plan, Workers
 
 YES, NO, MISUSE = 0, 1, 2

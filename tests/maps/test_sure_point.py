@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from zeno_orbits.maps import Accuracy, Attractor, Fate
 from zeno_orbits.maps.approach import Way
-from zeno_orbits.maps.attempt import Accuracy
-from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.sure_point import sure_attractor
 
 ORBIT = Attractor(fate=Fate.NO_ZENO, period=2.0)

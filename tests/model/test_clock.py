@@ -13,16 +13,11 @@ import pytest
 from tests.reference.closed_forms import COCO, FORCED
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.clock import Clock
-from zeno_orbits.model.drives import MotorBank, corrected_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.orbit_file import write_orbit
-from zeno_orbits.orbits.section import release_section
+from zeno_orbits.model import Clock, HybridLagrangian, MotorBank, corrected_drive, load_problem
+from zeno_orbits.orbits import ZenoOrbit, release_section, write_orbit
 from zeno_orbits.search import find_orbit
-from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.verification.verifier import verify
+from zeno_orbits.simulation import simulate
+from zeno_orbits.verification import verify
 
 OSCILLATOR = load_problem("forced_oscillator")
 PUBLISHED_ZENO_TIME = 5.06454057578434876

@@ -10,16 +10,18 @@ from scipy.integrate import DOP853
 
 from problems.motor_pendulum import reference
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.integrators import PlainFlow, RungeKutta, Tolerance
 from zeno_orbits.integrators.dop853_step import FIFTH, STAGES, STEP, THIRD
-from zeno_orbits.integrators.flow import PlainFlow, Tolerance
-from zeno_orbits.model import complete
-from zeno_orbits.model.drives import no_drive
+from zeno_orbits.model import (
+    HybridDynamics,
+    HybridLagrangian,
+    bind,
+    compile_system,
+    complete,
+    load_problem,
+    no_drive,
+)
 from zeno_orbits.model.hybrid import audited
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_system
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 
 ROUNDING = 1e-15
 

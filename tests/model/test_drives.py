@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from tests.support.mechanisms import bound, evaluated
-from zeno_orbits.model import complete
-from zeno_orbits.model.drives import (
+from zeno_orbits.model import (
+    HybridLagrangian,
     MotorBank,
+    complete,
     full_drive,
     ideal_torque_drive,
     no_drive,
     quasi_static_drive,
 )
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation import simulate
 
 SELECTION = np.array([[1.0, 0.0], [0.0, 3.0], [-1.0, 0.5]])
 RESISTANCE = np.array([[2.0, 0.3], [0.3, 4.0]])

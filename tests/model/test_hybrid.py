@@ -20,9 +20,8 @@ from tests.support.mechanisms import (
     polar_pendulum,
 )
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.model import HybridDynamics, load_problem
+from zeno_orbits.simulation import simulate
 
 RESTITUTION = 0.35
 ROUNDING = 1e-12

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from zeno_orbits.errors import InputError, ProblemFileError
-from zeno_orbits.model.library import bundled_problems, load_problem, load_reference
-from zeno_orbits.model.problem import Problem, positive, restitution
+from zeno_orbits.model import Problem, Quantity, bundled_problems, load_problem, load_reference
 
 
 @pytest.fixture(name="pendulum", scope="module")
@@ -159,9 +158,9 @@ def test_a_problem_without_a_hand_written_model_says_so() -> None:
 
 def test_ranges_are_told_in_words() -> None:
     with pytest.raises(InputError, match="`m` must be greater than 0, but it is 0"):
-        positive("m", 1.0, "kg", "mass").checked(0.0)
+        Quantity.positive("m", 1.0, "kg", "mass").checked(0.0)
     with pytest.raises(InputError, match=r"must lie in \[0, 1\)"):
-        restitution(0.5).checked(1.0)
+        Quantity.restitution(0.5).checked(1.0)
 
 
 def test_a_name_is_a_gain_or_a_parameter_whichever_it_is() -> None:

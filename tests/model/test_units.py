@@ -8,7 +8,8 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.units import Units, in_units
-from zeno_orbits.model.units import energy_unit, powers_of, require_coherent
+from zeno_orbits.model import powers_of
+from zeno_orbits.model.units import energy_unit, require_coherent
 
 TABLE = zo.load_problem("vibrating_table")
 

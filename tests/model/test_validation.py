@@ -16,12 +16,18 @@ from zeno_orbits import Problem, Quantity
 from zeno_orbits.cli import main
 from zeno_orbits.cli.problems import template
 from zeno_orbits.errors import ProblemFileError
-from zeno_orbits.model import CompletedSystem, complete
-from zeno_orbits.model.clock import Clock
-from zeno_orbits.model.drives import MotorBank, no_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import bundled_problems, load_problem
-from zeno_orbits.model.units import is_rate_of, powers_of
+from zeno_orbits.model import (
+    Clock,
+    CompletedSystem,
+    HybridLagrangian,
+    MotorBank,
+    bundled_problems,
+    complete,
+    load_problem,
+    no_drive,
+    powers_of,
+)
+from zeno_orbits.model.units import is_rate_of
 
 FORCED, MOTOR = (template(with_motor=with_motor) for with_motor in (False, True))
 

@@ -7,15 +7,9 @@ import math
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.orbits.bounds import (
-    Bound,
-    allowance,
-    asked_and_reached,
-    excess,
-    is_kept,
-    objection_to,
-)
-from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.orbits import Bound, allowance, asked_and_reached, excess, objection_to
+from zeno_orbits.orbits.bounds import is_kept
+from zeno_orbits.simulation import Extent
 
 
 @pytest.mark.parametrize(("lower", "upper"), [(2.0, 1.0), (math.nan, 1.0), (0.0, math.nan)])

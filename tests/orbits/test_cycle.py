@@ -13,20 +13,20 @@ from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD, RELEASE
 from tests.support.executions import at, execution_of
 from tests.support.mechanisms import forced_oscillator, oscillator_state
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.cycle import (
+from zeno_orbits.model import HybridDynamics, load_problem
+from zeno_orbits.orbits import (
+    ONE_ZENO,
     Cycle,
+    Moment,
+    OrbitShape,
     cycle_between,
     cycles,
     first_cycles,
     gone_round_twice,
+    phases_of,
     round_again,
 )
-from zeno_orbits.orbits.phases import Moment, phases_of
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
-from zeno_orbits.simulation.execution import Ending, Execution, Mode
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation import Ending, Execution, Mode, simulate
 
 ACCURACY = 1e-11
 TURN = 2 * math.pi

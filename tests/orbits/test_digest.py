@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from tests.support.one_stop import one_stop_problems
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import digest as module
-from zeno_orbits.orbits.digest import digest_of, same_equations
+from zeno_orbits.orbits import digest_of, same_equations
 
 
 def test_the_same_equations_written_in_another_way_have_the_same_digest(problem: Problem) -> None:

@@ -6,11 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from zeno_orbits.integrators import RungeKutta
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.orbits.looser_run import at_looser_tolerance, extrapolated, loosened
-from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation, ZenoPassage
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.integrators import RungeKutta, Tolerance
+from zeno_orbits.orbits import at_looser_tolerance, extrapolated, loosened
+from zeno_orbits.simulation import SimulationSettings, Truncation, ZenoExtrapolation, ZenoPassage
 
 FINE = SimulationSettings(
     engine=RungeKutta(),

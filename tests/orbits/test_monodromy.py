@@ -18,37 +18,45 @@ from tests.support.families import BALL, OSCILLATOR
 from tests.support.mechanisms import clocked_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model import complete
-from zeno_orbits.model.contact import GAP, GAP_RATE
-from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits import monodromy
-from zeno_orbits.orbits.monodromy import (
+from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy, Tolerance
+from zeno_orbits.model import (
+    GAP,
+    GAP_RATE,
+    HybridDynamics,
+    HybridLagrangian,
+    Problem,
+    complete,
+    load_problem,
+    no_drive,
+)
+from zeno_orbits.orbits import (
+    OrbitShape,
+    PhaseKind,
     ReturnDerivative,
     differentials_of,
-    period_derivative,
-    return_derivative,
-)
-from zeno_orbits.orbits.period import first_return, to_next_release
-from zeno_orbits.orbits.phases import phases_of
-from zeno_orbits.orbits.poincare import (
+    first_return,
     floquet_multipliers,
+    monodromy,
+    phases_of,
     poincare_map,
+    release_section,
+    return_derivative,
     return_slope,
     section_derivative,
+    to_next_release,
 )
-from zeno_orbits.orbits.section import release_section
-from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
-from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
-from zeno_orbits.simulation.execution import Ending, Impact
-from zeno_orbits.simulation.sensitivity import EventShift, Perturbations
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.simulation.tangent import motion_of
+from zeno_orbits.orbits.monodromy import period_derivative
+from zeno_orbits.simulation import (
+    Ending,
+    EventShift,
+    Impact,
+    Perturbations,
+    SimulationSettings,
+    Truncation,
+    ZenoExtrapolation,
+    motion_of,
+    simulate,
+)
 
 SETTINGS = SimulationSettings()
 CENTRE = np.array(RELEASE)

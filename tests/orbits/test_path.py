@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from zeno_orbits.errors import InputError, SimulationError, WorkError
-from zeno_orbits.orbits.path import PathStep, StepControl, StepError, follow_path, returns_to_start
+from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path, returns_to_start
 
 CONTROL = StepControl(first=0.1, longest=0.4, shortest=0.01, most=100)
 

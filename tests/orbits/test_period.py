@@ -10,18 +10,17 @@ import pytest
 
 from tests.support.executions import at, execution_of
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits import period
-from zeno_orbits.orbits.period import (
+from zeno_orbits.orbits import (
+    ONE_ZENO,
+    OrbitShape,
     cycle_of,
     first_return,
     followed,
-    later_releases,
+    period,
     placed,
-    to_release,
 )
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.orbits.period import later_releases, to_release
+from zeno_orbits.simulation import Execution, SimulationSettings
 
 SETTINGS = SimulationSettings()
 START = at(0.0, 1.0)

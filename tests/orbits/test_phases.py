@@ -12,13 +12,19 @@ from tests.reference.closed_forms import FORCED
 from tests.support.executions import at, execution_of
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.period import cycle_of, placed
-from zeno_orbits.orbits.phases import Phase, follow_each_other, kinds_of, phases_of
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape, PhaseKind
-from zeno_orbits.simulation.execution import Execution, Mode
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.model import HybridDynamics, load_problem
+from zeno_orbits.orbits import (
+    ONE_ZENO,
+    OrbitShape,
+    Phase,
+    PhaseKind,
+    cycle_of,
+    follow_each_other,
+    kinds_of,
+    phases_of,
+    placed,
+)
+from zeno_orbits.simulation import Execution, Mode, SimulationSettings, simulate
 
 TURN = 2 * math.pi
 LOCKED = oscillator_state(0.0, FORCED.stop, 0.0)

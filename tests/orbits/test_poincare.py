@@ -16,33 +16,29 @@ from tests.reference.reference_orbit import MULTIPLIER, PERIOD, RELEASE, ZENO_ST
 from tests.support.mechanisms import clocked_oscillator, oscillator_state
 from tests.support.units import Units, in_units
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits import poincare
-from zeno_orbits.orbits import section as sections
-from zeno_orbits.orbits.monodromy import Sensitivity
-from zeno_orbits.orbits.period import to_next_release
-from zeno_orbits.orbits.poincare import (
-    Multipliers,
-    SectionDerivative,
-    floquet_multipliers,
-    poincare_map,
-    return_slope,
-)
-from zeno_orbits.orbits.section import (
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.orbits import (
     IMPACT_ROWS,
+    ONE_ZENO,
     RELEASE_ROWS,
     REST_ROWS,
-    conditions,
+    Multipliers,
+    OrbitShape,
+    floquet_multipliers,
+    poincare,
+    poincare_map,
     projected,
     release_section,
+    return_slope,
     rows_of,
+    to_next_release,
 )
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
-from zeno_orbits.simulation.completion import ZenoExtrapolation
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.orbits import section as sections
+from zeno_orbits.orbits.monodromy import Sensitivity
+from zeno_orbits.orbits.poincare import SectionDerivative
+from zeno_orbits.orbits.section import conditions
+from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation, simulate
 
 SETTINGS = SimulationSettings()
 SCALE = np.maximum(np.abs(RELEASE), np.abs(ZENO_STATE)) + 1e-3

@@ -11,18 +11,17 @@ import pytest
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.orbits import section as sections
-from zeno_orbits.orbits.section import (
+from zeno_orbits.orbits import (
     IMPACT_ROWS,
     RELEASE_ROWS,
     REST_ROWS,
     Line,
-    conditions,
-    conditions_gradient,
     projected,
     section_along,
     section_around,
 )
+from zeno_orbits.orbits import section as sections
+from zeno_orbits.orbits.section import conditions, conditions_gradient
 
 ROUNDING = 1e-14
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape, PhaseKind
+from zeno_orbits.orbits import ONE_ZENO, OrbitShape, PhaseKind
 
 ZENO, PLASTIC, IMPACT = PhaseKind.ZENO, PhaseKind.PLASTIC, PhaseKind.IMPACT
 

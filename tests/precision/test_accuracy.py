@@ -16,33 +16,28 @@ from tests.reference.reference_orbit import FIRST_IMPACT, PERIOD, RELEASE, ZENO_
 from tests.support.units import Units, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
-from zeno_orbits.integrators import Automatic, Radau, RungeKutta, SciPy
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.precision import accuracy
-from zeno_orbits.precision.accuracy import (
-    COARSEST,
+from zeno_orbits.integrators import Automatic, Radau, RungeKutta, SciPy, Tolerance
+from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.precision import (
     FINEST,
     Assured,
+    accuracy,
+    difference,
     settings_for,
     simulate_to,
     simulate_with_error,
     why_engine,
 )
-from zeno_orbits.precision.landmark import (
-    Kind,
-    Landmark,
-    apart,
-    difference,
-    landmarks,
-    sizes,
-    sizes_of,
+from zeno_orbits.precision.accuracy import COARSEST
+from zeno_orbits.precision.landmark import Kind, Landmark, apart, landmarks, sizes, sizes_of
+from zeno_orbits.simulation import (
+    Execution,
+    Release,
+    SimulationSettings,
+    ZenoPassage,
+    ZenoPoint,
+    simulate,
 )
-from zeno_orbits.simulation.completion import ZenoPassage
-from zeno_orbits.simulation.execution import Execution, Release, ZenoPoint
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 GRAVITY, BOUNCE = 9.81, 0.8
 FALL = math.sqrt(2 / GRAVITY)

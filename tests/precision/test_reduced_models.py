@@ -16,33 +16,33 @@ from numpy.typing import NDArray
 from tests.support.mechanisms import bound, evaluated
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import CompletedSystem, complete
-from zeno_orbits.model.contact import ImpactLaw
-from zeno_orbits.model.drives import (
+from zeno_orbits.model import (
+    CompletedSystem,
     Drive,
+    HybridDynamics,
+    HybridLagrangian,
+    ImpactLaw,
     MotorBank,
+    ParameterValues,
+    Problem,
+    complete,
     corrected_drive,
     full_drive,
+    load_problem,
     quasi_static_drive,
 )
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.orbit_file import read_orbit
+from zeno_orbits.orbits import read_orbit
+from zeno_orbits.precision import ReductionCost, reduction_costs
 from zeno_orbits.precision.reduced_models import (
     CORRECTED,
     LANDMARKS,
     QUASI_STATIC,
-    ReductionCost,
     layer_time,
     orbit_near,
-    reduction_costs,
 )
-from zeno_orbits.search import find_orbit, search_gains
-from zeno_orbits.search.objectives import TargetPeriod
-from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.verification.verifier import verify
+from zeno_orbits.search import TargetPeriod, find_orbit, search_gains
+from zeno_orbits.simulation import simulate
+from zeno_orbits.verification import verify
 
 PENDULUM = Path(__file__).parents[2] / "problems" / "motor_pendulum"
 

@@ -16,13 +16,12 @@ from tests.reference.reference_orbit import PERIOD, RELEASE
 from zeno_orbits import precision
 from zeno_orbits.errors import InputError, StepSizeError, ZenoOrbitsError
 from zeno_orbits.integrators import RungeKutta
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem, load_problem
+from zeno_orbits.precision import SAME_WORK, Trial, WorkPrecision, WorkPrecisionSettings, trade
 from zeno_orbits.precision import trials as trading
 from zeno_orbits.precision.landmark import Kind
 from zeno_orbits.precision.reference import true_landmarks
-from zeno_orbits.precision.trials import WorkPrecisionSettings, engines, trade
-from zeno_orbits.precision.work_precision import SAME_WORK, Trial, WorkPrecision
+from zeno_orbits.precision.trials import engines
 from zeno_orbits.simulation import simulate
 
 TINY = WorkPrecisionSettings(

@@ -7,15 +7,20 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from zeno_orbits.model import CompletedSystem, complete
-from zeno_orbits.model.drives import MotorBank, full_drive, ideal_torque_drive, quasi_static_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import (
+    CompletedSystem,
+    HybridLagrangian,
+    MotorBank,
+    Problem,
+    complete,
+    full_drive,
+    ideal_torque_drive,
+    load_problem,
+    quasi_static_drive,
+)
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import find_orbit
-from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.verifier import verify
+from zeno_orbits.verification import OrbitCertificate, verify
 
 PERIOD = 1.81371293903044
 """Of the reference orbit, measured by Taylor integration beforehand [s]."""

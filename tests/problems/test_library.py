@@ -18,14 +18,11 @@ from tests.reference import library_truth as truth
 from tests.reference.reference_orbit import PERIOD
 from tests.support.one_stop import one_stop_problems
 from zeno_orbits.cli import main
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.model.units import powers_of
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.orbit_file import write_orbit
+from zeno_orbits.model import bind, load_problem, powers_of
+from zeno_orbits.orbits import ZenoOrbit, write_orbit
 from zeno_orbits.report.plots import has_zeno_region, plot_outputs
 from zeno_orbits.search import find_orbit
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation import simulate
 
 NO_ORBIT = {"bouncing_ball", "falling_pendulum"}
 """Nothing drives these: they come to rest."""

@@ -12,11 +12,15 @@ import pytest
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.integrators.flow import PlainFlow
-from zeno_orbits.model.library import load_problem, load_reference
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.integrators import PlainFlow
+from zeno_orbits.model import (
+    HybridDynamics,
+    ParameterValues,
+    Problem,
+    bind,
+    load_problem,
+    load_reference,
+)
 
 CURRENT_COEFFICIENT, GRAVITY_COEFFICIENT = 2.92437, 27.5697
 """Printed in the paper: d2h/dt2 = -2.92437 i - 27.5697 sin(theta1)."""

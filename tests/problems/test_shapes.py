@@ -17,14 +17,11 @@ from tests.reference import shaken_truth
 from tests.support.orbits import changed
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Radau
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.orbits.orbit import OrbitPhase, ZenoOrbit
-from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.model import load_problem
+from zeno_orbits.orbits import OrbitPhase, OrbitShape, ZenoOrbit, read_orbit, write_orbit
 from zeno_orbits.search import SearchStatus, close_orbit, find_orbit, search_gains
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.verifier import VerificationSettings, verify
+from zeno_orbits.simulation import SimulationSettings, simulate
+from zeno_orbits.verification import OrbitCertificate, VerificationSettings, verify
 
 QUICK = VerificationSettings(n_periods=1)
 AGREES = 1e-9
@@ -315,8 +312,8 @@ def test_an_orbit_of_another_shape_is_searched_from_one_at_other_numbers() -> No
 
 def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
     # The larger the force, the harder the impact: the bound is met where it just binds.
-    from zeno_orbits.orbits.bounds import Bound
-    from zeno_orbits.search.objectives import LeastEnergy
+    from zeno_orbits.orbits import Bound
+    from zeno_orbits.search import LeastEnergy
 
     problem = load_problem("impact_oscillator")
     bound = Bound(name="first_impact_speed", lower=1.5)
@@ -332,7 +329,7 @@ def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
 
 @pytest.mark.slow
 def test_free_gains_bring_a_doubled_orbit_to_a_wanted_period() -> None:
-    from zeno_orbits.search.objectives import TargetPeriod
+    from zeno_orbits.search import TargetPeriod
 
     problem = load_problem("motor_pendulum")
     result = search_gains(

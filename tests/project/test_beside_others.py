@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import beside_others
 from benchmarks.others import work
-from zeno_orbits.model.library import load_problem, load_reference
+from zeno_orbits.model import load_problem, load_reference
 
 TRUTH = {"rate": 1500.0, "state": [0.1, 0.2, 0.3, 0.4, 0.5], "locks": 11}
 

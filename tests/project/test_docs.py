@@ -14,7 +14,7 @@ from docs.site.equations import direct
 from docs.site.examples import examples
 from docs.site.formulas import joined
 from docs.site.navigation import navigation
-from zeno_orbits.verification.certificate import RESIDUALS
+from zeno_orbits.verification import RESIDUALS
 
 ROOT = Path(__file__).parents[2]
 THEORY = ROOT / "docs" / "theory.md"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from zeno_orbits.model.library import bundled_problems, load_problem
+from zeno_orbits.model import bundled_problems, load_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "problems.md").read_text()

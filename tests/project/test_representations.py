@@ -7,18 +7,17 @@ from dataclasses import replace
 import pytest
 
 import zeno_orbits as zo
-from zeno_orbits.continuation.families import (
+from zeno_orbits.continuation import (
     Continuation,
     Family,
     FamilyPoint,
     SpecialPoint,
     SpecialPointKind,
 )
-from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.plane import Axis
-from zeno_orbits.search.search import SearchStatus, StartAttempt
-from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.verification.verifier import certified
+from zeno_orbits.maps import Attractor, Axis, Fate
+from zeno_orbits.search import SearchStatus, StartAttempt
+from zeno_orbits.simulation import simulate
+from zeno_orbits.verification import certified
 
 MOST_CHARACTERS = 600
 

@@ -23,8 +23,7 @@ from tests.support.certificates import (
     text_of,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import load_problem
-from zeno_orbits.model.contact import ImpactLaw
+from zeno_orbits.model import ImpactLaw, load_problem
 from zeno_orbits.proof import ProofVerdict, check_proof
 from zeno_orbits.proof.checker import certificate as judged
 

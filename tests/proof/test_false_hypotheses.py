@@ -16,8 +16,7 @@ from tests.support.certificates import (
     text_of,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import CompletedSystem, Problem, load_problem
-from zeno_orbits.model.contact import ImpactLaw
+from zeno_orbits.model import CompletedSystem, ImpactLaw, Problem, load_problem
 from zeno_orbits.proof import check_proof
 
 Certificate = dict[str, Any]

@@ -33,8 +33,7 @@ from tests.support.double_well import (
     problem_of,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import CompletedSystem, Problem, load_problem
-from zeno_orbits.model.contact import ImpactLaw
+from zeno_orbits.model import CompletedSystem, ImpactLaw, Problem, load_problem
 from zeno_orbits.proof import ProofVerdict, check_proof
 
 Certificate = dict[str, Any]

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zeno_orbits.errors import TranslationError
-from zeno_orbits.proof.program import BallProgram
+from zeno_orbits.proof import BallProgram
 
 _ORDER = 8
 

@@ -23,13 +23,11 @@ from tests.reference.long_simulation_passages import (
 )
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.section import release_section
-from zeno_orbits.simulation.execution import Execution, Impact, Mode, Release
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.maps import Attractor, Fate
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
+from zeno_orbits.orbits import release_section
+from zeno_orbits.simulation import Execution, Impact, Mode, Release, SimulationSettings, simulate
 
 _PIECES = 6
 """Pieces of a run; after each it is asked whether it has settled."""

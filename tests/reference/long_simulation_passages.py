@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.simulation.execution import Execution, Impact, Release
+from zeno_orbits.simulation import Execution, Impact, Release
 
 _LOOK_BACK = 3
 """Periods that have to repeat before a motion counts as settled."""

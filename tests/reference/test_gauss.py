@@ -16,7 +16,7 @@ from tests.reference.many_digits.gauss import GaussFlow, ball_function
 from tests.reference.many_digits.gauss_scheme import Real, gauss_scheme
 from tests.reference.many_digits.system import ExtendedSystem
 from zeno_orbits.errors import SimulationError, StepSizeError, TranslationError
-from zeno_orbits.model.library import load_problem
+from zeno_orbits.model import load_problem
 
 DIGITS = 40
 TINY = mp.mpf(10) ** -DIGITS

@@ -20,10 +20,7 @@ from tests.reference.many_digits.run import ExtendedRun, Trace
 from tests.reference.many_digits.system import ExtendedSystem
 from tests.support.mechanisms import clocked_oscillator
 from zeno_orbits.errors import InputError, SimulationError, TranslationError
-from zeno_orbits.model import CompletedSystem, complete
-from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem
+from zeno_orbits.model import CompletedSystem, HybridLagrangian, complete, load_problem, no_drive
 from zeno_orbits.simulation import simulate
 
 BALL = load_problem("bouncing_ball")

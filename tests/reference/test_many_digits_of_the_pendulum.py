@@ -10,9 +10,9 @@ from tests.reference import reference_orbit as measured
 from tests.reference.hand_pendulum import HandPendulum
 from tests.reference.many_digits.execution import extended_execution
 from tests.reference.many_digits.fixed_point import ExtendedOrbit, extended_orbit
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.orbits.poincare import floquet_multipliers
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.model import load_problem
+from zeno_orbits.orbits import floquet_multipliers
+from zeno_orbits.simulation import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 import zeno_orbits as zo
 from tests.report.test_plots import EVERY_FATE, TRADE, small_map
-from zeno_orbits.continuation.families import (
+from zeno_orbits.continuation import (
     Continuation,
     Family,
     FamilyPoint,
@@ -23,7 +23,6 @@ from zeno_orbits.continuation.families import (
     SpecialPoint,
     SpecialPointKind,
 )
-from zeno_orbits.continuation.return_maps import Loss
 from zeno_orbits.orbits import Multipliers
 from zeno_orbits.report.plots import (
     COLUMN_WIDTH,
@@ -32,8 +31,7 @@ from zeno_orbits.report.plots import (
     plot_certificate,
     save_figure,
 )
-from zeno_orbits.search import Closing, OrbitNotClosedError
-from zeno_orbits.search.settings import SearchStatus
+from zeno_orbits.search import Closing, OrbitNotClosedError, SearchStatus
 from zeno_orbits.verification import RESIDUALS
 
 
@@ -45,7 +43,7 @@ def family() -> Family:
             state={},
             period=1.8 + 0.01 * k,
             multipliers=(complex(0.4 * k),),
-            margins={Loss.FIRST_IMPACT.value: 1.0 + k},
+            margins={"speed of the first impact": 1.0 + k},
             miss=0.0,
         )
         for k in range(1, 5)

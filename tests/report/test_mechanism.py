@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import load_problem
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import Problem, load_problem
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.report import plots
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation import Execution, simulate
 
 
 def elements(name: str) -> list[list[str]]:

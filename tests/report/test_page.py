@@ -28,18 +28,14 @@ from tests.support.disturbances import pushes_of, recovery_of
 from tests.support.orbits import changed
 from zeno_orbits.cli import main
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
-from zeno_orbits.precision.work_precision import Trial, WorkPrecision, read_work_precision
+from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.orbits import ZenoOrbit, read_orbit, write_orbit
+from zeno_orbits.precision import Trial, WorkPrecision, read_work_precision
 from zeno_orbits.report.page import Subject, load_bundle, page_of, words
 from zeno_orbits.report.page.page import commands_of, template_environment
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.search import find_orbit
-from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
-from zeno_orbits.verification.verifier import problem_dynamics, verify
+from zeno_orbits.verification import RESIDUALS, OrbitCertificate, problem_dynamics, verify
 
 if not os.environ.get(browsers.REQUIRED):
     pytest.importorskip("plotly", reason="the extra `report` is not installed")

@@ -23,7 +23,7 @@ from zeno_orbits.report.page.plot_data import (
     curves_of,
 )
 from zeno_orbits.report.zeno_neighbourhood import close_up
-from zeno_orbits.simulation.execution import Ending, Execution, Mode, Release
+from zeno_orbits.simulation import Ending, Execution, Mode, Release
 
 E, PULL = 0.5, 8.0
 TIME, LAST = 10.0, 0.03125

@@ -11,16 +11,15 @@ import numpy as np
 import pytest
 
 from tests.support.browser import Browser
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.precision.work_precision import Trial, WorkPrecision
+from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.precision import Trial, WorkPrecision
 from zeno_orbits.report.page import Subject, load_bundle, page_of
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.report.page.tables import tables_of, tiles_of
 from zeno_orbits.report.table import Table
-from zeno_orbits.simulation.execution import Ending, Execution, Mode
-from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.simulation import Ending, Execution, Mode
+from zeno_orbits.verification import OrbitCertificate
 
 LABELS = {
     "<i>θ</i><sub>1</sub> [rad]": 0,

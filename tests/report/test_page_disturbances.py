@@ -17,7 +17,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support.commands import YES, ask, assert_refused
 from tests.support.disturbances import pushes_of, recovery_of
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.report import Subject, load_bundle, page_of
 from zeno_orbits.report.plots import plot_pushes
 

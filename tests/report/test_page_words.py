@@ -18,12 +18,10 @@ import pytest
 
 from tests.support.periods_by_hand import arc, impact, system, zeno
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.orbits import OrbitShape
+from zeno_orbits.report.page import Bundle, Subject, page_of, words
 from zeno_orbits.report.page import subject as subjects
-from zeno_orbits.report.page import words
-from zeno_orbits.report.page.page import _contents, commands_of, page_of
-from zeno_orbits.report.page.plotly_bundle import Bundle
-from zeno_orbits.report.page.subject import Subject
+from zeno_orbits.report.page.page import _contents, commands_of
 from zeno_orbits.report.page.tables import (
     bounds_table,
     checks_table,
@@ -38,8 +36,8 @@ from zeno_orbits.report.page.tables import (
     trade_table,
     versions_table,
 )
-from zeno_orbits.simulation.execution import Execution, Mode, Release
-from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
+from zeno_orbits.simulation import Execution, Mode, Release
+from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 
 GOOD = OrbitCertificate(
     tolerance=2e-9,

@@ -29,29 +29,24 @@ from tests.support.recordings_of import recorded
 from zeno_orbits.arrays import Vector
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
-from zeno_orbits.experiment import Recording, Source
-from zeno_orbits.experiment.comparison import counterpart as counterparts
-from zeno_orbits.experiment.comparison.counterpart import (
-    RIG,
+from zeno_orbits.experiment import (
     Counterpart,
-    counterpart_of,
+    OrbitTable,
+    Recording,
+    Source,
+    cut,
     recording_counterpart,
+    tabulate_orbit,
 )
-from zeno_orbits.experiment.orbit_table import OrbitTable, tabulate_orbit
-from zeno_orbits.experiment.recordings.recording import cut
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.orbit_file import write_orbit
+from zeno_orbits.experiment.comparison import counterpart as counterparts
+from zeno_orbits.experiment.comparison.counterpart import RIG, counterpart_of
+from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.orbits import ZenoOrbit, write_orbit
 from zeno_orbits.report import plots
-from zeno_orbits.report.plots import TwoMotions
-from zeno_orbits.report.plots.paper_figures import PAPER
-from zeno_orbits.report.plots.style import COLUMN_WIDTH, TEXT
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.work.files import write_all
-from zeno_orbits.work.progress import Progress
+from zeno_orbits.report.plots import COLUMN_WIDTH, PAPER, TwoMotions
+from zeno_orbits.report.plots.style import TEXT
+from zeno_orbits.simulation import Execution, simulate
+from zeno_orbits.work import Progress, write_all
 
 YES, NO, MISUSE = 0, 1, 2
 FIGURES = (

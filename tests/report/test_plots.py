@@ -21,16 +21,18 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Annotation
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.mapping import Boundary, ParameterMap
-from zeno_orbits.maps.plane import Axis
-from zeno_orbits.model import CompletedSystem, complete
-from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, restitution
-from zeno_orbits.precision.work_precision import Trial, WorkPrecision
+from zeno_orbits.maps import Attractor, Axis, Boundary, Fate, ParameterMap
+from zeno_orbits.model import (
+    CompletedSystem,
+    HybridDynamics,
+    HybridLagrangian,
+    Problem,
+    Quantity,
+    complete,
+    load_problem,
+    no_drive,
+)
+from zeno_orbits.precision import Trial, WorkPrecision
 from zeno_orbits.report.plots import (
     COLUMN_WIDTH,
     FULL_WIDTH,
@@ -42,9 +44,15 @@ from zeno_orbits.report.plots import (
     plot_zeno_zoom,
     save_figure,
 )
-from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
-from zeno_orbits.simulation.execution import Ending, Execution, Mode
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation import (
+    Ending,
+    Execution,
+    Mode,
+    SimulationSettings,
+    Truncation,
+    ZenoExtrapolation,
+    simulate,
+)
 
 RELEASE = (0.1985068301199, 0.0, -5.2365375521764, 0.0, -1.8591703843225)
 UNIT = re.compile(r" \[[^\]]+\]$")
@@ -101,7 +109,7 @@ def sliding_puck() -> Problem:
         source="for this test",
         state_names=("x", "y", "dx", "dy"),
         state_units=("m", "m", "m/s", "m/s"),
-        parameters=(restitution(0.3),),
+        parameters=(Quantity.restitution(0.3),),
         gains=(),
         model=model,
         starts=({"x": 1.0, "y": 0.6},),

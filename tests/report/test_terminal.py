@@ -12,7 +12,7 @@ import pytest
 
 import zeno_orbits as zo
 from zeno_orbits.errors import counted
-from zeno_orbits.model.library import bundled_problems, load_problem
+from zeno_orbits.model import bundled_problems, load_problem
 from zeno_orbits.report import terminal
 from zeno_orbits.report.table import (
     name_column,

@@ -10,13 +10,9 @@ import numpy as np
 import pytest
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.collocation import radau_scheme
-from zeno_orbits.search.transcription.arc import (
-    ArcWriter,
-    CollocatedArc,
-    TranscriptionSettings,
-    flow_scale,
-)
+from zeno_orbits.integrators import radau_scheme
+from zeno_orbits.search import TranscriptionSettings
+from zeno_orbits.search.transcription.arc import ArcWriter, CollocatedArc, flow_scale
 from zeno_orbits.search.transcription.ipopt import IpoptSettings
 from zeno_orbits.search.transcription.program import Program, ProgramBuilder
 

@@ -13,13 +13,11 @@ import pytest
 from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import RELEASE
 from tests.support.mechanisms import forced_oscillator, oscillator_state
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.cycle import Cycle, cycles
+from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.orbits import Cycle, cycles
 from zeno_orbits.search.transcription import closure as closure_module
 from zeno_orbits.search.transcription.closure import Closure, closure_of, closures_of
-from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.simulation.zeno_limit import estimate_tail, extrapolate
+from zeno_orbits.simulation import estimate_tail, extrapolate, simulate
 
 ACCURACY = 1e-11
 

@@ -20,9 +20,10 @@ from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
 from tests.support.searches import question_of
 from zeno_orbits.errors import CheckpointError, InputError
-from zeno_orbits.model.library import locate_problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import locate_problem
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import (
+    Candidate,
     Judgement,
     SearchResult,
     SearchSettings,
@@ -32,14 +33,12 @@ from zeno_orbits.search import (
     search_gains,
 )
 from zeno_orbits.search import multistart as starts
-from zeno_orbits.search.outcome import Candidate, StartOutcome
+from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.simulation.signals import Extent
-from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
-from zeno_orbits.verification.verifier import verify
-from zeno_orbits.work import LostPoint, Plan, Workers, versions
+from zeno_orbits.simulation import Extent
+from zeno_orbits.verification import DeltaCut, OrbitCertificate, verify
+from zeno_orbits.work import LostPoint, Plan, Workers, plain, restored, versions
 from zeno_orbits.work import scheduling as spreading_module
-from zeno_orbits.work.serialization import plain, restored
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 CORES = int(joblib.cpu_count())

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.search.number_notes import at_ends, far_from_own, free_gains
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.search import at_ends, far_from_own, free_gains
 
 R = SimpleNamespace(name="R", unit="ohm", default=2.0, lower=0.0, upper=10.0)
 E = SimpleNamespace(name="e", unit="1", default=-1e-4, lower=-1.0, upper=1.0)

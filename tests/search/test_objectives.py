@@ -16,46 +16,37 @@ from scipy.optimize import brentq
 from tests.support.hand_made import Course, course, hand_made, rows_of
 from zeno_orbits.api import Verified
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.bounds import Bound
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.poincare import floquet_multipliers
+from zeno_orbits.model import Problem, load_problem
+from zeno_orbits.orbits import Bound, ZenoOrbit, floquet_multipliers
 from zeno_orbits.search import (
-    Judgement,
-    SearchSettings,
-    SearchStatus,
-    close_orbit,
-    find_orbit,
-    search_gains,
-    start,
-)
-from zeno_orbits.search.guess import SettlingSettings
-from zeno_orbits.search.objectives import (
-    LEAST_RADIUS,
     OBJECTIVES,
     FastestContraction,
+    Judgement,
     LeastEnergy,
     LeastPeak,
     MaxPush,
     NearestGains,
     Objective,
     Operand,
+    SearchSettings,
+    SearchStatus,
+    SettlingSettings,
     TargetAmplitude,
     TargetPeriod,
-    TowardTarget,
     WidestMargin,
+    close_orbit,
+    find_orbit,
     objective_help,
+    search_gains,
+    start,
 )
+from zeno_orbits.search.objectives import LEAST_RADIUS, TowardTarget
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.start import try_start
 from zeno_orbits.search.transcription.nearness import Nearness
-from zeno_orbits.simulation import Extent
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.measurement import measure
-from zeno_orbits.verification.verifier import problem_dynamics
+from zeno_orbits.simulation import Extent, SimulationSettings, simulate
+from zeno_orbits.verification import OrbitCertificate, measure, problem_dynamics
 
 ONCE = SearchSettings(n_starts=0)
 OPTIMAL = 1e-5

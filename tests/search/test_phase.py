@@ -12,10 +12,10 @@ import pytest
 
 from tests.support.hand_made import SCALE, K, compiled, course, rows_of
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.contact import GAP, GAP_RATE, ImpactLaw
-from zeno_orbits.orbits import RELEASE_ROWS, REST_ROWS
-from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.search.transcription.arc import CollocatedArc, TranscriptionSettings
+from zeno_orbits.model import GAP, GAP_RATE, ImpactLaw
+from zeno_orbits.orbits import RELEASE_ROWS, REST_ROWS, PhaseKind
+from zeno_orbits.search import TranscriptionSettings
+from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.phase import PhaseWriter, is_rescaled
 from zeno_orbits.search.transcription.program import ProgramBuilder

@@ -12,9 +12,8 @@ import pytest
 
 from tests.support.searches import question_of
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits import ONE_ZENO, Bound, OrbitShape
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import ONE_ZENO, Bound, OrbitShape, ZenoOrbit
 from zeno_orbits.search import (
     Candidate,
     FastestContraction,
@@ -25,6 +24,7 @@ from zeno_orbits.search import (
     SearchResult,
     SearchSettings,
     SearchStatus,
+    StartAttempt,
     TargetPeriod,
     find_orbit,
     scan,
@@ -32,9 +32,9 @@ from zeno_orbits.search import (
     search_gains,
 )
 from zeno_orbits.search.objectives import LEAST_RADIUS
-from zeno_orbits.search.outcome import StartAttempt, StartOutcome
+from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem, listed, with_targets
-from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.simulation import Extent
 
 FAILED = StartOutcome(status=SearchStatus.NOT_SOLVED, detail="It fails.")
 

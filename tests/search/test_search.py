@@ -17,32 +17,25 @@ from tests.reference.reference_orbit import (
     ZENO_TIME,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.library import load_problem, load_reference
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.shape import ONE_ZENO
+from zeno_orbits.model import Problem, load_problem, load_reference
+from zeno_orbits.orbits import ONE_ZENO, ZenoOrbit
 from zeno_orbits.search import (
+    FastestContraction,
     Judgement,
+    LeastEnergy,
+    NearestGains,
     OrbitNotFoundError,
     SearchResult,
     SearchSettings,
     SearchStatus,
+    SettlingSettings,
+    TargetAmplitude,
+    TargetPeriod,
     find_orbit,
     search_gains,
 )
-from zeno_orbits.search.guess import SettlingSettings
-from zeno_orbits.search.objectives import (
-    FastestContraction,
-    LeastEnergy,
-    NearestGains,
-    TargetAmplitude,
-    TargetPeriod,
-)
-from zeno_orbits.search.transcription.ipopt import IpoptSettings
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.verifier import VerificationSettings, verify
+from zeno_orbits.simulation import Execution, simulate
+from zeno_orbits.verification import OrbitCertificate, VerificationSettings, verify
 
 ACCURACY = 1e-8
 """What is promised of an orbit; the first one is within 1e-11 of the declared numbers."""
@@ -331,7 +324,7 @@ def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
     assert "differ by" in result.detail
 
 
-HASTY = IpoptSettings(most_iterations=3, most_seconds=1e9)
+HASTY = replace(SearchSettings().ipopt, most_iterations=3, most_seconds=1e9)
 """Three iterations close an orbit at fixed numbers, and move numbers a little, not all the way."""
 
 

@@ -13,15 +13,11 @@ from tests.reference.reference_orbit import MULTIPLIER
 from tests.support.hand_made import SCALE, K, course, hand_made, rows_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.period import placed
-from zeno_orbits.orbits.poincare import floquet_multipliers
-from zeno_orbits.search import close_orbit
+from zeno_orbits.model import Problem, bind, load_problem
+from zeno_orbits.orbits import floquet_multipliers, placed
+from zeno_orbits.search import TranscriptionSettings, close_orbit
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.transcription import spectral_radius
-from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.search.transcription.program import Derived, ProgramBuilder
@@ -31,7 +27,7 @@ from zeno_orbits.search.transcription.spectral_radius import (
     section_map,
 )
 from zeno_orbits.search.transcription.transcribe import OrbitTerms, transcribe
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings
 
 DIFFERENCES = 1e-6
 """Asked of the agreement with differences of the simulated map; these err by less than 1e-8."""

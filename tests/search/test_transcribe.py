@@ -14,21 +14,17 @@ from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD, RELEASE, ZENO_TIME
 from tests.support.mechanisms import clocked_oscillator
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.cycle import Cycle, cycles
-from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.search import SearchStatus, find_orbit
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, bind
+from zeno_orbits.orbits import Cycle, OrbitShape, cycles
+from zeno_orbits.search import SearchStatus, TranscriptionSettings, find_orbit
 from zeno_orbits.search.transcription import transcribe as transcription
-from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.ipopt import Hessian, IpoptSettings, SolveStatus, solve
 from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.search.transcription.phase import PhaseTerms, WrittenPhase
 from zeno_orbits.search.transcription.program import Program, ProgramBuilder
 from zeno_orbits.search.transcription.transcribe import OrbitTerms, start_block, transcribe
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation import simulate
 
 MESH = 1e-7
 VISIBLE = 20 * MESH

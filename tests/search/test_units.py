@@ -7,11 +7,17 @@ import math
 import pytest
 
 from tests.support.units import PENDULUM, Units
-from zeno_orbits.model import ParameterValues
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound
-from zeno_orbits.search import LeastPeak, SearchSettings, TargetAmplitude, find_orbit, search_gains
-from zeno_orbits.search.objectives import NearestGains, Objective
+from zeno_orbits.search import (
+    LeastPeak,
+    NearestGains,
+    Objective,
+    SearchSettings,
+    TargetAmplitude,
+    find_orbit,
+    search_gains,
+)
 
 ONCE = SearchSettings(n_starts=0)
 SAME = 1e-7

@@ -9,9 +9,9 @@ import pytest
 
 from tests.support.searches import question_of
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Bound, ZenoOrbit
-from zeno_orbits.search.objectives import NearestGains
+from zeno_orbits.search import NearestGains
 from zeno_orbits.search.validation import check_search
 
 

@@ -6,8 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from zeno_orbits.simulation.attractor import (
-    TEN_TURNS,
+from zeno_orbits.simulation import (
     AttractorKind,
     Motion,
     SectionReturn,
@@ -16,11 +15,11 @@ from zeno_orbits.simulation.attractor import (
     growth_of,
     has_left,
     is_still,
-    keeps_holding,
     outcome_of,
     repetitions,
     scale_of,
 )
+from zeno_orbits.simulation.attractor import TEN_TURNS, keeps_holding
 
 UNITS = ("m", "rad", "m/s", "rad/s")
 

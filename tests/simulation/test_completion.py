@@ -12,16 +12,16 @@ import pytest
 
 from tests.support.mechanisms import fading_ball
 from zeno_orbits.integrators import RungeKutta
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.scale import OwnScale
-from zeno_orbits.simulation import completion
-from zeno_orbits.simulation.completion import (
+from zeno_orbits.model import HybridDynamics, OwnScale
+from zeno_orbits.simulation import (
     FixedImpacts,
+    TailEstimate,
     Truncation,
     ZenoExtrapolation,
+    ZenoLimit,
     ZenoPassage,
+    completion,
 )
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 
 WEIGHT, FADING = 10.0, 5.0
 """At the clock `y` the weight is 10 - 5 y."""

@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.made_arcs import START, UNIT, ramp
-from zeno_orbits.simulation.execution import (
-    Arc,
-    Ending,
-    Execution,
-    Impact,
-    Mode,
-    Release,
-    ZenoPoint,
-)
+from zeno_orbits.simulation import Arc, Ending, Execution, Impact, Mode, Release, ZenoPoint
 
 
 def marked(arc: Arc) -> Arc:

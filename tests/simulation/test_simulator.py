@@ -39,15 +39,20 @@ from zeno_orbits.errors import (
     SimulationError,
     StepSizeError,
 )
-from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.library import load_problem, load_reference
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
-from zeno_orbits.simulation.execution import Ending, Execution, Impact, Mode, Release, ZenoPoint
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy, Tolerance
+from zeno_orbits.model import HybridDynamics, Problem, bind, load_problem, load_reference
+from zeno_orbits.simulation import (
+    Ending,
+    Execution,
+    Impact,
+    Mode,
+    Release,
+    SimulationSettings,
+    Truncation,
+    ZenoExtrapolation,
+    ZenoPoint,
+    simulate,
+)
 
 ACCURACY = 1e-11
 """What the default settings aim at, a period."""

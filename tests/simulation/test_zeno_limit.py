@@ -16,25 +16,20 @@ from tests.reference import closed_forms
 from tests.reference.closed_forms import FORCED
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics, Resting
-from zeno_orbits.model.scale import OwnScale
-from zeno_orbits.simulation.completion import ZenoExtrapolation
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.simulation.zeno_limit import (
-    N_NODES,
-    NODE_RATIO,
+from zeno_orbits.model import HybridDynamics, OwnScale, Resting, load_problem
+from zeno_orbits.simulation import (
+    SimulationSettings,
     TailEstimate,
+    ZenoExtrapolation,
     ZenoLimit,
-    combine,
     estimate_tail,
     extrapolate,
-    limit_slopes,
     limit_weights,
+    simulate,
     spread_nodes,
-    tail_from,
     tail_time,
 )
+from zeno_orbits.simulation.zeno_limit import N_NODES, NODE_RATIO, combine, limit_slopes, tail_from
 
 ROUNDING = 1e-13
 

@@ -24,17 +24,20 @@ from tests.support.mechanisms import (
 )
 from tests.support.units import Units, dimension_of, in_units
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import RungeKutta
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.scale import OwnScale
-from zeno_orbits.simulation.completion import ZenoExtrapolation, ZenoPassage
-from zeno_orbits.simulation.execution import Execution, ZenoPoint
+from zeno_orbits.integrators import RungeKutta, Tolerance
+from zeno_orbits.model import HybridDynamics, OwnScale, load_problem
+from zeno_orbits.simulation import (
+    Execution,
+    SimulationSettings,
+    TailEstimate,
+    ZenoExtrapolation,
+    ZenoLimit,
+    ZenoPassage,
+    ZenoPoint,
+    simulate,
+)
 from zeno_orbits.simulation.impact_curve import CurveEnd, ImpactCurve
 from zeno_orbits.simulation.rescaled_flight import Flight, rescaled_flights
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 from zeno_orbits.simulation.zeno_passage import is_settled, pass_through
 
 FINE = Tolerance(relative=1e-14, absolute=1e-15)

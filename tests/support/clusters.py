@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from zeno_orbits.model.library import bundled_problems
+from zeno_orbits.model import bundled_problems
 from zeno_orbits.work import Cluster
 
 ROOT = Path(__file__).parents[2]

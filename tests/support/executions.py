@@ -5,16 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.simulation.execution import (
-    Arc,
-    Ending,
-    Event,
-    Execution,
-    Impact,
-    Mode,
-    Release,
-    ZenoPoint,
-)
+from zeno_orbits.simulation import Arc, Ending, Event, Execution, Impact, Mode, Release, ZenoPoint
 
 _ENDINGS = {
     "i": Ending.IMPACT,

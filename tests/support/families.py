@@ -13,11 +13,15 @@ from functools import cached_property
 import casadi as ca
 
 from tests.support.units import Dimension
-from zeno_orbits.model import complete
-from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compile_system
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import (
+    CompiledSystem,
+    HybridDynamics,
+    HybridLagrangian,
+    bind,
+    compile_system,
+    complete,
+    no_drive,
+)
 
 Symbols = Mapping[str, ca.SX]
 

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.collocation import radau_scheme
-from zeno_orbits.model.contact import ContactQuantities
-from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
+from zeno_orbits.integrators import radau_scheme
+from zeno_orbits.model import ContactQuantities
+from zeno_orbits.orbits import OrbitShape, PhaseKind
 from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.mesh import stage_fractions
 from zeno_orbits.search.transcription.phase import PhaseTerms

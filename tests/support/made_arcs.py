@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.simulation.execution import Arc, Ending, Mode
+from zeno_orbits.simulation import Arc, Ending, Mode
 
 START, UNIT = 4.0, 2.0
 

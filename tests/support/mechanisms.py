@@ -10,12 +10,18 @@ import numpy as np
 
 from tests.reference.closed_forms import StoppedOscillator
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import CompletedSystem, complete
-from zeno_orbits.model.drives import Drive, no_drive
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.numeric.compiled import bind, compile_system
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Quantity, restitution
+from zeno_orbits.model import (
+    CompletedSystem,
+    Drive,
+    HybridDynamics,
+    HybridLagrangian,
+    Problem,
+    Quantity,
+    bind,
+    compile_system,
+    complete,
+    no_drive,
+)
 
 Numbers = Sequence[float] | Vector
 
@@ -177,7 +183,7 @@ def clocked_oscillator(oscillator: StoppedOscillator, *, attracting: bool) -> Pr
         source="arXiv:1302.4402, section V-A",
         state_names=("x", "y", "dx", "dy"),
         state_units=("m", "m", "m/s", "m/s"),
-        parameters=(restitution(oscillator.restitution),),
+        parameters=(Quantity.restitution(oscillator.restitution),),
         gains=(),
         model=model,
         starts=({"x": oscillator.stop, "y": 1.0},),
@@ -229,7 +235,7 @@ def oscillator(damping: float = 0.1, stiffness: float = 1.0) -> Problem:
         source="textbook",
         state_names=("x", "dx"),
         state_units=("m", "m/s"),
-        parameters=(*quantities, restitution(0.5)),
+        parameters=(*quantities, Quantity.restitution(0.5)),
         gains=(),
         model=model,
         starts=({"x": 1.0},),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from zeno_orbits.model.library import bundled_problems, load_problem
+from zeno_orbits.model import bundled_problems, load_problem
 
 
 def one_stop_problems() -> dict[str, Path]:

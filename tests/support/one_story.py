@@ -13,12 +13,12 @@ from zeno_orbits.experiment import (
     Recording,
     Source,
     Unknown,
+    compare_cycles,
     identify,
     rig_cycles,
+    tabulate_orbit,
 )
-from zeno_orbits.experiment.orbit_table import tabulate_orbit
-from zeno_orbits.experiment.rig.cycle_comparison import compare_cycles
-from zeno_orbits.model.rig_parts import Contact, Rig
+from zeno_orbits.model import Contact, Rig
 
 NEAR = 1e-3
 """Half the width of the ranges around the problem's own numbers, relative."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits import ZenoOrbit
 
 _OF_PHASE = {"release_state": "start_state", "start_state": "start_state"}
 _ENTRIES = {"kind", "start_time", "impacts", "zeno_time", "zeno_state", *_OF_PHASE}

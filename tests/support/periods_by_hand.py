@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.orbits.phases import Moment
-from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode, ZenoPoint
+from zeno_orbits.orbits import Moment, OrbitShape
+from zeno_orbits.simulation import Arc, Ending, Impact, Mode, ZenoPoint
 from zeno_orbits.verification.claim import Claim, ClaimedPhase
 from zeno_orbits.verification.integration import FirstCycle
 

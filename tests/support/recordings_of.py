@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zeno_orbits.experiment import RecordedSignal, Recording, Source
-from zeno_orbits.experiment.orbit_table import OrbitTable
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.experiment import OrbitTable, RecordedSignal, Recording, Source
+from zeno_orbits.model import Problem
 
 
 def recorded(

@@ -11,8 +11,8 @@ import numpy as np
 
 from zeno_orbits import Problem, Quantity
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.units import powers_of
-from zeno_orbits.simulation.execution import Execution, Impact
+from zeno_orbits.model import powers_of
+from zeno_orbits.simulation import Execution, Impact
 
 Dimension = tuple[int, int, int]
 """Powers of mass, length and time."""

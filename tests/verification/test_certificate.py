@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from zeno_orbits.verification.certificate import FAILURES, RESIDUALS, DeltaCut, OrbitCertificate
+from zeno_orbits.verification import RESIDUALS, DeltaCut, OrbitCertificate
+from zeno_orbits.verification.certificate import FAILURES
 
 GOOD = OrbitCertificate(
     tolerance=1e-9,

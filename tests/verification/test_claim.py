@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit
-from zeno_orbits.orbits.shape import PhaseKind
+from zeno_orbits.orbits import OrbitImpact, OrbitPhase, PhaseKind, ZenoOrbit
 from zeno_orbits.verification.claim import claim_of
 
 NAMES = ("b", "a")

@@ -22,12 +22,9 @@ from tests.support.periods_by_hand import (
     zeno,
 )
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.orbits.phases import Moment
-from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation, ZenoPassage
-from zeno_orbits.simulation.simulator import SimulationSettings
-from zeno_orbits.verification import cross_checks
-from zeno_orbits.verification.certificate import DeltaCut
+from zeno_orbits.orbits import Moment, PhaseKind
+from zeno_orbits.simulation import SimulationSettings, Truncation, ZenoExtrapolation, ZenoPassage
+from zeno_orbits.verification import DeltaCut, cross_checks
 from zeno_orbits.verification.cross_checks import (
     cut_order,
     delta_sweep,

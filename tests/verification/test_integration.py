@@ -12,12 +12,9 @@ import pytest
 
 from tests.support.periods_by_hand import arc, claim, cycle, impact, phase, state, system, zeno
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.orbits.phases import Moment
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape, PhaseKind
-from zeno_orbits.simulation.completion import ZenoExtrapolation
-from zeno_orbits.simulation.execution import Mode
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.orbits import ONE_ZENO, Moment, OrbitShape, PhaseKind
+from zeno_orbits.simulation import Mode, SimulationSettings, ZenoExtrapolation
 from zeno_orbits.verification import integration
 from zeno_orbits.verification.integration import _measured, _missing, distance, observe
 

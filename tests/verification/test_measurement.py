@@ -12,22 +12,12 @@ import pytest
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD
 from tests.support.periods_by_hand import arc, cycle, first_cycle, impact, phase, system, zeno
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.shape import ONE_ZENO
-from zeno_orbits.simulation.execution import Mode
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.verification import measurement
-from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.orbits import ONE_ZENO, ZenoOrbit
+from zeno_orbits.simulation import Mode, SimulationSettings, simulate
+from zeno_orbits.verification import OrbitCertificate, measure, measurement
 from zeno_orbits.verification.integration import Observation
-from zeno_orbits.verification.measurement import (
-    NUMBERS,
-    measure,
-    measured_smallest_share,
-    quantity_names,
-)
+from zeno_orbits.verification.measurement import NUMBERS, measured_smallest_share, quantity_names
 
 SAMPLES = 20_001
 

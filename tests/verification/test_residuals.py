@@ -21,10 +21,9 @@ from tests.support.periods_by_hand import (
     system,
     zeno,
 )
-from zeno_orbits.model.quantities import Escape
-from zeno_orbits.orbits.phases import Moment
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
-from zeno_orbits.simulation.execution import Mode
+from zeno_orbits.model import Escape
+from zeno_orbits.orbits import ONE_ZENO, Moment, OrbitShape
+from zeno_orbits.simulation import Mode
 from zeno_orbits.verification.claim import Claim
 from zeno_orbits.verification.integration import Observation
 from zeno_orbits.verification.residuals import (

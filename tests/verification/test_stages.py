@@ -12,22 +12,20 @@ import pytest
 
 from tests.support.periods_by_hand import arc, cycle, first_cycle, impact, phase, system, zeno
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.quantities import Escape
-from zeno_orbits.orbits.phases import Moment
-from zeno_orbits.orbits.poincare import Multipliers
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
-from zeno_orbits.simulation.execution import Mode
-from zeno_orbits.simulation.simulator import SimulationSettings
-from zeno_orbits.verification import verifier
-from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
-from zeno_orbits.verification.integration import Observation
-from zeno_orbits.verification.verifier import (
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.model import Escape
+from zeno_orbits.orbits import ONE_ZENO, Moment, Multipliers, OrbitShape
+from zeno_orbits.simulation import Mode, SimulationSettings
+from zeno_orbits.verification import (
+    DeltaCut,
+    OrbitCertificate,
     VerificationSettings,
     multipliers_of,
     problem_dynamics,
+    verifier,
     verify,
 )
+from zeno_orbits.verification.integration import Observation
 
 SETTINGS = VerificationSettings(
     tolerance=1e-8,

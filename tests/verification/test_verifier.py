@@ -21,27 +21,31 @@ from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.integrators import Automatic
-from zeno_orbits.integrators.engine import Leg, Passage
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.hybrid import CompletedSystem
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.quantities import Escape
-from zeno_orbits.orbits.orbit import OrbitImpact, ZenoOrbit
-from zeno_orbits.orbits.shape import PhaseKind
+from zeno_orbits.integrators import Automatic, Leg, Passage, Tolerance
+from zeno_orbits.model import CompletedSystem, Escape, HybridDynamics, Problem, load_problem
+from zeno_orbits.orbits import OrbitImpact, PhaseKind, ZenoOrbit
 from zeno_orbits.search import close_orbit, find_orbit
-from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
-from zeno_orbits.simulation.execution import Execution, Mode
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
-from zeno_orbits.verification import cross_checks
-from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
+from zeno_orbits.simulation import (
+    Execution,
+    Mode,
+    SimulationSettings,
+    TailEstimate,
+    Truncation,
+    ZenoExtrapolation,
+    ZenoLimit,
+    simulate,
+)
+from zeno_orbits.verification import (
+    RESIDUALS,
+    OrbitCertificate,
+    VerificationSettings,
+    certified,
+    cross_checks,
+    verify,
+)
 from zeno_orbits.verification.claim import claim_of
 from zeno_orbits.verification.cross_checks import cut_order, delta_sweep
 from zeno_orbits.verification.integration import _measured, observe
-from zeno_orbits.verification.verifier import VerificationSettings, certified, verify
 
 QUICK = VerificationSettings(n_periods=1)
 MOTION = {"first_impact", "impact_sequence", "zeno_point", "closure", "period", "drift"}

@@ -18,10 +18,8 @@ from tests.support.chores import Deadly, Diary
 from tests.support.clusters import DaskCluster, dask_cluster, noted_problem, wait_until
 from tests.support.commands import ask
 from zeno_orbits.errors import InputError, WorkError
-from zeno_orbits.maps.map_file import write_map
-from zeno_orbits.maps.mapping import parameter_map
-from zeno_orbits.maps.plane import Axis, Plane
-from zeno_orbits.model.library import bundled_problems, locate_problem
+from zeno_orbits.maps import Axis, Plane, parameter_map, write_map
+from zeno_orbits.model import bundled_problems, locate_problem
 from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, spread
 
 pytest.importorskip("distributed", reason="needs the extra `cluster`")

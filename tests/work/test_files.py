@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.work.files import require_writable, write_whole
+from zeno_orbits.work import require_writable, write_whole
 
 
 def _full(*_: Any, **__: Any) -> Any:

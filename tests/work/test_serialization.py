@@ -18,10 +18,9 @@ from tests.support import chores
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.search import SearchSettings
-from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.verifier import VerificationSettings
+from zeno_orbits.verification import OrbitCertificate, VerificationSettings
+from zeno_orbits.work import EntryError, plain, restored
 from zeno_orbits.work.files import read_json
-from zeno_orbits.work.serialization import EntryError, plain, restored
 
 
 class Colour(Enum):

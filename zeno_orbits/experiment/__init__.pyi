@@ -15,6 +15,7 @@ from .identification.identification import identify as identify
 from .identification.unknowns import Unknown as Unknown
 from .orbit_table import OrbitTable as OrbitTable
 from .orbit_table import measurable as measurable
+from .orbit_table import tabulate_orbit as tabulate_orbit
 from .recordings.recording import RecordedSignal as RecordedSignal
 from .recordings.recording import Recording as Recording
 from .recordings.recording import Source as Source

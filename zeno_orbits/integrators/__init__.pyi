@@ -3,7 +3,10 @@ from .automatic import PAYS as PAYS
 from .automatic import rates_of as rates_of
 from .automatic import staying_rate as staying_rate
 from .collocation import Collocation as Collocation
+from .collocation import Nodes as Nodes
+from .collocation import doubled_nodes as doubled_nodes
 from .collocation import lagrange_basis as lagrange_basis
+from .collocation import radau_nodes as radau_nodes
 from .collocation import radau_scheme as radau_scheme
 from .dop853 import RungeKutta as RungeKutta
 from .dop853_step import error_norm as error_norm

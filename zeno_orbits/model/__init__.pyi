@@ -35,6 +35,7 @@ from .motors import MotorBank as MotorBank
 from .numeric.calls import Call as Call
 from .numeric.compiled import CompiledSystem as CompiledSystem
 from .numeric.compiled import bind as bind
+from .numeric.compiled import compile_system as compile_system
 from .numeric.compiled_flow import CompiledFlow as CompiledFlow
 from .numeric.compiled_flow import FlowMemory as FlowMemory
 from .numeric.compiled_flow import ModeFunctions as ModeFunctions

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.collocation import Nodes, doubled_nodes, radau_nodes
+from zeno_orbits.integrators import Nodes, doubled_nodes, radau_nodes
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.rescaled_flight import Flight
 from zeno_orbits.simulation.zeno_limit import tail_time
