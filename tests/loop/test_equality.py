@@ -56,7 +56,7 @@ ROUNDING = 1e-11
 rounding, and a few seconds of motion magnify that. Up to 1.6e-12 was seen."""
 
 
-@pytest.mark.parametrize(("name", "start"), STARTS)
+@pytest.mark.parametrize(("name", "start"), [one for one in STARTS if one[0] in STIFF])
 def test_explicit_steps_give_the_same_bits(name: str, start: int) -> None:
     run = require_equal(task_of(zo.load_problem(name), until=2.0, start=start, settings=EXPLICIT))
     assert run is not None
@@ -67,6 +67,7 @@ def test_explicit_steps_give_the_same_bits(name: str, start: int) -> None:
 def test_the_default_engine_gives_the_same_to_rounding(name: str, start: int) -> None:
     task = task_of(zo.load_problem(name), until=4.0, start=start)
     if name in STIFF:
+        # The test above compares their explicit steps.
         run = require_close(task, ROUNDING)
         assert run is not None
         assert n_implicit(run) > 0
