@@ -4,25 +4,30 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from tests.reference.linear_impacts import ImpactOscillator, critical
+from tests.reference.linear_impacts import ImpactOscillator, critical, grazing_stop
 from zeno_orbits.continuation import (
     Continuation,
     ContinuationSettings,
+    Family,
     FamilySteps,
     SpecialPointKind,
     continue_impacts,
+    continue_orbit,
 )
 from zeno_orbits.continuation.continuation import continue_from
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
 from zeno_orbits.continuation.parallel import Dispatch
 from zeno_orbits.continuation.return_maps import ImpactReturns
+from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.setup import FamilyStart, Setup
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import load_problem
+from zeno_orbits.search import find_orbit
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import silent
 
@@ -160,3 +165,57 @@ def test_a_motion_that_rests_on_the_stop_has_no_family_of_impacts() -> None:
             "A",
             (0.4, 0.6),
         )
+
+
+ONCE = ContinuationSettings(doublings=0)
+
+
+def impacts_of(stop: float, box: tuple[float, float]) -> Family:
+    values = OSCILLATOR.values(parameters={"stop": stop})
+    start = OSCILLATOR.state_vector({"cosine": 1.0})
+    return continue_impacts(OSCILLATOR, values, start, "stop", box, settings=ONCE).families[0]
+
+
+@pytest.mark.slow
+def test_orbits_with_n_impacts_follow_each_other_between_grazing_orbits() -> None:
+    e, stops = 0.5, (0.28, 0.18, 0.14, 0.119)
+    highest = (0.32, 0.3, 0.2, 0.15)
+    families = [impacts_of(at, (0.1003, high)) for at, high in zip(stops, highest, strict=True)]
+    ends = [family.first for family in families]
+    assert [family.n_returns for family in families] == [1, 2, 3, 4]
+    for n, (family, end) in enumerate(zip(families, ends, strict=True), 1):
+        assert end.kind is SpecialPointKind.EARLIER_GRAZING
+        truth = grazing_stop(n, 1.9, e, stops[n - 1])
+        assert end.at.value == pytest.approx(truth, abs=10 * end.error + 1e-11)
+        # The reference answers another question at another restitution.
+        assert abs(end.at.value - grazing_stop(n, 1.9, e + 1e-3, stops[n - 1])) > 1e-5
+        assert end.detail == ("" if n == 1 else f"impact 1 of {n}")
+        if n > 1:
+            last = family.last
+            assert (last.kind, last.detail) == (
+                SpecialPointKind.LATER_GRAZING,
+                f"impact {n} of {n}",
+            )
+            # Both are the grazing orbit between n - 1 and n impacts.
+            assert last.at.value == pytest.approx(ends[n - 2].at.value, abs=1e-10)
+    widths = [a.at.value - b.at.value for a, b in pairwise(ends)]
+    ratios = [a / b for a, b in pairwise(widths)]
+    # The ratios fall towards that of theory (39). The last one is still 7 % above it.
+    assert ratios[0] > ratios[1] > separatrix(e).repulsion
+    assert ratios[1] == pytest.approx(separatrix(e).repulsion, rel=0.1)
+
+
+def test_an_orbit_with_two_impacts_from_the_search_is_followed() -> None:
+    orbit = find_orbit(OSCILLATOR, OSCILLATOR.values(parameters={"stop": 0.2})).unwrap()
+    assert orbit.shape.text == "impact*2"
+    few = ContinuationSettings(steps=FamilySteps(most=2), doublings=0)
+    (family,) = continue_orbit(OSCILLATOR, orbit, "stop", (0.1, 0.3), settings=few).families
+    assert family.n_returns == 2
+    near = min(family.points, key=lambda point: abs(point.value - 0.2))
+    assert near.period == pytest.approx(2 * math.pi, abs=1e-10)
+    assert near.stable
+
+
+def test_a_motion_with_a_zeno_point_is_named_instead_of_a_family_of_impacts() -> None:
+    with pytest.raises(SimulationError, match="its shape is `zeno`"):
+        impacts_of(0.05, (0.0, 0.3))

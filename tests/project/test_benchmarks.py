@@ -13,6 +13,7 @@ SCRIPTS = sorted((ROOT / "benchmarks").glob("*.py"))
 
 REDUCED = {
     "beside_others": ("--quick", "--runs", "1"),
+    "chatter_cascade": ("--most", "2"),
     "comparison": ("--machines", "motor_flap", "--samples", "150", "--seeds", "1"),
     "error_over_tolerance": ("--starts", "1"),
     "every_command": ("eccentric_cam",),

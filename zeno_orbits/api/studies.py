@@ -54,7 +54,7 @@ def continue_orbit(
     """Return the solution branch of an orbit in a gain or parameter, with its special points.
 
     Args:
-        orbit: The orbit, or its file, with one Zeno point or one impact per period.
+        orbit: The orbit, or its file, with one Zeno point per period, or with impacts only.
         parameter: Name of the gain or parameter. Parameters derived from it keep their values.
         box: Its range, lower end first. It contains the value of the orbit.
         problem: The orbit's problem. The default is the bundled problem of its name.
@@ -75,29 +75,20 @@ def continue_orbit(
     orbit = any_orbit(orbit)
     if isinstance(orbit, EventOrbit) and second is not None:
         raise InputError("Argument `second` needs a machine with one stop and no switch.")
-    if isinstance(orbit, ZenoOrbit) and orbit.shape.n_phases != 1:
-        wanted = "must have one Zeno point or one impact per period"
+    if isinstance(orbit, ZenoOrbit) and not (
+        orbit.shape.has_one_release or orbit.shape.without_contact
+    ):
+        wanted = "must have one Zeno point per period, or impacts without a contact phase"
         raise InputError(f"Argument `orbit` {wanted}, but its shape is `{orbit.shape.text}`.")
     source = problem or orbit.problem
     with _crew(source, plan_of(workers, plan), on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
-        if isinstance(orbit, EventOrbit) or orbit.shape.starts_at_release:
-            return continuation.continue_orbit(
-                known,
-                orbit,
-                parameter,
-                box,
-                second=second,
-                settings=settings,
-                on_progress=on_progress,
-                crew=crew,
-            )
-        return continuation.continue_impacts(
+        return continuation.continue_orbit(
             known,
-            orbit.values(known),
-            known.state_vector(orbit.phases[0].start_state),
+            orbit,
             parameter,
             box,
+            second=second,
             settings=settings,
             on_progress=on_progress,
             crew=crew,
@@ -118,7 +109,7 @@ def continue_impacts(
     plan: Plan | None = None,
     on_progress: Progress = silent,
 ) -> Continuation:
-    """Return the solution branch of the orbit with one impact per period that a simulation reaches.
+    """Return the solution branch of the orbit without a Zeno point that a simulation reaches.
 
     Args:
         problem: The problem, its name or its file.

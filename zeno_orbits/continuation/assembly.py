@@ -13,7 +13,7 @@ from zeno_orbits.continuation.corrector import BranchPoint
 from zeno_orbits.continuation.event_returns import EventSection
 from zeno_orbits.continuation.families import Family, FamilyPoint, SpecialPoint, SpecialPointKind
 from zeno_orbits.continuation.margins import ENDS
-from zeno_orbits.continuation.return_maps import Loss, Margin
+from zeno_orbits.continuation.return_maps import ImpactReturns, Loss, Margin
 from zeno_orbits.continuation.setup import ONE_RETURN, Setup
 from zeno_orbits.continuation.special_points import Located
 from zeno_orbits.model import Problem
@@ -137,7 +137,7 @@ class _Names:
         also = ", ".join(kind.value for kind in located.also)
         details = [f"together with: {also}" if also else "", self._event_of(located)]
         return SpecialPoint(
-            kind=located.kind,
+            kind=self._kind_of(located),
             at=at,
             error=located.error,
             index=index,
@@ -147,13 +147,31 @@ class _Names:
     def _event_of(self, located: Located) -> str:
         """Return the events that meet at an end, or the event that is lost there."""
         section = self.setup.section
-        if not isinstance(section, EventSection) or located.kind not in ENDS.values():
+        if located.kind not in ENDS.values():
+            return ""
+        of_period = (SpecialPointKind.AMPLITUDE_ZERO, SpecialPointKind.PERIOD_INFINITE)
+        if section is ImpactReturns and self.setup.n_returns > ONE_RETURN:
+            number = self._number_of_impact(located)
+            return "" if located.kind in of_period else f"impact {number} of {self.setup.n_returns}"
+        if not isinstance(section, EventSection):
             return ""
         sequence, place = section.sequence, located.place % len(section.sequence)
         if located.kind is SpecialPointKind.EVENTS_MEET:
             return f"{sequence[place - 1]} and {sequence[place]}"
-        of_period = (SpecialPointKind.AMPLITUDE_ZERO, SpecialPointKind.PERIOD_INFINITE)
         return "" if located.kind in of_period else sequence[place]
+
+    def _number_of_impact(self, located: Located) -> int:
+        """Return the number, from 1, of the impact that ends a return.
+
+        The section is just after the first impact, so that the last return ends with it.
+        """
+        return (located.place + 1) % self.setup.n_returns + 1
+
+    def _kind_of(self, located: Located) -> SpecialPointKind:
+        """Return the kind of a special point. In a family of impacts a later impact may graze."""
+        later = self.setup.section is ImpactReturns and self._number_of_impact(located) > 1
+        grazes = located.kind is SpecialPointKind.GRAZING
+        return SpecialPointKind.LATER_GRAZING if grazes and later else located.kind
 
     def end(self, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:
         """Return the end of a branch, or its last point if the end was not located.

@@ -25,6 +25,7 @@ from zeno_orbits.continuation.setup import (
     plane_of,
     start_at_event,
     start_at_impact,
+    start_at_impacts_of,
     start_at_release,
 )
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
@@ -83,6 +84,8 @@ def continue_orbit(
     settings = settings or ContinuationSettings()
     if isinstance(orbit, EventOrbit):
         start = start_at_event(problem, orbit, parameter, box, settings)
+    elif orbit.shape.without_contact:
+        start = start_at_impacts_of(problem, orbit, parameter, box, settings)
     else:
         start = start_at_release(problem, orbit, parameter, box, settings)
     dispatch = Dispatch(problem=problem, settings=settings, on_progress=on_progress, crew=crew)
@@ -100,7 +103,7 @@ def continue_impacts(
     on_progress: Progress = silent,
     crew: Crew | None = None,
 ) -> Continuation:
-    """Return the family of the attracting orbit with one impact per turn.
+    """Return the family of an attracting orbit without a Zeno point.
 
     Args:
         problem: The problem.

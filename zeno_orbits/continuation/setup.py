@@ -22,12 +22,12 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.kinds import Checked
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
+    Cycle,
     EventOrbit,
     Line,
-    OrbitShape,
-    PhaseKind,
     SectionMode,
     ZenoOrbit,
+    cycle_of,
     event_return,
 )
 from zeno_orbits.search import settle
@@ -158,8 +158,7 @@ def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
 
 
 _SETTLED = 1e-3
-"""Largest change of the state between impacts, relative to its size, at which it nearly repeats."""
-_ONE_IMPACT = OrbitShape(phases=(PhaseKind.IMPACT,))
+"""Largest change of the state over a period, relative to its size, at which it nearly repeats."""
 
 
 def start_at_impact(
@@ -175,24 +174,70 @@ def start_at_impact(
     Args:
         problem: The problem.
         values: Its parameter values at the start.
-        state: Initial state of a motion that converges to one impact per turn, ``(n_x,)``.
+        state: Initial state of a motion whose impacts converge to a periodic sequence, ``(n_x,)``.
         parameter: Name of a gain or a parameter.
         box: Range of the parameter, lower end first.
         settings: Settings of the continuation.
 
     Raises:
         InputError: If a name or a range does not fit.
-        SimulationError: If the impacts do not converge.
+        SimulationError: If the impacts do not converge, or contact persists.
     """
     s = _checked(problem, values, "in", parameter, box)
-    settling = settle(problem.dynamics(values), [state], shape=_ONE_IMPACT, problem=problem)
+    settling = settle(problem.dynamics(values), [state], problem=problem)
     cycle = settling.cycle
+    lacking = "The motion does not converge to an orbit without a Zeno point"
     if cycle is None or cycle.drift(cycle.scale_at_events()) > _SETTLED:
-        raise SimulationError(
-            "The motion does not converge to an orbit with one impact per period",
-            time=settling.waited,
-            state=state,
-        )
+        reason = f"{lacking}: {settling.reason}" if settling.reason else lacking
+        raise SimulationError(reason, time=settling.waited, state=state)
+    if not cycle.shape.without_contact:
+        reason = f"{lacking}: its shape is `{cycle.shape.text}`"
+        raise SimulationError(reason, time=settling.waited, state=state)
+    return _start_of_impacts(values, parameter, box, settings, cycle, s)
+
+
+def start_at_impacts_of(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    parameter: str,
+    box: tuple[float, float],
+    settings: ContinuationSettings,
+) -> FamilyStart:
+    """Return an impact of an orbit without a contact phase as the start of its family.
+
+    Args:
+        problem: The problem.
+        orbit: An orbit of the problem, stable or not, whose phases are impacts.
+        parameter: Name of a gain or a parameter.
+        box: Range of the parameter, lower end first.
+        settings: Settings of the continuation.
+
+    Raises:
+        InputError: If a name or a range does not fit, or the orbit belongs to another problem.
+        SimulationError: If the motion from the start of the orbit has another shape.
+    """
+    _require_orbit_of(problem, orbit.problem)
+    values = orbit.values(problem)
+    s = _checked(problem, values, "in", parameter, box)
+    cycle = cycle_of(
+        problem.dynamics(values),
+        np.array(problem.state_vector(orbit.start_state)),
+        orbit.shape,
+        horizon=PATIENCE * orbit.period,
+        settings=settings.simulation,
+    )
+    return _start_of_impacts(values, parameter, box, settings, cycle, s)
+
+
+def _start_of_impacts(
+    values: ParameterValues,
+    parameter: str,
+    box: tuple[float, float],
+    settings: ContinuationSettings,
+    cycle: Cycle,
+    s: float,
+) -> FamilyStart:
+    """Return the state after the impact that ends the longest flight of a cycle as a start."""
     setup = Setup(
         values=values,
         parameter=parameter,
@@ -204,8 +249,10 @@ def start_at_impact(
             horizon=PATIENCE * cycle.period,
         ),
         simulation=settings.simulation,
+        n_returns=cycle.shape.n_phases,
     )
-    return FamilyStart(setup=setup, x=cycle.end.state, s=s)
+    longest = max(cycle.phases, key=lambda phase: phase.end.time - phase.start.time)
+    return FamilyStart(setup=setup, x=longest.end.state, s=s)
 
 
 def start_at_event(

@@ -99,6 +99,11 @@ class OrbitShape:
         return self.phases[-1].holds
 
     @property
+    def without_contact(self) -> bool:
+        """True if the state leaves the stop after every impact, so that no contact phase exists."""
+        return self.n_releases == 0
+
+    @property
     def has_one_release(self) -> bool:
         """True if the period consists of one flight, its impacts and one contact phase."""
         return self.n_phases == 1 and self.starts_at_release
