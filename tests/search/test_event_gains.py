@@ -1,4 +1,4 @@
-"""Gains of machines with several stops or switches against closed forms and an independent search."""
+"""Gains of machines with several stops against closed forms and an independent search."""
 
 from __future__ import annotations
 
