@@ -5,15 +5,18 @@ from __future__ import annotations
 import re
 
 _CODE = re.compile(r"(^```.*?^```|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
-_FORMULA = re.compile(r"(\$[^$\n]+\$)(?=[,.;:)])")
-_JOINER = "&#8288;"
+_FORMULA = re.compile(r"\$[^$\n]+\$([,.;:)]*)")
 
 
 def joined(text: str) -> str:
-    """Return a page with a word joiner between each formula and a mark after it.
+    """Return a page on which no line breaks between a formula and a mark after it.
 
-    A browser may break a line on both sides of a formula, also before a comma.
+    A browser may break a line on both sides of a formula, and ignores a word joiner there.
     """
     parts = _CODE.split(text)
-    parts[::2] = [_FORMULA.sub(rf"\1{_JOINER}", part) for part in parts[::2]]
+    parts[::2] = [_FORMULA.sub(_together, part) for part in parts[::2]]
     return "".join(parts)
+
+
+def _together(formula: re.Match[str]) -> str:
+    return f'<span style="white-space: nowrap">{formula[0]}</span>' if formula[1] else formula[0]

@@ -165,7 +165,8 @@ def test_docstrings_cite_by_links_on_the_site() -> None:
 
 
 def test_punctuation_stays_with_the_formula_before_it_on_the_site() -> None:
-    assert joined("With $a$ and $b$, as in (1).") == "With $a$ and $b$&#8288;, as in (1)."
+    together = '<span style="white-space: nowrap">$b$,</span>'
+    assert joined("With $a$ and $b$, as in (1).") == f"With $a$ and {together} as in (1)."
     for code in ("`$a$, $b$.`", "```sh\necho $a$, $b$.\n```"):
         assert joined(code) == code
 
