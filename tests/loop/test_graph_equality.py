@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ import pytest
 import zeno_orbits as zo
 from benchmarks import random_graphs
 from tests.loop.agreement import needs_compiler
-from zeno_orbits.errors import SimulationError
+from zeno_orbits.errors import RunawayError, SimulationError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.simulation import (
     Arc,
@@ -21,6 +21,7 @@ from zeno_orbits.simulation import (
     SimulationTask,
     simulator,
 )
+from zeno_orbits.simulation.looped_graph import GraphHistory, GraphRecord
 
 pytestmark = needs_compiler
 
@@ -38,7 +39,11 @@ BUNDLED: tuple[tuple[str, float, dict[str, float]], ...] = (
 
 
 def both(
-    problem: zo.Problem, until: float, values: Mapping[str, float], settings: SimulationSettings
+    problem: zo.Problem,
+    until: float,
+    values: Mapping[str, float],
+    settings: SimulationSettings,
+    limits: Mapping[str, float] | None = None,
 ) -> list[tuple[Execution | None, SimulationError | None]]:
     """Return what the loop and the reference give: executions, and the errors that ended them."""
     graph = problem.graph_dynamics(problem.values(parameters=dict(values)))
@@ -47,6 +52,8 @@ def both(
         state=np.array(problem.state_vector(problem.starts[0])),
         until=until,
         settings=settings,
+        most_releases=(limits or {}).get("releases", np.inf),
+        most_impacts=(limits or {}).get("impacts", np.inf),
     )
     assert simulator.serves_graph(task)
     found: list[tuple[Execution | None, SimulationError | None]] = []
@@ -84,9 +91,10 @@ def require_agreement(
     values: Mapping[str, float],
     settings: SimulationSettings,
     tolerance: float,
+    limits: Mapping[str, float] | None = None,
 ) -> Execution | None:
     """Require the same events, arcs and errors, in every bit if the tolerance is zero."""
-    (found, error), (expected, reason) = both(problem, until, values, settings)
+    (found, error), (expected, reason) = both(problem, until, values, settings, limits)
     assert type(error) is type(reason)
     assert (found is None) == (expected is None)
     if found is None or expected is None:
@@ -123,14 +131,37 @@ def test_the_default_engine_gives_the_same_to_rounding(
     assert require_agreement(zo.load_problem(name), until, values, settings, ROUNDING) is not None
 
 
-@pytest.mark.parametrize("index", range(24))
+@pytest.mark.parametrize("limits", [{"releases": 3}, {"impacts": 7}], ids=str)
+def test_a_run_ends_at_the_same_release_or_impact(limits: dict[str, float]) -> None:
+    run = require_agreement(zo.load_problem("relay"), 0.2, {}, EXPLICIT, 0.0, limits)
+    assert run is not None
+    assert run.end_time < 0.2
+
+
+def test_a_run_beyond_its_bounds_ends_with_the_same_error() -> None:
+    settings = replace(EXPLICIT, far=0.1)
+    (_, error), (_, reason) = both(zo.load_problem("clapper"), 30.0, {}, settings)
+    assert type(error) is RunawayError
+    assert str(error) == str(reason)
+
+
+@pytest.mark.parametrize(("name", "until"), [("limited_pendulum", 20.0), ("relay", 0.09)])
+def test_the_loop_itself_follows_the_arcs(name: str, until: float) -> None:
+    execution = zo.simulate(name, until=until)
+    history = getattr(execution, "_run", None)
+    assert isinstance(history, GraphHistory)
+    by_loop = [part for part in history.parts if isinstance(part, GraphRecord)]
+    assert sum(len(part.arcs) for part in by_loop) > 0.95 * len(execution.arcs)
+
+
+@pytest.mark.parametrize("index", range(8))
 def test_random_machines_give_the_same_bits(index: int) -> None:
     problem = random_graphs.problem(random_graphs.drawn(11, index))
     require_agreement(problem, 6.0, {}, EXPLICIT, 0.0)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("index", range(24, 100))
+@pytest.mark.parametrize("index", range(8, 100))
 def test_many_random_machines_give_the_same_bits(index: int) -> None:
     problem = random_graphs.problem(random_graphs.drawn(11, index))
     require_agreement(problem, 6.0, {}, EXPLICIT, 0.0)

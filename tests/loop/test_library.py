@@ -254,7 +254,7 @@ def test_no_undefined_behaviour_is_met(tmp_path: Path) -> None:
         "ZENO_ORBITS_LOOP_LIBRARY": str(library),
         "PYTHONPATH": str(ROOT),
     }
-    names = ("test_run.py", "test_equality.py", "test_tangent.py")
+    names = ("test_run.py", "test_equality.py", "test_graph_equality.py", "test_tangent.py")
     files = [str(Path(__file__).with_name(name)) for name in names]
     words = [sys.executable, "-m", "pytest", "-q", "-n0", "-p", "no:cacheprovider", *files]
     done = subprocess.run(

@@ -202,11 +202,13 @@ def _margins(graph: GraphDynamics, found: EventReturn) -> Mapping[Margin, float]
 
 def _least_guards(graph: GraphDynamics, arc: Arc) -> list[tuple[Loss, float]]:
     """Return the least gaps of open stops, and multipliers of closed ones, inside an arc."""
-    if arc.trajectory is None or arc.stop:
+    if arc.trajectory is None:
         return []
     closed, sides = graph.mode_of(arc.closed, arc.sides)
     found: list[tuple[Loss, float]] = []
-    for k in range(len(graph.stop_names)):
+    for k, name in enumerate(graph.stop_names):
+        if name == arc.stop:
+            continue
         if k in closed:
             view = graph.holding((closed, sides), k)
             least = least_inside(arc, view.multiplier, view.multiplier_rate)

@@ -12,6 +12,7 @@ from .dop853 import RungeKutta as RungeKutta
 from .dop853_step import error_norm as error_norm
 from .dop853_step import explicit_attempt as explicit_attempt
 from .dop853_step import overflow as overflow
+from .engine import BoxedStep as BoxedStep
 from .engine import Engine as Engine
 from .engine import Leg as Leg
 from .engine import Outcome as Outcome
@@ -28,6 +29,7 @@ from .engines import engine_refusal as engine_refusal
 from .engines import engine_named as engine_named
 from .events import SteppedTrajectory as SteppedTrajectory
 from .flow import Corrected as Corrected
+from .following import follow_steps as follow_steps
 from .flow import FIRST_ITERATIONS as FIRST_ITERATIONS
 from .flow import GuardedFlow as GuardedFlow
 from .flow import NewtonPieces as NewtonPieces

@@ -1,10 +1,10 @@
 /* Guards beside that of the stop which a run looks at, in a machine with several stops or switches.
 
-   A run goes on as long as they are clearly not involved. Where one of them may fall, or an event may
-   change them, the caller follows the arc from its start, by the rules of `graph_run` in Python. So
-   doubts cost time, and never an event. */
+   The earliest fall of any guard ends a leg. What another guard or an event that may change others
+   leads to is the caller's. Where anything is in doubt, the caller follows the arc from its start, by
+   the rules of `graph_run` in Python. So doubts cost time, and never an event. */
 
-/* Rounding levels of a guard within which it may fall. */
+/* Rounding levels of a guard within which two events may be one. */
 #define MARGIN 10.0
 
 static int side_of(const Machine *m) { return m->run->leg.mode == ZL_LOCKED; }
@@ -82,8 +82,7 @@ static void switches_at(const Machine *m, const double *x, double *formulas, dou
     }
 }
 
-/* Take all guards at the start of a leg; 0 unless each is above zero, or a switch that starts on its
-   zero. */
+/* Take all guards at the start of a leg; 0 unless each is above its rounding, or a switch on zero. */
 static int is_clear_at_start(const Machine *m) {
     const zl_beside *beside = m->problem->beside;
     zl_run *run = m->run;
@@ -109,38 +108,32 @@ static int is_clear_at_start(const Machine *m) {
                 continue;
             }
         }
-        if (!(value > MARGIN * watched->rounding)) return 0;
+        if (!(value > watched->rounding)) return 0;
     }
     return 1;
 }
 
-/* A guard in a part of a step, less its margin. */
+/* A guard in a step. */
 typedef struct {
     Curve curve;
-    const Step *step;
-    const double *end; /* the state at the end of the part */
-    double after[2], shift;
+    Step *step;
     int k;
 } Beside;
 
-static void state_beside(const Curve *curve, double offset, double *state, double *pair) {
+static void look_at_beside(const Curve *curve, int kind, double offset, double *pair) {
     const Beside *beside = (const Beside *)(const void *)curve;
-    const Machine *m = beside->step->m;
-    if (offset == curve->size) {
-        memcpy(state, beside->end, (size_t)m->run->leg.n_y * sizeof(double));
-        pair[0] = beside->after[0];
-        pair[1] = beside->after[1];
-        return;
-    }
-    dense(beside->step, offset, state, pair);
-    pair_in_leg(m, beside->k, state, pair);
-    pair[0] -= beside->shift;
+    double state[ZL_MOST];
+    if (kind == TRUE_END)
+        true_end(beside->step, offset, state, pair);
+    else
+        dense(beside->step, offset, state, pair);
+    pair_in_leg(beside->step->m, beside->k, state, pair);
 }
 
-static void look_beside(const Curve *curve, int kind, double offset, double *pair) {
-    double state[ZL_MOST];
-    (void)kind;
-    state_beside(curve, offset, state, pair);
+static void state_beside(const Curve *curve, double offset, double *state, double *pair) {
+    const Beside *beside = (const Beside *)(const void *)curve;
+    dense(beside->step, offset, state, pair);
+    pair_in_leg(beside->step->m, beside->k, state, pair);
 }
 
 static void bounds_beside(const Curve *curve, const Place *left, const Place *right, int all,
@@ -157,69 +150,120 @@ static void bounds_beside(const Curve *curve, const Place *left, const Place *ri
     for (i = 0; i < n_x; i++) box[n_x + i] = box[n + i];
     intervals_run(&guard->bounds[side], m->beside + guard->bounds_place[side], box, all, found);
     for (i = 0; i < 2; i++) {
-        found[i] -= beside->shift;
         found[2 + i] *= unit;
         found[4 + i] *= unit * unit;
     }
 }
 
-/* Whether a guard may fall in a part of a step. */
-static int may_fall(const Step *step, int k, double size, const double *end) {
+/* Where in a step a guard first falls; NaN if it does not. As `leg_fall`. */
+static double fall_beside(Step *step, int k) {
     const Machine *m = step->m;
-    Watched *watched = &m->run->watched[k];
+    const Leg *leg = &m->run->leg;
+    const Watched *watched = &m->run->watched[k];
+    const int on_guard = (int)watched->on_guard;
+    double fall;
     Beside beside;
-    double before[2], change;
-    int on_guard = (int)watched->on_guard;
-    beside.curve.look = look_beside;
-    beside.curve.size = size;
-    beside.curve.exact = 1;
+    beside.curve.look = look_at_beside;
+    beside.curve.size = step->curve.size;
+    beside.curve.exact = 0;
     beside.step = step;
-    beside.end = end;
     beside.k = k;
-    beside.shift = on_guard ? 0.0 : MARGIN * watched->rounding;
-    pair_in_leg(m, k, end, beside.after);
-    before[0] = watched->before[0] - beside.shift;
-    before[1] = watched->before[1];
-    memcpy(watched->before, beside.after, sizeof watched->before);
-    beside.after[0] -= beside.shift;
-    if (!(isfinite(beside.after[0]) && isfinite(beside.after[1]))) return 1;
-    if (!isnan(first_fall(&beside.curve, before, beside.after, on_guard))) return 1;
+    fall = first_fall(&beside.curve, watched->before, watched->after, on_guard);
+    if (!isnan(fall) && on_guard) {
+        double state[ZL_MOST], pair[2];
+        leg_end(step, fall, state);
+        pair_in_leg(m, k, state, pair);
+        if (fabs(pair[1]) * (leg->time + fall) < watched->rounding) fall = NAN;
+    }
     if (m->problem->beside->guards[k].bounds[side_of(m)].n_outputs) {
         Net net;
         net.curve = &beside.curve;
         net.is_carried = 0;
         net.state_at = state_beside;
         net.bounds = bounds_beside;
-        if (!isnan(first_of_all(&net, before, beside.after, step->before, end, NAN, on_guard,
-                                watched->rounding)))
-            return 1;
+        fall = first_of_all(&net, watched->before, watched->after, step->before, step->after, fall,
+                            on_guard, watched->rounding);
     }
-    if (!on_guard) return 0;
-    change = greater(watched->largest_change, fabs(before[1]) * size);
-    watched->largest_change = greater(change, fabs(beside.after[1]) * size);
-    if (beside.after[0] < -greater(LEAVES * watched->largest_change, watched->rounding)) return 1;
-    watched->on_guard = beside.after[0] <= MARGIN * watched->rounding;
-    return 0;
+    return fall;
 }
 
-static int falls_beside(const Step *step, double size, const double *end) {
+/* Look at the other guards in a step. The earliest fall before a time ends the leg. */
+static int look_beside(Step *step, double until, int is_last) {
+    const Machine *m = step->m;
+    zl_run *run = m->run;
+    Leg *leg = &run->leg;
+    const int n = (int)m->problem->beside->n_guards;
     int k;
-    for (k = 0; k < step->m->problem->beside->n_guards; k++)
-        if (may_fall(step, k, size, end)) return 1;
-    return 0;
+    run->place.fallen = -1;
+    for (k = 0; k < n; k++) {
+        Watched *watched = &run->watched[k];
+        double fall;
+        pair_in_leg(m, k, step->after, watched->after);
+        if (!(isfinite(watched->after[0]) && isfinite(watched->after[1]))) return ZL_BESIDE;
+        fall = fall_beside(step, k);
+        if (!isnan(fall) && leg->time + fall < until) {
+            until = leg->time + fall;
+            run->fall = fall;
+            run->place.fallen = k;
+        }
+    }
+    if (run->place.fallen >= 0) {
+        /* A guard that has not risen from its zero may have been left before. */
+        for (k = 0; k < n; k++)
+            if (k != run->place.fallen && run->watched[k].on_guard && run->watched[k].after[0] < 0.0)
+                return ZL_BESIDE;
+        leg_end(step, run->fall, leg->end);
+        leg->duration = until;
+        return LEG_FELL_BESIDE;
+    }
+    for (k = 0; k < n && !is_last; k++) {
+        Watched *watched = &run->watched[k];
+        if (watched->on_guard) {
+            const double size = step->curve.size;
+            double change = greater(watched->largest_change, fabs(watched->before[1]) * size);
+            watched->largest_change = greater(change, fabs(watched->after[1]) * size);
+            if (watched->after[0] < -greater(LEAVES * watched->largest_change, watched->rounding)) {
+                run->place.fallen = k;
+                return ZL_OTHER_SIDE;
+            }
+            watched->on_guard = watched->after[0] <= watched->rounding;
+        }
+        memcpy(watched->before, watched->after, sizeof watched->before);
+    }
+    return LEG_GOES_ON;
 }
 
-/* Whether no other guard is about to fall where a leg ends. */
+static int is_near_zero(const Machine *m, const double *pair, double rounding) {
+    const double near = greater(rounding, -pair[1] * APART * m->run->settings.time);
+    return !(pair[1] >= 0.0) && !(pair[0] > MARGIN * near);
+}
+
+/* Whether no other guard is about to fall where a leg ends, nor that of the stop if another fell. */
 static int ends_alone(const Machine *m) {
     const zl_run *run = m->run;
+    const double *end = run->leg.end;
+    double pair[2];
     int k;
     for (k = 0; k < m->problem->beside->n_guards; k++) {
-        const Watched *watched = &run->watched[k];
-        const double value = watched->before[0], rate = watched->before[1] / run->leg.unit;
-        const double near = greater(watched->rounding, -rate * APART * run->settings.time);
-        if (!(rate >= 0.0) && !(value > MARGIN * near)) return 0;
+        pair_beside(m, k, side_of(m), end, pair);
+        if (k != run->place.fallen && is_near_zero(m, pair, run->watched[k].rounding)) return 0;
     }
-    return 1;
+    if (run->place.fallen < 0) return 1;
+    if (side_of(m)) {
+        guard_at(m, end, pair);
+        return !is_near_zero(m, pair, run->settings.contact * run->settings.multiplier);
+    }
+    evaluate_at(m, ZL_GAP, end, pair);
+    return !is_near_zero(m, pair, run->small_gap);
+}
+
+/* The end of an arc at the event of another guard. */
+static int ending_beside(const Machine *m) {
+    switch (m->problem->beside->guards[m->run->place.fallen].kind) {
+    case ZL_OTHER_GAP: return ZL_IMPACT;
+    case ZL_OTHER_MULTIPLIER: return ZL_RELEASE;
+    default: return ZL_SWITCH;
+    }
 }
 
 /* Whether an impact leaves all switches on their sides. */

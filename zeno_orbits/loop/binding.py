@@ -12,11 +12,11 @@ GAP, LIFT, PULL, INERTIA, REBOUND, RESTING, LANDING, TAPES = range(12, 20)
 SLOPES = 7
 EXTRAPOLATION, PASSAGE, TRUNCATION, FIXED_IMPACTS, PLASTIC_AFTER = range(5)
 STEP_WIDTH, ARC_WIDTH, EVENT_WIDTH, ESTIMATE_WIDTH = 2, 12, 5, 4
-IMPACT, ZENO, RELEASE, HORIZON = range(4)
+IMPACT, ZENO, RELEASE, HORIZON, SWITCH = range(5)
 
 DONE, FULL, ESTIMATES, CURVE, TOO_STIFF, SINGULAR, NOT_FINITE, LEFT = range(8)
 MANY_STEPS, MANY_IMPACTS, BEYOND, GROWS, NOT_CLOSING, INTO_STOP, TOO_LARGE = range(8, 15)
-BESIDE = 15
+BESIDE, EVENT, OTHER_SIDE = 15, 16, 17
 
 GUARDS, LOOKS = 16, 4
 OTHER_GAP, OTHER_MULTIPLIER, DECLARED, KINK = range(4)
@@ -95,7 +95,7 @@ class PlaceType(ctypes.Structure):
         *((name, _count) for name in ("mode", "has_speed", "has_impact", "in_sequence")),
         *((name, _count) for name in ("first_impact", "n_impacts", "n_landings", "n_releases")),
         *((name, _count) for name in ("n_arcs", "n_estimates", "n_steps", "next_look")),
-        *((name, _count) for name in ("n_looks", "which")),
+        *((name, _count) for name in ("n_looks", "which", "fallen", "single")),
     ]
 
 

@@ -427,10 +427,10 @@ static int watch(const Machine *m, const double *y) {
     return status;
 }
 
-enum { LEG_GOES_ON = 100, LEG_FELL, LEG_AT_HORIZON };
+enum { LEG_GOES_ON = 100, LEG_FELL, LEG_AT_HORIZON, LEG_FELL_BESIDE };
 
-/* Whether another guard may fall in a part of a step from its start to a state: see `beside.c`. */
-static int falls_beside(const Step *step, double size, const double *end);
+/* Look at the other guards in a step up to a time, after which the leg is over or not: `beside.c`. */
+static int look_beside(Step *step, double until, int is_last);
 
 static int step_failed(zl_run *run, int status) {
     run->detail.time = run->leg.time;
@@ -486,11 +486,16 @@ static int step_leg(const Machine *m) {
         int over = leg->time + end >= leg->horizon;
         leg_end(&step, over ? leg->horizon - leg->time : fall, leg->end);
         leg->duration = over ? leg->horizon : leg->time + fall;
-        if (m->problem->beside && falls_beside(&step, leg->duration - leg->time, leg->end))
-            return ZL_BESIDE;
+        if (m->problem->beside) {
+            int other = look_beside(&step, leg->duration, 1);
+            if (other != LEG_GOES_ON) return other;
+        }
         return over ? LEG_AT_HORIZON : LEG_FELL;
     }
-    if (m->problem->beside && falls_beside(&step, size, after)) return ZL_BESIDE;
+    if (m->problem->beside) {
+        int other = look_beside(&step, INFINITY, 0);
+        if (other != LEG_GOES_ON) return other;
+    }
     if (leg->on_guard) {
         double change = greater(leg->largest_change, fabs(before[1]) * size);
         leg->largest_change = greater(change, fabs(guard[1]) * size);

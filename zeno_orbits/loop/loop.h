@@ -109,7 +109,7 @@ enum { ZL_STEP_WIDTH = 2, ZL_ARC_WIDTH = 12, ZL_EVENT_WIDTH = 5, ZL_ESTIMATE_WID
 /* Entries of a record before its states: after a step; at start and end of an arc; before and after
    an event; on the stop and at the limit of an estimate. */
 
-enum { ZL_IMPACT, ZL_ZENO, ZL_RELEASE, ZL_HORIZON };
+enum { ZL_IMPACT, ZL_ZENO, ZL_RELEASE, ZL_HORIZON, ZL_SWITCH };
 /* Kinds of events, and ends of arcs. */
 
 enum {
@@ -128,7 +128,9 @@ enum {
     ZL_NOT_CLOSING,   /* an impact does not close the gap */
     ZL_INTO_STOP,     /* the reset sends the state into the stop */
     ZL_TOO_LARGE,     /* more states than ZL_MOST */
-    ZL_BESIDE         /* the arc that zl_where tells may have another event: the caller follows it */
+    ZL_BESIDE,        /* the caller has to follow the arc that starts where zl_where tells */
+    ZL_EVENT,         /* the same arc is recorded, and its event is the caller's */
+    ZL_OTHER_SIDE     /* the same arc starts on the wrong side of the switch `fallen` */
 };
 
 /* What a status is about. */
@@ -146,6 +148,8 @@ typedef struct {
     long long mode, has_speed, has_impact, in_sequence, first_impact;
     long long n_impacts, n_landings, n_releases, n_arcs, n_estimates;
     long long n_steps, next_look, n_looks, which;
+    long long fallen; /* guard beside that of the stop whose event it is, or -1 */
+    long long single; /* one arc is followed; every event is the caller's */
 } zl_place;
 /* The window is the time in which the next event is looked for first. Before the time `quiet` no
    Zeno point is accepted. `sizes` and `rounding` are those of switches and of other guards. */

@@ -271,6 +271,13 @@ static int leave_leg(const Machine *m) {
     return start_leg_at(m, ZL_FLIGHT, duration, 0.0, 0.0, HOP * run->settings.absolute, 1);
 }
 
+/* Leave the event at the end of a leg to the caller. */
+static int leave_event(const Machine *m, int ending, double time) {
+    write_leg(m, ending, time);
+    keep_place(m->run);
+    return ZL_EVENT;
+}
+
 /* See what the end of a leg leads to. */
 static int end_leg(const Machine *m, int outcome) {
     zl_run *run = m->run;
@@ -284,10 +291,13 @@ static int end_leg(const Machine *m, int outcome) {
             return start_leg_at(m, (int)leg->mode, leg->unit, leg->launch, leg->rounding,
                                 leg->absolute, (int)run->begins_on_guard);
         }
-        if (outcome == LEG_FELL) {
+        if (outcome != LEG_AT_HORIZON) {
             run->window = greater(GROW * (time - leg->start_time), SHORTEST * run->settings.time);
             if (!ends_alone(m)) return ZL_BESIDE;
         }
+        if (outcome == LEG_FELL && run->place.single)
+            return leave_event(m, leg->mode == ZL_LOCKED ? ZL_RELEASE : ZL_IMPACT, time);
+        if (outcome == LEG_FELL_BESIDE) return leave_event(m, ending_beside(m), time);
     }
     if (outcome == LEG_AT_HORIZON) {
         write_leg(m, ZL_HORIZON, run->settings.until);
@@ -301,7 +311,8 @@ static int end_leg(const Machine *m, int outcome) {
         evaluate_at(m, ZL_GAP, run->start.state, gap);
         return start_leg(m, ZL_FREE, run->settings.gap, gap[0] <= run->small_gap);
     }
-    if (m->problem->beside && leg->mode != ZL_LOCKED && !strikes_alone(m, end)) return ZL_BESIDE;
+    if (m->problem->beside && leg->mode != ZL_LOCKED && !strikes_alone(m, end))
+        return leave_event(m, ZL_IMPACT, time);
     write_leg(m, leg->mode == ZL_LOCKED ? ZL_RELEASE : ZL_IMPACT, time);
     if (leg->mode == ZL_LOCKED) {
         double state[ZL_MOST];
@@ -385,6 +396,8 @@ static int start_phase(const Machine *m) {
     const double *x = run->start.state;
     double gap[2];
     if (m->problem->beside) keep_place(run);
+    if (run->place.single && run->start.has_speed)
+        return start_leg(m, ZL_FLIGHT, 1 / run->settings.gap_acceleration, 1);
     if (run->start.has_speed) return start_flight(m);
     run->in_sequence = 0;
     if (run->start.mode == ZL_LOCKED)
@@ -436,7 +449,7 @@ static int do_next(const Machine *m) {
         outcome = step_leg(m);
         if (outcome == LEG_GOES_ON) return GO_ON;
         if (outcome == ZL_LEFT && !m->problem->beside) return leave_leg(m);
-        if (outcome == LEG_FELL || outcome == LEG_AT_HORIZON) return end_leg(m, outcome);
+        if (outcome >= LEG_FELL) return end_leg(m, outcome);
         return outcome;
     default:
         return ZL_DONE;
@@ -450,8 +463,9 @@ static int advance(const Machine *m) {
     int status;
     if (!m->problem->beside) return do_next(m);
     status = do_next(m);
-    if (status == GO_ON || status == ZL_DONE || status == ZL_ESTIMATES) return status;
+    if (status == GO_ON || status == ZL_DONE || status == ZL_ESTIMATES || status == ZL_EVENT)
+        return status;
     restore_place(run);
     run->stage = AT_START;
-    return ZL_BESIDE;
+    return status == ZL_OTHER_SIDE ? status : ZL_BESIDE;
 }

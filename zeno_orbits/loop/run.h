@@ -31,7 +31,7 @@ typedef struct {
 /* A guard beside that of the stop, in the present leg: at the start of a step, and its rounding. */
 typedef struct {
     long long on_guard;
-    double before[2], rounding, largest_change;
+    double before[2], after[2], rounding, largest_change;
 } Watched;
 
 struct zl_run {
@@ -52,6 +52,7 @@ struct zl_run {
     long long has_jacobian[ZL_MODES], has_lanes[ZL_MODES];
     zl_place place;     /* at the start of the present arc */
     double window, limit; /* of the present leg; the latter is its latest end */
+    double fall; /* of the guard that falls first, from the start of the step */
     long long begins_on_guard;
     Watched watched[ZL_GUARDS];
     Factors factors; /* the last: a run begins without them */

@@ -1,9 +1,9 @@
 r"""An execution over a graph of modes: several stops, switches and kinks.
 
 A run looks at one stop at a time, as at the stop of a machine with one stop. The stops that are
-closed beside it are constraints of both its flows. Every arc is followed once for each guard: the
-gaps of the open stops, the multipliers of the closed stops, and the switches. The earliest zero
-ends the arc.
+closed beside it are constraints of both its flows. Along the steps of an arc every guard is
+followed: the gaps of the open stops, the multipliers of the closed stops, and the switches. The
+earliest zero ends the arc.
 
 While a set `S` of stops is closed, an impact on the stop `k` has the impulses :math:`p` of `k` and
 :math:`\Lambda \ge 0` of `S` with
@@ -20,12 +20,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import combinations
+from typing import cast
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, StepSizeError
-from zeno_orbits.integrators import GuardedFlow, Outcome, Passage
+from zeno_orbits.integrators import (
+    BoxedStep,
+    GuardedFlow,
+    Leg,
+    Outcome,
+    Passage,
+    SteppedTrajectory,
+    follow_steps,
+)
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.simulation.accumulations import Accumulations
 from zeno_orbits.simulation.admission import require_admissible
@@ -54,6 +63,7 @@ from zeno_orbits.simulation.interruptions import (
     undefined_guard,
     undetermined_contact,
 )
+from zeno_orbits.simulation.recorded import LoopTrajectory
 from zeno_orbits.simulation.reference_run import ImpactSequence, ReferenceRun, is_slack
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 
@@ -81,7 +91,7 @@ _ACCUMULATED = 1e-3
 """Part of the first speed of a sequence below which its impacts accumulate."""
 
 
-class _Kind(Enum):
+class Kind(Enum):
     """Kinds of guards."""
 
     GAP = "impact"
@@ -98,31 +108,74 @@ class _Guard:
         index: Index of the stop or switch.
         flow: The flow of the mode with this guard.
         y: Start of the flow.
-        unit: Length of one unit of the flow's own time [s].
+        launched: Speed with which another stop is just left, or ``None``. Its flight is followed in
+            rescaled time. All other guards are followed along the steps of the arc.
         on_guard: Whether the start is a root that does not count.
         rounding: Rounding level of the guard.
     """
 
-    kind: _Kind
+    kind: Kind
     index: int
     flow: GuardedFlow
     y: Vector
-    unit: float
+    launched: float | None
     on_guard: bool
     rounding: float
 
 
+@dataclass(frozen=True, slots=True)
+class _AlongArc:
+    """A guard of a state along an arc, whose flow may have further entries and its own time.
+
+    Attributes:
+        flow: The flow with the guard.
+        n_x: Number of states.
+        unit: Length of one unit of the arc's own time [s].
+    """
+
+    flow: GuardedFlow
+    n_x: int
+    unit: float
+
+    def guard(self, y: Vector) -> tuple[float, float]:
+        """Return the guard and its rate in the arc's own time."""
+        value, rate = self.flow.guard(y[: self.n_x])
+        return value, rate * self.unit
+
+    @property
+    def is_bounded(self) -> bool:
+        """True if the guard varies otherwise than the state, and its bounds are known."""
+        return self.flow.is_bounded
+
+    @property
+    def is_carried(self) -> bool:
+        """False: the guard is no state in addition to its formula."""
+        return False
+
+    def guard_bounds(self, lower: Vector, upper: Vector) -> Sequence[float]:
+        """Return bounds of the guard, its rate and its second derivative over a box of states."""
+        n_x, unit = self.n_x, self.unit
+        low, high, *rates = self.flow.guard_bounds(lower[:n_x], upper[:n_x])
+        slow, fast, bend, most_bend = rates
+        square = unit * unit
+        return low, high, slow * unit, fast * unit, bend * square, most_bend * square
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Interruption:
+class Interruption:
     """An event that ends an arc before the event of the stop that a run looks at.
 
     Attributes:
-        guard: The guard that fell.
+        kind: Kind of the guard that fell.
+        index: Index of its stop or switch.
         passage: The flow up to its zero, or ``None`` if the arc began on the wrong side of it.
+        launched: Speed with which the stop was just left, if its flight is rescaled.
     """
 
-    guard: _Guard
+    kind: Kind
+    index: int
     passage: Passage | None
+    launched: float | None = None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -149,7 +202,7 @@ class GraphRun(ReferenceRun):
     focus: int = 0
     sides: tuple[bool, ...] = ()
     above: tuple[bool, ...] = ()
-    interruption: _Interruption | None = None
+    interruption: Interruption | None = None
     current: ImpactSequence | None = None
     split_by: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
     window: float = np.inf
@@ -298,9 +351,11 @@ class GraphRun(ReferenceRun):
             self.arcs.pop()
             return arc, end
         else:
-            guard = self.interruption.guard
-            arc = self._cut(start, arc, guard, self.interruption.passage)
-            stop = self.graph.stop_names[guard.index] if guard.y.size > start.state.size else ""
+            found = self.interruption
+            arc = self._cut(start, arc, found, self.interruption.passage)
+            stop = self.stop_name if start.speed is not None else ""
+            if found.launched is not None:
+                stop = self.graph.stop_names[found.index]
             self.arcs[-1] = arc = self._named(arc, closed, stop)
             end = self.interruption.passage.state
         if arc.ending is not Ending.HORIZON:
@@ -342,7 +397,7 @@ class GraphRun(ReferenceRun):
                 friction at rest.
         """
         try:
-            return ReferenceRun.after_phase(self, start)
+            return self.phase(start)
         except PenetrationError as error:
             x = np.array(error.state)[: start.state.size]
             guards, rounding, _ = self.graph.guards(x)
@@ -354,25 +409,50 @@ class GraphRun(ReferenceRun):
                 raise
             raise slides(self.graph.switch_names[kinks[0]], error.time, x) from error
 
+    def phase(self, start: ArcStart) -> ArcStart | None:
+        """Follow one phase, without the names of its errors."""
+        return ReferenceRun.after_phase(self, start)
+
     def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
         """Return the next start after an arc that another event ended."""
         found, self.interruption = self.interruption, None
         if found is None:
             return None
-        guard, closed = found.guard, self._closed(start)
         if found.passage is None:
-            return self._on_other_side(start, guard)
-        if guard.kind is _Kind.SWITCH:
-            return self._switched(start, arc, guard)
+            return self.on_other_side(start, found.index)
+        rate = None
+        if found.launched is not None:
+            rate = found.launched * float(found.passage.state[-1])
+        return self.after_other(start, arc.end_time, arc.end_state, found.kind, found.index, rate)
+
+    def after_other(
+        self,
+        start: ArcStart,
+        time: float,
+        x: Vector,
+        kind: Kind,
+        index: int,
+        rate: float | None = None,
+    ) -> ArcStart | None:
+        """Return the next start after the event of another guard.
+
+        Args:
+            start: Start of the arc that it ended.
+            time: When [s].
+            x: State there, ``(n_x,)``.
+            kind: Kind of the guard.
+            index: Index of the stop or switch.
+            rate: Gap rate of the stop, by default that of the state.
+        """
+        closed = self._closed(start)
+        if kind is Kind.SWITCH:
+            return self._switched(start, time, x, index)
         self.current = None
-        if guard.kind is _Kind.MULTIPLIER:
-            self._look(tuple(k for k in closed if k != guard.index), guard.index)
-            return self.release(arc.end_time, arc.end_state)
-        self._look(closed, guard.index)
-        rate = self.dynamics.gap_rate(arc.end_state)
-        if guard.unit != 1.0:
-            rate = guard.unit * float(found.passage.state[-1])
-        return self.meet(arc.end_time, arc.end_state, rate)
+        if kind is Kind.MULTIPLIER:
+            self._look(tuple(k for k in closed if k != index), index)
+            return self.release(time, x)
+        self._look(closed, index)
+        return self.meet(time, x, self.dynamics.gap_rate(x) if rate is None else rate)
 
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map in the mode that its impulses determine."""
@@ -463,17 +543,17 @@ class GraphRun(ReferenceRun):
             view = self._holding(closed, j)
             rounding = contact * view.own.multiplier
             on_guard = view.multiplier(x) <= rounding
-            yield _Guard(_Kind.MULTIPLIER, j, view.locked, x, 1.0, on_guard, rounding)
+            yield _Guard(Kind.MULTIPLIER, j, view.locked, x, None, on_guard, rounding)
         for k in self._open_beside(closed):
             view = self.graph.view(mode, k)
             on_guard, rate = view.gap(x) <= contact * view.own.gap, view.gap_rate(x)
             if on_guard and rate > contact * view.own.gap_rate:
                 rounding = contact / view.own.gap_acceleration
                 flight, y = view.flight(rate), launched(x, 1.0)
-                yield _Guard(_Kind.GAP, k, flight, y, rate, True, rounding)
+                yield _Guard(Kind.GAP, k, flight, y, rate, True, rounding)
             else:
                 rounding = contact * view.own.gap
-                yield _Guard(_Kind.GAP, k, view.free, x, 1.0, on_guard, rounding)
+                yield _Guard(Kind.GAP, k, view.free, x, None, on_guard, rounding)
         values, levels, _ = self.graph.guards(x)
         unknown = np.flatnonzero(np.isnan(values))
         if unknown.size:
@@ -482,47 +562,74 @@ class GraphRun(ReferenceRun):
             value = float(values[s] if above else -values[s])
             flow = self.graph.guard_flow(mode, s, bool(above))
             on_guard = value <= float(levels[s])
-            yield _Guard(_Kind.SWITCH, s, flow, x, 1.0, on_guard, float(levels[s]))
+            yield _Guard(Kind.SWITCH, s, flow, x, None, on_guard, float(levels[s]))
 
-    def _earliest(self, guards: Sequence[_Guard], arc: Arc) -> _Interruption | None:
+    def _earliest(self, guards: Sequence[_Guard], arc: Arc) -> Interruption | None:
         """Return the earliest event of other guards within an arc, if there is one.
 
         Raises:
             PenetrationError: If a stop is left on the wrong side.
         """
-        found: _Interruption | None = None
-        length = arc.duration * arc.time_unit
+        found: Interruption | None = None
+        duration = arc.duration
         for guard in guards:
-            passage = self.follower.beside(
+            unit = arc.time_unit if guard.launched is None else guard.launched
+            passage = self._passage(guard, arc, duration)
+            if passage.outcome is Outcome.LEFT:
+                if guard.kind is Kind.SWITCH:
+                    return Interruption(kind=guard.kind, index=guard.index, passage=None)
+                time = arc.start_time + unit * passage.duration
+                raise leaves_set(time, passage.state[: arc.start_state.size])
+            if passage.outcome is Outcome.FALL:
+                found = Interruption(
+                    kind=guard.kind,
+                    index=guard.index,
+                    passage=passage,
+                    launched=guard.launched,
+                )
+                duration = passage.duration
+                if guard.launched is not None:
+                    duration *= guard.launched / arc.time_unit
+        return found
+
+    def _passage(self, guard: _Guard, arc: Arc, duration: float) -> Passage:
+        """Return a guard along an arc, up to a duration in the arc's own time."""
+        way, n_x = arc.trajectory, arc.start_state.size
+        if guard.launched is not None or not isinstance(way, SteppedTrajectory | LoopTrajectory):
+            unit = 1.0 if guard.launched is None else guard.launched
+            return self.follower.beside(
                 guard.flow,
                 guard.y,
-                horizon=length / guard.unit,
+                horizon=duration * arc.time_unit / unit,
                 on_guard=guard.on_guard,
                 rounding=guard.rounding,
             )
-            if passage.outcome is Outcome.LEFT:
-                if guard.kind is _Kind.SWITCH:
-                    return _Interruption(guard=guard, passage=None)
-                time = arc.start_time + guard.unit * passage.duration
-                raise leaves_set(time, passage.state[: arc.start_state.size])
-            if passage.outcome is Outcome.FALL:
-                found = _Interruption(guard=guard, passage=passage)
-                length = guard.unit * passage.duration
-        return found
+        steps = cast("Sequence[BoxedStep]", way.steps)
+        along = _AlongArc(guard.flow, n_x, arc.time_unit)
+        leg = Leg(
+            flow=cast("GuardedFlow", along),
+            y=steps[0].before,
+            horizon=duration,
+            tolerance=self.follower.tolerance,
+            on_guard=guard.on_guard,
+            rounding=guard.rounding,
+        )
+        return follow_steps(iter(steps), leg)
 
-    def _cut(self, start: ArcStart, arc: Arc, guard: _Guard, passage: Passage) -> Arc:
+    def _cut(self, start: ArcStart, arc: Arc, found: Interruption, passage: Passage) -> Arc:
         """Return an arc that ends at another event."""
         endings = {
-            _Kind.GAP: Ending.IMPACT,
-            _Kind.MULTIPLIER: Ending.RELEASE,
-            _Kind.SWITCH: Ending.SWITCH,
+            Kind.GAP: Ending.IMPACT,
+            Kind.MULTIPLIER: Ending.RELEASE,
+            Kind.SWITCH: Ending.SWITCH,
         }
+        unit = arc.time_unit if found.launched is None else found.launched
         return replace(
             arc,
-            end_time=start.time + guard.unit * passage.duration,
+            end_time=start.time + unit * passage.duration,
             end_state=passage.state[: start.state.size],
-            ending=endings[guard.kind],
-            time_unit=guard.unit,
+            ending=endings[found.kind],
+            time_unit=unit,
             trajectory=passage.trajectory,
         )
 
@@ -534,16 +641,16 @@ class GraphRun(ReferenceRun):
         Raises:
             SimultaneousEventsError: If another guard is zero there as well. It names both events.
         """
-        x, interruption = arc.end_state, self.interruption
-        fell = None if interruption is None else interruption.guard
+        x, found = arc.end_state, self.interruption
+        fell = None if found is None else (found.kind, found.index)
         main = "release" if start.mode is Mode.LOCKED else "impact"
-        name = f"{main} {self.stop_name}" if fell is None else self._event_of(fell)
+        name = f"{main} {self.stop_name}" if fell is None else self._event_of(*fell)
         for guard in guards:
-            if guard is fell or (guard.on_guard and guard.kind is not _Kind.GAP):
+            if (guard.kind, guard.index) == fell or (guard.on_guard and guard.kind is not Kind.GAP):
                 continue
             value, rate = self._value(guard, closed, x)
             if self._is_zero(value, rate, guard.rounding):
-                raise coincide(name, self._event_of(guard), arc.end_time, x)
+                raise coincide(name, self._event_of(guard.kind, guard.index), arc.end_time, x)
         if fell is None:
             return
         if start.mode is Mode.LOCKED:
@@ -557,7 +664,7 @@ class GraphRun(ReferenceRun):
 
     def _value(self, guard: _Guard, closed: tuple[int, ...], x: Vector) -> tuple[float, float]:
         """Return a guard and its rate at a state."""
-        if guard.kind is _Kind.GAP:
+        if guard.kind is Kind.GAP:
             view = self._view(closed, guard.index)
             return view.gap(x), view.gap_rate(x)
         value, rate = guard.flow.guard(x)
@@ -567,20 +674,24 @@ class GraphRun(ReferenceRun):
         """Return True if a guard falls through zero here, to rounding."""
         return rate < 0.0 and value <= max(rounding, -rate * _APART * self.own.time)
 
-    def _event_of(self, guard: _Guard) -> str:
-        names = self.graph.switch_names if guard.kind is _Kind.SWITCH else self.graph.stop_names
-        return f"{guard.kind.value} {names[guard.index]}"
+    def _event_of(self, kind: Kind, index: int) -> str:
+        names = self.graph.switch_names if kind is Kind.SWITCH else self.graph.stop_names
+        return f"{kind.value} {names[index]}"
 
     # Events.
 
-    def _on_other_side(self, start: ArcStart, guard: _Guard) -> ArcStart:
+    def on_other_side(self, start: ArcStart, s: int) -> ArcStart:
         """Return the same start on the other side of a switch, whose guard is zero there.
+
+        Args:
+            start: Start of an arc.
+            s: Index of the switch.
 
         Raises:
             SlidingError: If both sides are left at once.
             SimulationError: If a declared switch is armed there.
         """
-        s, name = guard.index, self.graph.switch_names[guard.index]
+        name = self.graph.switch_names[s]
         if self.flipped == (start.time, s):
             raise slides(name, start.time, start.state)
         self.flipped = (start.time, s)
@@ -591,7 +702,8 @@ class GraphRun(ReferenceRun):
             and self.graph.guards(start.state)[2][s] > 0.0
         ):
             raise armed_at_start(name, start.time, start.state)
-        if armed and float(guard.flow.guard(guard.y)[1]) > 0.0:
+        mode: GraphMode = (self._closed(start), self.sides)
+        if armed and self.graph.guard_flow(mode, s, above=True).guard(start.state)[1] > 0.0:
             # The guard rose by less than its rounding and fell again.
             raise switches_accumulate(name, start.time, start.state)
         self._change_side(s)
@@ -613,13 +725,13 @@ class GraphRun(ReferenceRun):
         else:
             self.sides = tuple(one ^ (k == switch - n) for k, one in enumerate(self.sides))
 
-    def _switched(self, start: ArcStart, arc: Arc, guard: _Guard) -> ArcStart | None:
+    def _switched(self, start: ArcStart, time: float, x: Vector, s: int) -> ArcStart | None:
         """Apply a switch whose guard fell through zero.
 
         Raises:
             SlidingError: If the flow of the other side points back.
         """
-        s, time, x, closed = guard.index, arc.end_time, arc.end_state, self._closed(start)
+        closed = self._closed(start)
         name, is_kink = self.graph.switch_names[s], s >= self.graph.n_declared
         was_above = bool(self._signs()[s])
         if not is_kink and was_above and self.graph.guards(x)[2][s] > 0.0:

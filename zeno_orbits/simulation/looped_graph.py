@@ -1,9 +1,9 @@
 """An execution over a graph of modes by the compiled loop, where one stop is involved.
 
 The loop looks at one stop at a time, with the other guards beside it. It goes on as long as they
-are clearly not involved: through flights, impacts, Zeno points, contact and releases. An arc in
-which another guard may fall, or whose event may change another stop or switch, is followed by
-`GraphRun`, from its start. So every event obeys the rules of that reference.
+are not involved: through flights, impacts, Zeno points, contact and releases. The rules of
+`GraphRun` apply to an event of another guard, or one that may change another stop or switch. It
+also follows the arcs whose guards begin at zero. So every event obeys that reference.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimultaneousEventsError
+from zeno_orbits.integrators import GuardedFlow, Outcome, Passage
 from zeno_orbits.loop import (
     Beside,
     GraphProgram,
@@ -30,8 +31,8 @@ from zeno_orbits.loop import (
 )
 from zeno_orbits.model import CompiledGraph, ModeFunctions, OwnScale, Resting
 from zeno_orbits.simulation.arc_follower import ArcStart, Pace
-from zeno_orbits.simulation.execution import Arc, Event, Execution, Impact, Mode
-from zeno_orbits.simulation.graph_run import GraphRun
+from zeno_orbits.simulation.execution import Arc, Ending, Event, Execution, Impact, Mode
+from zeno_orbits.simulation.graph_run import GraphRun, Interruption, Kind
 from zeno_orbits.simulation.loop_steps import loop_steps
 from zeno_orbits.simulation.looped import COMPLETIONS, shared_settings
 from zeno_orbits.simulation.recorded import RecordedExecution, RecordedRun, events_of
@@ -173,12 +174,14 @@ class LoopedGraphRun(GraphRun):
         past: The execution so far, without the present arcs and events.
         runs: Runs of the loop, by what they look at.
         entered: Modes on a stop that a motion has entered.
+        by_arc: Whether the loop follows single arcs: a kink splits flights of a sequence.
     """
 
     task: SimulationTask
     past: list[GraphRecord | Followed] = field(default_factory=list[GraphRecord | Followed])
     runs: dict[View, LoopRun | None] = field(default_factory=dict[View, "LoopRun | None"])
     entered: set[View] = field(default_factory=set[View])
+    by_arc: bool = False
 
     def execution(self) -> Execution:
         """Return the execution so far."""
@@ -214,24 +217,21 @@ class LoopedGraphRun(GraphRun):
             return self.events[-1]
         return next((part.events[-1] for part in reversed(self.past) if part.events), None)
 
-    def after_phase(self, start: ArcStart) -> ArcStart | None:
-        """Go on in the loop while one stop alone is involved, then follow one phase."""
-        here = self._looped(start)
-        return None if here is None else GraphRun.after_phase(self, here)
-
-    def _looped(self, start: ArcStart) -> ArcStart | None:
-        """Return the start of the arc that the loop leaves to the reference, or ``None``."""
-        here = start
+    def phase(self, start: ArcStart) -> ArcStart | None:
+        """Go on in the loop up to an event beside a stop, or follow the arc that it leaves."""
+        here, self.by_arc = start, not self._may_go_on(start)
         while self._may_go_on(here):
             view = self._view_of(here)
             run = self._run_of(view)
             if run is None:
-                return here
-            after = self._carried_on(run, here)
-            if after is None or self._view_of(after) == view:
+                break
+            after, is_over = self._carried_on(run, here)
+            if after is None or is_over:
                 return after
             here = after
-        return here
+            if self._view_of(here) == view:
+                break
+        return GraphRun.phase(self, here)
 
     def _may_go_on(self, start: ArcStart) -> bool:
         """Return True if the loop can take over: no sequence of impacts is split by a kink."""
@@ -275,25 +275,27 @@ class LoopedGraphRun(GraphRun):
         )
         return LoopRun(program, settings.filled(), self.graph.p, np.zeros(program.n_x))
 
-    def _carried_on(self, run: LoopRun, start: ArcStart) -> ArcStart | None:
-        """Carry out the execution from a start, and return the start at which the loop stopped."""
+    def _carried_on(self, run: LoopRun, start: ArcStart) -> tuple[ArcStart | None, bool]:
+        """Carry out the execution from a start.
+
+        Returns:
+            The next start, and whether the loop followed the arcs up to it. Otherwise the next arc
+            is left to the reference.
+        """
         place, estimates = self._place(start)
-        run.put(place, estimates)
-        status = binding.FULL
-        while status == binding.FULL:
-            status = run.resume()
-            if status == binding.FULL:
-                reached = run.now()[0]
-                self.task.on_progress("simulating", reached / self.task.until)
+        status = self._resumed(run, place, estimates)
         record = run.taken()
         place, estimates = run.where()
+        is_left = status == binding.OTHER_SIDE
+        if is_left and not (len(record.arcs) or len(record.events)):
+            return self.on_other_side(start, self._other(place.fallen)[1]), True
         if not (len(record.arcs) or len(record.events)):
-            return start
+            return start, False
         part = self._part(record)
         self._keep(part)
         self._take_counts(place)
         if status == binding.DONE:
-            return None
+            return None, True
         after = self._start_at(place, part, start)
         self.current = None
         if place.in_sequence and after.speed is not None:
@@ -302,7 +304,84 @@ class LoopedGraphRun(GraphRun):
                 first_impact=place.first_impact,
                 estimates=[_estimate(row) for row in estimates],
             )
-        return after
+        if is_left:
+            return self.on_other_side(after, self._other(place.fallen)[1]), True
+        if status != binding.EVENT:
+            return after, False
+        return self._event(after, record.arcs[-1], place.fallen), True
+
+    def _resumed(self, run: LoopRun, place: binding.PlaceType, estimates: Vector) -> int:
+        """Carry out a run from a place, and return its status."""
+        run.put(place, estimates)
+        status = binding.FULL
+        while status == binding.FULL:
+            status = run.resume()
+            if status == binding.FULL:
+                reached = run.now()[0]
+                self.task.on_progress("simulating", reached / self.task.until)
+        return status
+
+    def _event(self, start: ArcStart, row: Vector, fallen: int) -> ArcStart | None:
+        """Return the next start after the event at the end of an arc.
+
+        Args:
+            start: Start of the arc.
+            row: The arc in the record.
+            fallen: Guard beside the guard of the stop that fell, or -1.
+        """
+        n_x, first = len(start.state), binding.ARC_WIDTH + len(start.state)
+        mode, _, time, unit = row[:4].tolist()
+        x = row[first : first + n_x].copy()
+        if fallen >= 0:
+            return self.after_other(start, time, x, *self._other(fallen))
+        if mode == binding.FLIGHT:
+            return self.landing(time, x, unit * float(row[first + n_x + 1]))
+        return self.meet(time, x, self.dynamics.gap_rate(x))
+
+    def _other(self, fallen: int) -> tuple[Kind, int]:
+        """Return kind and index of a guard beside the guard of the stop."""
+        others = (*self.rest, *self._open_beside(self.rest))
+        if fallen >= len(others):
+            return Kind.SWITCH, fallen - len(others)
+        return Kind.MULTIPLIER if fallen < len(self.rest) else Kind.GAP, others[fallen]
+
+    def follow_arc(
+        self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
+    ) -> tuple[Arc, Vector]:
+        """Return the next arc, to the earliest event, and the last state of the flow itself."""
+        if self.by_arc and not start.at_rest:
+            found = self._single(start)
+            if found is not None:
+                return found
+        return GraphRun.follow_arc(self, start, flow, natural, on_guard=on_guard)
+
+    def _single(self, start: ArcStart) -> tuple[Arc, Vector] | None:
+        """Return the same by the loop, or ``None`` if the arc is left to the reference."""
+        run = self._run_of(self._view_of(start))
+        if run is None:
+            return None
+        place, estimates = self._place(start)
+        place.single, place.n_estimates = 1, 0
+        status = self._resumed(run, place, estimates[:0])
+        record = run.taken()
+        place, _ = run.where()
+        if status not in (binding.EVENT, binding.DONE):
+            return None
+        self._take_pace(place)
+        self.window = place.window
+        part = self._part(record)
+        (arc,) = part.arcs
+        self.arcs.append(arc)
+        (row,), n_x = record.arcs, len(start.state)
+        n_y = n_x if start.speed is None else n_x + 2
+        end = row[binding.ARC_WIDTH + n_x :][:n_y].copy()
+        if status == binding.EVENT and place.fallen >= 0 and arc.trajectory is not None:
+            kind, index = self._other(place.fallen)
+            passage = Passage(
+                outcome=Outcome.FALL, duration=arc.duration, state=end, trajectory=arc.trajectory
+            )
+            self.interruption = Interruption(kind=kind, index=index, passage=passage)
+        return arc, end
 
     # From here to the loop.
 
@@ -402,6 +481,9 @@ class LoopedGraphRun(GraphRun):
     def _take_counts(self, place: binding.PlaceType) -> None:
         self.n_impacts, self.n_landings = place.n_impacts, place.n_landings
         self.n_releases, self.window = place.n_releases, place.window
+        self._take_pace(place)
+
+    def _take_pace(self, place: binding.PlaceType) -> None:
         numbers = iter(place.looks[: 3 * place.n_looks])
         self.follower.pace = Pace(
             n_steps=place.n_steps,

@@ -38,6 +38,7 @@ _ENDINGS = {
     binding.ZENO: Ending.ZENO,
     binding.RELEASE: Ending.RELEASE,
     binding.HORIZON: Ending.HORIZON,
+    binding.SWITCH: Ending.SWITCH,
 }
 
 
