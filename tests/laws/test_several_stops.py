@@ -24,6 +24,7 @@ from tests.reference.several_stops import (
     impact_pair,
     two_sided,
 )
+from zeno_orbits.orbits import closed_return
 
 G = 9.81
 SETS = 20
@@ -169,6 +170,27 @@ def shaken_box(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
 
 
 BOX = machine(shaken_box, FORCED, {"A": 1.0, "restitution": 0.5, "d": 1.0})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_return_to_an_impact_closes_from_another_phase_of_the_clock(seed: int) -> None:
+    o = two_sided(np.random.default_rng(seed))
+    parameters = {"c": o.c, "omega": o.omega, "d": o.stop, "restitution": o.restitution}
+    graph = OSCILLATOR.graph_dynamics(
+        OSCILLATOR.values(parameters={**parameters, "A": o.amplitude})
+    )
+    known = np.array([o.stop, -o.restitution * o.speed, math.cos(o.phase), math.sin(o.phase)])
+    moved = o.phase + 0.05
+    found = closed_return(
+        graph,
+        np.array([known[0], 1.05 * known[1], math.cos(moved), math.sin(moved)]),
+        section="impact upper",
+        n_returns=1,
+        guess=2 * o.half,
+        settings=zo.SimulationSettings(),
+    )
+    assert found.period == pytest.approx(2 * o.half, abs=LOCATED)
+    assert found.start == pytest.approx(known, abs=LOCATED)
 
 
 @pytest.mark.parametrize("seed", range(SETS))

@@ -276,8 +276,11 @@ def closed_return(
         if mode is None:
             mode = SectionMode.of(found.execution.arcs[0])
         scale, guess = largest_states(found.execution.arcs, graph), found.period
+        # A change off the circle of the clock would scale a deviation of its phase to zero.
+        keeps = kept_directions(graph, found.start, scale)
         matrix = (np.eye(len(x)) - found.by_state) * scale[None, :] / scale[:, None]
-        change = scale * np.linalg.lstsq(matrix, (found.end - found.start) / scale, rcond=1e-12)[0]
+        off = keeps.T @ ((found.end - found.start) / scale)
+        change = scale * (keeps @ np.linalg.lstsq(keeps.T @ matrix @ keeps, off, rcond=1e-12)[0])
         size = float(np.max(np.abs(change) / scale))
         if size < best_size:
             best, best_size = found, size
