@@ -157,3 +157,14 @@ def test_the_gap_of_a_zoom_is_the_gap_of_the_stop_at_the_zeno_point() -> None:
     assert gaps[middle] == pytest.approx(1.0 - place, abs=1e-12)
     (speeds,) = [line for line in figure.axes[2].lines if line.get_label() == "before impact"]
     assert len(_points(speeds)) == sum(event.name == "impact upper" for event in orbit.events)
+
+
+@pytest.mark.slow
+def test_a_family_marks_the_end_at_which_two_events_meet() -> None:
+    orbit = zo.find_event_orbit("kneed_walker", parameters={"restitution": 0.38})
+    found = zo.continue_orbit(orbit, "restitution", (0.379, 0.40))
+    figure = zo.plot(found)
+    assert "two events meet" in _labels(figure)
+    (mark,) = (line for line in figure.axes[0].lines if line.get_label() == "two events meet")
+    # The heel strike meets the Zeno point of the knee there.
+    assert _points(mark)[0, 0] == pytest.approx(0.38397, abs=5e-6)

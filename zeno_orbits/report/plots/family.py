@@ -43,6 +43,8 @@ _MARKS: dict[SpecialPointKind, dict[str, Any]] = {
     SpecialPointKind.EARLIER_GRAZING: {"marker": "^", "mfc": "#E69F00"},
     SpecialPointKind.RELEASE_LOST: {"marker": "s", "mfc": "#009E73", "ms": 5.5},
     SpecialPointKind.EARLIER_RELEASE: {"marker": "p", "mfc": "#009E73"},
+    SpecialPointKind.EVENTS_MEET: {"marker": "d", "mfc": "#D55E00"},
+    SpecialPointKind.SWITCH_LOST: {"marker": "s", "mfc": "#7F7F7F", "ms": 5.5},
     SpecialPointKind.AMPLITUDE_ZERO: {"marker": "o", "mfc": "white"},
     SpecialPointKind.REJOINS: {"marker": ".", "mfc": INK},
     SpecialPointKind.GAVE_UP: {"marker": "x", "mfc": INK},
