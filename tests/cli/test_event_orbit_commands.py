@@ -63,6 +63,20 @@ def test_figures_draws_the_mechanism_and_the_portraits() -> None:
     assert answer.data["left_out"] == {}
 
 
+def test_report_writes_the_page_and_returns_the_verdict() -> None:
+    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    answer = ask("report", "hopper.json", "-o", "page.html")
+    assert answer.code == YES
+    page = Path("page.html").read_text(encoding="utf-8")
+    (command,) = (line for line in page.splitlines() if "zeno-orbits search hopper" in line)
+    assert "--section" in command
+    assert_refused(ask("report", "hopper.json", "-o", "p.html", "--proof", "a.json"), "--proof")
+    data = json.loads(Path("hopper.json").read_text())
+    data["start_state"]["speed"] *= 1.001
+    Path("hopper.json").write_text(json.dumps(data))
+    assert ask("report", "hopper.json", "-o", "page.html").code == NO
+
+
 def test_verify_refuses_a_changed_file() -> None:
     zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     data = json.loads(Path("hopper.json").read_text())

@@ -268,16 +268,17 @@ def test_residuals_up_to_the_tolerance_pass_in_causal_order() -> None:
 def test_margins_have_the_units_of_the_gap_and_of_its_force(
     energy: str, unit: str, force: str
 ) -> None:
-    every = dict(zip(words.MARGINS, (1 / 3, *(2.0, 3.0, 4.0, 5.0, 6.0)), strict=True))
+    every = dict(zip(words.MARGINS, (1 / 3, *(2.0, 3.0, 4.0, 5.0, 6.0, 7.0)), strict=True))
     table = margins_table(replace(GOOD, margins=every), unit, energy)
     assert table.is_titled
     assert [(name, value, of) for name, value, of, _ in table.rows] == [
         ("gap_acceleration", "0.333333", f"{unit}/s^2"),
         ("first_impact_speed", "2", f"{unit}/s"),
         ("release_transversality", "3", f"{force}/s"),
-        ("lets_go", "4", f"{unit}/s^2"),
-        ("phases_apart", "5", "1"),
-        ("locked_time", "6", "s"),
+        ("switch_transversality", "4", "SI/s"),
+        ("lets_go", "5", f"{unit}/s^2"),
+        ("phases_apart", "6", "1"),
+        ("locked_time", "7", "s"),
     ]
     assert [row[3] for row in table.rows] == [words.MARGINS[name][0] for name in every]
 

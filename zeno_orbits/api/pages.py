@@ -7,9 +7,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zeno_orbits.api.inputs import Named, as_orbit, front_door, problem_of
+from zeno_orbits.api.checks import system_of, verify
+from zeno_orbits.api.inputs import Named, any_orbit, front_door, problem_of
 from zeno_orbits.errors import InputError
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 @front_door
 def report_page(
-    orbit: ZenoOrbit | str | Path,
+    orbit: ZenoOrbit | EventOrbit | str | Path,
     *,
     problem: Named | None = None,
     settings: VerificationSettings | None = None,
@@ -63,7 +64,7 @@ def report_page(
 
 
 def report_subject(
-    orbit: ZenoOrbit | str | Path,
+    orbit: ZenoOrbit | EventOrbit | str | Path,
     *,
     problem: Named | None = None,
     settings: VerificationSettings | None = None,
@@ -88,26 +89,35 @@ def report_subject(
             orbit.
     """
     from zeno_orbits.report import Subject
-    from zeno_orbits.verification import problem_dynamics, verifier
 
-    found = as_orbit(orbit)
+    found = any_orbit(orbit)
     known = problem_of(found, problem)
-    study = _trade_of(found, trade)
-    pushed = _pushes_of(found, known, pushes)
-    recovered = _recovery_of(found, known, recovery)
-    dynamics = problem_dynamics(found, known)
-    certificate = verifier.verify(
-        found, known, settings=settings, dynamics=dynamics, on_progress=on_progress
-    )
+    study, pushed, recovered = None, None, None
+    if isinstance(found, EventOrbit):
+        for name, given in (("trade", trade), ("pushes", pushes), ("recovery", recovery)):
+            if given is not None:
+                raise InputError(f"Argument `{name}` needs a machine with one stop and no switch.")
+        certificate = verify(found, problem=known, settings=settings, on_progress=on_progress)
+    else:
+        study = _trade_of(found, trade)
+        pushed = _pushes_of(found, known, pushes)
+        recovered = _recovery_of(found, known, recovery)
+        certificate = verify(
+            found,
+            problem=known,
+            settings=settings,
+            dynamics=system_of(found, known),
+            on_progress=on_progress,
+        )
     return Subject(
         orbit=found,
         problem=known,
-        dynamics=dynamics,
+        dynamics=system_of(found, known),
         certificate=certificate,
         trade=study,
         pushes=pushed,
         recovery=recovered,
-        file="orbit.json" if isinstance(orbit, ZenoOrbit) else Path(orbit).name,
+        file="orbit.json" if isinstance(orbit, ZenoOrbit | EventOrbit) else Path(orbit).name,
         problem_file=str(problem) if isinstance(problem, str | Path) else "",
         content=json.dumps(found.as_json(), indent=2, allow_nan=False) + "\n",
         date=datetime.now(tz=UTC).date().isoformat(),

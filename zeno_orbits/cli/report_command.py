@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits import api
+from zeno_orbits.cli.event_orbits import needs_one_stop
 from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
     add_orbit,
-    orbit_and_problem,
     print_json,
     require_outputs,
     say_written,
@@ -78,6 +78,7 @@ def add_report(commands: Any) -> None:
 
 
 def _run_report(options: argparse.Namespace) -> int:
+    import zeno_orbits as zo
     from zeno_orbits.report import load_bundle, page_of
 
     given = (options.orbit, options.trade, options.pushes, options.recovery, options.proof)
@@ -87,7 +88,10 @@ def _run_report(options: argparse.Namespace) -> int:
         ends = f"must end in .html or .htm, but it is `{options.output.name}`"
         raise InputError(f"Argument `output` {ends}.")
     bundle = load_bundle()
-    orbit, problem = orbit_and_problem(options)
+    orbit = api.any_orbit(options.orbit)
+    problem = api.problem_of(orbit, options.problem)
+    if isinstance(orbit, zo.EventOrbit) and options.proof is not None:
+        raise InputError(needs_one_stop("--proof"))
     settings = api.verification_settings(tolerance=options.tolerance, n_periods=options.periods)
     with report.ProgressLine(options.interrupts.check) as progress:
         subject = api.report_subject(
@@ -99,7 +103,7 @@ def _run_report(options: argparse.Namespace) -> int:
             recovery=options.recovery,
             on_progress=progress,
         )
-        proved = proof_of(options, orbit, problem)
+        proved = None if isinstance(orbit, zo.EventOrbit) else proof_of(options, orbit, problem)
         progress("writing the page")
         subject = replace(
             subject,

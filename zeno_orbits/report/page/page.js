@@ -84,16 +84,19 @@
   function drawPortraits() {
     (data.portraits || []).forEach((portrait, k) => {
       const traces = portrait.arcs.map((arc) => ({
-        x: arc.x, y: arc.y, mode: "lines", type: "scatter", line: lineOf(arc.kind), name: wordOf[arc.kind],
-        hovertemplate: "%{x:.6g}, %{y:.6g}<extra>" + wordOf[arc.kind] + "</extra>",
+        x: arc.x, y: arc.y, mode: "lines", type: "scatter", line: lineOf(arc.kind), name: wordOf[arc.kind] + arc.on,
+        hovertemplate: "%{x:.6g}, %{y:.6g}<extra>" + wordOf[arc.kind] + arc.on + "</extra>",
       }));
       const { before, after } = portrait;
       const x = [], y = [];
-      before.x.forEach((value, i) => { x.push(value, after.x[i], null); y.push(before.y[i], after.y[i], null); });
+      const join = (from, to) => from.x.forEach((value, i) => { x.push(value, to.x[i], null); y.push(from.y[i], to.y[i], null); });
+      join(before, after);
+      join(portrait.switch, portrait.reset);
       traces.push({ x, y, mode: "lines", type: "scatter", hoverinfo: "skip", line: { color: colour.soft, width: 1.2, dash: "dash" } });
       traces.push(spots(before, "before an impact", { symbol: "circle-open", size: 8, line: { width: 1.5 } }));
       traces.push(spots(after, "after an impact", { size: 4 }));
       traces.push(spots(portrait.release, "release", { symbol: "square-open", size: 12, color: colour.release, line: { width: 2.5 } }));
+      if (portrait.switch.x.length) traces.push(spots(portrait.switch, "switch", { symbol: "diamond-open", size: 9, color: colour.release, line: { width: 2 } }));
       traces.push(spots(portrait.zeno, "Zeno point", { symbol: "star", size: 14, color: colour.zeno, line: { width: 1, color: colour.ink } }));
       draw("portrait-" + k, traces, {
         xaxis: axis(portrait.x, { range: around(traces, "x") }), yaxis: axis(portrait.y, { range: around(traces, "y") }),
@@ -110,10 +113,10 @@
       const top = 1 - k / n, gap = 0.02;
       shape["yaxis" + (k === 0 ? "" : k + 1)] = axis(row.label, { domain: [Math.max(0, top - 1 / n) + (k === n - 1 ? 0 : gap), top], nticks: 5 });
       row.values.forEach((values, j) => {
-        const kind = series.arcs[j].kind;
+        const kind = series.arcs[j].kind, name = wordOf[kind] + series.arcs[j].on;
         traces.push({
           x: series.arcs[j].t, y: values, mode: "lines", type: "scatter", xaxis: "x", yaxis: own,
-          line: lineOf(kind), name: wordOf[kind], hovertemplate: "%{x:.9g} s: %{y:.6g}<extra>" + wordOf[kind] + "</extra>",
+          line: lineOf(kind), name, hovertemplate: "%{x:.9g} s: %{y:.6g}<extra>" + name + "</extra>",
         });
       });
     });
@@ -123,6 +126,9 @@
     }));
     series.impacts.slice(0, 200).forEach((x) => shape.shapes.push({
       type: "line", xref: "x", yref: "paper", x0: x, x1: x, y0: 0, y1: 1, layer: "below", line: { color: colour.soft, width: 1, dash: "dot" },
+    }));
+    series.switches.slice(0, 200).forEach((x) => shape.shapes.push({
+      type: "line", xref: "x", yref: "paper", x0: x, x1: x, y0: 0, y1: 1, layer: "below", line: { color: colour.release, width: 1.5, dash: "dash" },
     }));
     draw("series", traces, shape);
     zoomTo("series");

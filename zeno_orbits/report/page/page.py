@@ -11,6 +11,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.report.disturbances import least_push_line, recovery_lines, scan_line
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plot_data import curves_of
@@ -45,7 +46,7 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
     zoom = close_up(execution, subject.dynamics) if execution and execution.zeno_points else None
     error, curves = certificate.orbit_error, curves_of(subject)
     heading = subject.problem.title[:1].upper() + subject.problem.title[1:]
-    what = "Zeno periodic orbit" if subject.orbit.shape.starts_at_release else "Periodic orbit"
+    what = "Zeno periodic orbit" if _has_zeno_point(subject.orbit) else "Periodic orbit"
     return (
         template_environment()
         .get_template("page.html")
@@ -87,6 +88,12 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
     )
 
 
+def _has_zeno_point(orbit: ZenoOrbit | EventOrbit) -> bool:
+    if isinstance(orbit, EventOrbit):
+        return any(name.startswith("zeno ") for name in orbit.sequence)
+    return orbit.shape.starts_at_release
+
+
 def _contents(subject: Subject) -> dict[str, str]:
     """Return the names and titles of the sections that the subject has, in order."""
     disturbed = subject.pushes is not None or subject.recovery is not None
@@ -121,6 +128,8 @@ def commands_of(subject: Subject) -> tuple[tuple[str, ...], ...]:
     search = ["zeno-orbits", "search", name]
     search += [word for name, v in orbit.gains.items() for word in ("--set", f"{name}={v!r}")]
     search += [word for name, v in given.items() for word in ("--set", f"{name}={v!r}")]
+    if isinstance(orbit, EventOrbit):
+        search += ["--section", orbit.section]
     where = ("--problem", subject.problem_file) if subject.problem_file else ()
     check = ("zeno-orbits", "verify", subject.file, *where)
     tolerance = ("--tolerance", f"{subject.certificate.tolerance:g}")

@@ -13,7 +13,7 @@ from typing import Any
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
 from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.report.motion import STOP, frame_of, machine_motion
+from zeno_orbits.report.motion import GROUND, STOP, frame_of, machine_motion
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
 from zeno_orbits.report.push_panels import PushPanel, push_panels
@@ -71,6 +71,7 @@ def _portraits(problem: Problem, execution: Execution) -> list[dict[str, Any]]:
                 "arcs": [
                     {
                         "kind": path.kind,
+                        "on": _on(path),
                         "x": _short(path.states[:, i]),
                         "y": _short(path.states[:, k]),
                     }
@@ -80,6 +81,8 @@ def _portraits(problem: Problem, execution: Execution) -> list[dict[str, Any]]:
                 "after": _points([impact.state_plus[[i, k]] for impact in execution.impacts]),
                 "zeno": _points([zeno.state[[i, k]] for zeno in execution.zeno_points]),
                 "release": _points([release.state[[i, k]] for release in execution.releases]),
+                "switch": _points([one.state_minus[[i, k]] for one in execution.switches]),
+                "reset": _points([one.state_plus[[i, k]] for one in execution.switches]),
             }
         )
     return drawn
@@ -96,7 +99,9 @@ def _series(subject: Subject, execution: Execution) -> dict[str, Any]:
             labels.append(f"{html_symbol(output.name)} [{escape(output.unit)}]")
             entries.append([column[:, k] for column in outputs])
     return {
-        "arcs": [{"kind": path.kind, "t": _short(path.times, 14)} for path in paths],
+        "arcs": [
+            {"kind": path.kind, "on": _on(path), "t": _short(path.times, 14)} for path in paths
+        ],
         "rows": [
             {"label": label, "values": [_short(one, 10) for one in row]}
             for label, row in zip(labels, entries, strict=True)
@@ -107,6 +112,7 @@ def _series(subject: Subject, execution: Execution) -> dict[str, Any]:
             if phase.mode is Mode.LOCKED
         ],
         "impacts": [impact.time for impact in execution.impacts],
+        "switches": [switch.time for switch in execution.switches],
         "zeno": execution.zeno_points[-1].time if execution.zeno_points else None,
         "end": execution.end_time,
         "decades": _SERIES_DECADES,
@@ -117,7 +123,10 @@ def _machine(subject: Subject, execution: Execution) -> dict[str, Any]:
     """Return the lines of the machine at even times, the stop first and points last."""
     orbit, problem = subject.orbit, subject.problem
     motion = machine_motion(problem, orbit.values(problem), execution, orbit.period, n=_FRAMES)
-    order = sorted(motion.lines, key=lambda name: (motion.lines[name].shape[1] == 1, name != STOP))
+    still = (STOP, GROUND)
+    order = sorted(
+        motion.lines, key=lambda name: (motion.lines[name].shape[1] == 1, name not in still)
+    )
     (left, right), (low, high) = frame_of(motion)
     return {
         # Upwards is down on a screen.
@@ -126,7 +135,7 @@ def _machine(subject: Subject, execution: Execution) -> dict[str, Any]:
         "modes": [mode.value for mode in motion.modes],
         "lines": [
             {
-                "stop": name == STOP,
+                "stop": name in still,
                 "corners": [_short(corners.ravel(), 5) for corners in motion.lines[name]],
             }
             for name in order
@@ -189,6 +198,11 @@ def _pushes(problem: Problem, panel: PushPanel) -> dict[str, Any]:
             "y": [impulse for _, impulse in panel.kept],
         },
     }
+
+
+def _on(path: ArcPath) -> str:
+    """Return the words that add the names of the closed stops, if they have names."""
+    return f": {escape(', '.join(path.closed))}" if path.closed else ""
 
 
 def _paths(execution: Execution) -> list[ArcPath]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Pushes, Recovery
-from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.motion import motion_of
 from zeno_orbits.simulation import Execution
@@ -21,7 +21,8 @@ class Subject:
     Attributes:
         orbit: The orbit, as stored in its file.
         problem: Its problem.
-        dynamics: The problem at the orbit's parameter values.
+        dynamics: The problem at the orbit's parameter values, for an orbit of events the graph of
+            modes.
         certificate: Verification report of the orbit, computed afresh.
         execution: One period, simulated from the orbit's start. It is ``None`` before the
             simulation and after a failed simulation.
@@ -37,9 +38,9 @@ class Subject:
         proof: Statement proved by an accepted certificate, or an empty string.
     """
 
-    orbit: ZenoOrbit
+    orbit: ZenoOrbit | EventOrbit
     problem: Problem
-    dynamics: HybridDynamics
+    dynamics: HybridDynamics | GraphDynamics
     certificate: OrbitCertificate
     execution: Execution | None = None
     trouble: str = ""

@@ -9,12 +9,13 @@ from typing import Any, cast
 
 from zeno_orbits.maps import Push, Pushes, Recovery
 from zeno_orbits.model import Problem, Quantity
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.disturbances import PUSHES, extent_columns, extents_of, least_pushes
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
+from zeno_orbits.report.paths import stops_of
 from zeno_orbits.report.table import (
     BOUNDS,
     Column,
@@ -27,7 +28,7 @@ from zeno_orbits.report.table import (
     text_column,
 )
 from zeno_orbits.report.trade_lines import CHEAPEST, cheapest_of
-from zeno_orbits.simulation import Event, Execution, Impact, Mode, ZenoPoint
+from zeno_orbits.simulation import Event, Execution, Impact, Mode, ZenoPoint, event_name
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 from zeno_orbits.work import versions
 
@@ -44,17 +45,39 @@ def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
     """Return name, value and unit of the main quantities of one period."""
     orbit, execution = subject.orbit, subject.execution
     radius = subject.certificate.spectral_radius
-    points = execution.zeno_points if execution else ()
-    arcs = execution.arcs if execution else ()
-    resting = sum(arc.end_time - arc.start_time for arc in arcs if arc.mode is Mode.LOCKED)
+    points = execution.zeno_points[:3] if execution else ()
+    if isinstance(orbit, EventOrbit):
+        first = next((one.time for one in orbit.events if one.name.startswith("impact ")), None)
+        # The execution is a little longer than the period, which may start in contact.
+        end = orbit.period
+    else:
+        first, end = orbit.impacts[0].time, math.inf
     push = "unknown" if math.isnan(radius) else shown_number(radius, 4)
     return (
         ("period", f"{orbit.period:.10g}", "s"),
-        ("first impact after", f"{orbit.impacts[0].time:.10g}", "s"),
-        *(("Zeno point after", f"{point.time:.10g}", "s") for point in points[:3]),
-        *([("rests on the stop for", f"{resting:.6g}", "s")] if points else []),
+        *([("first impact after", f"{first:.10g}", "s")] if first is not None else []),
+        *((f"Zeno point{_of(point.stop)} after", f"{point.time:.10g}", "s") for point in points),
+        *(_rests(execution, end) if execution and points else ()),
         ("a small push is multiplied by", push, "per period"),
     )
+
+
+def _rests(execution: Execution, end: float) -> list[tuple[str, str, str]]:
+    """Return the duration of contact with each stop up to a time, as name, value and unit."""
+    rests: list[tuple[str, str, str]] = []
+    for stop in stops_of(execution) or ("",):
+        resting = sum(
+            max(min(arc.end_time, end) - arc.start_time, 0.0)
+            for arc in execution.arcs
+            if arc.mode is Mode.LOCKED and (not stop or stop in arc.closed)
+        )
+        rests.append((f"rests on the stop{' ' + stop if stop else ''} for", f"{resting:.6g}", "s"))
+    return rests
+
+
+def _of(stop: str) -> str:
+    """Return the words that add the name of a stop, if it has one."""
+    return f" of {stop}" if stop else ""
 
 
 def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
@@ -95,20 +118,20 @@ def _quantity_columns(values: Mapping[str, float]) -> list[Column[Quantity]]:
     ]
 
 
-def gains_table(orbit: ZenoOrbit, problem: Problem) -> Table[Any]:
+def gains_table(orbit: ZenoOrbit | EventOrbit, problem: Problem) -> Table[Any]:
     """Return the gains with their units."""
     known = {gain.name: gain for gain in problem.gains}
     gains = [known[name] for name in orbit.gains]
     return table_of("Gains", _quantity_columns(orbit.gains), gains)
 
 
-def parameters_table(orbit: ZenoOrbit, problem: Problem) -> Table[Any]:
+def parameters_table(orbit: ZenoOrbit | EventOrbit, problem: Problem) -> Table[Any]:
     """Return the physical parameters with their units."""
     columns = _quantity_columns(orbit.parameters)
     return _titled(table_of("Parameters", columns, problem.parameters))
 
 
-def bounds_table(orbit: ZenoOrbit) -> Table[Any]:
+def bounds_table(orbit: ZenoOrbit | EventOrbit) -> Table[Any]:
     """Return the bounds of the search, as far as the orbit's file contains them."""
     known: list[Any] = list(orbit.certificate.get("asked", ()))
     bounds = [cast("dict[str, Any]", one) for one in known if isinstance(one, dict)]
@@ -136,11 +159,9 @@ def events_table(execution: Execution, unit: str) -> Table[Any]:
 
 
 def _event_name(event: Event) -> str:
-    if isinstance(event, Impact):
-        return "impact"
     if isinstance(event, ZenoPoint):
-        return f"Zeno point, {event.tail:.2g} s after the last impact followed"
-    return "release"
+        return f"{event_name(event)}, {event.tail:.2g} s after the last impact followed"
+    return event_name(event)
 
 
 def _hit_speed(event: Event) -> str:
@@ -256,7 +277,7 @@ def extents_table(found: Recovery) -> Table[Any]:
     return table_of(caption, extent_columns(found), extents_of(found))
 
 
-def versions_table(orbit: ZenoOrbit, bundle: Bundle) -> Table[Any]:
+def versions_table(orbit: ZenoOrbit | EventOrbit, bundle: Bundle) -> Table[Any]:
     """Return the versions that found the orbit and the versions that wrote the page."""
     here = {**versions(), "plotly": bundle.version}
     columns: list[Column[str]] = [

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate
 
@@ -49,6 +49,11 @@ MARGINS: Mapping[str, tuple[str, str]] = {
     "release_transversality": (
         "how fast the contact force falls at the release. At zero the release is not transversal",
         "{force}/s",
+    ),
+    "switch_transversality": (
+        "how fast the guard of a switch falls at the switch, in the units of the guard. At zero "
+        "the switch is only touched",
+        "SI/s",
     ),
     "lets_go": ("how fast the part leaves a stop that does not hold it", "{gap}/s^2"),
     "phases_apart": ("how much the flights of a period differ. At zero the period is shorter", "1"),
@@ -145,7 +150,11 @@ def cautions(problem: Problem, execution: Execution | None) -> list[str]:
     return found
 
 
-def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution | None) -> str:
+def story(
+    orbit: ZenoOrbit | EventOrbit,
+    certificate: OrbitCertificate,
+    execution: Execution | None,
+) -> str:
     """Return one period in words.
 
     Args:
@@ -161,6 +170,8 @@ def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution 
     repeats = f"The same motion repeats every {orbit.period:.4g} s."
     if execution is None:
         return f"{said}{repeats}"
+    if isinstance(orbit, EventOrbit):
+        return f"{said}{repeats} {_events(orbit)}"
     if len(execution.zeno_points) == 1:
         return f"{said}{repeats} {_one_zeno_point(orbit, execution.zeno_points[0].time)}"
     count, points = len(execution.impacts), len(execution.zeno_points)
@@ -173,6 +184,24 @@ def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution 
         f"by one; {points} times infinitely many impacts accumulate, and it stays on the stop "
         "for a while."
     )
+
+
+_PHRASES: Mapping[str, str] = {
+    "zeno": "impacts accumulate at the stop {}, infinitely many in finite time, and it holds",
+    "impact": "an impact on the stop {}",
+    "release": "the stop {} releases",
+    "switch": "the switch {}",
+}
+"""Kind of an event to its phrase. The braces stand for the name of the stop or switch."""
+
+
+def _events(orbit: EventOrbit) -> str:
+    """Return the event sequence in words."""
+    phrases: list[str] = []
+    for name in orbit.sequence:
+        kind, _, what = name.partition(" ")
+        phrases.append(_PHRASES[kind].format(f"“{what}”"))
+    return f"In each period, in this order: {'; '.join(phrases)}."
 
 
 def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
@@ -196,6 +225,11 @@ def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
 def stability(certificate: OrbitCertificate) -> str:
     """Return the effect of a small push in words."""
     radius = certificate.spectral_radius
+    if certificate.stable and not certificate.multipliers and certificate.events:
+        return (
+            "The conditions of the event at which the period starts determine its state: after any "
+            "small push, the next such event is the same."
+        )
     if certificate.stable and not certificate.multipliers:
         return (
             "The conditions of the release determine its state: after any small push, the next "
