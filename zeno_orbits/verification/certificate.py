@@ -127,7 +127,8 @@ class OrbitCertificate(Displayed):
         open_balance: True if a force acts whose powers are not specified by the problem, so that
             the energy balance cannot be checked.
         events: Event sequence of an orbit given by its events, otherwise empty. Such an orbit has
-            no `shape`, and neither energies nor truncations are computed for it.
+            no `shape`, and no truncations are computed for it. Its energies have ``switch_loss``
+            if it has switches.
         quantities: Range of each quantity of its events over one period, by name.
     """
 
