@@ -25,6 +25,7 @@ from zeno_orbits.experiment import (
     compare,
     tabulate_orbit,
 )
+from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.comparison.deviations import N_BINS, between
 from zeno_orbits.experiment.comparison.signal_metrics import greatest
 from zeno_orbits.experiment.orbit_table import gap_coordinates
@@ -473,6 +474,56 @@ def test_the_period_is_as_sure_as_is_said_where_samples_meet_jumps_step_by_step(
     where = compare(orbit, problem, copy).where
     assert where is not None
     assert abs(where.period - orbit.period) < SURE * where.period_error < 1e-4
+
+
+def test_later_cycles_with_few_samples_say_nothing_of_settling(
+    shaken: tuple[Problem, ZenoOrbit, OrbitTable],
+) -> None:
+    problem, orbit, table = shaken
+
+    def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        # Fewer than half of the bins of a cycle have a sample there.
+        lost = (np.arange(time.size) > time.size / 3) & (np.arange(time.size) % 4 > 0)
+        return time, np.where(lost, np.nan, values)
+
+    copy = changed(recorded(table, problem, noise=1e-3, rate=300.37 / orbit.period), thinned)
+    found = compare(orbit, problem, copy)
+    assert not any("still settling" in remark for remark in found.remarks)
+
+
+def noisier(recording: Recording, name: str, factor: float, seed: int) -> Recording:
+    """Return a recording with noise added to one signal, in parts of its range."""
+    rng = np.random.default_rng(seed)
+    signals = tuple(
+        replace(
+            one, values=one.values + factor * np.ptp(one.values) * rng.normal(size=one.values.size)
+        )
+        if one.name == name
+        else one
+        for one in recording.signals
+    )
+    return replace(recording, signals=signals)
+
+
+@pytest.mark.parametrize("noisy", ["distance", "speed"])
+def test_errors_of_time_follow_the_noise_of_the_signals_that_tell_it(
+    noisy: str, forced: tuple[Problem, ZenoOrbit, OrbitTable]
+) -> None:
+    # One signal is thirty times as noisy as the other. An error from the noise of both together is
+    # almost twice too large if the distance is noisy: the steep speed tells the time.
+    _, _, table = forced
+    scores: list[float] = []
+    for seed in range(30):
+        start = np.random.default_rng(seed).random()
+        copy = recorded(table, forced[0], noise=1e-3, rate=60.0, seed=seed, start=start)
+        copy = noisier(copy, noisy, 3e-2, seed + 99)
+        values = np.stack([one.values for one in copy.signals])
+        period = periodicity(copy.time, values)
+        assert period is not None
+        where = aligned(table, copy.time, values, period, ("distance", "speed"))
+        scores.append((where.period - table.period) / where.period_error)
+    # The size of thirty deviations is known to 13 %; the larger of two errors counts.
+    assert 0.68 < float(np.sqrt(np.mean(np.square(scores)))) < 1.3
 
 
 def test_the_period_of_a_recording_without_noise_is_exact(

@@ -47,3 +47,16 @@ def test_values_are_within_two_standard_errors_and_unbiased(name: str) -> None:
         if quantity.startswith(signed) and len(errors) == n:
             # Five standard errors of the mean of eight values with unit variance.
             assert abs(np.mean(errors)) < 5 / np.sqrt(n), quantity
+
+
+@pytest.mark.slow
+def test_errors_are_neither_too_small_nor_too_wide() -> None:
+    found = _errors("forced_oscillator", range(200, 230))
+    # The speed tells the time here. An error from the noise of both signals together was too small
+    # by a half, and the delay of the distance lacked the noise of the speed.
+    for quantity in ("period", "delay of distance"):
+        assert np.sqrt(np.mean(np.square(found[quantity]))) < 1.3, quantity
+    # Noise alone causes a mean distance. It is subtracted, or every recording has the same one.
+    (distances,) = (d for name, d in found.items() if name.startswith("mean distance"))
+    assert np.std(distances) > 0.3
+    assert np.mean(np.abs(distances) <= 2.0) > 0.8

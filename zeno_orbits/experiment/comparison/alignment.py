@@ -233,17 +233,19 @@ def _fine(table: OrbitTable, time: Vector, values: Vector, scale: Vector, at: _P
         if not below > 0.0:
             return _Place(release, math.inf, period, unsure)
         late = float(np.sum(moved * rest)) / below
-        white = float(np.sum((rest - moved * late) ** 2)) / int(count.sum())
+        # Signals differ in their noise, and the signals with steep slopes determine the shift.
+        noise = np.sum((rest - moved * late) ** 2, axis=0) / count
+        white = math.sqrt(float(noise @ np.sum(moved**2, axis=0))) / below
         cycles = np.floor(turns).astype(np.int64)
         cycles -= cycles[0]
         numbers = np.repeat(cycles, n_s)
         scatter = delays_of(numbers, moved.ravel(), rest.ravel()).scatter
-        error = max(thinned * math.sqrt(white / below), scatter)
+        error = max(thinned * white, scatter)
         release += float(np.clip(late, -0.1 * period, 0.1 * period))
         # The periodic part is equal in all cycles, except at an incomplete cycle.
         n_bins = int(np.clip(len(turns) / (cycles[-1] + 1) / 2, 1, _BINS))
         bins = np.minimum((np.mod(turns, 1.0) * n_bins).astype(np.int64), n_bins - 1)
-        freedom = max(int(seen.sum()) - n_bins * n_s, 1)
+        freedom = np.maximum(count - n_bins, 1)
         whole = _less_means(moved, bins, seen)
         left, longer = (
             _without(_less_means(row, bins, seen), whole)
@@ -253,7 +255,8 @@ def _fine(table: OrbitTable, time: Vector, values: Vector, scale: Vector, at: _P
         if below > 0.0:
             change = float(np.sum(longer * left)) / below
             left = left - longer * change
-            variance = thinned**2 * float(np.sum(left**2)) / freedom * below
+            noise = np.sum(left**2, axis=0) / freedom
+            variance = thinned**2 * float(noise @ np.sum(longer**2, axis=0))
             if cycles[-1] >= _TELLING:
                 each = np.bincount(numbers, weights=(longer * left).ravel())
                 variance = max(variance, float(np.sum(each**2)))

@@ -271,9 +271,10 @@ def _oddities(recording: Recording, problem: Problem, names: Sequence[str]) -> l
 def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
     """Return a remark if the first cycles are farther from the mean than the others are."""
     sizes = found.sizes_in_turn()
-    if len(sizes) < _FEWEST_CYCLES:
+    later = sizes[len(sizes) // 2 :]
+    if len(sizes) < _FEWEST_CYCLES or not np.isfinite(later).any():
         return []
-    usual = float(np.nanmedian(sizes[len(sizes) // 2 :]))
+    usual = float(np.nanmedian(later))
     strange = np.flatnonzero(sizes > _SETTLING * usual)
     if not len(strange) or strange[0] > 1 or strange[-1] > len(sizes) // 2:
         return []

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, ndtr, ndtri
+from scipy.special import chdtri, ndtr, ndtri, stdtrit
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.deviations import (
@@ -29,6 +29,8 @@ _ASIDE = 3
 """Number of bins on either side of an extreme that determine the deviation there."""
 _RARE = 0.05
 """Probability at which noise alone exceeds a bound: once in twenty times."""
+_DRAWS = 40
+"""Drawn curves of noise alone. Their mean distance has 16 % of its scatter as error."""
 
 
 def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) -> Iterator[Metric]:
@@ -40,6 +42,7 @@ def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) ->
         names: Names of the signals, in order.
     """
     units, table = measurable(problem), found.table
+    late = delays(found)
     share = found.phases * table.period
     parts = {
         "in flight": share < table.first_impact,
@@ -55,7 +58,7 @@ def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) ->
                 size = root_mean_square(found, k, chosen)
                 yield metric(f"rms deviation {part} of {name}", unit, 0.0, size)
         yield metric(f"greatest deviation of {name}", unit, 0.0, greatest(found, k))
-        yield metric(f"delay of {name}", "s", 0.0, delay(found, k))
+        yield metric(f"delay of {name}", "s", 0.0, late[k])
 
 
 def recorded_portraits_of(problem: Problem, names: Sequence[str]) -> tuple[Portrait, ...]:
@@ -269,12 +272,47 @@ def _of_many(noises: Vector) -> float:
     return float(found) / 2.0
 
 
-def delay(found: Deviations, signal: int) -> Estimate:
-    """Return the delay of a signal relative to all signals together [s]."""
+def delays(found: Deviations) -> tuple[Estimate, ...]:
+    r"""Return the delay of each signal relative to all signals together [s].
+
+    All signals together are the alignment, at which the weighted mean of the delays is zero. So the
+    delay of a signal also has the noise of the others: with the delays :math:`d_j` of the signals
+    alone and the weights :math:`w_j` of the alignment, it is :math:`d_k - \sum_j w_j d_j`, with the
+    variance :math:`u_k^2 + \sum_{j \ne k} w_j^2 u_j^2` at most. Samples and bins weigh a signal
+    differently, so its own share is not subtracted.
+
+    Args:
+        found: The deviations.
+    """
+    n_s = found.average.shape[1]
+    alone = [_delay_alone(found, k) for k in range(n_s)]
+    slopes = np.ptp(found.fine[:, :, :n_s], axis=1)
+    smooth = ~jump_bins(found.table, N_BINS)[:, :n_s]
+    size = np.std(found.orbit[:, :n_s], axis=0)
+    told = np.sum(np.where(smooth, slopes, 0.0) ** 2, axis=0)
+    told /= np.where(size > 0.0, size, math.inf) ** 2
+    weights = told / (float(told.sum()) or 1.0)
+    errors = np.array([one.error for one in alone])
+    shares = np.where(weights > 0.0, weights * errors, 0.0) ** 2
+    return tuple(
+        Estimate(
+            value=one.value,
+            error=math.sqrt(errors[k] ** 2 + float(shares.sum() - shares[k])),
+        )
+        for k, one in enumerate(alone)
+    )
+
+
+def _delay_alone(found: Deviations, signal: int) -> Estimate:
+    """Return the delay of a signal, with the error of that signal alone [s]."""
     table = found.table
     stretch = found.period / table.period
     # At a jump of the signal a small delay causes a large deviation or no deviation.
     smooth = ~jump_bins(table, N_BINS)[:, signal]
+
+    def sloped(times: Vector) -> tuple[Vector, Vector]:
+        model, slope = table.nodes.with_slopes(np.mod(times, table.period))
+        return model[:, signal], slope[:, signal] - slope[:, signal].mean()
 
     def shift(average: Vector) -> float:
         seen = np.isfinite(average[:, signal]) & smooth
@@ -282,9 +320,7 @@ def delay(found: Deviations, signal: int) -> Estimate:
         times = found.phases[seen] * table.period
         late = 0.0
         for _ in range(8):
-            model, slope = table.nodes.with_slopes(np.mod(times - late, table.period))
-            y, f = model[:, signal], slope[:, signal]
-            f = f - f.mean()
+            y, f = sloped(times - late)
             rest = data - y
             below = float(f @ f)
             if below == 0.0:
@@ -292,38 +328,67 @@ def delay(found: Deviations, signal: int) -> Estimate:
             late -= float(f @ (rest - rest.mean())) / below
         return late * stretch
 
-    return found.estimate(shift)
+    one = found.estimate(shift)
+    seen = np.isfinite(found.average[:, signal]) & smooth
+    _, f = sloped(found.phases[seen] * table.period)
+    below = float(f @ f)
+    # Few cycles may scatter little by chance. White noise gives a lower bound.
+    white = math.sqrt(float(f**2 @ found.noises[seen, signal] ** 2)) / below if below else 0.0
+    return _at_least(one, white * stretch)
 
 
 def portrait_distance(found: Deviations, portrait: Portrait) -> tuple[Estimate, Estimate]:
     """Return mean and greatest distance of the recorded closed curve from the orbit's.
 
-    Each axis counts in parts of the orbit's range on it. Time does not matter.
+    The mean is without the noise: the square of the mean distance that noise alone causes is
+    subtracted. Each axis counts in parts of the orbit's range on it. Time does not matter.
 
     Args:
         found: The deviations.
         portrait: The plane of the curves.
     """
     axes, rate_of = found.columns(portrait)
+    used = axes if rate_of is None else [axes[0], rate_of]
     own = found.fine[:, :, axes].reshape(-1, 2)
     size = np.ptp(own, axis=0)
     size = np.where(size > 0.0, size, 1.0)
     line = np.concatenate([own, own[:1]]) / size
 
-    def both(average: Vector) -> tuple[float, float]:
+    def apart(average: Vector) -> Vector:
         points = found.curve(portrait, average)
         points = points[np.all(np.isfinite(points), axis=1)] / size
-        if not len(points):
-            return math.nan, math.nan
-        apart = line_distances(line, points)
-        return float(np.mean(apart)), float(np.max(apart))
+        return line_distances(line, points) if len(points) else np.full(1, np.nan)
+
+    # A distance is never negative: noise alone gives some, which depends on the curve.
+    random = np.random.default_rng(0)
+    drawn = random.normal(size=(_DRAWS, *found.average.shape)) * found.noises
+    known = np.where(np.isfinite(found.average), 0.0, np.nan)
+    curves = np.array([found.curve(portrait, known + noise) for noise in drawn]) / size
+    seen = np.all(np.isfinite(curves), axis=2)[0]
+    alone, limit = 0.0, 0.0
+    if seen.any():
+        distances = line_distances(line, curves[:, seen].reshape(-1, 2))
+        means = distances.reshape(_DRAWS, -1).mean(axis=1)
+        alone = float(means.mean())
+        # Draws are few, and the size of the noise is known from so many samples only.
+        freedom = np.maximum(found.counts.sum(axis=0) - 1.0, 0.0).sum(axis=0)[used]
+        scatter = float(np.std(means, ddof=1)) * math.sqrt(1.0 + 1.0 / _DRAWS)
+        scatter = math.hypot(scatter, alone / math.sqrt(2.0 * max(float(freedom.min()), 1.0)))
+        # Noise alone leaves less than this limit in 95 % of the recordings.
+        most = alone + float(stdtrit(_DRAWS - 1, 1.0 - _RARE)) * scatter
+        limit = math.sqrt(max(most**2 - alone**2, 0.0))
+
+    def both(average: Vector) -> tuple[float, float]:
+        distances = apart(average)
+        square = float(np.mean(distances)) ** 2 - alone**2
+        return math.sqrt(max(square, 0.0)), float(np.max(distances))
 
     mean, largest = found.estimates(both)
+    if mean.value < 2.0 * limit:
+        mean = _at_least(mean, limit / 2.0)
     across: Vector = found.noises[:, axes[0]] / size[0]
     if rate_of is None:
         upwards: Vector = found.noises[:, axes[1]] / size[1]
     else:
         upwards = slope_noises(found.noises[:, rate_of], found.period / N_BINS) / size[1]
-    # A distance is never negative: noise alone gives some. Its direction in the plane is any.
-    floor = math.sqrt(float(np.mean(across**2 + upwards**2)) / 2.0)
-    return _at_least(mean, floor), _at_least(largest, _of_many(np.maximum(across, upwards)))
+    return mean, _at_least(largest, _of_many(np.maximum(across, upwards)))
