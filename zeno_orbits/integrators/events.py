@@ -136,7 +136,13 @@ def _short_rise(flow: Guarded, step: Step, dense: Callable[[float], Guard]) -> f
 
 
 def polished(flow: Guarded, step: Step, offset: float) -> float:
-    """Return a root of the dense output, moved to the root of true steps by Newton's method."""
+    """Return a root of the dense output, moved to the root of true steps by Newton's method.
+
+    Args:
+        flow: The flow with its guard.
+        step: The step that contains the root.
+        offset: Root of the dense output, counted from the start of the step [s].
+    """
     for _ in range(4):
         value, rate = flow.guard(step.end_at(offset))
         change = -value / rate if rate < 0.0 else 0.0

@@ -84,7 +84,13 @@ def _near(program: BallProgram, state: Sequence[float], moves: Sequence[float]) 
 
 
 def prover_state(system: BallSystem, problem: Problem, orbit: ZenoOrbit) -> list[float]:
-    """Return the orbit's start in the prover's states, ``(n,)``."""
+    """Return the orbit's start in the prover's states, ``(n,)``.
+
+    Args:
+        system: The problem in the prover's units.
+        problem: The problem.
+        orbit: The orbit.
+    """
     own = problem.state_vector(orbit.start_state)
     x = [float(value) / unit for value, unit in zip(own, system.units, strict=False)]
     if system.expressions.coordinate is None:

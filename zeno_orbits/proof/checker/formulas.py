@@ -211,42 +211,49 @@ def require_analytic(graph: Graph, outputs: Iterable[int]) -> None:
             raise NotProved(f"the number {given[0]} stands in a formula that must be analytic")
 
 
+def _power(graph: Graph, a: int, b: int) -> int:
+    """Return the node of a power: products if twice the exponent is an integer, else an exp."""
+    exponent = graph.nodes[b][1] if graph.nodes[b][0] == "constant" else 0.25
+    if exponent % 0.5 == 0.0 and exponent % 1 and abs(exponent) <= _HIGHEST / 2:
+        a, exponent = graph.function("sqrt", a), 2 * exponent
+    if exponent % 1 or not abs(exponent) <= _HIGHEST:
+        return graph.function("exp", graph.put("mul", b, graph.function("log", a)))
+    found = graph.one
+    for _ in range(int(abs(exponent))):
+        found = a if found == graph.one else graph.put("mul", found, a)
+    return graph.put("div", graph.one, found) if exponent < 0 else found
+
+
+def _quotient(graph: Graph, a: int, b: int) -> int:
+    """Return the node of a quotient without the factors that both numbers share."""
+    kind, *number = graph.nodes[b]
+    if kind == "constant" and abs(number[0]) == float("inf"):
+        # A finite number divided by infinity is zero. The product checks that it is finite.
+        return graph.put("mul", a, graph.zero)
+    left, divisors, common = graph.factors(a), graph.factors(b), list[int]()
+    for factor in graph.factors(a):
+        if factor in divisors:
+            common.append(factor)
+            left.remove(factor)
+            divisors.remove(factor)
+    if not common:
+        return graph.put("div", a, b)
+    # Cancelled factors do not widen intervals. The sum checks that they are nonzero.
+    add, mul, div = (partial(graph.put, name) for name in ("add", "mul", "div"))
+    whole = div(reduce(mul, left, graph.one), reduce(mul, divisors, graph.one))
+    inverses = (div(graph.one, factor) for factor in common)
+    return add(whole, mul(reduce(add, inverses), graph.zero))
+
+
 def _operations(graph: Graph) -> dict[str, Callable[..., int]]:
     """Return the functions that make a node from an operation of CasADi, keyed by name."""
     put, function, one, two = graph.put, graph.function, graph.one, graph.put("constant", 2.0)
     add, sub, mul, div = (partial(put, name) for name in ("add", "sub", "mul", "div"))
     exp, log, sqrt, atan = (partial(function, name) for name in ("exp", "log", "sqrt", "atan"))
-
-    def power(a: int, b: int) -> int:
-        exponent = graph.nodes[b][1] if graph.nodes[b][0] == "constant" else 0.25
-        if exponent % 0.5 == 0.0 and exponent % 1 and abs(exponent) <= _HIGHEST / 2:
-            a, exponent = sqrt(a), 2 * exponent
-        if exponent % 1 or not abs(exponent) <= _HIGHEST:
-            return exp(mul(b, log(a)))
-        found = one
-        for _ in range(int(abs(exponent))):
-            found = a if found == one else mul(found, a)
-        return inverse(found) if exponent < 0 else found
+    quotient, power = partial(_quotient, graph), partial(_power, graph)
 
     def inverse(a: int) -> int:
         return div(one, a)
-
-    def quotient(a: int, b: int) -> int:
-        kind, *number = graph.nodes[b]
-        if kind == "constant" and abs(number[0]) == float("inf"):
-            # A finite number divided by infinity is zero. The product checks that it is finite.
-            return mul(a, graph.zero)
-        left, divisors, common = graph.factors(a), graph.factors(b), list[int]()
-        for factor in graph.factors(a):
-            if factor in divisors:
-                common.append(factor)
-                left.remove(factor)
-                divisors.remove(factor)
-        if not common:
-            return div(a, b)
-        # Cancelled factors do not widen intervals. The sum checks that they are nonzero.
-        whole = div(reduce(mul, left, one), reduce(mul, divisors, one))
-        return add(whole, mul(reduce(add, map(inverse, common)), graph.zero))
 
     def twice(a: int) -> int:
         return add(a, a)

@@ -118,7 +118,13 @@ class Lanes:
 
 
 def where(which: Any, these: Lanes, others: Lanes) -> Lanes:
-    """Return intervals selected by a boolean array from two arrays."""
+    """Return intervals selected by a boolean array from two arrays.
+
+    Args:
+        which: True where an entry comes from the first array. Shapes broadcast.
+        these: The first array.
+        others: The second array.
+    """
     return Lanes(np.where(which, these.c, others.c), np.where(which, these.r, others.r))
 
 
