@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -292,11 +293,19 @@ def forbidden(points: Sequence[float]) -> list[float]:
     raise OSError(str(points))
 
 
+@pytest.fixture(name="finished", scope="module")
+def _finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkpoint of finished work, which no test changes."""
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "diary").mkdir()
+    spread(Diary(folder=str(folder / "diary")), POINTS, plan(folder / "kept"))
+    return folder / "kept"
+
+
 @pytest.fixture(name="kept")
-def _kept(tmp_path: Path, diary: Diary) -> Path:
-    folder = tmp_path / "kept"
-    spread(diary, POINTS, plan(folder))
-    return folder
+def _kept(tmp_path: Path, finished: Path) -> Path:
+    """A copy of it."""
+    return shutil.copytree(finished, tmp_path / "kept")
 
 
 def test_what_is_finished_is_not_computed_again(kept: Path) -> None:
