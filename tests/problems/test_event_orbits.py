@@ -177,6 +177,32 @@ def test_a_limited_voltage_has_its_orbit() -> None:
         assert abs(wanted) == pytest.approx(voltage["U"], abs=1e-10)
 
 
+@pytest.mark.slow
+def test_a_limited_voltage_moves_as_the_rig_with_that_part_alone() -> None:
+    # The rig has a compliant stop in place of impacts, multiplier and kinks.
+    orbit = _orbit("limited_pendulum")
+    release = next(event for event in orbit.events if event.name == "release stop")
+    start = dict(release.state) | {"theta2": 0.0, "dtheta2": 0.0}
+    names = ("theta1", "dtheta1", "current")
+
+    def deviation(stiffness: float, event: Any) -> np.ndarray[Any, Any]:
+        contact = zo.Contact(stiffness=stiffness, exponent=1.0, slowest=1e-4)
+        rig = zo.Rig(contact=contact, bridge=zo.HBridge(supply=orbit.parameters["U"]))
+        until = orbit.period if event is None else (event.time - release.time) % orbit.period
+        wanted = start if event is None else event.state
+        run = zo.simulate_rig("motor_pendulum", rig, until=until, start=start)
+        assert np.max(np.abs(run.voltage)) == pytest.approx(orbit.parameters["U"], rel=1e-12)
+        return np.array([run.of(name)[-1] - wanted[name] for name in names])
+
+    for event in orbit.events:
+        if event.name.startswith("switch"):
+            assert np.max(np.abs(deviation(1e9, event))) < 1e-6, event.time
+    # A whole period: the deviation falls with the root of the stiffness, to zero.
+    soft, stiff = deviation(1e7, None), deviation(1e9, None)
+    assert np.max(np.abs(stiff[[0, 2]])) < 1e-6
+    assert np.max(np.abs((10 * stiff - soft) / 9)) < 3e-8
+
+
 def test_a_relay_has_the_published_bounces() -> None:
     orbit = zo.find_event_orbit("relay", section="zeno open")
     assert orbit.certificate["passed"]
