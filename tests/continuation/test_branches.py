@@ -63,8 +63,8 @@ class Formula:
         del s, scale
         return x
 
-    def restitution(self, s: float) -> float:
-        del s
+    def restitution(self, s: float, place: int = 0) -> float:
+        del s, place
         return self.e
 
     def loosened(self) -> Formula:

@@ -172,7 +172,7 @@ def test_a_release_takes_the_flight_of_the_next_return_with_it_and_of_no_other()
 def test_the_acceleration_threatens_by_itself_at_plastic_impacts_alone(
     restitution: float, *, threatened: bool
 ) -> None:
-    found = threats(way({ACCELERATION: 1}), restitution)
+    found = threats(way({ACCELERATION: 1}), lambda _: restitution)
     assert bool(found) is threatened
 
 
@@ -266,8 +266,8 @@ class Blind:
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         return self.returns.projected(x, s, scale)
 
-    def restitution(self, s: float) -> float:
-        del s
+    def restitution(self, s: float, place: int = 0) -> float:
+        del s, place
         return self.e
 
     def loosened(self) -> Blind:

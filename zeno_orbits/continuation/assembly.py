@@ -156,7 +156,7 @@ class _Names:
         if not isinstance(section, EventSection):
             return ""
         sequence, place = section.sequence, located.place % len(section.sequence)
-        if located.kind is SpecialPointKind.EVENTS_MEET:
+        if located.kind in (SpecialPointKind.EVENTS_MEET, SpecialPointKind.LOCK_VANISHES):
             return f"{sequence[place - 1]} and {sequence[place]}"
         return "" if located.kind in of_period else sequence[place]
 

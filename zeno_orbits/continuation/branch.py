@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -334,7 +335,7 @@ class _Follower:
 
     def _threats(self, points: Sequence[BranchPoint]) -> Sequence[Threat]:
         try:
-            return threats(stages(points), self.returns.restitution(points[-1].s))
+            return threats(stages(points), partial(self.returns.restitution, points[-1].s))
         except (ZeroDivisionError, ValueError):
             return []
 

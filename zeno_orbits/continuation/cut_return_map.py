@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.continuation.event_returns import EventReturns, contact_view, contacts_of
 from zeno_orbits.continuation.return_maps import (
     Composed,
     DifferentiatedReturn,
@@ -98,20 +99,64 @@ class CutReturns(OnSection):
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class CutEventReturns(OnSection):
+    """Return map of an event sequence with truncated impact sequences.
+
+    All Zeno points are truncated, since several contact phases of a symmetric orbit vanish at once.
+    Far from its end, an impact sequence is changed less by the truncation.
+
+    Attributes:
+        whole: The return map that is truncated.
+        n_impacts: Number of impacts before each plastic reset.
+    """
+
+    whole: EventReturns
+    n_impacts: int
+
+    @property
+    def base(self) -> ReturnMap:
+        """The return map with the same section and line."""
+        return self.whole
+
+    def moved_to(self, line: Line) -> CutEventReturns:
+        """Return the same map along another line."""
+        return replace(self, whole=self.whole.moved_to(line))
+
+    def loosened(self) -> CutEventReturns:
+        """Return the same map at a looser tolerance."""
+        return replace(self, whole=self.whole.loosened())
+
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
+        """Return the motion to the end of the event sequence, with margins of truncations only."""
+        graph, completion = self.whole.dynamics(s), PlasticAfter(n_impacts=self.n_impacts)
+        found = self.whole.returned(graph, x, horizon=horizon, completion=completion)
+        margins = {
+            Margin(loss=Loss.CUT, place=contact.place): _from_separatrix(
+                contact_view(graph, found, contact), contact.last_impact
+            )
+            for contact in contacts_of(found)
+        }
+        return self.whole.differentiated(graph, found, margins)
+
+
 def cut_after(returns: ReturnMap, place: int, n_impacts: int) -> ReturnMap:
     """Return a map with the impact sequence of one of its returns truncated.
 
     Args:
         returns: Map from release to release, of one or several returns.
-        place: Index of the truncated return, from 0.
+        place: Index of the truncated return, from 0. The return of an event sequence is truncated
+            at every Zeno point.
         n_impacts: Number of its impacts before the plastic reset.
     """
     if isinstance(returns, Composed):
         maps = list(returns.maps)
         maps[place] = cut_after(maps[place], 0, n_impacts)
         return Composed(maps=tuple(maps))
+    if isinstance(returns, EventReturns):
+        return CutEventReturns(whole=returns, n_impacts=n_impacts)
     if not isinstance(returns, ReleaseReturns):
-        raise TypeError("Argument `returns` must be a map from release to release.")
+        raise TypeError("Argument `returns` must be a map through Zeno points.")
     return CutReturns(whole=returns, n_impacts=n_impacts)
 
 

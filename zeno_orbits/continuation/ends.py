@@ -43,7 +43,7 @@ def locate_end(
     if not found.path:
         return found
     cause, *others = causes(stages([*points[-2:], *found.path]), threat.margin)
-    if cause.loss is Loss.ACCELERATION and returns.restitution(found.point.s) > 0.0:
+    if cause.loss is Loss.ACCELERATION and returns.restitution(found.point.s, cause.place) > 0.0:
         raise SimulationError("The acceleration vanishes without a known cause", time=0.0, state=())
     if cause != threat.margin:
         found = _better(found, returns, metric, points, replace(threat, margin=cause))
@@ -58,10 +58,10 @@ def _located(
     points: Sequence[BranchPoint],
     threat: Threat,
 ) -> Located:
-    if threat.margin.loss is Loss.LOCK and returns.restitution(points[-1].s) > 0.0:
-        last, margin = points[-1], threat.margin
+    last, margin = points[-1], threat.margin
+    if margin.loss is Loss.LOCK and returns.restitution(last.s, margin.place) > 0.0:
         return locate_cut(returns, metric, last, margin, threat.distance)
-    return _approach(returns, metric, points[-2], points[-1], threat.margin)
+    return _approach(returns, metric, points[-2], last, margin)
 
 
 def _better(

@@ -24,13 +24,14 @@ from zeno_orbits.continuation.return_maps import (
     turns_of_clock,
 )
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import CompiledGraph, GraphDynamics
+from zeno_orbits.model import CompiledGraph, GraphDynamics, HybridDynamics
 from zeno_orbits.orbits import (
     EventReturn,
     Line,
     Section,
     SectionMode,
     event_return,
+    extrapolated,
     fall_at,
     kept_directions,
     loosened,
@@ -41,10 +42,12 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.simulation import (
     Arc,
+    Completion,
     Impact,
     Release,
     SimulationSettings,
     SwitchEvent,
+    ZenoPoint,
     least_inside,
     state_before,
 )
@@ -97,9 +100,17 @@ class EventReturns:
             raise SimulationError(str(error), time=0.0, state=()) from error
         return graph
 
-    def restitution(self, s: float) -> float:
-        """Return the coefficient of restitution of the first stop at a position on the line."""
-        return self.dynamics(s).first.restitution
+    def restitution(self, s: float, place: int = 0) -> float:
+        """Return the coefficient of restitution of the stop of an event.
+
+        Args:
+            s: Position on the line.
+            place: Index of the event in the event sequence. If it has no stop, the first is meant.
+        """
+        graph = self.dynamics(s)
+        _, _, name = self.section.sequence[place % len(self.section.sequence)].partition(" ")
+        stop = graph.stop_names.index(name) if name in graph.stop_names else 0
+        return graph.view(graph.open_mode, stop).restitution
 
     def moved_to(self, line: Line) -> Self:
         """Return the same map along another line."""
@@ -135,7 +146,24 @@ class EventReturns:
         Raises:
             SimulationError: If the event sequence is another, or the motion does not return.
         """
-        graph, line = self.dynamics(s), self.line
+        graph = self.dynamics(s)
+        found = self.returned(graph, x, horizon=horizon, completion=extrapolated(self.settings))
+        return self.differentiated(graph, found, LazyMargins(lambda: _margins(graph, found)))
+
+    def returned(
+        self, graph: GraphDynamics, x: Vector, *, horizon: float, completion: Completion
+    ) -> EventReturn:
+        """Return the motion from a state of the section to the end of the event sequence.
+
+        Args:
+            graph: The graph of modes.
+            x: The state, ``(n_x,)``.
+            horizon: Longest time to wait [s].
+            completion: Method by which Zeno points are reached. It must resolve the impacts.
+
+        Raises:
+            SimulationError: If the event sequence is another, or the motion does not return.
+        """
         found = event_return(
             graph,
             x,
@@ -143,8 +171,9 @@ class EventReturns:
             n_returns=self.section.n_returns,
             guess=horizon / PATIENCE,
             settings=self.settings,
-            parameters=line.moving,
+            parameters=self.line.moving,
             mode=self.section.mode,
+            completion=completion,
         )
         sequence = sequence_of([orbit_event_name(event) for event in found.events])
         if sequence != self.section.sequence:
@@ -153,13 +182,25 @@ class EventReturns:
                 time=found.period,
                 state=tuple(x.tolist()),
             )
+        return found
+
+    def differentiated(
+        self, graph: GraphDynamics, found: EventReturn, margins: Mapping[Margin, float]
+    ) -> DifferentiatedReturn:
+        """Return a return with its derivatives along the line.
+
+        Args:
+            graph: The graph of modes.
+            found: The return.
+            margins: Its margins.
+        """
         return DifferentiatedReturn(
             time=found.period,
             end=found.end,
             by_state=found.by_state,
-            by_parameter=found.by_parameters @ line.slopes,
-            margins=LazyMargins(lambda: _margins(graph, found)),
-            turns=turns_of_clock(graph.first, x, found.period),
+            by_parameter=found.by_parameters @ self.line.slopes,
+            margins=margins,
+            turns=turns_of_clock(graph.first, found.start, found.period),
         )
 
 
@@ -192,12 +233,66 @@ def _margins(graph: GraphDynamics, found: EventReturn) -> Mapping[Margin, float]
             if rate is not None:
                 loss = Loss.RELEASE_RATE if isinstance(event, Release) else Loss.SWITCH_RATE
                 margins[Margin(loss=loss, place=place)] = rate
+    for contact in contacts_of(found):
+        margins[Margin(loss=Loss.LOCK, place=contact.place)] = contact.duration
     for arc in arcs:
         place = bisect_left(ends, arc.end_time)
         for loss, value in _least_guards(graph, arc):
             key = Margin(loss=loss, place=place)
             margins[key] = min(value, margins.get(key, value))
     return margins
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contact:
+    """A contact phase from a Zeno point to the release of the same stop, without other events.
+
+    Attributes:
+        place: Index of the release in the event sequence.
+        last_impact: The last impact before the Zeno point.
+        zeno: The Zeno point.
+        duration: Time from the Zeno point to the release [s].
+    """
+
+    place: int
+    last_impact: Impact
+    zeno: ZenoPoint
+    duration: float
+
+
+def contacts_of(found: EventReturn) -> list[Contact]:
+    """Return the contact phases of a return that end with a release.
+
+    Args:
+        found: The return. Its first contact phase may begin at its end.
+    """
+    phases = phases_of_events([orbit_event_name(event) for event in found.events])
+    contacts: list[Contact] = []
+    for place, phase in enumerate(phases):
+        # The phase before the first is the last phase of the previous period.
+        *earlier, zeno = [found.events[k] for k in phases[place - 1]]
+        release = found.events[phase[-1]]
+        if not isinstance(release, Release) or not isinstance(zeno, ZenoPoint):
+            continue
+        impact = earlier[-1] if earlier else None
+        if zeno.stop == release.stop and isinstance(impact, Impact):
+            wait = release.time - zeno.time + (0.0 if place else found.period)
+            contacts.append(Contact(place=place, last_impact=impact, zeno=zeno, duration=wait))
+    return contacts
+
+
+def contact_view(graph: GraphDynamics, found: EventReturn, contact: Contact) -> HybridDynamics:
+    """Return the machine with the stop of a contact phase alone, in the mode of that phase.
+
+    Args:
+        graph: The graph of modes.
+        found: The return.
+        contact: One of its contact phases.
+    """
+    after = next(arc for arc in found.execution.arcs if arc.start_time >= contact.zeno.time)
+    stop = graph.stop_names.index(contact.zeno.stop)
+    closed, sides = graph.mode_of(after.closed, after.sides)
+    return graph.view((tuple(k for k in closed if k != stop), sides), stop)
 
 
 def _least_guards(graph: GraphDynamics, arc: Arc) -> list[tuple[Loss, float]]:

@@ -7,7 +7,7 @@ Theory (40).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -91,12 +91,13 @@ def stages(points: Sequence[BranchPoint]) -> list[Stage]:
     return [Stage(z=point.z, margins=point.found.margins) for point in points]
 
 
-def threats(way: Sequence[Stage], restitution: float) -> list[Threat]:
+def threats(way: Sequence[Stage], restitution: Callable[[int], float]) -> list[Threat]:
     """Return the margins that vanish beyond the last stage, the nearest first.
 
     Args:
         way: Neighbours in order, at least two.
-        restitution: Coefficient of restitution at the last stage.
+        restitution: From the place of a margin to the coefficient of restitution of its stop, at
+            the last stage.
     """
     before, last = way[-2], way[-1]
     step = float(np.linalg.norm(last.z - before.z))
@@ -105,14 +106,14 @@ def threats(way: Sequence[Stage], restitution: float) -> list[Threat]:
         earlier = before.margins.get(margin)
         if earlier is None or step == 0.0 or margin.loss is Loss.CUT:
             continue
-        if margin.loss is Loss.ACCELERATION and restitution > 0.0:
+        if margin.loss is Loss.ACCELERATION and restitution(margin.place) > 0.0:
             # It vanishes independently at plastic impacts only.
             continue
         largest = max(stage.margins.get(margin, 0.0) for stage in way)
         if 0.0 < value < min(earlier, _NEARLY * largest):
             power = 1.0
-            if margin.loss is Loss.LOCK and restitution > 0.0:
-                power = 1 / separatrix(restitution).exponent
+            if margin.loss is Loss.LOCK and restitution(margin.place) > 0.0:
+                power = 1 / separatrix(restitution(margin.place)).exponent
             found[margin] = Threat(
                 margin=margin,
                 distance=step / ((earlier / value) ** power - 1),
@@ -207,14 +208,17 @@ Within this distance the curve is reported to end at that zero.
 """
 
 
-def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> str:
+def meeting(
+    way: Sequence[Stage], restitution: Callable[[int], float], within: float = CLOSE
+) -> str:
     """Return a description of the margin that vanishes at the end of a curve of special points.
 
     The end is a point of codimension two. The text is empty if no margin vanishes nearby.
 
     Args:
         way: Points of the curve in order.
-        restitution: Coefficient of restitution at the last point.
+        restitution: From the place of a margin to the coefficient of restitution of its stop, at
+            the last point.
         within: Largest distance ahead.
     """
     found: list[Threat] = []

@@ -187,8 +187,13 @@ class ReturnMap(Protocol):
         """
         ...
 
-    def restitution(self, s: float) -> float:
-        """Return the coefficient of restitution at a position on the line."""
+    def restitution(self, s: float, place: int = 0) -> float:
+        """Return the coefficient of restitution of the stop of a margin.
+
+        Args:
+            s: Position on the line.
+            place: Place of the margin.
+        """
         ...
 
     def loosened(self) -> ReturnMap:
@@ -220,8 +225,9 @@ class SectionReturns:
         """Return the system at a position on the line."""
         return bind(self.compiled, self.line.at(s).tolist())
 
-    def restitution(self, s: float) -> float:
+    def restitution(self, s: float, place: int = 0) -> float:
         """Return the coefficient of restitution at a position on the line."""
+        del place
         return self.dynamics(s).restitution
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
@@ -348,9 +354,9 @@ class OnSection:
         """Return the state of the section nearest to a state."""
         return self.base.projected(x, s, scale)
 
-    def restitution(self, s: float) -> float:
-        """Return the coefficient of restitution at a position on the line."""
-        return self.base.restitution(s)
+    def restitution(self, s: float, place: int = 0) -> float:
+        """Return the coefficient of restitution of the stop of a margin."""
+        return self.base.restitution(s, place)
 
 
 @dataclass(frozen=True, kw_only=True)

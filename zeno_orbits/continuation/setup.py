@@ -24,6 +24,7 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
     Cycle,
     EventOrbit,
+    EventReturn,
     Line,
     SectionMode,
     ZenoOrbit,
@@ -31,7 +32,7 @@ from zeno_orbits.orbits import (
     event_return,
 )
 from zeno_orbits.search import settle
-from zeno_orbits.simulation import SimulationSettings, state_before
+from zeno_orbits.simulation import Release, SimulationSettings, state_before
 
 ONE_RETURN = 1
 
@@ -288,16 +289,12 @@ def start_at_event(
         guess=orbit.period,
         settings=settings.simulation,
     )
+    section, x = _section_of(orbit, found)
     setup = Setup(
         values=values,
         parameter=parameter,
         box=box,
-        section=EventSection(
-            name=orbit.section,
-            n_returns=orbit.n_returns,
-            sequence=orbit.sequence,
-            mode=SectionMode.of(found.execution.arcs[0]),
-        ),
+        section=section,
         metric=FamilyMetric(
             scale=graph.own.not_small(
                 np.max(np.abs([state_before(event) for event in found.events]), axis=0), 1e-9
@@ -308,6 +305,32 @@ def start_at_event(
         simulation=settings.simulation,
     )
     return FamilyStart(setup=setup, x=x, s=s)
+
+
+def _section_of(orbit: EventOrbit, found: EventReturn) -> tuple[EventSection, Vector]:
+    """Return the section of a family, and the state of an orbit on it.
+
+    A period that starts at a Zeno point is started at the release that follows. Where the contact
+    phase vanishes, the family is smooth at the release only, theory (39).
+
+    Args:
+        orbit: The orbit.
+        found: Its return.
+    """
+    name, sequence, first, x = orbit.section, orbit.sequence, 0, found.start
+    release = found.events[0]
+    if isinstance(release, Release) and name == f"zeno {release.stop}":
+        name, sequence = sequence[0], (*sequence[1:], sequence[0])
+        arcs = found.execution.arcs
+        first = next(k for k, arc in enumerate(arcs) if arc.start_time >= release.time)
+        x = np.array(release.state)
+    section = EventSection(
+        name=name,
+        n_returns=sequence.count(name) if first else orbit.n_returns,
+        sequence=sequence,
+        mode=SectionMode.of(found.execution.arcs[first], name),
+    )
+    return section, x
 
 
 def plane_of(

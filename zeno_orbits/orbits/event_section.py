@@ -18,8 +18,10 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits.event_orbit import orbit_event_name
 from zeno_orbits.orbits.looser_run import extrapolated
+from zeno_orbits.orbits.section import RELEASE_ROWS, projected
 from zeno_orbits.simulation import (
     Arc,
+    Completion,
     Ending,
     Event,
     EventShift,
@@ -58,16 +60,25 @@ class SectionMode:
         closed: Names of the closed stops.
         sides: Side of every kink.
         stop: Name of the stop that the event has just left with a speed, or empty.
+        released: Name of the stop that the event has just released, or empty.
     """
 
     closed: tuple[str, ...]
     sides: tuple[bool, ...]
     stop: str
+    released: str = ""
 
     @classmethod
-    def of(cls, first: Arc) -> SectionMode:
-        """Return the mode of the first arc of a motion."""
-        return cls(closed=first.closed, sides=first.sides, stop=first.stop)
+    def of(cls, first: Arc, section: str) -> SectionMode:
+        """Return the mode of the first arc of a motion.
+
+        Args:
+            first: The arc.
+            section: Name of the event at which it starts.
+        """
+        kind, _, name = section.partition(" ")
+        released = name if kind == "release" and name not in first.closed else ""
+        return cls(closed=first.closed, sides=first.sides, stop=first.stop, released=released)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,6 +116,7 @@ def event_return(
     settings: SimulationSettings,
     parameters: Sequence[int] = (),
     mode: SectionMode | None = None,
+    completion: Completion | None = None,
 ) -> EventReturn:
     """Return the n-th next event of a kind after a start, with derivatives.
 
@@ -117,12 +129,14 @@ def event_return(
         settings: Accuracy.
         parameters: Indices in ``p`` of the parameters of the derivatives.
         mode: The mode just after the event, by which the start is projected.
+        completion: Method by which Zeno points are reached. It must resolve the impacts. The
+            default is the extrapolation of the settings.
 
     Raises:
         SimulationError: If the event does not follow within a few times the guess.
     """
     start = x if mode is None else on_section(graph, x, mode)
-    exact, n_x = replace(settings, completion=extrapolated(settings)), len(start)
+    exact, n_x = replace(settings, completion=completion or extrapolated(settings)), len(start)
     execution = simulate(graph, start, until=_WAIT * guess, settings=exact)
     times = _times_of(execution, section, guess)
     if len(times) < n_returns or times[n_returns - 1] == execution.end_time:
@@ -169,15 +183,23 @@ def _times_of(execution: Execution, section: str, guess: float) -> list[float]:
 def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
     """Return a state projected onto its closed stops, and onto the stop that it leaves.
 
+    A release also has the contact force zero.
+
     Args:
         graph: The graph of modes.
         x: The state, ``(n_x,)``.
         mode: The mode just after the event of the section.
+
+    Raises:
+        SimulationError: If there is no release nearby.
     """
     x = _on_constraints(graph, x)
     closed, sides = graph.mode_of(mode.closed, mode.sides)
     for k in closed:
         x = graph.holding((closed, sides), k).on_stop(x)
+    if mode.released and not mode.stop:
+        view = graph.view((closed, sides), graph.stop_names.index(mode.released))
+        return projected(view, RELEASE_ROWS, x, graph.own.states(x.size))
     if mode.stop:
         stop, n_q = graph.stop_names.index(mode.stop), graph.n_q
         view = graph.view((closed, sides), stop)
@@ -274,7 +296,7 @@ def closed_return(
             mode=mode,
         )
         if mode is None:
-            mode = SectionMode.of(found.execution.arcs[0])
+            mode = SectionMode.of(found.execution.arcs[0], section)
         scale, guess = largest_states(found.execution.arcs, graph), found.period
         # A change off the circle of the clock would scale a deviation of its phase to zero.
         keeps = kept_directions(graph, found.start, scale)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -136,7 +137,7 @@ class SecantCurve:
         if trouble == SpecialPointKind.BOUND.value:
             return PathStep(end=trouble)
         way = [Stage(z=spot.at, margins=self._others(spot)) for spot in spots]
-        met = meeting(way, self.setup.restitution_at(spots[-1].at))
+        met = meeting(way, partial(self.setup.restitution_at, spots[-1].at))
         return PathStep(end=met or f"{SpecialPointKind.GAVE_UP.value}: {trouble}")
 
     def _others(self, spot: Spot) -> dict[Margin, float]:
@@ -193,7 +194,10 @@ class SecantCurve:
         self, returns: ReturnMap, z: Vector, last: Spot, across: Vector
     ) -> tuple[Located, tuple[Before, ...]]:
         """Return an end, approached from points at the same distances as the last end."""
-        if self.kind is SpecialPointKind.LOCK_VANISHES and returns.restitution(0.0) > 0.0:
+        if (
+            self.kind is SpecialPointKind.LOCK_VANISHES
+            and returns.restitution(0.0, self.place) > 0.0
+        ):
             along = last.located.point.tangent
             found = locate_cut_near(returns, self.metric, np.append(z, 0.0), along, self.place)
             return found, last.before

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -197,7 +198,7 @@ class _Follower:
     def _meeting(self, points: Sequence[FoldFlipPoint], within: float = CLOSE) -> str:
         """Return a description of a margin that vanishes near the last point, or an empty text."""
         way = [Stage(z=point.z, margins=point.found.margins) for point in points]
-        return meeting(way, self.setup.restitution_at(points[-1].at), within)
+        return meeting(way, partial(self.setup.restitution_at, points[-1].at), within)
 
 
 def _stray(last: FoldFlipPoint, new: FoldFlipPoint) -> float:

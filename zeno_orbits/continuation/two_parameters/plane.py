@@ -94,9 +94,14 @@ class CurveSetup:
         """Return the return map on the line through a point in a direction, both ``(2,)``."""
         return self.returns.moved_to(self.plane.line(at, direction))
 
-    def restitution_at(self, at: Vector) -> float:
-        """Return the coefficient of restitution at a point of the plane, ``(2,)``."""
-        return self.returns_on(at, np.zeros(2)).restitution(0.0)
+    def restitution_at(self, at: Vector, place: int = 0) -> float:
+        """Return the coefficient of restitution of the stop of a margin.
+
+        Args:
+            at: The point of the plane, ``(2,)``.
+            place: Place of the margin.
+        """
+        return self.returns_on(at, np.zeros(2)).restitution(0.0, place)
 
     def report(self, word: str, at: Vector) -> None:
         """Report the progress to a point of the plane, ``(2,)``."""

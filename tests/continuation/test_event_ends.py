@@ -1,0 +1,46 @@
+"""Ends of families of event orbits, against exact flights."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.reference.two_sided_end import accumulates
+from zeno_orbits.continuation import ContinuationSettings, SpecialPointKind, continue_orbit
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.search import find_event_orbit
+
+CLAPPER = load_problem("clapper")
+FORCE = {"amplitude": 5.0, "omega": 0.3, "damping": 0.1}
+
+
+@pytest.mark.slow
+def test_the_contact_phases_of_the_clapper_vanish_where_exact_flights_say() -> None:
+    orbit = find_event_orbit(CLAPPER, CLAPPER.values(parameters={"restitution": 0.8345}))
+    once = ContinuationSettings(doublings=0)
+    (family,) = continue_orbit(CLAPPER, orbit, "restitution", (0.8344, 0.9), settings=once).families
+    end = family.last
+    assert end.kind is SpecialPointKind.LOCK_VANISHES
+    assert end.detail in ("zeno upper and release upper", "zeno lower and release lower")
+    assert end.error < 1e-8
+    width = 10 * end.error + 1e-11
+    assert accumulates(**FORCE, restitution=end.at.value - width)
+    assert not accumulates(**FORCE, restitution=end.at.value + width)
+    # Both contact phases shrink as the power 0.6 of the distance, theory (39).
+    for stop in ("upper", "lower"):
+        times = [point.margins[f"locked time, release {stop}"] for point in family.points]
+        assert times[-1] < times[0]
+
+
+def test_a_family_through_a_contact_phase_starts_at_its_release() -> None:
+    orbit = find_event_orbit(CLAPPER, CLAPPER.values(parameters={"restitution": 0.3}))
+    assert orbit.section.startswith("zeno ")
+    few = ContinuationSettings(doublings=0)
+    box = (0.2999, 0.3001)
+    (family,) = continue_orbit(CLAPPER, orbit, "restitution", box, settings=few).families
+    point = family.points[0]
+    # A release is at rest on a stop, where the force equals that of the spring.
+    assert abs(point.state["place"]) == pytest.approx(1.0, abs=1e-12)
+    assert point.state["speed"] == pytest.approx(0.0, abs=1e-12)
+    force = 5.0 * point.state["cosine"]
+    assert force == pytest.approx(point.state["place"], abs=1e-11)
+    assert max(abs(mu) for mu in point.multipliers) < 1e-9
