@@ -314,7 +314,7 @@ def _told(task: _Task, first: Trial, best: Optimum) -> EventSearchResult:
     corner_costs = [cost.value for cost in trial.costs]
     place = int(np.argmax(corner_costs))
     extents = {bound.name: _extent(trial.points, bound.name) for bound in task.bounds}
-    vanishing = _vanishing(objective, first, trial)
+    vanishing = _vanishing(task, first, trial)
     detail = objection_to(task.bounds, extents)
     orbit = None
     if detail:
@@ -351,17 +351,20 @@ def _extent(points: Sequence[EventPoint], name: str) -> Extent:
     )
 
 
-def _vanishing(objective: Objective, first: Trial, last: Trial) -> dict[str, float]:
-    """Return the impacts whose speed falls to nothing at every corner."""
+def _vanishing(task: _Task, first: Trial, last: Trial) -> dict[str, float]:
+    """Return the impacts that no bound keeps and whose speed falls to nothing at every corner."""
+    objective = task.objective
     if not isinstance(objective, OfImpacts):
         return {}
-    before, after = (
-        [point.impact_speed(objective) for point in trial.points] for trial in (first, last)
-    )
-    speeds = {
-        stop: max(speed.get(stop, 0.0) for speed in after) for stop in before[0] if before[0][stop]
+    begun = first.points[0].impact_speed(objective)
+    ended = [point.impact_speed(objective) for point in last.points]
+    kept = {bound.name for bound in task.bounds if bound.lower > 0.0}
+    speeds = {stop: max(one.get(stop, 0.0) for one in ended) for stop in begun}
+    return {
+        stop: speed
+        for stop, speed in speeds.items()
+        if speed < _VANISHED * begun[stop] and f"{stop}.impact_speed" not in kept
     }
-    return {stop: v for stop, v in speeds.items() if v < _VANISHED * before[0][stop]}
 
 
 def _least_speeds(
