@@ -21,7 +21,7 @@ SAMPLES = 12
 
 @cache
 def _orbit() -> zo.EventOrbit:
-    return zo.find_event_orbit("sampled_pendulum", section="zeno stop", until=25.0)
+    return zo.find_event_orbit("sampled_pendulum", until=25.0)
 
 
 def by_hand(p: Mapping[str, float], first_sample: float) -> Machine:

@@ -414,14 +414,26 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     )
 
 
+def _is_on_guard(graph: GraphDynamics, event: SwitchEvent) -> bool:
+    """Return True if the reset of a declared switch leaves its guard at zero."""
+    k = graph.switch_names.index(event.name)
+    guards, levels, _ = graph.guards(event.state_plus)
+    return bool(abs(guards[k]) <= levels[k])
+
+
 def _sections(execution: Execution, graph: GraphDynamics) -> list[str]:
-    """Return the events that may serve as a section, the best first."""
+    """Return the events that may serve as a section, the best first.
+
+    A switch whose guard is zero after its reset would occur again at the start.
+    """
     declared = graph.switch_names[: graph.n_declared]
     names = list(dict.fromkeys(orbit_event_name(event) for event in execution.events))
     switches = [
         orbit_event_name(event)
         for event in execution.switches
-        if event.name in declared and np.any(event.state_minus != event.state_plus)
+        if event.name in declared
+        and np.any(event.state_minus != event.state_plus)
+        and not _is_on_guard(graph, event)
     ]
     zenos = [name for name in names if name.startswith("zeno ")]
     accumulate = {name.removeprefix("zeno ") for name in zenos}
