@@ -2,8 +2,8 @@
 
     python benchmarks/identification_intervals.py [--seeds 200] [--noise 0.01] [--correlated]
 
-Beside `identification.py`, which looks for every orbit, this one makes of every recording's fit
-only the last step, from the truth: period, alignment, folding, weights, residuals, derivatives and
+Beside `coverage.py`, whose fits look for every orbit, this one makes of every recording's fit only
+the last step, from the truth: period, alignment, folding, weights, residuals, derivatives and
 intervals are those of `identify`, and errors that are straight in the noise do not depend on where
 a fit begins. So the intervals are seen alone, and their errors told from a search that ends
 elsewhere; and the claim of independent noise is beside them.
@@ -20,7 +20,7 @@ from scipy.stats import binom
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from identification import CYCLES, PROBLEM, RATE, SIGNALS, SOUGHT, noise_of
+from coverage import CASES, noise_of
 
 from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.comparison.folding import folded
@@ -34,6 +34,9 @@ from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.search import close_orbit
 
+PROBLEM = "motor_pendulum"
+SIGNALS, SOUGHT = CASES[PROBLEM].signals, CASES[PROBLEM].unknowns
+CYCLES, RATE = 12, 250.0
 TRUTH = (3.06, 0.0303, 0.207)
 """Of what is sought; not the problem's numbers, nor round ones."""
 
