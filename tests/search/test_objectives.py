@@ -25,6 +25,8 @@ from zeno_orbits.search import (
     LeastEnergy,
     LeastPeak,
     MaxPush,
+    MinBounceTime,
+    MinImpactLoss,
     NearestGains,
     Objective,
     Operand,
@@ -251,7 +253,7 @@ def test_every_word_makes_its_objective(problem: Problem) -> None:
         word: one.objective(problem, operand)
         for (word, one), operand in zip(
             OBJECTIVES.items(),
-            [{"Kp": 2.0}, 1.8, 0.5, None, "current", None, None, {"theta2": 1.0}, {}],
+            [{"Kp": 2.0}, 1.8, 0.5, None, "current", None, None, {"theta2": 1.0}, {}, "lower", ""],
             strict=True,
         )
     }
@@ -265,6 +267,8 @@ def test_every_word_makes_its_objective(problem: Problem) -> None:
         "margin": WidestMargin(),
         "push": MaxPush(direction={"theta2": 1.0}),
         "robustness": MaxPush(),
+        "impacts": MinImpactLoss(stop="lower"),
+        "bounce": MinBounceTime(),
     }
 
 
@@ -279,13 +283,17 @@ def test_help_names_every_word_with_its_operand() -> None:
         "margin": Operand.NOTHING,
         "push": Operand.DIRECTION,
         "robustness": Operand.DIRECTION,
+        "impacts": Operand.STOP,
+        "bounce": Operand.STOP,
     }
     assert {one.usage: one.operand for one in OBJECTIVES.values()} == words
     told = objective_help()
     assert told.startswith("nearest (to the problem's gains), nearest:NAME=VALUE,..., period=")
     assert ", peak=SIGNAL (least peak of current, voltage or a state), contraction (" in told
     assert ", margin (widest range of the free values before the orbit is lost), push or " in told
-    assert told.endswith(", or robustness (the same over all corners of the ranges of --uncertain)")
+    assert told.endswith(
+        ", or bounce or bounce=STOP (least time from first impacts to Zeno points, likewise)"
+    )
 
 
 # Objectives, each against a scan by simulation.

@@ -150,7 +150,7 @@ def test_an_orbit_that_some_corner_loses_is_no_answer() -> None:
         (("--objective", "push", "--uncertain", "R=2:3"), "must have --objective robustness"),
         (("--objective", "push:theta3=1"), "must be one of theta1, theta2, but it is `theta3`"),
         (("--objective", "push:theta1=0"), "must have a finite length above zero"),
-        (("--objective", "push=1"), "push or robustness, but it is `push=1`"),
+        (("--objective", "push=1"), "robustness, impacts or bounce, but it is `push=1`"),
         (
             ("--objective", "robustness", "--uncertain", "restitution=0.5:1.5"),
             "--uncertain restitution=0.5:1.5: must lie in [0, 1)",

@@ -45,7 +45,15 @@ GROUPS = {
         *("--trade", "--pushes", "--recovery"),
     ),
     "accuracy": (
-        *("--accuracy", "--tolerance", "--engine", "--truncation", "--model", "--radius"),
+        *(
+            "--accuracy",
+            "--tolerance",
+            "--engine",
+            "--truncation",
+            "--model",
+            "--radius",
+            "--basin",
+        ),
         *("--proof", "--rigorous", "--error", "--decay", "--samples", "--confidence"),
     ),
     "parallel": ("--workers", "--scheduler", "--checkpoint"),

@@ -31,6 +31,7 @@ from .event_section import fall_at as fall_at
 from .event_section import largest_states as largest_states
 from .event_section import on_section as on_section
 from .event_section import closed_return as closed_return
+from .event_section import inverse_of_closing as inverse_of_closing
 from .event_section import event_return as event_return
 from .event_section import multipliers_of_return as multipliers_of_return
 from .event_section import near_return as near_return

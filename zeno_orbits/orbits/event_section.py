@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -43,8 +44,10 @@ _CORRECTIONS, _ON = 6, 1e-15
 _MOST_ITERATIONS = 30
 _EXACT = 3e-14
 """Relative correction below which Newton's method has converged to rounding."""
-_GROWTH = 4.0
-"""A correction that grows by this factor over the best so far ends Newton's method."""
+_ROUNDED = 1e-9
+"""Relative correction below which Newton's method ends at a correction that is not smaller."""
+_SHRINKS = 0.1
+"""Largest ratio of successive corrections with which a derivative serves again."""
 _NEAR = 0.05
 """Relative distance of two states after events, below which a motion nearly repeats."""
 _MOST_RETURNS = 12
@@ -81,9 +84,9 @@ class SectionMode:
         return cls(closed=first.closed, sides=first.sides, stop=first.stop, released=released)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class EventReturn:
-    """A return to a section, and its derivatives.
+    """A return to a section, and its derivatives, which are computed at the first use.
 
     Attributes:
         start: The start, ``(n_x,)``.
@@ -91,9 +94,7 @@ class EventReturn:
         period: Time of the return [s].
         events: Events of the return. The last event ends it.
         execution: The execution, beyond the end of the return.
-        by_state: Derivative of the end with respect to the start, ``(n_x, n_x)``.
-        by_parameters: Derivative of the end with respect to the parameters, ``(n_x, k)``.
-        shifts: Derivatives of every event, with the state before it. Columns: start, parameters.
+        differentiation: Derivatives along executions.
     """
 
     start: Vector
@@ -101,9 +102,40 @@ class EventReturn:
     period: float
     events: tuple[Event, ...]
     execution: Execution
-    by_state: Vector
-    by_parameters: Vector
-    shifts: tuple[EventShift, ...]
+    differentiation: GraphShifts
+
+    @property
+    def by_state(self) -> Vector:
+        """Derivative of the end with respect to the start, ``(n_x, n_x)``."""
+        return self._derivatives[0].state[:, : len(self.start)]
+
+    @property
+    def by_parameters(self) -> Vector:
+        """Derivative of the end with respect to the parameters, ``(n_x, k)``."""
+        return self._derivatives[0].state[:, len(self.start) :]
+
+    @property
+    def shifts(self) -> tuple[EventShift, ...]:
+        """Derivatives of every event, with the state before it. Columns: start, parameters."""
+        return self._derivatives[1]
+
+    @cached_property
+    def _derivatives(self) -> tuple[EventShift, tuple[EventShift, ...]]:
+        """Derivatives of the end, and of every event with the state before it.
+
+        Raises:
+            SimulationError: If an event has no derivative.
+        """
+        befores: list[EventShift] = []
+        for _, before, after in self.differentiation.along(self.execution):
+            befores.append(before)
+            if len(befores) == len(self.events):
+                return after, tuple(befores)
+        raise SimulationError(
+            "The last event of a return lacks a derivative",
+            time=self.period,
+            state=tuple(self.start.tolist()),
+        )
 
 
 def event_return(
@@ -136,7 +168,7 @@ def event_return(
         SimulationError: If the event does not follow within a few times the guess.
     """
     start = x if mode is None else on_section(graph, x, mode)
-    exact, n_x = replace(settings, completion=completion or extrapolated(settings)), len(start)
+    exact = replace(settings, completion=completion or extrapolated(settings))
     execution = simulate(graph, start, until=_WAIT * guess, settings=exact)
     times = _times_of(execution, section, guess)
     if len(times) < n_returns or times[n_returns - 1] == execution.end_time:
@@ -149,25 +181,22 @@ def event_return(
             state=tuple(execution.end_state.tolist()),
         )
     end = times[n_returns - 1]
-    shifts = GraphShifts(graph=graph, chosen=tuple(parameters), tolerance=exact.tolerance)
-    events: list[Event] = []
-    befores: list[EventShift] = []
-    for event, before, shift in shifts.along(execution):
-        events.append(event)
-        befores.append(before)
-        if orbit_event_name(event) == section and event.time == end:
-            return EventReturn(
-                start=start,
-                end=state_after(event),
-                period=end,
-                events=tuple(events),
-                execution=execution,
-                by_state=shift.state[:, :n_x],
-                by_parameters=shift.state[:, n_x:],
-                shifts=tuple(befores),
-            )
-    raise SimulationError(
-        f"The event `{section}` lacks a derivative", time=end, state=tuple(start.tolist())
+    names = [orbit_event_name(event) for event in execution.events]
+    last = next(
+        k
+        for k, (event, name) in enumerate(zip(execution.events, names, strict=True))
+        if name == section and event.time == end
+    )
+    events = tuple(execution.events[: last + 1])
+    return EventReturn(
+        start=start,
+        end=state_after(events[-1]),
+        period=end,
+        events=events,
+        execution=execution,
+        differentiation=GraphShifts(
+            graph=graph, chosen=tuple(parameters), tolerance=exact.tolerance
+        ),
     )
 
 
@@ -283,7 +312,8 @@ def closed_return(
         SimulationError: If Newton's method does not converge, or the motion does not return.
     """
     mode: SectionMode | None = None
-    best, best_size = None, math.inf
+    best, best_size, size = None, math.inf, math.inf
+    inverse: Vector | None = None
     for _ in range(_MOST_ITERATIONS):
         found = event_return(
             graph,
@@ -297,16 +327,19 @@ def closed_return(
         )
         if mode is None:
             mode = SectionMode.of(found.execution.arcs[0], section)
-        scale, guess = largest_states(found.execution.arcs, graph), found.period
-        # A change off the circle of the clock would scale a deviation of its phase to zero.
-        keeps = kept_directions(graph, found.start, scale)
-        matrix = (np.eye(len(x)) - found.by_state) * scale[None, :] / scale[:, None]
-        off = keeps.T @ ((found.end - found.start) / scale)
-        change = scale * (keeps @ np.linalg.lstsq(keeps.T @ matrix @ keeps, off, rcond=1e-12)[0])
+        scale, guess, before = largest_states(found.execution.arcs, graph), found.period, size
+        off = found.end - found.start
+        change = None if inverse is None else inverse @ off
+        if change is None or not np.max(np.abs(change) / scale) < _SHRINKS * before:
+            # A return without derivatives is much cheaper, so a derivative serves while it can.
+            inverse = inverse_of_closing(graph, found)
+            change = inverse @ off
         size = float(np.max(np.abs(change) / scale))
         if size < best_size:
             best, best_size = found, size
-        if size <= _EXACT or (size > _GROWTH * best_size and best_size < 1e-9):
+        elif best_size < _ROUNDED:
+            break
+        if size <= _EXACT:
             break
         if size > 0.5:
             change *= 0.5 / size
@@ -319,6 +352,24 @@ def closed_return(
             state=tuple(x.tolist()),
         )
     return best
+
+
+def inverse_of_closing(graph: GraphDynamics, found: EventReturn) -> Vector:
+    """Return the inverse of the identity minus the derivative of a return, ``(n_x, n_x)``.
+
+    It acts on changes that keep the constraints and the circle of the clock. A direction in which
+    the return is neutral has no change.
+
+    Args:
+        graph: The graph of modes.
+        found: The return.
+    """
+    # States of unlike sizes would hide each other's singular values.
+    scale = largest_states(found.execution.arcs, graph)
+    keeps = kept_directions(graph, found.start, scale)
+    matrix = (np.eye(len(scale)) - found.by_state) * scale[None, :] / scale[:, None]
+    inverse = keeps @ np.linalg.pinv(keeps.T @ matrix @ keeps, rcond=1e-12) @ keeps.T
+    return np.asarray(inverse * scale[:, None] / scale[None, :], dtype=np.float64)
 
 
 def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[complex, ...]:
@@ -414,17 +465,17 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     )
 
 
-def _is_on_guard(graph: GraphDynamics, event: SwitchEvent) -> bool:
-    """Return True if the reset of a declared switch leaves its guard at zero."""
+def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:
+    """Return True if the reset of a declared switch leaves it armed, with its guard at zero."""
     k = graph.switch_names.index(event.name)
-    guards, levels, _ = graph.guards(event.state_plus)
-    return bool(abs(guards[k]) <= levels[k])
+    guards, levels, armed = graph.guards(event.state_plus)
+    return bool(abs(guards[k]) <= levels[k] and armed[k] > 0.0)
 
 
 def _sections(execution: Execution, graph: GraphDynamics) -> list[str]:
     """Return the events that may serve as a section, the best first.
 
-    A switch whose guard is zero after its reset would occur again at the start.
+    A switch that is armed on its guard after its reset would occur again at the start.
     """
     declared = graph.switch_names[: graph.n_declared]
     names = list(dict.fromkeys(orbit_event_name(event) for event in execution.events))
@@ -433,7 +484,7 @@ def _sections(execution: Execution, graph: GraphDynamics) -> list[str]:
         for event in execution.switches
         if event.name in declared
         and np.any(event.state_minus != event.state_plus)
-        and not _is_on_guard(graph, event)
+        and not _is_armed_again(graph, event)
     ]
     zenos = [name for name in names if name.startswith("zeno ")]
     accumulate = {name.removeprefix("zeno ") for name in zenos}

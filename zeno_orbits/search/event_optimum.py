@@ -31,6 +31,10 @@ _ITERATIONS = 25
 """Iterations in one box."""
 _MOST_IN_BOX = 30
 """Number of trials in one box. At an edge of the objective the method would take many."""
+_HEIGHT = 10.0
+"""Unit of the worst case in the program, over its first value. The first quadratic model bends by
+one in every unknown, and with a large unit hardly in this one. A bend would take weight from the
+rows."""
 _PRECISION = 1e-9
 """Change of the objective over its first value, below which the method has converged."""
 _KEPT = 5e-10
@@ -250,19 +254,19 @@ def _in_box(
         return np.append(slope.by, [above]) if several else slope.by
 
     def value(z: Vector) -> float:
-        return float(z[k]) if several else at(z).costs[0].value / size
+        return _HEIGHT * float(z[k]) if several else at(z).costs[0].value / size
 
     def gradient(z: Vector) -> Vector:
-        return np.eye(k + 1)[k] if several else at(z).costs[0].by / size
+        return _HEIGHT * np.eye(k + 1)[k] if several else at(z).costs[0].by / size
 
     def rows(z: Vector) -> Vector:
         here = at(z)
-        under = [z[k] - cost.value / size for cost in here.costs] if several else []
+        under = [_HEIGHT * z[k] - cost.value / size for cost in here.costs] if several else []
         return np.array([*under, *(one.value for one in here.rows)])
 
     def rows_by(z: Vector) -> Vector:
         here = at(z)
-        under = [row(cost.scaled(-1 / size), 1.0) for cost in here.costs] if several else []
+        under = [row(cost.scaled(-1 / size), _HEIGHT) for cost in here.costs] if several else []
         return np.array([*under, *(row(one, 0.0) for one in here.rows)])
 
     def equal(z: Vector) -> Vector:
@@ -276,7 +280,7 @@ def _in_box(
         constraints.append({"type": "ineq", "fun": rows, "jac": rows_by})
     if first.equal:
         constraints.append({"type": "eq", "fun": equal, "jac": equal_by})
-    begin = np.append(first.u, [first.value / size]) if several else first.u
+    begin = np.append(first.u, [first.value / size / _HEIGHT]) if several else first.u
     sides: list[Any] = [*map(tuple, box), *([(None, None)] if several else [])]
     ended, reason = False, ""
     try:

@@ -26,6 +26,7 @@ from zeno_orbits.orbits import (
     Reading,
     StepError,
     closed_return,
+    inverse_of_closing,
     multipliers_of_return,
     orbit_event_name,
 )
@@ -33,8 +34,6 @@ from zeno_orbits.search.event_search import indices_of, settled_return
 from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts
 from zeno_orbits.simulation import SimulationSettings
 
-_RANK = 1e-12
-"""Relative singular value of a return minus the identity that counts as zero."""
 _STEP = 1e-4
 """Difference of a free value for the derivative of a spectral radius, in units of its range."""
 
@@ -96,8 +95,7 @@ class EventPoint:
     @cached_property
     def moved(self) -> Vector:
         """Derivative of its start with respect to the free values, ``(n_x, k)``."""
-        matrix = np.eye(len(self.found.start)) - self.found.by_state
-        moved = np.linalg.lstsq(matrix, self.found.by_parameters, rcond=_RANK)[0]
+        moved = inverse_of_closing(self.graph, self.found) @ self.found.by_parameters
         return np.asarray(moved, dtype=np.float64)
 
     @property
