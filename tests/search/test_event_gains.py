@@ -119,14 +119,6 @@ def test_the_softest_landing_is_the_end_of_a_family_at_which_the_impact_vanishes
     assert found.free["t2"] == pytest.approx(3.48276e-3, abs=2e-6)
     (least,) = found.least_speeds
     assert least.name == "closed.impact_speed"
-    kept = zo.search_event_gains(
-        "relay_soft", objective=zo.MinImpactLoss(stop="closed"), bounds=[least]
-    )
-    assert kept.orbit is not None
-    assert kept.orbit.certificate["passed"]
-    lost = kept.orbit.certificate["quantities"]["closed.energy_lost"][0]
-    # The kinetic energy of the least speed, and the work of the force while it bounces.
-    assert lost == pytest.approx(1.6e-3 * least.lower**2 / 2, rel=0.2)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from zeno_orbits.orbits import (
     objection_to,
     require_event_quantity,
 )
-from zeno_orbits.search.event_optimum import Optimum, Trial, along_edges, least_worst
+from zeno_orbits.search.event_optimum import PRECISION, Optimum, Trial, along_edges, least_worst
 from zeno_orbits.search.event_points import EventPoint, NoEventError, OrbitsOverValues, Slope
 from zeno_orbits.search.event_search import event_orbit_of, settled_return
 from zeno_orbits.search.objectives import (
@@ -43,8 +43,12 @@ from zeno_orbits.verification import OrbitCertificate
 from zeno_orbits.work import Progress, silent
 
 _VANISHED = 1e-2
-"""Part of its first speed below which an impact vanishes: 1e-4 of its energy is left. It is also
-the least speed that is suggested."""
+"""Part of its first speed below which an impact vanishes: 1e-4 of its energy is left."""
+_SUGGESTED = 0.1
+"""Least speed that is suggested, over the first speed. At a slower impact a return amplifies
+errors of the integration too much for a verification."""
+_ROUGH = 1e-3
+"""Precision of an optimum that is only a start."""
 _SMALLEST_SIZE = 1e-2
 """Smallest size of a free value, in units of its range."""
 
@@ -63,7 +67,7 @@ class EventSearchResult:
         mean: Mean of the objective over the corners, ``None`` without uncertain parameters.
         asked: The bounds with the ranges that the orbit reaches.
         vanishing: Speed of each impact that vanishes at the end of the search, by its stop.
-        least_speeds: Bounds that keep a hundredth of the first speeds of these impacts.
+        least_speeds: Bounds that keep a tenth of the first speeds of these impacts.
         n_orbits: Number of orbits that were closed.
         certificate: Certificate of the orbit, ``None`` before a verification.
         detail: Reason why there is no orbit, or why the search ended early.
@@ -236,16 +240,25 @@ class _Task:
             equal.append(self._in_box(points[0].excesses(exact)[0]))
         return Trial(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
 
-    def optimum(self, first: Trial) -> Optimum:
-        """Return the optimum near a first trial.
+    def near(self, first: Trial, *, precision: float = PRECISION) -> Optimum:
+        """Return the optimum near a first trial, up to an edge of the objective.
 
         Args:
             first: The first trial.
+            precision: Change of the objective over its first value, below which it has converged.
         """
-        found = least_worst(self.trial, first)
-        if isinstance(self.objective, OfImpacts):
-            return along_edges(self.trial, found, abs(first.value) or 1.0)
-        return found
+        return least_worst(self.trial, first, precision=precision)
+
+    def finished(self, found: Optimum, first: Trial) -> Optimum:
+        """Return an optimum after a search along edges of the objective.
+
+        Args:
+            found: The optimum up to an edge.
+            first: The first trial of the search.
+        """
+        if not isinstance(self.objective, OfImpacts):
+            return found
+        return along_edges(self.trial, found, abs(first.value) or 1.0)
 
     def _in_box(self, slope: Slope) -> Slope:
         """Return a number with its derivative with respect to the free values in the unit box."""
@@ -282,16 +295,19 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
     except NoEventError as error:
         wanted = "must be about events of the orbit"
         raise InputError(f"Argument `{error.argument}` {wanted}, but {error}.") from error
-    best = task.optimum(first) if task.free else Optimum(trial=first, converged=True)
-    if len(task.corners) > 1 and task.free:
-        best = min((best, *_by_nominal(task, first)), key=lambda one: one.trial.rank)
-    return _told(task, first, best)
+    if not task.free:
+        return _told(task, first, Optimum(trial=first, converged=True))
+    found = [task.near(first)]
+    if len(task.corners) > 1:
+        found += _by_nominal(task, first)
+    best = min(found, key=lambda one: one.trial.rank)
+    return _told(task, first, task.finished(best, first))
 
 
 def _by_nominal(task: _Task, first: Trial) -> list[Optimum]:
     """Return the worst-case optimum near the optimum at the search's own parameters."""
     alone = replace(task, corners=({},))
-    nominal = alone.optimum(
+    nominal = alone.near(
         Trial(
             u=first.u,
             points=first.points[:1],
@@ -299,12 +315,13 @@ def _by_nominal(task: _Task, first: Trial) -> list[Optimum]:
             rows=first.rows[: len(first.rows) // len(task.corners)],
             equal=first.equal[: len(first.equal) // len(task.corners)],
         ),
+        precision=_ROUGH,
     )
     try:
         begin = task.trial(nominal.trial.u)
     except (SimulationError, StepError):
         return []
-    return [task.optimum(begin)]
+    return [task.near(begin)]
 
 
 def _told(task: _Task, first: Trial, best: Optimum) -> EventSearchResult:
@@ -375,7 +392,7 @@ def _least_speeds(
         return ()
     speeds = first.points[0].impact_speed(objective)
     return tuple(
-        Bound(name=f"{stop}.impact_speed", lower=float(f"{_VANISHED * speeds[stop]:.1g}"))
+        Bound(name=f"{stop}.impact_speed", lower=float(f"{_SUGGESTED * speeds[stop]:.1g}"))
         for stop in vanishing
     )
 

@@ -35,7 +35,7 @@ _HEIGHT = 10.0
 """Unit of the worst case in the program, over its first value. The first quadratic model bends by
 one in every unknown, and with a large unit hardly in this one. A bend would take weight from the
 rows."""
-_PRECISION = 1e-9
+PRECISION = 1e-9
 """Change of the objective over its first value, below which the method has converged."""
 _KEPT = 5e-10
 """Violation of a row that counts as none, in units of its bound."""
@@ -183,20 +183,23 @@ class _Refused(Exception):  # noqa: N818 (it ends a method, and is no error)
     """A motion could not be followed."""
 
 
-def least_worst(evaluate: Callable[[Vector], Trial], first: Trial) -> Optimum:
+def least_worst(
+    evaluate: Callable[[Vector], Trial], first: Trial, *, precision: float = PRECISION
+) -> Optimum:
     """Return the least worst value near a first trial.
 
     Args:
         evaluate: Function of the free values in the unit box. It raises `SimulationError` or
             `StepError` where there is no orbit.
         first: The trial at which the search starts.
+        precision: Change of the objective over its first value, below which it has converged.
     """
     reasons: list[str] = []
 
     def advance(trials: Sequence[Trial], half: float) -> PathStep[Trial, bool]:
         best = trials[-1]
         box = np.clip(np.stack([best.u - half, best.u + half], axis=1), 0.0, 1.0)
-        found, ended, reason = _in_box(evaluate, best, box, abs(first.value) or 1.0)
+        found, ended, reason = _in_box(evaluate, best, box, abs(first.value) or 1.0, precision)
         better = found.rank < best.rank
         if reason:
             reasons.append(reason)
@@ -229,7 +232,7 @@ _WHOLE = StepControl(first=1.0, longest=1.0, shortest=1e-3, most=12, growth=2.0,
 
 
 def _in_box(
-    evaluate: Callable[[Vector], Trial], first: Trial, box: Vector, size: float
+    evaluate: Callable[[Vector], Trial], first: Trial, box: Vector, size: float, precision: float
 ) -> tuple[Trial, bool, str]:
     """Return the best trial in a box, whether the method converged, and why a motion failed."""
     # SciPy's optimizers take a while to import.
@@ -291,7 +294,7 @@ def _in_box(
             bounds=sides,
             constraints=constraints,
             method="SLSQP",
-            options={"maxiter": _ITERATIONS, "ftol": _PRECISION},
+            options={"maxiter": _ITERATIONS, "ftol": precision},
         )
         ended = bool(solved.success)
     except _Refused as error:
