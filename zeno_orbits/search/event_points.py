@@ -137,7 +137,7 @@ class EventPoint:
         readings = [one for name in names for one in self.quantities.readings(name)]
         if not self.impact_speed(objective) or not readings:
             where = f"on `{objective.stop}`" if objective.stop else "on any stop"
-            raise NoEventError("objective", f"the orbit has no {objective.what} {where}")
+            raise NoEventError("objective", f"the orbit lacks {objective.what} {where}")
         total = self.slope(readings[0])
         for one in readings[1:]:
             total += self.slope(one)
@@ -154,7 +154,7 @@ class EventPoint:
         """
         slopes = [self.slope(one) for one in self.quantities.readings(bound.name)]
         if not slopes:
-            raise NoEventError("keep", f"the orbit has no `{bound.name}`")
+            raise NoEventError("keep", f"`{bound.name}` does not occur in the orbit")
         rows: list[Slope] = []
         if np.isfinite(bound.lower):
             least = min(slopes, key=lambda one: one.value)
