@@ -78,7 +78,7 @@ def test_bounds_that_no_orbit_keeps_are_named_with_their_excess() -> None:
 
 
 def test_an_orbit_without_the_events_of_an_objective_is_refused() -> None:
-    with pytest.raises(zo.InputError, match=r"`objective` must be about events .* bounce time"):
+    with pytest.raises(zo.InputError, match=r"`objective` must be about events .* `bounce_time`"):
         _search({"a": (5.0, 40.0)}, objective=zo.MinBounceTime())
     with pytest.raises(zo.InputError, match=r"`keep` must be about events .* `stop.zeno_time`"):
         _search({"a": (5.0, 40.0)}, bounds=[zo.Bound(name="stop.zeno_time", upper=1.0)])

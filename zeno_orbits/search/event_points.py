@@ -137,7 +137,7 @@ class EventPoint:
         readings = [one for name in names for one in self.quantities.readings(name)]
         if not self.impact_speed(objective) or not readings:
             where = f"on `{objective.stop}`" if objective.stop else "on any stop"
-            raise NoEventError("objective", f"the orbit lacks {objective.what} {where}")
+            raise NoEventError("objective", f"`{objective.quantity}` does not occur {where}")
         total = self.slope(readings[0])
         for one in readings[1:]:
             total += self.slope(one)

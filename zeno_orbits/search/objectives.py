@@ -528,7 +528,7 @@ class MinBounceTime(OfImpacts):
     @property
     def what(self) -> str:
         """The quantity in words."""
-        return "a bounce time"
+        return "bounce time"
 
 
 def corners_of(uncertain: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
