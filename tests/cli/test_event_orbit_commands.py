@@ -143,7 +143,7 @@ def test_search_says_no_if_no_orbit_keeps_a_bound() -> None:
         (["--bound", "stop.impacts=:1"], "--bound", "bound a speed"),
         (["--uncertain", "s=0.1:0.2"], "--uncertain", "robustness, impacts or bounce"),
         (["--objective", "impacts", "--uncertain", "w=1:2"], "--uncertain", "`w`"),
-        (["--objective", "bounce"], "--objective", "no time of bouncing"),
+        (["--objective", "bounce"], "--objective", "`bounce_time` does not occur"),
         (["--set", "a=50"], "--set", "[5, 40]"),
     ],
 )
