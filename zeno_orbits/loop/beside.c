@@ -35,35 +35,6 @@ static void prepare_beside(const Machine *m) {
         }
 }
 
-/* Keep what tells a run at the start of an arc, besides the start itself. */
-static void keep_place(zl_run *run) {
-    zl_place *place = &run->place;
-    place->window = run->window;
-    place->in_sequence = run->in_sequence;
-    place->first_impact = run->first_impact;
-    place->n_estimates = run->n_estimates;
-    place->n_steps = run->n_steps;
-    place->next_look = run->next_look;
-    place->n_looks = run->n_looks;
-    place->which = run->which;
-    place->fastest = run->fastest;
-    memcpy(place->looks, run->looks, sizeof place->looks);
-}
-
-static void restore_place(zl_run *run) {
-    const zl_place *place = &run->place;
-    run->window = place->window;
-    run->in_sequence = place->in_sequence;
-    run->first_impact = place->first_impact;
-    run->n_estimates = place->n_estimates;
-    run->n_steps = place->n_steps;
-    run->next_look = place->next_look;
-    run->n_looks = place->n_looks;
-    run->which = place->which;
-    run->fastest = place->fastest;
-    memcpy(run->looks, place->looks, sizeof place->looks);
-}
-
 /* Formulas of all switches at a state, and their rounding levels. */
 static void switches_at(const Machine *m, const double *x, double *formulas, double *levels) {
     const zl_beside *beside = m->problem->beside;

@@ -83,19 +83,39 @@ class BesideType(ctypes.Structure):
     ]
 
 
-class PlaceType(ctypes.Structure):
-    """Where a run stands between two arcs: ``zl_place``."""
+class StartType(ctypes.Structure):
+    """Where the next arc starts: ``zl_start``."""
 
     _fields_ = [
-        *((name, _number) for name in ("time", "speed", "lift", "window", "quiet")),
-        *((name, _number) for name in ("first_speed", "fastest")),
-        *((name, _number * MOST) for name in ("state", "plus", "resting", "rate", "sizes")),
-        ("rounding", _number * GUARDS),
+        *((name, _count) for name in ("mode", "has_speed", "has_impact")),
+        *((name, _number) for name in ("time", "speed", "lift")),
+        *((name, _number * MOST) for name in ("state", "plus", "resting", "rate")),
+    ]
+
+
+class PaceType(ctypes.Structure):
+    """What an arc changes of a run while it is followed: ``zl_pace``."""
+
+    _fields_ = [
+        *((name, _number) for name in ("window", "fastest")),
         ("looks", _number * (3 * LOOKS)),
-        *((name, _count) for name in ("mode", "has_speed", "has_impact", "in_sequence")),
-        *((name, _count) for name in ("first_impact", "n_impacts", "n_landings", "n_releases")),
-        *((name, _count) for name in ("n_arcs", "n_estimates", "n_steps", "next_look")),
-        *((name, _count) for name in ("n_looks", "which", "fallen", "single")),
+        *((name, _count) for name in ("in_sequence", "first_impact", "n_estimates")),
+        *((name, _count) for name in ("n_steps", "next_look", "n_looks", "which")),
+    ]
+
+
+class PlaceType(ctypes.Structure):
+    """Where a run stands between two arcs: ``zl_place``. It has the fields of its parts."""
+
+    _anonymous_ = ("start", "pace")
+    _fields_ = [
+        ("start", StartType),
+        ("pace", PaceType),
+        *((name, _number) for name in ("quiet", "first_speed")),
+        ("sizes", _number * MOST),
+        ("rounding", _number * GUARDS),
+        *((name, _count) for name in ("n_impacts", "n_landings", "n_releases", "n_arcs")),
+        *((name, _count) for name in ("fallen", "single")),
     ]
 
 

@@ -365,9 +365,9 @@ static void keep_fastest(const Machine *m, const double *y) {
             fastest = fabs(y[n_q + i]);
             which = i;
         }
-    if (!(fastest <= run->fastest)) {
-        run->fastest = fastest;
-        run->which = which;
+    if (!(fastest <= run->pace.fastest)) {
+        run->pace.fastest = fastest;
+        run->pace.which = which;
     }
 }
 
@@ -376,22 +376,22 @@ static int look_at_pace(const Machine *m, double time) {
     zl_run *run = m->run;
     double passed, steps, needed;
     long long i;
-    Look *looks = run->looks;
-    run->next_look *= 2;
-    if (run->n_looks == ZL_LOOKS) memmove(looks, looks + 1, (ZL_LOOKS - 1) * sizeof *looks);
-    if (run->n_looks < ZL_LOOKS) run->n_looks++;
-    looks[run->n_looks - 1].steps = (double)run->n_steps;
-    looks[run->n_looks - 1].time = time;
-    looks[run->n_looks - 1].speed = run->fastest;
-    run->fastest = 0.0;
-    if (run->n_looks < ZL_LOOKS) return ZL_DONE;
+    zl_look *looks = run->pace.looks;
+    run->pace.next_look *= 2;
+    if (run->pace.n_looks == ZL_LOOKS) memmove(looks, looks + 1, (ZL_LOOKS - 1) * sizeof *looks);
+    if (run->pace.n_looks < ZL_LOOKS) run->pace.n_looks++;
+    looks[run->pace.n_looks - 1].steps = (double)run->pace.n_steps;
+    looks[run->pace.n_looks - 1].time = time;
+    looks[run->pace.n_looks - 1].speed = run->pace.fastest;
+    run->pace.fastest = 0.0;
+    if (run->pace.n_looks < ZL_LOOKS) return ZL_DONE;
     for (i = 1; i < ZL_LOOKS; i++)
         if (looks[i].speed < RISE * looks[i - 1].speed) return ZL_DONE;
     steps = looks[ZL_LOOKS - 1].steps - looks[ZL_LOOKS - 2].steps;
     passed = time - looks[ZL_LOOKS - 2].time;
     needed = passed > 0.0 ? (run->settings.until - time) * steps / passed : INFINITY;
-    if (!((double)run->n_steps + needed > (double)run->settings.most_steps)) return ZL_DONE;
-    run->detail.index = m->problem->n_q + run->which;
+    if (!((double)run->pace.n_steps + needed > (double)run->settings.most_steps)) return ZL_DONE;
+    run->detail.index = m->problem->n_q + run->pace.which;
     run->detail.number = needed;
     run->detail.steps = steps;
     return ZL_GROWS;
@@ -404,10 +404,10 @@ static int watch(const Machine *m, const double *y) {
     double time = leg->start_time + leg->unit * leg->time, largest = -INFINITY;
     int status = ZL_DONE;
     long long i;
-    run->n_steps++;
+    run->pace.n_steps++;
     keep_fastest(m, y);
-    if (run->n_steps >= run->next_look) status = look_at_pace(m, time);
-    if (status == ZL_DONE && run->n_steps > run->settings.most_steps) status = ZL_MANY_STEPS;
+    if (run->pace.n_steps >= run->pace.next_look) status = look_at_pace(m, time);
+    if (status == ZL_DONE && run->pace.n_steps > run->settings.most_steps) status = ZL_MANY_STEPS;
     if (status == ZL_DONE) {
         for (i = 0; i < m->problem->n_q; i++) {
             double part = fabs(y[i]) / run->settings.reach[i];

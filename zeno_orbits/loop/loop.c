@@ -53,7 +53,7 @@ int zl_begin(const zl_problem *problem, zl_run *run, const zl_settings *settings
     memcpy(run->start.state, x, (size_t)problem->n_x * sizeof(double));
     run->small_gap = settings->contact * settings->gap;
     run->small_rate = settings->contact * settings->gap_rate;
-    run->next_look = FIRST_PACE;
+    run->pace.next_look = FIRST_PACE;
     run->stage = BEFORE;
     run->refused = -1.0;
     return ZL_DONE;
@@ -190,19 +190,9 @@ void zl_evaluate(const zl_problem *problem, zl_run *run, int tape, const double 
 }
 
 void zl_put(zl_run *run, const zl_place *place) {
-    Start *start = &run->start;
     run->place = *place;
-    start->mode = place->mode;
-    start->time = place->time;
-    start->has_speed = place->has_speed;
-    start->has_impact = place->has_impact;
-    start->speed = place->speed;
-    start->lift = place->lift;
-    memcpy(start->state, place->state, sizeof start->state);
-    memcpy(start->plus, place->plus, sizeof start->plus);
-    memcpy(start->resting, place->resting, sizeof start->resting);
-    memcpy(start->rate, place->rate, sizeof start->rate);
-    restore_place(run);
+    run->start = place->start;
+    run->pace = place->pace;
     run->first_speed = place->first_speed;
     run->n_impacts = place->n_impacts;
     run->n_landings = place->n_landings;
@@ -213,18 +203,8 @@ void zl_put(zl_run *run, const zl_place *place) {
 }
 
 void zl_where(const zl_run *run, zl_place *place) {
-    const Start *start = &run->start;
     *place = run->place;
-    place->mode = start->mode;
-    place->time = start->time;
-    place->has_speed = start->has_speed;
-    place->has_impact = start->has_impact;
-    place->speed = start->speed;
-    place->lift = start->lift;
-    memcpy(place->state, start->state, sizeof start->state);
-    memcpy(place->plus, start->plus, sizeof start->plus);
-    memcpy(place->resting, start->resting, sizeof start->resting);
-    memcpy(place->rate, start->rate, sizeof start->rate);
+    place->start = run->start;
     place->first_speed = run->first_speed;
     place->n_impacts = run->n_impacts;
     place->n_landings = run->n_landings;

@@ -139,20 +139,37 @@ typedef struct {
     long long n_state, index;
 } zl_detail;
 
+/* Where the next arc starts. Without a speed it is no rescaled flight. */
+typedef struct {
+    long long mode, has_speed, has_impact;
+    double time, speed, lift;
+    double state[ZL_MOST], plus[ZL_MOST], resting[ZL_MOST], rate[ZL_MOST];
+} zl_start;
+
+typedef struct {
+    double steps, time, speed;
+} zl_look;
+
+/* What an arc changes of a run while it is followed. The window is the time in which the next event
+   is looked for first, and `fastest` the largest velocity since the last look at the pace. */
+typedef struct {
+    double window, fastest;
+    zl_look looks[ZL_LOOKS];
+    long long in_sequence, first_impact, n_estimates, n_steps, next_look, n_looks, which;
+} zl_pace;
+
 /* Where a run stands between two arcs, if it has guards beside that of a stop. */
 typedef struct {
-    double time, speed, lift, window, quiet, first_speed, fastest;
-    double state[ZL_MOST], plus[ZL_MOST], resting[ZL_MOST], rate[ZL_MOST];
+    zl_start start;
+    zl_pace pace;
+    double quiet, first_speed;
     double sizes[ZL_MOST], rounding[ZL_GUARDS];
-    double looks[3 * ZL_LOOKS]; /* steps, time and largest speed of each */
-    long long mode, has_speed, has_impact, in_sequence, first_impact;
-    long long n_impacts, n_landings, n_releases, n_arcs, n_estimates;
-    long long n_steps, next_look, n_looks, which;
+    long long n_impacts, n_landings, n_releases, n_arcs;
     long long fallen; /* guard beside that of the stop whose event it is, or -1 */
     long long single; /* one arc is followed; every event is the caller's */
 } zl_place;
-/* The window is the time in which the next event is looked for first. Before the time `quiet` no
-   Zeno point is accepted. `sizes` and `rounding` are those of switches and of other guards. */
+/* Before the time `quiet` no Zeno point is accepted. `sizes` and `rounding` are those of switches
+   and of other guards. */
 
 typedef struct zl_run zl_run;
 

@@ -111,7 +111,7 @@ static void reach(const Machine *m, const Limit *limit, double last_time, double
 /* Apply the reset map and see what follows it. */
 static int impact(const Machine *m, double time, const double *before, double approach) {
     zl_run *run = m->run;
-    Start *start = &run->start;
+    zl_start *start = &run->start;
     const zl_settings *settings = &run->settings;
     const size_t n_x = (size_t)m->problem->n_x, bytes = n_x * sizeof(double);
     const double told[3] = {approach, 0.0, 0.0};
@@ -165,7 +165,7 @@ static int impact(const Machine *m, double time, const double *before, double ap
 
 /* Apply the impact at the end of a flight, or fly on from a graze. */
 static int landing(const Machine *m, double time, const double *state, double rate) {
-    Start *start = &m->run->start;
+    zl_start *start = &m->run->start;
     if (!(rate > 0.0)) return impact(m, time, state, rate);
     m->run->stage = AT_START;
     start->mode = ZL_FREE;
@@ -189,7 +189,7 @@ static void start_on_stop(const Machine *m, double time, const double *x) {
 static int start_leg_at(const Machine *m, int mode, double unit, double launch, double rounding,
                         double absolute, int on_guard) {
     zl_run *run = m->run;
-    const Start *start = &run->start;
+    const zl_start *start = &run->start;
     const zl_settings *settings = &run->settings;
     double y[ZL_MOST];
     memcpy(y, start->state, (size_t)m->problem->n_x * sizeof(double));
@@ -202,7 +202,7 @@ static int start_leg_at(const Machine *m, int mode, double unit, double launch, 
     run->leg.on_guard = on_guard;
     run->leg.rounding = rounding;
     run->limit = settings->until;
-    if (m->problem->beside) run->limit = lesser(settings->until, start->time + run->window);
+    if (m->problem->beside) run->limit = lesser(settings->until, start->time + run->pace.window);
     if (!begin_leg(m, mode, unit, y, (run->limit - start->time) / unit, settings->relative,
                    absolute)) {
         run->leg.time = 0.0;
@@ -274,7 +274,7 @@ static int leave_leg(const Machine *m) {
 /* Leave the event at the end of a leg to the caller. */
 static int leave_event(const Machine *m, int ending, double time) {
     write_leg(m, ending, time);
-    keep_place(m->run);
+    m->run->place.pace = m->run->pace;
     return ZL_EVENT;
 }
 
@@ -287,12 +287,12 @@ static int end_leg(const Machine *m, int outcome) {
     if (m->problem->beside) {
         if (outcome == LEG_AT_HORIZON && run->limit < run->settings.until) {
             /* Not yet over: the leg is followed again, to a later end. */
-            run->window *= GROW;
+            run->pace.window *= GROW;
             return start_leg_at(m, (int)leg->mode, leg->unit, leg->launch, leg->rounding,
                                 leg->absolute, (int)run->begins_on_guard);
         }
         if (outcome != LEG_AT_HORIZON) {
-            run->window = greater(GROW * (time - leg->start_time), SHORTEST * run->settings.time);
+            run->pace.window = greater(GROW * (time - leg->start_time), SHORTEST * run->settings.time);
             if (!ends_alone(m)) return ZL_BESIDE;
         }
         if (outcome == LEG_FELL && run->place.single)
@@ -348,13 +348,13 @@ static int accepted(const Machine *m, const Limit *limit) {
 /* Start the flight after an impact, unless the impacts so far tell their Zeno point. */
 static int start_flight(const Machine *m) {
     zl_run *run = m->run;
-    const Start *start = &run->start;
+    const zl_start *start = &run->start;
     Limit limit;
     int found = NO_LIMIT;
-    if (!run->in_sequence) {
-        run->in_sequence = 1;
-        run->first_impact = run->n_impacts;
-        run->n_estimates = 0;
+    if (!run->pace.in_sequence) {
+        run->pace.in_sequence = 1;
+        run->pace.first_impact = run->n_impacts;
+        run->pace.n_estimates = 0;
     }
     if (run->stage == AT_CURVE) {
         if (run->answered) {
@@ -364,13 +364,13 @@ static int start_flight(const Machine *m) {
             found = LIMIT;
         }
     } else if (start->has_impact) {
-        if (run->n_estimates == m->records->most_estimates) return ZL_ESTIMATES;
-        if (run->n_estimates && start->speed >= speed_of(m, run->n_estimates - 1))
-            run->n_estimates = 0;
+        if (run->pace.n_estimates == m->records->most_estimates) return ZL_ESTIMATES;
+        if (run->pace.n_estimates && start->speed >= speed_of(m, run->pace.n_estimates - 1))
+            run->pace.n_estimates = 0;
         if (add_estimate(m))
             found = limit_by_rule(m, &limit);
         else
-            run->n_estimates = 0;
+            run->pace.n_estimates = 0;
     }
     if (found == CURVE) {
         run->stage = AT_CURVE;
@@ -381,7 +381,7 @@ static int start_flight(const Machine *m) {
         int status = accepted(m, &limit);
         if (status != NO_LIMIT) return status;
     }
-    if (run->n_impacts - run->first_impact > run->settings.most_impacts) {
+    if (run->n_impacts - run->pace.first_impact > run->settings.most_impacts) {
         run->detail.time = start->time;
         run->detail.n_state = m->problem->n_x;
         memcpy(run->detail.state, start->state, sizeof start->state);
@@ -395,11 +395,11 @@ static int start_phase(const Machine *m) {
     zl_run *run = m->run;
     const double *x = run->start.state;
     double gap[2];
-    if (m->problem->beside) keep_place(run);
+    if (m->problem->beside) run->place.pace = run->pace;
     if (run->place.single && run->start.has_speed)
         return start_leg(m, ZL_FLIGHT, 1 / run->settings.gap_acceleration, 1);
     if (run->start.has_speed) return start_flight(m);
-    run->in_sequence = 0;
+    run->pace.in_sequence = 0;
     if (run->start.mode == ZL_LOCKED)
         return start_leg(m, ZL_LOCKED, run->settings.multiplier,
                          is_slack(m, x, number_at(m, ZL_LIFT, x)));
@@ -410,7 +410,7 @@ static int start_phase(const Machine *m) {
 /* The first start, from an admissible state. An impact at once is the next thing to happen. */
 static int admit(const Machine *m) {
     zl_run *run = m->run;
-    Start *start = &run->start;
+    zl_start *start = &run->start;
     double x[ZL_MOST], gap[2];
     memcpy(x, start->state, sizeof x);
     evaluate_at(m, ZL_GAP, x, gap);
@@ -465,7 +465,7 @@ static int advance(const Machine *m) {
     status = do_next(m);
     if (status == GO_ON || status == ZL_DONE || status == ZL_ESTIMATES || status == ZL_EVENT)
         return status;
-    restore_place(run);
+    run->pace = run->place.pace;
     run->stage = AT_START;
     return status == ZL_OTHER_SIDE ? status : ZL_BESIDE;
 }

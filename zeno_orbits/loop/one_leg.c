@@ -7,7 +7,7 @@ int zl_begin_leg(const zl_problem *problem, zl_run *run, const zl_settings *sett
     const int status = zl_begin(problem, run, settings, p, y);
     const Machine m = machine_of(problem, run, 0);
     if (status != ZL_DONE) return status;
-    run->next_look = INT64_MAX;
+    run->pace.next_look = INT64_MAX;
     run->leg.on_guard = on_guard;
     run->leg.rounding = rounding;
     if (!begin_leg(&m, ZL_FREE, 1.0, y, settings->until, settings->relative, settings->absolute)) {

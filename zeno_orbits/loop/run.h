@@ -17,17 +17,6 @@ typedef struct {
 
 enum { BEFORE, AT_START, IN_LEG, AT_CURVE, OVER };
 
-/* Where the next arc starts. Without a speed it is no rescaled flight. */
-typedef struct {
-    long long mode, has_speed, has_impact;
-    double time, speed, lift;
-    double state[ZL_MOST], plus[ZL_MOST], resting[ZL_MOST], rate[ZL_MOST];
-} Start;
-
-typedef struct {
-    double steps, time, speed;
-} Look;
-
 /* A guard beside that of the stop, in the present leg: at the start of a step, and its rounding. */
 typedef struct {
     long long on_guard;
@@ -36,22 +25,19 @@ typedef struct {
 
 struct zl_run {
     zl_settings settings;
-    Start start;
+    zl_start start;
+    zl_pace pace;
     Leg leg;
-    Look looks[ZL_LOOKS];
     zl_detail detail;
     double small_gap, small_rate, first_speed, spread[ZL_MODES];
     double answer_time, answer_error, answer[ZL_MOST];
-    double fastest; /* velocity since the last look at the pace */
     double refused; /* time of the last start in a mode that could not be followed */
     zl_detail first_detail; /* of the leg that a hop stands for */
     long long in_hop;
-    long long stage, in_sequence, answered, first_impact;
-    long long n_impacts, n_landings, n_releases, n_arcs, n_estimates;
-    long long n_steps, next_look, n_looks, which, n_rows, n_polynomials;
+    long long stage, answered, n_impacts, n_landings, n_releases, n_arcs, n_rows, n_polynomials;
     long long has_jacobian[ZL_MODES], has_lanes[ZL_MODES];
     zl_place place;     /* at the start of the present arc */
-    double window, limit; /* of the present leg; the latter is its latest end */
+    double limit; /* latest end of the present leg */
     double fall; /* of the guard that falls first, from the start of the step */
     long long begins_on_guard;
     Watched watched[ZL_GUARDS];

@@ -628,7 +628,7 @@ static double *shift_of(const Tangent *t, double *shifts, long long arc, int whi
 /* Join an impact to its sequence, or begin a new one. */
 static void joined(const Tangent *t, double time, const double *event) {
     zl_run *run = t->m.run;
-    Start *start = &run->start;
+    zl_start *start = &run->start;
     const size_t bytes = (size_t)t->n_x * sizeof(double);
     double outputs[2 * ZL_MOST + 1];
     evaluate_at(&t->m, ZL_REBOUND, event + 2, &start->speed);
@@ -637,9 +637,9 @@ static void joined(const Tangent *t, double time, const double *event) {
     start->lift = outputs[t->n_x];
     memcpy(start->resting, outputs, bytes);
     memcpy(start->rate, outputs + t->n_x + 1, bytes);
-    if (run->n_estimates && start->speed >= speed_of(&t->m, run->n_estimates - 1))
-        run->n_estimates = 0;
-    if (!add_estimate(&t->m)) run->n_estimates = 0;
+    if (run->pace.n_estimates && start->speed >= speed_of(&t->m, run->pace.n_estimates - 1))
+        run->pace.n_estimates = 0;
+    if (!add_estimate(&t->m)) run->pace.n_estimates = 0;
 }
 
 /* How the first-order Zeno point of an impact moves: time, nothing, state. */
@@ -704,7 +704,7 @@ static const double *event_row(const Tangent *t, long long event) {
 /* The Zeno point of the sequence whose last impact is an event that ends an arc. */
 static void limit_shift(const Tangent *t, double *shifts, const double *zeno, long long event,
                         long long arc, double *to) {
-    const long long last = t->m.run->n_estimates - 1;
+    const long long last = t->m.run->pace.n_estimates - 1;
     const double *moves[N_NODES];
     double speeds[N_NODES] = {0.0}, weights[N_NODES], *one = t->slopes;
     long long nodes[N_NODES];
@@ -755,10 +755,10 @@ static int locked_start(const Tangent *t, double *shifts, long long arc, long lo
     double *start = shift_of(t, shifts, arc, 0);
     while (*event < t->track->n_events && event_row(t, *event)[0] == ZL_IMPACT) ++*event;
     if (event_at(t, *event, ZL_ZENO, arc_row(t, arc)[1]) < 0) return arc == first;
-    if (t->m.run->n_estimates == 0) return 0;
+    if (t->m.run->pace.n_estimates == 0) return 0;
     limit_shift(t, shifts, event_row(t, *event), struck_last, arc_last, start);
     ++*event;
-    t->m.run->n_estimates = 0;
+    t->m.run->pace.n_estimates = 0;
     return 1;
 }
 
@@ -772,7 +772,7 @@ long long zl_follow(const zl_problem *problem, const zl_tangent *tangent, zl_run
     t = tangent_of(problem, tangent, run, track, &records);
     size = (T_STATE + t.n_x) * t.width;
     prepare_all(&t);
-    run->n_estimates = 0;
+    run->pace.n_estimates = 0;
     for (arc = first; arc < track->n_arcs; arc++) {
         const double *row = arc_row(&t, arc);
         const int mode = (int)row[0], ending = (int)row[5];

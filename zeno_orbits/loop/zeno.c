@@ -69,7 +69,7 @@ static void limit_of(const Machine *m, const long long *nodes, int n, Limit *lim
 /* The extrapolated limit, not yet moved onto the stop, and the estimate of its error. */
 static void combine(const Machine *m, Limit *limit) {
     const zl_settings *settings = &m->run->settings;
-    const long long last = m->run->n_estimates - 1;
+    const long long last = m->run->pace.n_estimates - 1;
     long long nodes[N_NODES], earlier[N_NODES];
     int n = spread_nodes(m, last, nodes), i;
     Limit before;
@@ -95,7 +95,7 @@ static void to_stop(const Machine *m, const double *x, double *state) {
 /* The limit as far as extrapolation tells it; 0 if more impacts have to be resolved. */
 static int extrapolated(const Machine *m, Limit *limit) {
     const zl_settings *settings = &m->run->settings;
-    const double *last = estimate_of(m, m->run->n_estimates - 1);
+    const double *last = estimate_of(m, m->run->pace.n_estimates - 1);
     if (last[E_SPEED] > settings->resolved * m->run->first_speed) return 0;
     combine(m, limit);
     if (limit->error > settings->limit_tolerance) return 0;
@@ -106,7 +106,7 @@ static int extrapolated(const Machine *m, Limit *limit) {
 /* Flights that a sequence still needs impact by impact, about. */
 static double flights_left(const Machine *m) {
     const zl_settings *settings = &m->run->settings;
-    double speed = speed_of(m, m->run->n_estimates - 1), left;
+    double speed = speed_of(m, m->run->pace.n_estimates - 1), left;
     if (settings->restitution == 0.0 || speed == 0.0) return 0.0;
     left = log(settings->resolved * m->run->first_speed / speed) / log(settings->restitution);
     left = nearbyint(left);
@@ -149,7 +149,7 @@ static int is_settled(const Machine *m, long long n) {
 
 /* Whether the curve is worth a try after the last impact. */
 static int curve_is_due(const Machine *m) {
-    const long long n = m->run->n_estimates;
+    const long long n = m->run->pace.n_estimates;
     const double *last = estimate_of(m, n - 1);
     double state[ZL_MOST];
     long long tries = FIRST_TRY;
@@ -167,7 +167,7 @@ enum { NO_LIMIT, LIMIT, CURVE };
 static int limit_by_rule(const Machine *m, Limit *limit) {
     zl_run *run = m->run;
     const zl_settings *settings = &run->settings;
-    const double *last = estimate_of(m, run->n_estimates - 1);
+    const double *last = estimate_of(m, run->pace.n_estimates - 1);
     switch (settings->completion) {
     case ZL_TRUNCATION:
         if (last[E_SPEED] >= settings->restitution * settings->delta) return NO_LIMIT;
@@ -177,14 +177,14 @@ static int limit_by_rule(const Machine *m, Limit *limit) {
                (size_t)m->problem->n_x * sizeof(double));
         return LIMIT;
     case ZL_PLASTIC_AFTER:
-        if ((double)run->n_estimates < settings->n_fixed) return NO_LIMIT;
+        if ((double)run->pace.n_estimates < settings->n_fixed) return NO_LIMIT;
         limit->time = last[E_IMPACT];
         limit->error = 0.0;
         memcpy(limit->state, last + ZL_ESTIMATE_WIDTH,
                (size_t)m->problem->n_x * sizeof(double));
         return LIMIT;
     case ZL_FIXED_IMPACTS:
-        if ((double)run->n_estimates < settings->n_fixed) return NO_LIMIT;
+        if ((double)run->pace.n_estimates < settings->n_fixed) return NO_LIMIT;
         combine(m, limit);
         to_stop(m, limit->state, limit->state);
         return LIMIT;
@@ -203,9 +203,9 @@ static int limit_by_rule(const Machine *m, Limit *limit) {
 /* Add the first-order guess of the Zeno point from an impact; 0 if the stop repels there. */
 static int add_estimate(const Machine *m) {
     zl_run *run = m->run;
-    const Start *start = &run->start;
+    const zl_start *start = &run->start;
     const long long n_x = m->problem->n_x;
-    double *estimate = estimate_of(m, run->n_estimates), remaining;
+    double *estimate = estimate_of(m, run->pace.n_estimates), remaining;
     long long i;
     if (!(start->lift < 0.0)) return 0;
     remaining = 2 * start->speed / (-start->lift * (1 - run->settings.restitution));
@@ -217,7 +217,7 @@ static int add_estimate(const Machine *m) {
         estimate[ZL_ESTIMATE_WIDTH + i] = start->resting[i];
         estimate[ZL_ESTIMATE_WIDTH + n_x + i] = start->resting[i] + remaining * start->rate[i];
     }
-    if (run->n_estimates == 0) run->first_speed = start->speed;
-    run->n_estimates++;
+    if (run->pace.n_estimates == 0) run->first_speed = start->speed;
+    run->pace.n_estimates++;
     return 1;
 }

@@ -34,7 +34,7 @@ from zeno_orbits.simulation.arc_follower import ArcStart, Pace
 from zeno_orbits.simulation.execution import Arc, Ending, Event, Execution, Impact, Mode
 from zeno_orbits.simulation.graph_run import GraphRun, Interruption, Kind
 from zeno_orbits.simulation.loop_steps import loop_steps
-from zeno_orbits.simulation.looped import COMPLETIONS, shared_settings
+from zeno_orbits.simulation.looped import COMPLETIONS, run_settings
 from zeno_orbits.simulation.recorded import RecordedExecution, RecordedRun, events_of
 from zeno_orbits.simulation.reference_run import ImpactSequence
 from zeno_orbits.simulation.settings import SimulationTask
@@ -260,18 +260,12 @@ class LoopedGraphRun(GraphRun):
         program = graph_program(self.graph.compiled, view)
         if program is None:
             return None
-        task, dynamics = self.task, self.dynamics
-        chosen = replace(task.settings, far=_bounds(task.settings.far))
-        sizes = len(dynamics.state_names), dynamics.n_q
-        shared = shared_settings(chosen, dynamics.own, dynamics.restitution, *sizes)
+        # The steps of every stop have the tolerance of the machine.
         tolerance = self.follower.tolerance
-        settings = replace(
-            shared,
+        settings = run_settings(
+            replace(self.task, dynamics=self.dynamics),
             relative=tolerance.relative,
             absolute=tolerance.absolute,
-            until=task.until,
-            most_releases=self.most_releases,
-            most_landings=self.most_impacts,
         )
         return LoopRun(program, settings.filled(), self.graph.p, np.zeros(program.n_x))
 
@@ -594,10 +588,6 @@ def _other(kind: int, stop: int, sign: float, modes: list[ModeFunctions | None])
     if off is None:
         raise ValueError("Argument `modes` must begin with the mode off the stop.")
     return OtherGuard(kind=kind, stop=stop, sign=sign, off=off, on=on)
-
-
-def _bounds(far: float | tuple[float, ...]) -> float | tuple[float, ...]:
-    return tuple(far) if isinstance(far, list) else far
 
 
 def _row(estimate: TailEstimate) -> list[float]:
