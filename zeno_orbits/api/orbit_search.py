@@ -205,7 +205,7 @@ def find_event_orbit(
         SimulationError: If no motion settles to an orbit.
     """
     from zeno_orbits.search import find_event_orbit as find
-    from zeno_orbits.verification import verify_events
+    from zeno_orbits.verification import certified, verify_events
 
     known = known_problem(problem)
     orbit = find(
@@ -217,12 +217,7 @@ def find_event_orbit(
         simulation=settings,
         on_progress=on_progress,
     )
-    certificate = verify_events(orbit, known, on_progress=on_progress)
-    return replace(
-        orbit,
-        certificate=certificate.as_json(),
-        floquet_multipliers=certificate.multipliers,
-    )
+    return certified(orbit, verify_events(orbit, known, on_progress=on_progress))
 
 
 @front_door
@@ -275,7 +270,7 @@ def search_event_gains(
         SimulationError: If no motion settles to an orbit.
     """
     from zeno_orbits.search import search_event_gains as search
-    from zeno_orbits.verification import verify_events
+    from zeno_orbits.verification import certified, verify_events
 
     known = known_problem(problem)
     result = search(
@@ -296,11 +291,7 @@ def search_event_gains(
         return result
     certificate = verify_events(result.orbit, known, on_progress=on_progress)
     certificate = replace(certificate, asked=result.asked)
-    orbit = replace(
-        result.orbit,
-        certificate=certificate.as_json(),
-        floquet_multipliers=certificate.multipliers,
-    )
+    orbit = certified(result.orbit, certificate)
     return replace(result, orbit=orbit, certificate=certificate)
 
 

@@ -15,7 +15,7 @@ from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.maps import Pushes, Recovery
-    from zeno_orbits.model import Problem
+    from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
     from zeno_orbits.precision import WorkPrecision
     from zeno_orbits.report import Subject
     from zeno_orbits.verification import VerificationSettings
@@ -92,27 +92,30 @@ def report_subject(
 
     found = any_orbit(orbit)
     known = problem_of(found, problem)
+    dynamics: HybridDynamics | GraphDynamics
     study, pushed, recovered = None, None, None
     if isinstance(found, EventOrbit):
         for name, given in (("trade", trade), ("pushes", pushes), ("recovery", recovery)):
             if given is not None:
                 raise InputError(f"Argument `{name}` needs a machine with one stop and no switch.")
+        dynamics = system_of(found, known)
         certificate = verify(found, problem=known, settings=settings, on_progress=on_progress)
     else:
         study = _trade_of(found, trade)
         pushed = _pushes_of(found, known, pushes)
         recovered = _recovery_of(found, known, recovery)
+        dynamics = system_of(found, known)
         certificate = verify(
             found,
             problem=known,
             settings=settings,
-            dynamics=system_of(found, known),
+            dynamics=dynamics,
             on_progress=on_progress,
         )
     return Subject(
         orbit=found,
         problem=known,
-        dynamics=system_of(found, known),
+        dynamics=dynamics,
         certificate=certificate,
         trade=study,
         pushes=pushed,

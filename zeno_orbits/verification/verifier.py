@@ -11,12 +11,14 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.kinds import Checked, checked
 from zeno_orbits.model import HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import (
+    EventOrbit,
     Multipliers,
     ZenoOrbit,
     at_looser_tolerance,
@@ -59,6 +61,8 @@ class VerificationSettings(Checked):
     cuts: tuple[float, ...] = (3e-2, 3e-3, 3e-4, 3e-5)
     use_reference: bool = False
 
+
+OrbitType = TypeVar("OrbitType", ZenoOrbit, EventOrbit)
 
 _GROWN = 1e3
 """Residual, in units of the tolerance, up to which it may be an error of the integration."""
@@ -203,7 +207,7 @@ def _contradictions(
 
 
 @checked
-def certified(orbit: ZenoOrbit, certificate: OrbitCertificate) -> ZenoOrbit:
+def certified(orbit: OrbitType, certificate: OrbitCertificate) -> OrbitType:
     """Return the orbit with a certificate and its multipliers in it."""
     return replace(
         orbit,
