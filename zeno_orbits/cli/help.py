@@ -45,16 +45,8 @@ GROUPS = {
         *("--trade", "--pushes", "--recovery"),
     ),
     "accuracy": (
-        *(
-            "--accuracy",
-            "--tolerance",
-            "--engine",
-            "--truncation",
-            "--model",
-            "--radius",
-            "--basin",
-        ),
-        *("--proof", "--rigorous", "--error", "--decay", "--samples", "--confidence"),
+        *("--accuracy", "--tolerance", "--engine", "--truncation", "--model", "--radius"),
+        *("--basin", "--proof", "--rigorous", "--error", "--decay", "--samples", "--confidence"),
     ),
     "parallel": ("--workers", "--scheduler", "--checkpoint"),
     "output": (
