@@ -16,13 +16,15 @@ from zeno_orbits.orbits import (
     EventReturn,
     closed_return,
     event_quantity_names,
+    inverse_of_closing,
+    largest_states,
     near_return,
     require_event_quantity,
 )
 from zeno_orbits.simulation import Impact, SimulationSettings, SwitchEvent, simulate
 
 SETTINGS = SimulationSettings()
-_SETTLES = {"relay": 0.09, "hopper": 5.0}
+_SETTLES = {"relay": 0.09, "relay_soft": 0.13, "hopper": 5.0}
 """Times until the motions nearly repeat [s]."""
 
 
@@ -237,3 +239,23 @@ def test_a_certificate_holds_the_quantities() -> None:
     certificate = zo.verify(orbit)
     assert certificate.quantities["stop.energy_lost"] == pytest.approx((2.0, 2.0))
     assert orbit.certificate["quantities"]["stop.impacts"] == [1.0, 1.0]
+
+
+def test_an_orbit_moves_with_its_values_as_the_difference_of_two_orbits() -> None:
+    # The section moves along the clock, and the states have sizes from 1e-5 to 1.
+    problem = zo.load_problem("relay_soft")
+    gains = {one.name: one.default for one in problem.gains}
+    chosen = tuple(problem.names.index(name) for name in gains)
+    values = problem.values()
+    found = _return(problem, values, "zeno closed", chosen)
+    graph, unit = problem.graph_dynamics(values), 1e-8
+    moved = inverse_of_closing(graph, found) @ found.by_parameters
+    size = largest_states(found.execution.arcs, graph)
+    for column, (name, value) in zip(moved.T, gains.items(), strict=True):
+        ends = [
+            _return(problem, problem.values(gains={name: value + sign * unit}), "zeno closed").start
+            for sign in (1.0, -1.0)
+        ]
+        expected = (ends[0] - ends[1]) / (2 * unit) / size
+        # In units of each state over a second; the switching times move the phase by hundreds.
+        assert column / size == pytest.approx(expected, rel=1e-5, abs=1e-4)
