@@ -39,6 +39,9 @@ class Sine:
     def state_at(self, offset: float) -> Vector:
         return np.array([math.sin(offset), math.exp(-offset / 1e-2)])
 
+    def states_at(self, offsets: Vector) -> Vector:
+        return np.column_stack([np.sin(offsets), np.exp(-offsets / 1e-2)])
+
 
 def run_of(*durations: float, step: float, impacts: int = 0) -> Execution:
     """Return an execution of one sine after the other, with impacts at even times."""

@@ -29,6 +29,9 @@ class Ramp:
     def state_at(self, offset: float) -> Vector:
         return np.array([offset, 99.0])
 
+    def states_at(self, offsets: Vector) -> Vector:
+        return np.column_stack([offsets, np.full(len(offsets), 99.0)])
+
 
 def ramp(*times: float, start: float = START) -> Arc:
     """An arc whose state is its flow's own time, in units of 2 s, at these steps."""

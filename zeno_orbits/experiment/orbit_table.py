@@ -18,12 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import CompiledSystem, HybridDynamics, Problem, dense_function
+from zeno_orbits.model import Columns, CompiledSystem, HybridDynamics, Problem, dense_function
 from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search import cycle_near
 from zeno_orbits.simulation import (
     Arc,
-    Columns,
     Ending,
     Mode,
     SimulationSettings,
@@ -350,13 +349,13 @@ def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> CubicColumns:
 def _arc_nodes(dynamics: HybridDynamics, arc: Arc) -> tuple[Vector, Vector, Vector]:
     """Return times, states and their slopes along an arc."""
     times = _node_times(arc)
-    states = np.array([arc.state_at(time) for time in times])
+    states = arc.states_at(times)
     if arc.ending is Ending.ZENO:
         # The tail of the impacts is not a solution of the flow because it has infinitely many
         # jumps.
         return times, states, np.gradient(states, times, axis=0)
     flow = dynamics.locked if arc.mode is Mode.LOCKED else dynamics.free
-    return times, states, np.array([flow.rate(x).copy() for x in states])
+    return times, states, flow.rates(states)
 
 
 def _node_times(arc: Arc) -> Vector:

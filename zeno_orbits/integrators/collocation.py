@@ -132,9 +132,18 @@ class Collocation:
 
     def increment(self, coefficients: Array, position: float) -> Array:
         """Return the increment of the polynomial at a position in [0, 1], ``(n_y,)``."""
-        value = np.zeros(coefficients.shape[1:])
-        for row in coefficients[::-1]:
-            value = (value + row) * position
+        return self.increments(coefficients[None], np.array([position]))[0]
+
+    def increments(self, coefficients: Array, positions: Array) -> Array:
+        """Return the increments of one polynomial at each position in [0, 1], ``(n, n_y)``.
+
+        Args:
+            coefficients: Coefficients, powers 1 up, ``(n, n_stages, n_y)``.
+            positions: ``(n,)``.
+        """
+        value = np.zeros((len(coefficients), coefficients.shape[2]))
+        for power in range(self.n_stages - 1, -1, -1):
+            value = (value + coefficients[:, power]) * positions[:, None]
         return value
 
     def continued(self, coefficients: Array, start: float, ratio: float) -> Array:

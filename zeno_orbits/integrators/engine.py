@@ -96,6 +96,10 @@ class Trajectory(Protocol):
         """Return the state at a time from the start, ``(n_y,)``, as accurate as the steps."""
         ...
 
+    def states_at(self, offsets: Vector) -> Vector:
+        """Return the states at times from the start, ``(n, n_y)``, as accurate as the steps."""
+        ...
+
 
 @light_value
 class Passage:

@@ -287,3 +287,7 @@ class SteppedTrajectory:
         at = bisect_right(self.steps, offset, key=lambda step: step.start)
         step = self.steps[max(at - 1, 0)]
         return step.state_at(min(max(offset - step.start, 0.0), step.size))
+
+    def states_at(self, offsets: Vector) -> Vector:
+        """Return the states at times from the start, ``(n, n_y)``."""
+        return np.array([self.state_at(offset) for offset in offsets.tolist()])

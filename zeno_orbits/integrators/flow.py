@@ -108,6 +108,10 @@ class GuardedFlow(Protocol):
         """Return ``dy/dt``."""
         ...
 
+    def rates(self, states: Vector) -> Vector:
+        """Return ``dy/dt`` at states ``(n, n_y)``, one row each."""
+        ...
+
     def guard(self, y: Vector) -> tuple[float, float]:
         """Return the guard and its time derivative along the flow."""
         ...
@@ -179,6 +183,10 @@ class PlainFlow:
     def rate(self, y: Vector) -> Vector:
         """Return ``dy/dt``."""
         return self.field(y)
+
+    def rates(self, states: Vector) -> Vector:
+        """Return ``dy/dt`` at states ``(n, n_y)``, one row each."""
+        return np.array([self.field(y) for y in states])
 
     def guard(self, y: Vector) -> tuple[float, float]:
         """Return the guard and its time derivative along the flow."""

@@ -194,7 +194,10 @@ def declared(library: Any) -> Any:
         "zl_answer": (None, [pointer, whole, _number, _number, pointer]),
         "zl_tell": (None, [pointer] * 2),
         "zl_now": (_number, [pointer] * 4),
-        "zl_state_at": (None, [pointer, pointer, whole, _number, pointer, _number, pointer]),
+        "zl_states_at": (
+            None,
+            [pointer, pointer, whole, _number, pointer, pointer, ctypes.c_longlong, pointer],
+        ),
         "zl_flight": (
             whole,
             [pointer, pointer, pointer, _number, _number, _number, pointer],

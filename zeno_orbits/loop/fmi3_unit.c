@@ -220,7 +220,7 @@ static void state_inside_piece(Unit *unit, double time, double *state) {
         for (i = 0; i < n; i++) state[i] = piece->before[i] + y[i];
         return;
     }
-    zl_state_at(problem, unit->run, piece->mode, piece->unit, piece->before, offset, y);
+    zl_states_at(problem, unit->run, piece->mode, piece->unit, piece->before, &offset, 1, y);
     memcpy(state, y, (size_t)n * sizeof(double));
 }
 

@@ -102,14 +102,18 @@ static void leave(const Machine *m, const Leg *kept) {
     if (kept->mode == ZL_FLIGHT && m->p[m->problem->n_p] != kept->unit) set_speed(m, kept->unit);
 }
 
-void zl_state_at(const zl_problem *problem, zl_run *run, int mode, double speed,
-                 const double *before, double offset, double *state) {
+void zl_states_at(const zl_problem *problem, zl_run *run, int mode, double speed,
+                  const double *before, const double *offsets, long long count, double *states) {
     const Machine m = machine_of(problem, run, 0);
     double slopes[12][ZL_MOST];
     Leg kept;
+    long long row;
     enter(&m, mode, speed, &kept);
-    rate_at(&m, before, slopes[0]);
-    explicit_state(&m, before, offset, slopes, state);
+    for (row = 0; row < count; row++) {
+        const long long at = row * run->leg.n_y;
+        rate_at(&m, before + at, slopes[0]);
+        explicit_state(&m, before + at, offsets[row], slopes, states + at);
+    }
     leave(&m, &kept);
 }
 

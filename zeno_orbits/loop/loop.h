@@ -188,8 +188,10 @@ ZL_EXPORT int zl_resume(const zl_problem *problem, zl_run *run, zl_records *reco
 ZL_EXPORT void zl_answer(zl_run *run, int found, double time, double error, const double *state);
 ZL_EXPORT void zl_tell(const zl_run *run, zl_detail *detail);
 ZL_EXPORT double zl_now(const zl_problem *problem, const zl_run *run, int *mode, double *state);
-ZL_EXPORT void zl_state_at(const zl_problem *problem, zl_run *run, int mode, double speed,
-                           const double *before, double offset, double *state);
+/* States after explicit steps, each from a state of its own, row by row. */
+ZL_EXPORT void zl_states_at(const zl_problem *problem, zl_run *run, int mode, double speed,
+                            const double *before, const double *offsets, long long count,
+                            double *states);
 ZL_EXPORT int zl_flight(const zl_problem *problem, zl_run *run, const double *state, double speed,
                         double relative, double absolute, double *landing);
 ZL_EXPORT void zl_evaluate(const zl_problem *problem, zl_run *run, int tape, const double *varying,

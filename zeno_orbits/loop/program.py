@@ -75,17 +75,17 @@ class TapedProblem:
         """Take back memory that a run no longer needs."""
         self._spare.append(memory)
 
-    def state_after(
-        self, p: Vector, mode: int, speed: float, before: Vector, size: float
+    def states_after(
+        self, p: Vector, mode: int, speed: float, before: Vector, sizes: Vector
     ) -> Vector:
-        """Return the state after an explicit step, ``(n_y,)``.
+        """Return the states after explicit steps, each from a state of its own, ``(n, n_y)``.
 
         Args:
             p: Parameters, ``(n_p,)``.
             mode: Mode of the flow.
             speed: Unit of time of a rescaled flight.
-            before: State before the step, ``(n_y,)``.
-            size: Size of the step, in the flow's own time.
+            before: States before the steps, ``(n, n_y)``.
+            sizes: Sizes of the steps, in the flow's own time, ``(n,)``.
         """
         try:
             room = self._rooms.pop()
@@ -94,15 +94,15 @@ class TapedProblem:
         library = self.library
         if room.numbers is not p:
             room.p[:], room.numbers = p, p
-            library.zl_begin(self.address, room.run, room.settings, room.p_place, room.y_place)
-        n_y = before.size
-        room.y[:n_y] = before
-        library.zl_state_at(
-            *(self.address, room.run, mode, speed, room.y_place, size, room.after_place)
+            library.zl_begin(self.address, room.run, room.settings, room.p_place, room.x_place)
+        before, sizes = np.ascontiguousarray(before), np.ascontiguousarray(sizes)
+        states = np.empty(before.shape)
+        library.zl_states_at(
+            *(self.address, room.run, mode, speed, before.ctypes.data),
+            *(sizes.ctypes.data, len(sizes), states.ctypes.data),
         )
-        state = room.after[:n_y].copy()
         self._rooms.append(room)
-        return state
+        return states
 
 
 class _StepRoom:
@@ -112,9 +112,8 @@ class _StepRoom:
         self._memory, self._settings = program.borrowed(), c.SettingsType()
         self.run, self.settings = ctypes.addressof(self._memory), ctypes.addressof(self._settings)
         self.numbers: Vector | None = None
-        self.p, self.y, self.after = np.zeros(program.n_p), np.zeros(c.MOST), np.zeros(c.MOST)
-        self.p_place, self.y_place = self.p.ctypes.data, self.y.ctypes.data
-        self.after_place = self.after.ctypes.data
+        self.p, self._x = np.zeros(program.n_p), np.zeros(c.MOST)
+        self.p_place, self.x_place = self.p.ctypes.data, self._x.ctypes.data
 
 
 class Program(TapedProblem):

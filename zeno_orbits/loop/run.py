@@ -301,22 +301,6 @@ class LoopRun:
         )
         return time, mode.value, state
 
-    def state_at(self, mode: int, speed: float, before: Vector, offset: float) -> Vector:
-        """Return the state after an explicit step from a state, ``(n_y,)``.
-
-        Args:
-            mode: Mode of the flow.
-            speed: Unit of time of a rescaled flight.
-            before: The state, ``(n_y,)``.
-            offset: Size of the step, in the flow's own time.
-        """
-        given, state = np.ascontiguousarray(before, dtype=np.float64), np.empty(before.size)
-        self._library.zl_state_at(
-            *(self._program.address, self._place, mode, speed, given.ctypes.data, offset),
-            state.ctypes.data,
-        )
-        return state
-
     def flight(
         self, state_plus: Vector, speed: float, relative: float, absolute: float
     ) -> tuple[float, Vector, float] | None:

@@ -605,7 +605,7 @@ def _moments(
     start = np.array(problem.state_vector(orbit.start_state))
     motion = simulate(dynamics, start, until=orbit.period)
     times = [k / phases * orbit.period for k in range(phases)]
-    states = np.array([motion.state_at(time) for time in times])
+    states = motion.states_at(np.array(times))
     mobilities, _ = problem.inverse_masses(values, states)
     _, energies = problem.inverse_masses(values, motion.sampled(40)[1])
     moments: list[_Moment] = []

@@ -33,6 +33,7 @@ from .library import locate_problem as locate_problem
 from .library import split_fidelity as split_fidelity
 from .motors import MotorBank as MotorBank
 from .numeric.calls import Call as Call
+from .numeric.columns import Columns as Columns
 from .numeric.compiled import CompiledSystem as CompiledSystem
 from .numeric.compiled import bind as bind
 from .numeric.compiled import compile_system as compile_system

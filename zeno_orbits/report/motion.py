@@ -94,7 +94,7 @@ def machine_motion(
     if problem.drawing is None:
         raise InputError(f"Argument `problem` must have a drawing, but `{problem.name}` lacks one.")
     times = np.linspace(0.0, duration, n, endpoint=False)
-    states = np.array([execution.state_at(time) for time in times.tolist()])
+    states = execution.states_at(times)
     last = execution.arcs[-1]
     arcs = [
         next((arc for arc in execution.arcs if arc.end_time > time), last)

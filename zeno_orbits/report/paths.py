@@ -84,7 +84,7 @@ def _smooth(arc: Arc, ranges: Vector, least: int) -> tuple[Vector, Vector]:
         # At both thirds: where a curve turns from left to right, it crosses its chord once.
         step, rise = (times[left + 1] - times[left]) / 3, (states[left + 1] - states[left]) / 3
         new = np.stack([times[left] + k * step for k in (1, 2)], axis=1)
-        there = _states_at(arc, new.ravel()).reshape(len(left), 2, -1)
+        there = arc.states_at(new.ravel()).reshape(len(left), 2, -1)
         chord = np.stack([states[left] + k * rise for k in (1, 2)], axis=1)
         bent = np.max(np.abs(there - chord) / units, axis=(1, 2)) > _BEND
         if not np.any(bent):
@@ -96,10 +96,6 @@ def _smooth(arc: Arc, ranges: Vector, least: int) -> tuple[Vector, Vector]:
         # Two points were inserted in each previous interval, which became three intervals.
         left = (left[:, None] + 2 * np.arange(len(left))[:, None] + np.arange(3)).ravel()
     return times, states
-
-
-def _states_at(arc: Arc, times: Vector) -> Vector:
-    return np.array([arc.state_at(time) for time in times.tolist()])
 
 
 def drawn_phases_of(execution: Execution) -> list[DrawnPhase]:

@@ -16,7 +16,6 @@ from .attractor import is_still as is_still
 from .attractor import outcome_of as outcome_of
 from .attractor import repetitions as repetitions
 from .attractor import scale_of as scale_of
-from .columns import Columns as Columns
 from .completion import Completion as Completion
 from .completion import FixedImpacts as FixedImpacts
 from .completion import PlasticAfter as PlasticAfter

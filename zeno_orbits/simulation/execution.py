@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -190,16 +189,25 @@ class Arc(ByValue):
         Raises:
             InputError: If the time is not a number.
         """
-        time = any_number("time", time)
-        if time <= self.start_time:
-            return self.start_state
-        if time >= self.end_time:
-            return self.end_state
+        return self.states_at(np.array([any_number("time", time)]))[0]
+
+    def states_at(self, times: Vector) -> Vector:
+        """Return the states at times inside the arc, ``(n, n_x)``.
+
+        Args:
+            times: ``(n,)`` [s].
+        """
         if self.trajectory is None:
-            part = (time - self.start_time) / (self.end_time - self.start_time)
-            return self.start_state + part * (self.end_state - self.start_state)
-        state = self.flow_state_at((time - self.start_time) / self.time_unit)
-        return state[: len(self.start_state)]
+            length = self.end_time - self.start_time
+            part = (times - self.start_time) / length if length else np.zeros(len(times))
+            states = self.start_state + part[:, None] * (self.end_state - self.start_state)
+        else:
+            offsets = (times - self.start_time) / self.time_unit
+            inside = np.minimum(np.maximum(offsets, 0.0), self.trajectory.duration)
+            states = self.trajectory.states_at(inside)[:, : len(self.start_state)]
+        states[times <= self.start_time] = self.start_state
+        states[times >= self.end_time] = self.end_state
+        return states
 
     def sampled(self, n: int = 150) -> tuple[Vector, Vector]:
         """Return times ``(m,)`` and states ``(m, n_x)`` along the arc, for plots.
@@ -213,10 +221,9 @@ class Arc(ByValue):
         steps = self.time_unit * self.flow_times[:-1]
         dense_ends = (1 - np.cos(np.linspace(0, np.pi, n))) / 2
         offsets = np.union1d(dense_ends * (self.end_time - self.start_time), steps)
-        times = (self.start_time + offsets).tolist()
-        inside = [time for time in times if time < self.end_time]
-        states = [*(self.state_at(time) for time in inside), self.end_state]
-        return np.array([*inside, self.end_time]), np.array(states)
+        times = self.start_time + offsets
+        times = np.append(times[times < self.end_time], self.end_time)
+        return times, self.states_at(times)
 
     @property
     def duration(self) -> float:
@@ -235,9 +242,20 @@ class Arc(ByValue):
         Raises:
             ValueError: If the arc is the tail of an impact sequence: no flow was followed.
         """
+        return self.flow_states_at(np.array([offset]))[0]
+
+    def flow_states_at(self, offsets: Vector) -> Vector:
+        """Return the states of the flow itself, ``(n, n_y)``.
+
+        Args:
+            offsets: The flow's own times since the start of the arc, ``(n,)``.
+
+        Raises:
+            ValueError: If the arc is the tail of an impact sequence: no flow was followed.
+        """
         if self.trajectory is None:
             raise ValueError("Argument `self` must be an arc with a flow, but it is a tail.")
-        return self.trajectory.state_at(offset)
+        return self.trajectory.states_at(offsets)
 
     @property
     def flow_times(self) -> Vector:
@@ -345,12 +363,29 @@ class Execution(Displayed):
         Raises:
             ValueError: If the time is outside the execution.
         """
+        return self.states_at(np.array([any_number("time", time)]))[0]
+
+    def states_at(self, times: Vector) -> Vector:
+        """Return the states at times, which at an impact is the state after it, ``(n, n_x)``.
+
+        Args:
+            times: ``(n,)`` [s].
+
+        Raises:
+            ValueError: If a time is outside the execution.
+        """
         first, last = self.arcs[0].start_time, self.end_time
-        if not first <= time <= last:
-            message = f"Argument `time` must lie in [{first:g}, {last:g}], but it is {time:g}."
-            raise ValueError(message)
-        at = bisect_right(self.arcs, time, key=lambda arc: arc.start_time)
-        return self.arcs[max(at - 1, 0)].state_at(time)
+        outside = times[~((first <= times) & (times <= last))]
+        if outside.size:
+            message = f"Argument `time` must lie in [{first:g}, {last:g}], but it is"
+            raise ValueError(f"{message} {outside[0]:g}.")
+        starts = np.array([arc.start_time for arc in self.arcs])
+        at = np.maximum(np.searchsorted(starts, times, side="right") - 1, 0)
+        states = np.empty((len(times), len(self.arcs[0].start_state)))
+        for place in set[int](at.tolist()):
+            own = at == place
+            states[own] = self.arcs[place].states_at(times[own])
+        return states
 
     def sampled(self, n_per_arc: int = 150) -> tuple[Vector, Vector]:
         """Return times ``(n,)`` and states ``(n, n_x)`` of all arcs, for plots.

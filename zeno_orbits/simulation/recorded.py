@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import (
@@ -391,24 +392,40 @@ class LoopTrajectory:
 
     def state_at(self, offset: float) -> Vector:
         """Return the state at a time from the start."""
-        if offset >= self.duration:
-            return self.end
-        at = max(int(np.searchsorted(self._rows[:, 0], offset, side="right")) - 1, 0)
-        start, size = self._rows[at, :2].tolist()
-        inside = min(max(offset - start, 0.0), size)
-        if inside < size and at < len(self._rows) - len(self._polynomials):
-            carrier = self._flow.carrier()
-            if carrier is not None:
-                program, p, mode, speed = carrier
-                return program.state_after(p, mode, speed, self._before(at), inside)
-        return self._step(at).state_at(inside)
+        return self.states_at(np.array([offset]))[0]
 
-    def _before(self, k: int) -> Vector:
-        return self._rows[k - 1, 2:] if k else self._begin
+    def states_at(self, offsets: Vector) -> Vector:
+        """Return the states at times from the start, ``(n, n_y)``."""
+        rows, first = self._rows, len(self._rows) - len(self._polynomials)
+        at = np.maximum(np.searchsorted(rows[:, 0], offsets, side="right") - 1, 0)
+        starts, sizes = rows[at, 0], rows[at, 1]
+        inside = np.minimum(np.maximum(offsets - starts, 0.0), sizes)
+        before = np.concatenate([self._begin[None], rows[:-1, 2:]])[at]
+        states = rows[at, 2:]
+        within = inside < sizes
+        explicit, implicit = within & (at < first), within & (at >= first)
+        if np.any(explicit):
+            states[explicit] = self._stepped(at[explicit], before[explicit], inside[explicit])
+        if np.any(implicit):
+            coefficients = self._polynomials[at[implicit] - first]
+            part = inside[implicit] / sizes[implicit]
+            moved = radau_scheme(binding.STAGES).increments(coefficients, part)
+            states[implicit] = before[implicit] + moved
+        states[offsets >= self.duration] = self.end
+        return states
+
+    def _stepped(self, at: NDArray[np.intp], before: Vector, sizes: Vector) -> Vector:
+        """Return the states after parts of explicit steps, ``(n, n_y)``."""
+        carrier = self._flow.carrier()
+        if carrier is None:
+            pairs = zip(at.tolist(), sizes.tolist(), strict=True)
+            return np.array([self._step(k).state_at(size) for k, size in pairs])
+        program, p, mode, speed = carrier
+        return program.states_after(p, mode, speed, before, sizes)
 
     def _step(self, k: int) -> Step:
         start, size = self._rows[k, :2].tolist()
-        before, after = self._before(k), self._rows[k, 2:]
+        before, after = self._rows[k - 1, 2:] if k else self._begin, self._rows[k, 2:]
         first = len(self._rows) - len(self._polynomials)
         flow = self._flow.made()
         if k < first:

@@ -131,8 +131,8 @@ def _piece(
     if arc.mode is Mode.LOCKED:
         own, by = dynamics.locked, differentials.locked
     offsets, shifts = course_of(perturbations, execution, place, begin, parts=_PARTS)
-    states = np.array([arc.flow_state_at(offset)[:n_x] for offset in offsets.tolist()])
-    rates = np.array([own.rate(x).copy() for x in states])
+    states = arc.flow_states_at(offsets)[:, :n_x]
+    rates = own.rates(states)
     is_flight = shifts.shape[1] > n_x
     later = begin.time + offsets[:, None] * (begin.rate if is_flight else 0.0)
     moved = shifts[:, :n_x] - rates[:, :, None] * later[:, None]

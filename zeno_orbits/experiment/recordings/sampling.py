@@ -79,7 +79,7 @@ def sampled(
     time = np.arange(sampling.count(execution.end_time)) / sampling.rate
     time_inside = np.minimum(time, execution.end_time)
     if dynamics is None:
-        values = np.array([execution.state_at(moment) for moment in time_inside.tolist()])
+        values = execution.states_at(time_inside)
     else:
         values = state_nodes(dynamics, execution.arcs).at(time_inside)
     values = values[:, : len(problem.state_names)]

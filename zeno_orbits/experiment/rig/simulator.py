@@ -31,6 +31,7 @@ from zeno_orbits.experiment.rig.run import (
 from zeno_orbits.integrators import Leg, Outcome, Passage
 from zeno_orbits.model import (
     Call,
+    Columns,
     CompiledFlow,
     FlowMemory,
     OwnScale,
@@ -38,7 +39,7 @@ from zeno_orbits.model import (
     Problem,
     Rig,
 )
-from zeno_orbits.simulation import Columns, LegFollower
+from zeno_orbits.simulation import LegFollower
 from zeno_orbits.work import Progress, silent
 
 _MOST_AT_ONCE = 1000

@@ -31,6 +31,7 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.model.numeric.calls import Call, StepCall
 from zeno_orbits.model.numeric.casadi_calls import caller
+from zeno_orbits.model.numeric.columns import Columns
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -264,6 +265,11 @@ class FlowMemory:
         return Call(self.mode.rate, self.p)
 
     @cached_property
+    def rates(self) -> Columns:
+        """From states, and parameters in the same rows, to ``dy/dt``."""
+        return Columns(self.mode.rate)
+
+    @cached_property
     def guard(self) -> Call:
         """From a state to the guard and its rate."""
         return Call(self.mode.guard, self.p)
@@ -326,6 +332,10 @@ class CompiledFlow:
     def rate(self, y: Vector) -> Vector:
         """Return ``dy/dt``."""
         return self.calls().rate(y).copy()
+
+    def rates(self, states: Vector) -> Vector:
+        """Return ``dy/dt`` at states ``(n, n_y)``, one row each."""
+        return self._memory.rates(states, np.broadcast_to(self.p, (len(states), self.p.size)))[0]
 
     def guard(self, y: Vector) -> tuple[float, float]:
         """Return the guard and its time derivative along the flow."""

@@ -14,6 +14,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.casadi_calls import caller
+from zeno_orbits.model.numeric.columns import Columns
 from zeno_orbits.model.numeric.compiled_flow import dense_function
 from zeno_orbits.model.numeric.derivatives import DerivativeFormulas, LinearFormula
 
@@ -137,14 +138,15 @@ class Variation:
             n_columns: States and parameters that it is by.
         """
         self.p, self._shape = p, (formula.entries.size1_in(0), n_columns)
-        self._entries = Call(formula.entries, p)
+        self._entries = Columns(formula.entries)
         self._places = (list(formula.rows), list(formula.columns))
 
     def linear(self, states: Vector) -> Vector:
         """Return ``(J, F)`` side by side at every state, ``(s, n_y, n_y + n_q)``."""
         found = np.zeros((len(states), *self._shape))
-        for matrix, state in zip(found, states, strict=True):
-            matrix[self._places] = self._entries(state)
+        rows, columns = self._places
+        p = np.broadcast_to(self.p, (len(states), self.p.size))
+        found[:, rows, columns] = self._entries(states, p)[0]
         return found
 
 
