@@ -214,11 +214,22 @@ static int start_leg_at(const Machine *m, int mode, double unit, double launch, 
     return is_clear_at_start(m) ? GO_ON : ZL_BESIDE;
 }
 
+/* The absolute error of a flight after an impact, not below what rounding permits. */
+static double error_over_rounding(const zl_settings *settings, double lift) {
+    const double size = settings->gap_acceleration;
+    const double rounding = ROUNDING * size / greater(fabs(lift), settings->contact * size);
+    return rounding > settings->relative ? rounding : settings->absolute;
+}
+
 static int start_leg(const Machine *m, int mode, double size, int on_guard) {
     const zl_settings *settings = &m->run->settings;
+    const zl_start *start = &m->run->start;
+    const int flies = mode == ZL_FLIGHT;
+    const double absolute = flies && start->has_impact ? error_over_rounding(settings, start->lift)
+                                                       : settings->absolute;
     m->run->in_hop = 0;
-    return start_leg_at(m, mode, mode == ZL_FLIGHT ? m->run->start.speed : 1.0, 1.0,
-                        settings->contact * size, settings->absolute, on_guard);
+    return start_leg_at(m, mode, flies ? start->speed : 1.0, 1.0, settings->contact * size,
+                        absolute, on_guard);
 }
 
 /* Start on the stop in the other mode: the flow itself decides which one holds. With gap, rate and
@@ -237,38 +248,49 @@ static int start_other_mode(const Machine *m, int mode) {
     return GO_ON;
 }
 
-/* About how long a flight takes that is lower than the rounding of the gap, because the multiplier
-   turns round; 0 if it does not. */
-static double hop_duration(const Machine *m) {
+/* About how long a flight from the stop takes that is lower than the rounding of the gap, because
+   the multiplier turns round; 0 if it does not. And the scaled gap rate at its start, and the error
+   of that rate. */
+static double small_hop(const Machine *m, double *launch, double *error) {
     const zl_settings *settings = &m->run->settings;
     const double *x = m->run->start.state;
-    double rate[ZL_MOST], ahead[ZL_MOST], behind[ZL_MOST], fall, turn;
+    const double time = HOP_PART * settings->time;
+    double rate[ZL_MOST], ahead[ZL_MOST], behind[ZL_MOST], fall, turn, lift, inertia, duration,
+        highest;
     long long i;
     fall = -number_at(m, ZL_PULL, x);
     evaluate_at(m, ZL_RATE + ZL_LOCKED, x, rate);
     for (i = 0; i < m->problem->n_x; i++) {
-        double shift = HOP_PART * settings->time * rate[i];
+        double shift = time * rate[i];
         ahead[i] = x[i] + shift;
         behind[i] = x[i] - shift;
     }
-    turn = (number_at(m, ZL_PULL, ahead) - number_at(m, ZL_PULL, behind)) /
-           (2 * HOP_PART * settings->time);
-    return fall > 0.0 && turn > 0.0 ? 4.0 * fall / turn : 0.0;
+    turn = (number_at(m, ZL_PULL, ahead) - number_at(m, ZL_PULL, behind)) / (2 * time);
+    lift = greater(number_at(m, ZL_LIFT, x), 0.0);
+    inertia = number_at(m, ZL_INERTIA, x);
+    if (!(turn > 0.0)) return 0.0;
+    duration = 2.0 * (fall + sqrt(fall * fall + 3.0 * (lift * inertia) * turn)) / turn;
+    if (!(duration > 0.0)) return 0.0;
+    highest = lift + fabs(fall) / inertia * duration;
+    *error = greater(settings->relative * highest, ROUNDING * settings->gap_acceleration);
+    *launch = *error * sqrt(*error / highest);
+    return duration;
 }
 
 /* Go on from the start of a leg that left the admissible set. */
 static int leave_leg(const Machine *m) {
     zl_run *run = m->run;
-    double duration;
+    double duration, launch = 0.0, error = 0.0, gap[2];
+    int rests;
     if (run->leg.mode == ZL_FLIGHT) return run->in_hop ? start_other_mode(m, ZL_LOCKED) : ZL_LEFT;
     run->first_detail = run->detail;
     if (run->leg.mode == ZL_LOCKED) return start_other_mode(m, ZL_FREE);
-    duration = is_slack(m, run->start.state, number_at(m, ZL_LIFT, run->start.state))
-                   ? hop_duration(m)
-                   : 0.0;
+    evaluate_at(m, ZL_GAP, run->start.state, gap);
+    rests = gap[0] <= run->small_gap && fabs(gap[1]) <= run->small_rate;
+    duration = rests ? small_hop(m, &launch, &error) : 0.0;
     if (duration == 0.0) return start_other_mode(m, ZL_LOCKED);
     run->in_hop = 1;
-    return start_leg_at(m, ZL_FLIGHT, duration, 0.0, 0.0, HOP * run->settings.absolute, 1);
+    return start_leg_at(m, ZL_FLIGHT, duration, launch, 0.0, error, 1);
 }
 
 /* Leave the event at the end of a leg to the caller. */

@@ -57,8 +57,6 @@
 #define FIRST_PACE 25000
 #define RISE 1.5
 
-#define HOP 1e-12
-
 /* simulation/event_rules.py */
 #define INSIDE 1e-09
 #define MAY_BEND 0.1

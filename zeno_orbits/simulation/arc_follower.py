@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from zeno_orbits.integrators import (
     light_value,
 )
 from zeno_orbits.model import HybridDynamics, Resting
+from zeno_orbits.simulation.event_rules import ROUNDING
 from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode
 from zeno_orbits.simulation.interruptions import (
     grows_without_end,
@@ -28,14 +29,14 @@ from zeno_orbits.simulation.interruptions import (
     runs_away,
     too_many_steps,
 )
+from zeno_orbits.simulation.small_hops import SmallHop
 
 _FIRST_LOOK = 25_000
 """Steps before the first check of the pace of an execution. Regular motions take about 150 steps
 per second."""
-_HOP = 1e-12
-"""Factor of the absolute local error in a flight that is lower than the rounding of the gap."""
 _HOPPING = RungeKutta()
-"""The integrator of such a flight: far shorter than anything that its rates change over."""
+"""The integrator of a flight that is lower than the rounding of the gap: far shorter than anything
+that its rates change over."""
 _RISING, _RISE = 4, 1.5
 """Number of consecutive checks with a growth of speed by this factor. Such a growth excludes an
 oscillation."""
@@ -52,8 +53,8 @@ class ArcStart:
         speed: Exact gap rate of a start from the stop, or ``None`` for any other start.
         impact: The impact at the start, if there is one.
         resting: The state projected onto the stop, after an impact.
-        at_rest: Whether the gap rate is zero. Then `speed` is only the unit of a flight that is
-            lower than the rounding of the gap.
+        hop: A flight that is lower than the rounding of the gap. Its `speed` is only the unit of
+            time.
     """
 
     mode: Mode
@@ -62,7 +63,7 @@ class ArcStart:
     speed: float | None = None
     impact: Impact | None = None
     resting: Resting | None = None
-    at_rest: bool = False
+    hop: SmallHop | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,6 +147,19 @@ class ArcFollower:
         self._n_steps, self._next_look, looks, self._fastest, self._which = pace
         self._looks = [_Look(steps=int(n), time=time, speed=speed) for n, time, speed in looks]
 
+    def _over_rounding(self, lift: float) -> Tolerance:
+        """Return the tolerance of a flight after an impact, not below what rounding permits.
+
+        The rounding of the gap acceleration changes the scaled gap rate by its ratio to that
+        acceleration. Steps with a smaller error would be many.
+
+        Args:
+            lift: Gap acceleration at the start of the flight.
+        """
+        size, tolerance = self.dynamics.own.gap_acceleration, self.tolerance
+        rounding = ROUNDING * size / max(abs(lift), self.contact * size)
+        return replace(tolerance, absolute=rounding) if rounding > tolerance.relative else tolerance
+
     def follow(
         self,
         start: ArcStart,
@@ -175,20 +189,23 @@ class ArcFollower:
         size = own.multiplier if start.mode is Mode.LOCKED else own.gap
         if start.speed is not None:
             size = 1 / own.gap_acceleration
+        launch, tolerance, hop = 1.0, self.tolerance, start.hop
+        if hop is not None:
+            launch, tolerance = hop.launch, replace(tolerance, absolute=hop.error)
+        elif start.resting is not None:
+            tolerance = self._over_rounding(start.resting.gap_acceleration)
         leg = Leg(
             flow=flow,
-            y=start.state
-            if start.speed is None
-            else launched(start.state, float(not start.at_rest)),
+            y=start.state if start.speed is None else launched(start.state, launch),
             horizon=(self.until - start.time) / unit,
-            tolerance=self.tolerance.times(_HOP) if start.at_rest else self.tolerance,
+            tolerance=tolerance,
             on_guard=on_guard,
-            rounding=0.0 if start.at_rest else self.contact * size,
+            rounding=0.0 if hop else self.contact * size,
             watch=self._watch,
             reach=self._reach,
         )
         self._start, self._unit = start.time, unit
-        passage = (_HOPPING if start.at_rest else self.engine).follow(leg)
+        passage = (_HOPPING if hop else self.engine).follow(leg)
         time = start.time + unit * passage.duration
         if passage.outcome is Outcome.LEFT:
             raise leaves_set(time, passage.state[:n_x])

@@ -12,8 +12,9 @@ _INSIDE = 1e-9
 the stop."""
 _MAY_BEND = 0.1
 """Largest relative change of d2h/dt2 over a Zeno tail. Beyond it the tail is not yet geometric."""
-_ROUNDING = 4 * 2.0**-52
-"""Rounding error of the gap relative to the largest coordinate."""
+ROUNDING = 4 * 2.0**-52
+"""Rounding error of the gap relative to the largest coordinate, and of the gap acceleration
+relative to its size in the problem."""
 
 
 def stop_holds(
@@ -43,7 +44,7 @@ def closes_at_once(
         largest: Largest coordinate.
     """
     fall = multiplier_rate / normal_inertia
-    lost = _ROUNDING * largest
+    lost = ROUNDING * largest
     return (
         gap_acceleration > 0.0 and fall > 0.0 and 2.0 * gap_acceleration**3 <= 3.0 * lost * fall**2
     )

@@ -235,7 +235,7 @@ class LoopedGraphRun(GraphRun):
 
     def _may_go_on(self, start: ArcStart) -> bool:
         """Return True if the loop can take over: no sequence of impacts is split by a kink."""
-        if start.at_rest:
+        if start.hop is not None:
             return False
         if self.current is None:
             return True
@@ -343,7 +343,7 @@ class LoopedGraphRun(GraphRun):
         self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
     ) -> tuple[Arc, Vector]:
         """Return the next arc, to the earliest event, and the last state of the flow itself."""
-        if self.by_arc and not start.at_rest:
+        if self.by_arc and start.hop is None:
             found = self._single(start)
             if found is not None:
                 return found

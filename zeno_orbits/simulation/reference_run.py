@@ -35,7 +35,7 @@ from zeno_orbits.simulation.interruptions import (
     enters_by_reset,
 )
 from zeno_orbits.simulation.settings import SimulationSettings
-from zeno_orbits.simulation.small_hops import hop_duration
+from zeno_orbits.simulation.small_hops import small_hop
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, tail_from
 
 _STEADY = 1e-9
@@ -224,18 +224,20 @@ class ReferenceRun:
 
     def _hop(self, start: ArcStart, error: PenetrationError) -> ArcStart | None:
         """Follow a flight that is lower than the rounding of the gap, if that explains an error."""
-        slack = self._is_slack(start.state, self.dynamics.gap_acceleration(start.state))
-        if not slack or (duration := hop_duration(self.dynamics, start.state)) is None:
+        dynamics, x = self.dynamics, start.state
+        rests = dynamics.gap(x) <= self.small_gap and abs(dynamics.gap_rate(x)) <= self.small_rate
+        relative = self.settings.tolerance.relative
+        if not rests or (hop := small_hop(dynamics, x, relative)) is None:
             return self._in_other_mode(start, error)
-        launched = replace(start, speed=duration, at_rest=True)
-        flight = self.dynamics.flight(duration)
+        launched = replace(start, speed=hop.duration, hop=hop)
+        flight = self.dynamics.flight(hop.duration)
         try:
             arc, end = self.follow_arc(launched, flight, Ending.IMPACT, on_guard=True)
         except PenetrationError:
             return self._in_other_mode(start, error)
         if not self.reaches(arc, Ending.IMPACT):
             return self.interrupted(start, arc)
-        return self.landing(arc.end_time, arc.end_state, duration * float(end[-1]))
+        return self.landing(arc.end_time, arc.end_state, hop.duration * float(end[-1]))
 
     def _in_other_mode(self, start: ArcStart, error: PenetrationError) -> ArcStart:
         """Return a start on the stop in the other mode: the flow itself decides which one holds.

@@ -1,28 +1,58 @@
-r"""Flights that are lower than the rounding of the gap: a multiplier that only just reaches zero.
+r"""Flights that are lower than the rounding of the gap: a multiplier that is hardly below zero.
 
-If the multiplier falls through zero at the rate :math:`-r` and turns with the second derivative
-:math:`c`, the gap acceleration of the flight is :math:`(r t - c t^2 / 2) / m_n`. So the gap closes
-again at :math:`T = 4 r / c`, from a height of order :math:`r^4 / c^3`.
+With the multiplier :math:`-w`, its rate :math:`-r` and its second derivative :math:`c`, the gap
+acceleration of the flight is :math:`(w + r t - c t^2 / 2) / m_n`. So the gap closes again at
+:math:`T = 2 (r + \sqrt{r^2 + 3 w c}) / c`. At a release :math:`w` is zero, and the height is of
+order :math:`r^4 / c^3`.
 """
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics
+from zeno_orbits.simulation.event_rules import ROUNDING
 
 _PART = 1e-5
 """Of the problem's own time, over which the rate of the multiplier is differentiated."""
 
 
-def hop_duration(dynamics: HybridDynamics, state: Vector) -> float | None:
-    """Return about how long the flight from a release takes, if the multiplier turns round [s].
+class SmallHop(NamedTuple):
+    """A flight lower than the rounding of the gap.
+
+    Attributes:
+        duration: About how long it takes [s], the unit of time of its rescaled flight.
+        error: Local error of its scaled gap rate, not below what rounding permits.
+        launch: Scaled gap rate at its start, far below this error. At zero, the rounding of the
+            acceleration would decide whether the gap opens.
+    """
+
+    duration: float
+    error: float
+    launch: float
+
+
+def small_hop(dynamics: HybridDynamics, state: Vector, relative: float) -> SmallHop | None:
+    """Return the flight from a state on the stop, or ``None`` if the multiplier does not turn.
 
     Args:
         dynamics: The system.
-        state: The release, ``(n_x,)``.
+        state: The state, ``(n_x,)``.
+        relative: Relative local error of its steps.
     """
     fall = -dynamics.multiplier_rate(state)
-    shift = _PART * dynamics.own.time * dynamics.locked.rate(state)
+    time = _PART * dynamics.own.time
+    shift = time * dynamics.locked.rate(state)
     ahead, behind = (dynamics.multiplier_rate(state + sign * shift) for sign in (1.0, -1.0))
-    turn = (ahead - behind) / (2 * _PART * dynamics.own.time)
-    return 4.0 * fall / turn if fall > 0.0 and turn > 0.0 else None
+    turn = (ahead - behind) / (2 * time)
+    lift, inertia = max(dynamics.gap_acceleration(state), 0.0), dynamics.normal_inertia(state)
+    if not turn > 0.0:
+        return None
+    duration = 2.0 * (fall + math.sqrt(fall * fall + 3.0 * (lift * inertia) * turn)) / turn
+    if not duration > 0.0:
+        return None
+    highest = lift + abs(fall) / inertia * duration
+    error = max(relative * highest, ROUNDING * dynamics.own.gap_acceleration)
+    return SmallHop(duration=duration, error=error, launch=error * math.sqrt(error / highest))
