@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -24,6 +25,7 @@ from tests.reference.several_stops import (
     impact_pair,
     two_sided,
 )
+from zeno_orbits.continuation import SecondParameter, SpecialPointKind
 from zeno_orbits.orbits import closed_return
 
 G = 9.81
@@ -213,6 +215,39 @@ def test_impact_pairs_keep_their_orbit(seed: int) -> None:
         assert impact.time + begin == pytest.approx((k + 1) * math.pi, abs=LOCATED)
         approach = o.speed + o.amplitude * math.cos(o.phase)
         assert impact.approach_rate == pytest.approx(-approach, abs=LOCATED)
+
+
+@pytest.mark.slow
+def test_folds_of_impact_pairs_lie_on_their_curve_in_two_parameters() -> None:
+    # d = A (pi (1 + e) / (1 - e) cos p + 2 sin p) is largest at the fold.
+    def fold(e: float) -> float:
+        return math.hypot(math.pi * (1 + e) / (1 - e), 2.0)
+
+    phase, ratio = 0.43, 3.0
+    length = math.pi * ratio * math.cos(phase) + 2 * math.sin(phase)
+    orbit = zo.find_event_orbit(
+        BOX,
+        parameters={"restitution": 0.5, "d": length},
+        start={
+            "x": 1e-9,
+            "dx": (ratio - 1) * math.cos(phase),
+            "cosine": math.cos(phase),
+            "sine": math.sin(phase),
+        },
+        until=200.0,
+    )
+    box = (length - 0.05, fold(0.5) + 0.05)
+    second = SecondParameter(name="restitution", box=(0.48, 0.51), kinds=tuple(SpecialPointKind))
+    found = zo.continue_orbit(orbit, "d", box, problem=BOX, second=second)
+    (special,) = found.families[0].special
+    assert special.kind is SpecialPointKind.FOLD
+    assert special.at.value == pytest.approx(fold(0.5), rel=1e-12)
+    (curve,) = found.boundaries
+    assert max(curve.y) - min(curve.y) > 0.01
+    assert curve.x == pytest.approx([fold(e) for e in curve.y], rel=1e-11)
+    ends = replace(second, kinds=(SpecialPointKind.LOCK_VANISHES,))
+    with pytest.raises(zo.InputError, match="another kind than ends"):
+        zo.continue_orbit(orbit, "d", box, problem=BOX, second=ends)
 
 
 def hopper(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:

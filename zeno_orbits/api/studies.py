@@ -58,7 +58,8 @@ def continue_orbit(
         parameter: Name of the gain or parameter. Parameters derived from it keep their values.
         box: Its range, lower end first. It contains the value of the orbit.
         problem: The orbit's problem. The default is the bundled problem of its name.
-        second: A second parameter, in which the special points are continued as curves.
+        second: A second parameter, in which the special points are continued as curves. Curves of
+            ends need a machine with one stop and no switch.
         settings: Accuracy and steps.
         workers: Number of processes. Several processes need the name or the file of the problem.
         plan: Executor of the work and folder of finished parts. It overrides ``workers``.
@@ -73,8 +74,6 @@ def continue_orbit(
 
     box = number_range("box", box)
     orbit = any_orbit(orbit)
-    if isinstance(orbit, EventOrbit) and second is not None:
-        raise InputError("Argument `second` needs a machine with one stop and no switch.")
     if isinstance(orbit, ZenoOrbit) and not (
         orbit.shape.has_one_release or orbit.shape.without_contact
     ):

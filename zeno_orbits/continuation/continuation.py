@@ -10,7 +10,7 @@ to (40).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from zeno_orbits.continuation.assembly import FollowedFamily, whole_family
@@ -28,6 +28,7 @@ from zeno_orbits.continuation.setup import (
     start_at_impacts_of,
     start_at_release,
 )
+from zeno_orbits.continuation.test_functions import INSIDE
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
 from zeno_orbits.kinds import Checked
@@ -83,6 +84,7 @@ def continue_orbit(
     """
     settings = settings or ContinuationSettings()
     if isinstance(orbit, EventOrbit):
+        second = None if second is None else _without_ends(second)
         start = start_at_event(problem, orbit, parameter, box, settings)
     elif orbit.shape.without_contact:
         start = start_at_impacts_of(problem, orbit, parameter, box, settings)
@@ -200,6 +202,20 @@ def start_orbit(
     if closing is not None and closing.orbit is not None:
         return closing.orbit
     return find_orbit(problem, values, shape=ONE_ZENO).unwrap()
+
+
+def _without_ends(second: SecondParameter) -> SecondParameter:
+    """Return a second parameter without the ends, whose curves need a machine with one stop.
+
+    Raises:
+        InputError: If only ends are to be followed.
+    """
+    kinds = tuple(kind for kind in second.kinds if kind in INSIDE)
+    if not kinds:
+        ends = ", ".join(f"`{kind.value}`" for kind in second.kinds)
+        wanted = "must have another kind than ends for a machine with several stops or switches"
+        raise InputError(f"Argument `second` {wanted}, but it has {ends}.")
+    return replace(second, kinds=kinds)
 
 
 def _continuation(

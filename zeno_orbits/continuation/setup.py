@@ -32,7 +32,7 @@ from zeno_orbits.orbits import (
     event_return,
 )
 from zeno_orbits.search import settle
-from zeno_orbits.simulation import Release, SimulationSettings, state_before
+from zeno_orbits.simulation import Release, SimulationSettings
 
 ONE_RETURN = 1
 
@@ -158,6 +158,8 @@ def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
     return problem.dynamics(orbit.values(problem)).own.not_small(sizes, 1e-9)
 
 
+_SAMPLES = 20
+"""Least number of samples per arc for the sizes of states."""
 _SETTLED = 1e-3
 """Largest change of the state over a period, relative to its size, at which it nearly repeats."""
 
@@ -296,8 +298,9 @@ def start_at_event(
         box=box,
         section=section,
         metric=FamilyMetric(
+            # A state may be small at every event, such as the phase of a clock.
             scale=graph.own.not_small(
-                np.max(np.abs([state_before(event) for event in found.events]), axis=0), 1e-9
+                np.max(np.abs(found.execution.sampled(_SAMPLES)[1]), axis=0), _SETTLED
             ),
             unit=box[1] - box[0],
             horizon=PATIENCE * orbit.period,
