@@ -242,7 +242,7 @@ class Arc(ByValue):
         Raises:
             ValueError: If the arc is the tail of an impact sequence: no flow was followed.
         """
-        return self.flow_states_at(np.array([offset]))[0]
+        return self._flow().state_at(offset)
 
     def flow_states_at(self, offsets: Vector) -> Vector:
         """Return the states of the flow itself, ``(n, n_y)``.
@@ -253,9 +253,12 @@ class Arc(ByValue):
         Raises:
             ValueError: If the arc is the tail of an impact sequence: no flow was followed.
         """
+        return self._flow().states_at(offsets)
+
+    def _flow(self) -> Trajectory:
         if self.trajectory is None:
             raise ValueError("Argument `self` must be an arc with a flow, but it is a tail.")
-        return self.trajectory.states_at(offsets)
+        return self.trajectory
 
     @property
     def flow_times(self) -> Vector:

@@ -392,7 +392,7 @@ class LoopTrajectory:
 
     def state_at(self, offset: float) -> Vector:
         """Return the state at a time from the start."""
-        return self.states_at(np.array([offset]))[0]
+        return self.end if offset >= self.duration else self.states_at(np.array([offset]))[0]
 
     def states_at(self, offsets: Vector) -> Vector:
         """Return the states at times from the start, ``(n, n_y)``."""

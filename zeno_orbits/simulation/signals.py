@@ -119,8 +119,8 @@ def peaks(value: Callable[[Vector], float], arc: Arc, sign: float) -> list[Peak]
 
     steps = arc.flow_times / arc.flow_times[-1] if arc.flow_times[-1] > 0.0 else [0.0]
     grid = np.union1d(np.linspace(0.0, 1.0, _SAMPLES), steps)
-    values = [sign * value(arc.start_state), *(sign * here(float(f)) for f in grid[1:-1])]
-    values.append(sign * value(arc.end_state))
+    between = arc.states_at(arc.start_time + grid[1:-1] * length)
+    values = [sign * value(x) for x in (arc.start_state, *between, arc.end_state)]
     found = [
         Peak(fraction=0.0, value=sign * values[0]),
         Peak(fraction=1.0, value=sign * values[-1]),
@@ -165,7 +165,7 @@ def least_inside(arc: Arc, value: Scalar, rate: Scalar) -> float | None:
     def state(t: float) -> Vector:
         return arc.flow_state_at(t)[:n_x]
 
-    rates = [rate(state(float(t))) for t in inside]
+    rates = [rate(x) for x in arc.flow_states_at(inside)[:, :n_x]]
     found: list[float] = []
     for k in range(len(inside) - 1):
         if rates[k] < 0.0 <= rates[k + 1]:
