@@ -20,6 +20,20 @@ def caller(
         arguments: One array per input, which is read at every call.
         results: One array per output, which is written at every call.
     """
+    made: list[Callable[[], None]] = []
+
+    def call() -> None:
+        # A system at other values has a dozen of these calls, and few of them are used.
+        if not made:
+            made.append(_connected(function, arguments, results))
+        made[0]()
+
+    return call
+
+
+def _connected(
+    function: ca.Function, arguments: Sequence[Vector], results: Sequence[Vector]
+) -> Callable[[], None]:
     # CasADi's stubs require a size that the call takes from the memory itself.
     buffer: Any
     buffer, evaluate = function.buffer()
