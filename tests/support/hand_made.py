@@ -67,6 +67,10 @@ class Course:
         """Return the state at a time [s]."""
         return self.at((time - self.start_time) / self.duration)
 
+    def states_at(self, times: Vector) -> Vector:
+        """Return the states at times [s], one row each."""
+        return np.array([self.state_at(time) for time in times.tolist()])
+
     def at(self, fraction: float) -> Vector:
         """Return the state at a fraction of the arc."""
         return np.array([curve(fraction) for curve in self.curves])

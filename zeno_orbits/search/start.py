@@ -201,6 +201,8 @@ def _attracting(
 _BEFORE = (0.999, 0.99, 0.95, 0.8)
 """Points of the line from the start to the end of a family. Orbits near the end are too small for a
 verification."""
+_LAST = 1e-5
+"""Part of that line to which the last accepted orbit is located."""
 
 
 def _before(
@@ -223,7 +225,20 @@ def _before(
     """
     if reached.solution is None:
         return refused
-    outcome = _on_the_way(search, start, accept, name, reached.solution.values, _BEFORE)
+    place, refused_at, part = reached.solution.values, 1.0, 0.0
+    outcome = refused
+    for part in _BEFORE:
+        outcome = _at_part(search, start, accept, name, place, part)
+        if outcome.candidate is not None:
+            break
+        refused_at = part
+    while outcome.candidate is not None and refused_at - part > _LAST:
+        middle, near = (part + refused_at) / 2, outcome.candidate.orbit
+        closer = _at_part(search, start, accept, name, place, middle, near)
+        if closer.candidate is None:
+            refused, refused_at = closer, middle
+        else:
+            outcome, part = closer, middle
     if outcome.candidate is None:
         return refused
     return replace(outcome, detail=f"{reached.detail} Nearer to it: {refused.detail}")
@@ -239,7 +254,6 @@ def _on_the_way(
     accept: Accept | None,
     name: str,
     place: ParameterValues,
-    parts: tuple[float, ...] = _PARTS,
 ) -> StartOutcome:
     """Search at fixed values on the line from a start to a point. An orbit takes priority.
 
@@ -251,20 +265,41 @@ def _on_the_way(
         accept: The check of orbits.
         name: Name of the start for progress reports.
         place: Values of the nearest orbit.
-        parts: Points of the line, as parts of its length from the start, in the order of attempts.
     """
-    held = replace(search, free={})
     outcome = StartOutcome(status=SearchStatus.NO_GUESS)
-    for part in parts:
-        numbers = {
-            free: (1.0 - part) * start.values.number(free) + part * place.number(free)
-            for free in search.free
-        }
-        there = SearchStart(values=start.values.replaced(numbers))
-        outcome, _ = _judged(search, from_start(held, there), accept, name)
+    for part in _PARTS:
+        outcome = _at_part(search, start, accept, name, place, part)
         if outcome.candidate is not None:
             break
     return outcome
+
+
+def _at_part(
+    search: SearchProblem,
+    start: SearchStart,
+    accept: Accept | None,
+    name: str,
+    place: ParameterValues,
+    part: float,
+    near: ZenoOrbit | None = None,
+) -> StartOutcome:
+    """Search at fixed values on the line from a start to a point, and check the orbit.
+
+    Args:
+        search: The search.
+        start: The start.
+        accept: The check of orbits.
+        name: Name of the start for progress reports.
+        place: Values at the end of the line.
+        part: The point of the line, as a part of its length from the start.
+        near: An orbit near it.
+    """
+    numbers = {
+        free: (1.0 - part) * start.values.number(free) + part * place.number(free)
+        for free in search.free
+    }
+    there = SearchStart(values=start.values.replaced(numbers), near=near)
+    return _judged(search, from_start(replace(search, free={}), there), accept, name)[0]
 
 
 def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str, Extent]:
