@@ -11,6 +11,7 @@ The published state just after heel strike and the period are those of the gait 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -89,12 +90,21 @@ def _exchanged(
     return np.array([q[1], q[0], q[0]]), np.array([new, old, old]), z
 
 
-def walker(restitution: float) -> Machine:
-    """Return the walker with a restitution of the knee stop."""
+Drive = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, float]]
+"""Torques of motors on the three angles, and their electrical power, of angles and rates."""
+
+
+def _undriven(_q: np.ndarray, _v: np.ndarray) -> tuple[np.ndarray, float]:
+    return np.zeros(3), 0.0
+
+
+def walker(restitution: float, *, slope: float = SLOPE, drive: Drive = _undriven) -> Machine:
+    """Return the walker with a restitution of the knee stop. Its further state is the energy in."""
     return Machine(
         n=3,
         mass=_mass,
-        force=_force,
+        force=lambda t, q, v, _z, _: _force(t, q, v) + drive(q, v)[0],
+        rate=lambda _t, q, v, z, _: np.full(len(z), drive(q, v)[1]),
         contacts=(
             Contact(
                 name="knee",
@@ -106,8 +116,8 @@ def walker(restitution: float) -> Machine:
         resets=(
             Reset(
                 name="heel strike",
-                guard=lambda _t, q, _v, _z: q[0] + q[1] + 2 * SLOPE,
-                armed=lambda _t, q, _v, _z: q[1] + SLOPE - AHEAD,
+                guard=lambda _t, q, _v, _z: q[0] + q[1] + 2 * slope,
+                armed=lambda _t, q, _v, _z: q[1] + slope - AHEAD,
                 after=_exchanged,
             ),
         ),
