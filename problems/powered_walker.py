@@ -23,6 +23,7 @@ from zeno_orbits import (
     MotorBank,
     Problem,
     Quantity,
+    StateLimit,
     hybrid_system,
     load_problem,
     quasi_static_drive,
@@ -94,5 +95,6 @@ PROBLEM = Problem(
     starts=({"q1": 0.2, "q2": -0.2, "q3": -0.2, "dq1": -0.9, "dq2": 0.1, "dq3": 0.1},),
     portraits=PASSIVE.portraits,
     amplitude_of="q2",
+    escapes={"q1": StateLimit(beyond=1.2, phrase="it falls")},
     drawing=drawing,
 )

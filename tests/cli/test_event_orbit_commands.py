@@ -161,7 +161,6 @@ def test_search_of_one_stop_refuses_objectives_about_several() -> None:
 
 def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() -> None:
     zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
-    assert_refused(ask("map", "hopper", "--x", "a=10:20", "--y", "s=0.1:0.2"), "`hopper`")
     assert_refused(ask("zeno-condition", "hopper"), "`hopper`")
     assert_refused(ask("push", "hopper.json"), "format 3")
     region = ("plot", "hopper.json", "-o", "pictures", "--kind", "region")

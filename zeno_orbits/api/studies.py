@@ -14,7 +14,6 @@ from zeno_orbits.api.inputs import (
     Numbers,
     any_orbit,
     as_axis,
-    as_orbit,
     file_of,
     front_door,
     known_problem,
@@ -229,7 +228,7 @@ def parameter_map(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
-    orbit: ZenoOrbit | str | Path | None = None,
+    orbit: ZenoOrbit | EventOrbit | str | Path | None = None,
     refine: int = 0,
     until: float | None = None,
     workers: int = 1,
@@ -288,7 +287,7 @@ def map_plane(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
-    orbit: ZenoOrbit | str | Path | None = None,
+    orbit: ZenoOrbit | EventOrbit | str | Path | None = None,
     until: float | None = None,
     in_file: bool = True,
 ) -> Plane:
@@ -316,7 +315,7 @@ def map_plane(
     fixed["parameters"] = dict(named_numbers("parameters", parameters))
     begin = known.initial_state(start)
     if orbit is not None:
-        orbit = as_orbit(orbit)
+        orbit = any_orbit(orbit)
         values = orbit.values(problem_of(orbit, known))
         begin = known.state_vector({**orbit.start_state, **(start or {})})
         chosen = (x.name, y.name, *fixed["parameters"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -65,6 +65,8 @@ class Attractor:
         exponent: Largest Lyapunov exponent of a motion that does not repeat [1/s], else NaN.
         exponent_error: Three standard deviations of the exponent [1/s].
         number: Index of the orbit if a map over states has several orbits of one kind, else 0.
+        sequence: Event sequence of an orbit of a machine with several stops or switches, from the
+            event after `state` to the event of its section.
     """
 
     fate: Fate
@@ -81,6 +83,7 @@ class Attractor:
     exponent: float = float("nan")
     exponent_error: float = float("nan")
     number: int = 0
+    sequence: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Fill in the kind that follows from the fate alone."""
@@ -93,6 +96,8 @@ class Attractor:
         if self.fate in _ORBITS:
             several = self.fate is Fate.ZENO or self.returns > 1
             period = f", period {self.returns}" if several and self.returns else ""
+            if self.sequence:
+                period = f", {_counted(self.sequence)}"
             turns = f", {self.turns} turns" if self.turns > 1 else ""
             number = f", number {self.number}" if self.number else ""
             return f"{self.fate.value}{period}{turns}{number}"
@@ -116,8 +121,16 @@ class Attractor:
     def spectral_radius(self) -> float:
         """Largest modulus of the multipliers: 0 without multipliers, NaN if it is unknown."""
         # A state just after an impact always has a multiplier, but a release may not have any.
-        nothing = 0.0 if self.fate in (Fate.ZENO, Fate.SIMPLE) else math.nan
+        known = self.sequence or self.fate in (Fate.ZENO, Fate.SIMPLE)
+        nothing = 0.0 if known else math.nan
         return max((abs(value) for value in self.multipliers), default=nothing)
+
+
+def _counted(sequence: Sequence[str]) -> str:
+    """Return the number of events of a sequence, and of the Zeno points among them."""
+    zenos = sum(name.startswith("zeno ") for name in sequence)
+    counts = [(len(sequence), "event"), *([(zenos, "Zeno point")] if zenos else [])]
+    return ", ".join(f"{n} {word}{'s' if n > 1 else ''}" for n, word in counts)
 
 
 def attractor_json(attractor: Attractor) -> dict[str, Any]:
@@ -137,6 +150,7 @@ def attractor_json(attractor: Attractor) -> dict[str, Any]:
         "exponent": attractor.exponent,
         "exponent_error": attractor.exponent_error,
         "number": attractor.number,
+        "sequence": list(attractor.sequence),
     }
     empty: tuple[object, ...] = ("", [], {})
     return {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -14,10 +14,11 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attempt import Accuracy
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.crossings import Follower
+from zeno_orbits.maps.event_point import EventPoint, known_event_orbit
 from zeno_orbits.maps.known import KnownOrbit, distinct_orbits, known_orbit
 from zeno_orbits.maps.point import Point
 from zeno_orbits.maps.sure_point import sure_attractor
-from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, own_time
+from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem, own_time
 from zeno_orbits.simulation import OSCILLATIONS, WAITING, bounds_of, turns_in
 from zeno_orbits.work import Progress, silent
 
@@ -94,11 +95,11 @@ def attractors_from(
     """
     limits = _limits(problem, bounds)
     found: list[Attractor] = []
-    system: tuple[ParameterValues, HybridDynamics] | None = None
+    system: tuple[ParameterValues, HybridDynamics | GraphDynamics] | None = None
     for values, state in motions:
         try:
             if system is None or system[0] is not values:
-                system = values, problem.dynamics(values)
+                system = values, system_of(problem, values)
         except InputError as error:
             # A derived value may be outside of its range.
             found.append(Attractor(fate=Fate.FAILED, detail=str(error)))
@@ -126,11 +127,15 @@ def known_orbits(
     Raises:
         InputError: If the problem rejects the values.
     """
-    follower = Follower(dynamics=problem.dynamics(values), bounds=_limits(problem, None))
-    exact = accuracy or Accuracy()
+    system, exact = system_of(problem, values), accuracy or Accuracy()
+    limits = _limits(problem, None)
     found: list[KnownOrbit] = []
     for attractor in attractors:
-        orbit = known_orbit(follower, problem.state_units, attractor, exact)
+        if isinstance(system, GraphDynamics):
+            orbit = known_event_orbit(system, attractor, exact)
+        else:
+            follower = Follower(dynamics=system, bounds=limits)
+            orbit = known_orbit(follower, problem.state_units, attractor, exact)
         if orbit is not None:
             found.append(orbit)
     return distinct_orbits(found)
@@ -138,7 +143,7 @@ def known_orbits(
 
 def _attractor(
     problem: Problem,
-    dynamics: HybridDynamics,
+    system: HybridDynamics | GraphDynamics,
     start: Vector,
     until: float,
     limits: Vector,
@@ -146,11 +151,18 @@ def _attractor(
     known: Sequence[KnownOrbit],
 ) -> Attractor:
     """Return the attractor of one motion."""
-    usual = dynamics.own.states(len(start))
-    follower = Follower(dynamics=dynamics, bounds=limits)
-    motion = partial(Point, follower, problem.state_units, start, until, usual=usual, known=known)
+    units = problem.state_units
+    motion: Callable[[Accuracy], Point | EventPoint]
+    if isinstance(system, GraphDynamics):
+        first = system.first
+        motion = partial(EventPoint, system, units, start, until, bounds=limits, known=known)
+    else:
+        first = system
+        usual = first.own.states(len(start))
+        follower = Follower(dynamics=first, bounds=limits)
+        motion = partial(Point, follower, units, start, until, usual=usual, known=known)
     found = sure_attractor(motion, accuracy)
-    turns = turns_in(dynamics, start, found.period)
+    turns = turns_in(first, start, found.period)
     return _in_words(problem, replace(found, turns=turns))
 
 
@@ -169,12 +181,22 @@ def usual_time(
         start: Initial state of the motions, ``(n_x,)``.
     """
     state = np.array(start)
-    slowest = max(own_time(problem.dynamics(values), state) for values in settings)
-    if problem.compiled().clock:
+    firsts = [first_system(problem, values) for values in settings]
+    slowest = max(own_time(first, state) for first in firsts)
+    if problem.clock:
         return float(f"{WAITING * slowest:.0e}")
-    bounciest = max(values.parameters["restitution"] for values in settings)
+    bounciest = max(_restitution(problem, values) for values in settings)
     longer = math.log(_BOUNCY) / math.log(bounciest) if bounciest > _BOUNCY else 1.0
     return float(f"{min(longer, _LONGEST) * OSCILLATIONS * slowest:.0e}")
+
+
+def _restitution(problem: Problem, values: ParameterValues) -> float:
+    """Return the largest restitution of all stops."""
+    system = system_of(problem, values)
+    if not isinstance(system, GraphDynamics):
+        return values.parameters["restitution"]
+    stops = range(len(system.stop_names))
+    return max(system.view(system.open_mode, k).restitution for k in stops)
 
 
 def _in_words(problem: Problem, found: Attractor) -> Attractor:
@@ -191,4 +213,29 @@ def _limits(problem: Problem, bounds: Mapping[str, float] | None) -> Vector:
     for name, bound in declared.items():
         if not bound > 0.0:
             raise InputError(f"Argument `bounds` must be positive, but `{name}` has {bound:g}.")
-    return bounds_of(problem.state_names, problem.state_units, problem.compiled().n_q, declared)
+    n_q = first_system(problem, problem.values()).n_q
+    return bounds_of(problem.state_names, problem.state_units, n_q, declared)
+
+
+def system_of(problem: Problem, values: ParameterValues) -> HybridDynamics | GraphDynamics:
+    """Return a problem at given values: a system with one stop, or a graph of modes.
+
+    Args:
+        problem: The problem.
+        values: Values of its gains and parameters.
+
+    Raises:
+        InputError: If the problem rejects the values.
+    """
+    return problem.graph_dynamics(values) if problem.has_graph else problem.dynamics(values)
+
+
+def first_system(problem: Problem, values: ParameterValues) -> HybridDynamics:
+    """Return the system of the first or only stop of a problem.
+
+    Args:
+        problem: The problem.
+        values: Values of its gains and parameters.
+    """
+    system = system_of(problem, values)
+    return system.first if isinstance(system, GraphDynamics) else system

@@ -39,6 +39,7 @@ class KnownOrbit:
         states: States of the orbit on the section over a period, ``(n, n_x)``.
         scale: Size of each state, ``(n_x,)``.
         rate: Spectral radius :math:`\rho` of the return map.
+        section: Event of the section of a machine with several stops or switches, else empty.
     """
 
     attractor: Attractor
@@ -46,6 +47,7 @@ class KnownOrbit:
     states: tuple[tuple[float, ...], ...]
     scale: tuple[float, ...]
     rate: float
+    section: str = ""
 
     @property
     def near(self) -> float:
@@ -164,7 +166,8 @@ def distinct_orbits(orbits: Sequence[KnownOrbit]) -> tuple[KnownOrbit, ...]:
 
 def is_same(one: KnownOrbit, other: KnownOrbit) -> bool:
     """Return True if two orbits are the same, for any start of their periods."""
-    if (one.at_releases, len(one.states)) != (other.at_releases, len(other.states)):
+    alike = [(orbit.at_releases, orbit.section, len(orbit.states)) for orbit in (one, other)]
+    if alike[0] != alike[1]:
         return False
     period = other.attractor.period
     if not math.isclose(one.attractor.period, period, rel_tol=_SAME_PERIOD):

@@ -14,7 +14,13 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, any_number, shown
 from zeno_orbits.maps.attempt import Accuracy
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_json
-from zeno_orbits.maps.classify import attractors_from, known_orbits, usual_time
+from zeno_orbits.maps.classify import (
+    attractors_from,
+    first_system,
+    known_orbits,
+    system_of,
+    usual_time,
+)
 from zeno_orbits.maps.known import KnownOrbit
 from zeno_orbits.maps.refinement import fine_count
 from zeno_orbits.model import ParameterValues, Problem, ProblemFile, unknown
@@ -260,9 +266,9 @@ def _require_clock(problem: Problem, values: ParameterValues, plane: Plane) -> N
     Raises:
         InputError: If the state is off the circle. The message names the two states of the clock.
     """
-    dynamics, start = problem.dynamics(values), np.array(plane.start)
-    if dynamics.clock and abs(dynamics.holonomic(start)[-1]) > _OFF:
-        simulate(dynamics, start, until=1.0)
+    first, start = first_system(problem, values), np.array(plane.start)
+    if first.clock and abs(first.holonomic(start)[-1]) > _OFF:
+        simulate(system_of(problem, values), start, until=1.0)
 
 
 def _checked(problem: Problem, plane: Plane, side: str) -> Axis:
@@ -294,7 +300,7 @@ def _unit_of_state(problem: Problem, axis: Axis, side: str) -> str:
         wanted = f"must have finite bounds LOWER < UPPER for `{axis.name}`"
         raise InputError(f"Argument `{side}` {wanted}, but they are {low:g}:{high:g}.")
     place = problem.state_names.index(axis.name)
-    if place in problem.compiled().clock:
+    if place in problem.clock:
         wanted = "must not be a state of the clock, which stays on its circle"
         raise InputError(f"Argument `{side}` {wanted}, but it is `{axis.name}`.")
     return problem.state_units[place]

@@ -9,6 +9,7 @@ from dataclasses import replace
 from zeno_orbits.maps.approach import Way
 from zeno_orbits.maps.attempt import SAME_PERIOD, Accuracy
 from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.event_point import EventPoint
 from zeno_orbits.maps.point import Point
 
 _WANDERS = 10
@@ -18,7 +19,9 @@ _FINER = 1e-2
 _DEPENDS = "its attractor depends on the smallest errors"
 
 
-def sure_attractor(motion: Callable[[Accuracy], Point], accuracy: Accuracy) -> Attractor:
+def sure_attractor(
+    motion: Callable[[Accuracy], Point | EventPoint], accuracy: Accuracy
+) -> Attractor:
     """Return the attractor of a motion. After a long transient, two accuracies have to agree.
 
     Args:

@@ -33,6 +33,7 @@ from .event_section import on_section as on_section
 from .event_section import closed_return as closed_return
 from .event_section import inverse_of_closing as inverse_of_closing
 from .event_section import event_return as event_return
+from .event_section import event_sections as event_sections
 from .event_section import multipliers_of_return as multipliers_of_return
 from .event_section import near_return as near_return
 from .looser_run import LOOSER as LOOSER

@@ -296,6 +296,7 @@ def closed_return(
     guess: float,
     settings: SimulationSettings,
     parameters: Sequence[int] = (),
+    is_near: bool = False,
 ) -> EventReturn:
     """Return the periodic orbit near a start, by Newton's method.
 
@@ -307,6 +308,8 @@ def closed_return(
         guess: Approximate period [s].
         settings: Accuracy.
         parameters: Indices in ``p`` of the parameters of the derivatives.
+        is_near: Whether the start is near the orbit, so that every correction is smaller than the
+            one before. The first one that is not ends the search.
 
     Raises:
         SimulationError: If Newton's method does not converge, or the motion does not return.
@@ -339,7 +342,7 @@ def closed_return(
             best, best_size = found, size
         elif best_size < _ROUNDED:
             break
-        if size <= _EXACT:
+        if size <= _EXACT or (is_near and not size < before):
             break
         if size > 0.5:
             change *= 0.5 / size
@@ -447,7 +450,7 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
             f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."
         )
     scale = largest_states(execution.arcs, graph)
-    for chosen in _sections(execution, graph) if section is None else [section]:
+    for chosen in event_sections(execution, graph) if section is None else [section]:
         marks = [
             (event.time, state_after(event))
             for event, name in zip(execution.events, names, strict=True)
@@ -472,10 +475,14 @@ def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:
     return bool(abs(guards[k]) <= levels[k] and armed[k] > 0.0)
 
 
-def _sections(execution: Execution, graph: GraphDynamics) -> list[str]:
+def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
     """Return the events that may serve as a section, the best first.
 
     A switch that is armed on its guard after its reset would occur again at the start.
+
+    Args:
+        execution: The execution.
+        graph: The graph of modes.
     """
     declared = graph.switch_names[: graph.n_declared]
     names = list(dict.fromkeys(orbit_event_name(event) for event in execution.events))

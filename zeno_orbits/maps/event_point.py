@@ -1,0 +1,380 @@
+"""One point of a map of a machine with several stops or switches.
+
+The motion is simulated from its start for longer and longer times. Its returns to a section after
+an event are classified as those of a machine with one stop. Newton's method then closes the orbit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, RunawayError, SimulationError
+from zeno_orbits.maps.approach import Way, is_approached, steps_towards
+from zeno_orbits.maps.attempt import Accuracy
+from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.known import KnownOrbit, Recognition
+from zeno_orbits.model import GraphDynamics, own_time
+from zeno_orbits.orbits import (
+    EventReturn,
+    SectionMode,
+    closed_return,
+    event_return,
+    event_sections,
+    largest_states,
+    multipliers_of_return,
+    on_section,
+    orbit_event_name,
+    sequence_of,
+)
+from zeno_orbits.simulation import (
+    AttractorKind,
+    Execution,
+    Impact,
+    Motion,
+    SectionReturn,
+    Settling,
+    SimulationSettings,
+    ZenoPoint,
+    clock_turn,
+    has_left,
+    is_still,
+    outcome_of,
+    scale_of,
+    simulate,
+    state_after,
+    transient_settings,
+)
+
+_FIRST, _LONGER = 12.0, 4.0
+"""First simulated time in units of the problem's slowest time, and factor of the next one."""
+_REMEMBERED = 40
+"""Number of the last returns that are compared."""
+_APART = 0.2
+"""Factor by which a longer period must reduce the change over a shorter period."""
+_TURNS = 32
+"""Longest period in the search for motions without events, in turns of the clock."""
+_SAMPLES = 64
+"""States of the last turn of a motion that may rest."""
+_CONTACT = 1e-9
+"""Part of a state's usual size that counts as no motion."""
+
+
+class EventPoint:
+    """A motion of a machine with several stops or switches, until its attractor is known."""
+
+    def __init__(
+        self,
+        graph: GraphDynamics,
+        units: Sequence[str],
+        start: Vector,
+        until: float,
+        accuracy: Accuracy,
+        bounds: Vector,
+        known: Sequence[KnownOrbit] = (),
+    ) -> None:
+        """Begin at an initial state.
+
+        Args:
+            graph: The graph of modes.
+            units: Unit of each state.
+            start: Initial state, ``(n_x,)``.
+            until: Longest simulated time [s].
+            accuracy: Accuracy of the simulation.
+            bounds: Largest modulus of each state, ``(n_x,)``.
+            known: Orbits with which the motion is compared.
+        """
+        self._graph, self._units, self._start, self._until = graph, units, start, until
+        self._accuracy, self._bounds, self._known = accuracy, bounds, known
+        self._usual = graph.own.states(len(start))
+        # Returns of one simulation differ by its own errors.
+        self._same = max(accuracy.repeats, accuracy.reached)
+        self.way: Way | None = None
+
+    def attractor(self) -> Attractor:
+        """Simulate the motion and return its attractor."""
+        far = tuple(self._bounds[: self._graph.n_q].tolist())
+        settings = transient_settings(self._accuracy.motion, far)
+        time = _FIRST * own_time(self._graph.first, self._start)
+        try:
+            while True:
+                time = min(time, self._until)
+                motion = simulate(self._graph, self._start, until=time, settings=settings)
+                found = self._classified(motion)
+                if found is not None:
+                    return found
+                if time == self._until:
+                    return self._at_last(motion)
+                time *= _LONGER
+        except RunawayError as error:
+            escaped = error.coordinate or error.reason.split()[0]
+            return Attractor(fate=Fate.ESCAPE, escaped=escaped)
+        except SimulationError as error:
+            return Attractor(fate=Fate.FAILED, detail=error.reason)
+        except InputError as error:
+            detail = f"The start is not admissible: {str(error).partition('must ')[2]}"
+            return Attractor(fate=Fate.FAILED, detail=detail)
+
+    def _classified(self, motion: Execution) -> Attractor | None:
+        """Return the attractor of a motion, if it is known by now."""
+        recognized = self._recognized(motion)
+        if recognized is not None:
+            return recognized
+        beyond = np.abs(motion.end_state) > self._bounds
+        if beyond.any():
+            escaped = self._graph.state_names[int(np.argmax(beyond))]
+            return Attractor(fate=Fate.ESCAPE, escaped=escaped)
+        if self._is_still(motion):
+            return Attractor(fate=Fate.REST)
+        late = tuple(event for event in motion.events if event.time > motion.end_time / 2)
+        if not late:
+            return self._without_events(motion)
+        for section in _sections(event_sections(replace(motion, events=late), self._graph)):
+            returns = [
+                SectionReturn(time=event.time, state=np.asarray(state_after(event)))
+                for event in motion.events
+                if orbit_event_name(event) == section
+            ]
+            settling = self._settling(returns)
+            if settling.outcome is AttractorKind.DIES_OUT:
+                return Attractor(fate=Fate.REST, trend=settling.trend)
+            for repeated in settling.repetitions:
+                found = self._closed(motion, section, returns, repeated.returns)
+                if found is not None:
+                    return found
+        return None
+
+    def _settling(self, returns: Sequence[SectionReturn]) -> Settling:
+        """Classify the motion from its returns to a section."""
+        unit = scale_of([returns[0].state], self._units, self._usual)
+        motion = Motion(
+            units=self._units,
+            usual=self._usual,
+            returns=returns[-_REMEMBERED:],
+            amplitudes=[float(np.max(np.abs(one.state) / unit)) for one in returns],
+        )
+        return outcome_of(motion, close=self._accuracy.near, apart=_APART)
+
+    def _closed(
+        self, motion: Execution, section: str, returns: Sequence[SectionReturn], n: int
+    ) -> Attractor | None:
+        """Return the stable orbit of `n` returns that the motion approaches."""
+        before, now = returns[-1 - n], returns[-1]
+        arc = next((arc for arc in motion.arcs if arc.start_time >= now.time), None)
+        if arc is None:
+            return None
+        start = on_section(self._graph, now.state, SectionMode.of(arc, section))
+        try:
+            found = self._shortest(self._near(section, start, n, now.time - before.time), section)
+            multipliers = multipliers_of_return(self._graph, found)
+            scale = largest_states(found.execution.arcs, self._graph)
+            jacobian = found.by_state * scale[None, :] / scale[:, None]
+        except (SimulationError, np.linalg.LinAlgError):
+            return self._repeated(returns, n)
+        n = _count(found, section)
+        since, away = ((one.state - found.start) / scale for one in (returns[-1 - n], now))
+        approached = is_approached(since, away, jacobian, self._accuracy.reached)
+        if not (approached and all(abs(value) < 1.0 for value in multipliers)):
+            return None
+        passed = [one.state for one in reversed(returns)][::n]
+        on_the_way = steps_towards(passed, found.start, scale, self._accuracy.reached)
+        self._note_way(returns, n * on_the_way)
+        return self._orbit(self._standard(found, section), multipliers)
+
+    def _near(self, section: str, start: Vector, n: int, guess: float) -> EventReturn:
+        """Return the orbit of `n` returns near a state, by Newton's method."""
+        return closed_return(
+            self._graph,
+            start,
+            section=section,
+            n_returns=n,
+            guess=guess,
+            settings=SimulationSettings(),
+            is_near=True,
+        )
+
+    def _shortest(self, found: EventReturn, section: str) -> EventReturn:
+        """Return an orbit over its shortest period.
+
+        A return near the start is not sufficient: the orbit of fewer returns must have this start.
+        """
+        scale = largest_states(found.execution.arcs, self._graph)
+        marks = [event for event in found.events if orbit_event_name(event) == section]
+        for k, event in enumerate(marks[:-1], start=1):
+            away = np.max(np.abs(state_after(event) - found.start) / scale)
+            if len(marks) % k or not away < self._accuracy.near:
+                continue
+            try:
+                shorter = self._near(section, found.start, k, event.time)
+            except SimulationError:
+                continue
+            if np.max(np.abs(shorter.start - found.start) / scale) < self._accuracy.exact:
+                return shorter
+        return found
+
+    def _repeated(self, returns: Sequence[SectionReturn], n: int) -> Attractor | None:
+        """Return the orbit of returns that repeat to the accuracy, without its multipliers."""
+        if len(returns) <= 2 * n:
+            return None
+        states = np.array([one.state for one in returns[-1 - 2 * n :]])
+        scale = scale_of(list(states), self._units, self._usual)
+        if not np.max(np.abs(states[n:] - states[:-n]) / scale) < self._same:
+            return None
+        self._note_way(returns, n)
+        return Attractor(
+            fate=Fate.NO_ZENO,
+            period=returns[-1].time - returns[-1 - n].time,
+            state=self._named(returns[-1].state),
+        )
+
+    def _note_way(self, returns: Sequence[SectionReturn], on_the_way: int) -> None:
+        """Record the approach of the motion to its orbit, over its last returns."""
+        times = tuple(one.time for one in returns)
+        self.way = Way(times=times, captured=max(len(times) - 1 - on_the_way, 0))
+
+    def _standard(self, found: EventReturn, section: str) -> EventReturn:
+        """Return an orbit from its first section, so that one orbit has one start."""
+        run = replace(found.execution, events=found.events)
+        usual = _sections(event_sections(run, self._graph))[0]
+        if usual == section:
+            return found
+        last = next(one for one in reversed(found.events) if orbit_event_name(one) == usual)
+        try:
+            return self._near(usual, state_after(last), _count(found, usual), found.period)
+        except SimulationError:
+            return found
+
+    def _orbit(self, found: EventReturn, multipliers: tuple[complex, ...]) -> Attractor:
+        """Return an orbit by the events of its period."""
+        sequence = sequence_of([orbit_event_name(event) for event in found.events])
+        zenos = sum(isinstance(event, ZenoPoint) for event in found.events)
+        impacts = sum(isinstance(event, Impact) for event in found.events)
+        # A plastic stop closes at the first impact of its sequence.
+        plastic = impacts == zenos == len(found.events) - len(sequence)
+        fate = Fate.NO_ZENO if not zenos else Fate.SIMPLE if plastic else Fate.ZENO
+        return Attractor(
+            fate=fate,
+            returns=_count(found, sequence[-1]),
+            period=found.period,
+            multipliers=multipliers,
+            state=self._named(found.start),
+            sequence=sequence,
+        )
+
+    def _recognized(self, motion: Execution) -> Attractor | None:
+        """Return the known orbit to which the motion converges, and record its approach."""
+        watches = [Recognition(orbit=one, reached=self._accuracy.reached) for one in self._known]
+        seen: dict[str, list[SectionReturn]] = {one.section: [] for one in self._known}
+        for event in motion.events:
+            name = orbit_event_name(event)
+            if name not in seen:
+                continue
+            state = np.asarray(state_after(event))
+            seen[name].append(SectionReturn(time=event.time, state=state))
+            for one in watches:
+                if one.orbit.section == name and one.sees(state):
+                    self._note_way(seen[name], len(one.passed))
+                    return one.orbit.attractor
+        return None
+
+    def _is_still(self, motion: Execution) -> bool:
+        """Return True if no state but the clock has changed for a turn, or the slowest time."""
+        first, x = self._graph.first, motion.end_state
+        span = clock_turn(first, x) or own_time(first, self._start)
+        begin = motion.end_time - span
+        if begin < motion.end_time / 2 or any(event.time > begin for event in motion.events):
+            return False
+        moving = [k for k in range(len(x)) if k not in first.clock]
+        times = np.linspace(begin, motion.end_time, _SAMPLES)
+        moved = [motion.state_at(time) - x for time in times.tolist()]
+        largest = np.max(np.abs([arc.start_state - x for arc in motion.arcs]), axis=0)
+        zero = _CONTACT * self._usual[moving]
+        moves = np.abs(np.array(moved)[None, :, moving])
+        return bool(is_still(moves, largest[None, moving], zero)[0])
+
+    def _without_events(self, motion: Execution) -> Attractor | None:
+        """Return the orbit of a motion without events, from its states at turns of the clock."""
+        turn = clock_turn(self._graph.first, motion.end_state)
+        if turn is None:
+            return None
+        count = min(int(motion.end_time / 2 / turn), 2 * _TURNS)
+        ends = [motion.end_time - k * turn for k in range(count, -1, -1)]
+        states = [motion.state_at(time) for time in ends]
+        rows = np.array(states) / scale_of(states, self._units, self._usual)
+        for n in range(1, count // 2 + 1):
+            if np.max(np.abs(rows[n:] - rows[:-n])) < self._same:
+                state = self._named(states[-1])
+                return Attractor(fate=Fate.NO_ZENO, period=n * turn, state=state)
+        return None
+
+    def _at_last(self, motion: Execution) -> Attractor:
+        """Classify a motion that was simulated to its time limit."""
+        arc, half = motion.arcs[-1], motion.end_time / 2
+        n_q = self._graph.n_q
+        reached = [one.end_state[:n_q] for one in motion.arcs if one.end_time <= half]
+        if reached:
+            left = has_left(motion.end_state[:n_q], np.max(np.abs(reached), axis=0))
+            if left.any():
+                escaped = self._graph.state_names[int(np.argmax(left))]
+                return Attractor(fate=Fate.ESCAPE, escaped=escaped)
+        if arc.closed and arc.start_time < half:
+            return Attractor(fate=Fate.HELD)
+        return Attractor(fate=Fate.UNSETTLED)
+
+    def _named(self, state: Vector) -> dict[str, float]:
+        return dict(zip(self._graph.state_names, state.tolist(), strict=True))
+
+
+def _count(found: EventReturn, section: str) -> int:
+    """Return the number of returns to a section in a period."""
+    return sum(orbit_event_name(event) == section for event in found.events)
+
+
+def _sections(found: Sequence[str]) -> list[str]:
+    """Return sections of one kind in the order of their names.
+
+    So an orbit has one section, whichever of its events the motion met first.
+    """
+    kinds = groupby(found, key=lambda name: name.partition(" ")[0])
+    return [name for _, names in kinds for name in sorted(names)]
+
+
+def known_event_orbit(
+    graph: GraphDynamics, attractor: Attractor, accuracy: Accuracy
+) -> KnownOrbit | None:
+    """Return an attractor of such a machine as a known orbit, or ``None`` if it is not usable.
+
+    An orbit is usable if its multipliers are known and below one.
+
+    Args:
+        graph: The graph of modes.
+        attractor: The attractor.
+        accuracy: Accuracy of the simulation.
+    """
+    if not attractor.sequence or not attractor.spectral_radius < 1.0:
+        return None
+    try:
+        found = event_return(
+            graph,
+            np.array([attractor.state[name] for name in graph.state_names]),
+            section=attractor.sequence[-1],
+            n_returns=attractor.returns,
+            guess=attractor.period,
+            settings=transient_settings(accuracy.orbit),
+        )
+    except SimulationError:
+        return None
+    section = attractor.sequence[-1]
+    states = [state_after(one) for one in found.events if orbit_event_name(one) == section]
+    return KnownOrbit(
+        attractor=attractor,
+        at_releases=False,
+        section=section,
+        states=tuple(tuple(np.asarray(state).tolist()) for state in states),
+        scale=tuple(largest_states(found.execution.arcs, graph).tolist()),
+        rate=attractor.spectral_radius,
+    )
