@@ -366,7 +366,7 @@ def test_teeth_give_back_what_their_loss_leaves() -> None:
     numbers = np.concatenate([p, [0.0], [0.0]])
 
     def rate(_t: float, y: Vector) -> Vector:
-        return np.array(built.free.rate(y, numbers)).ravel()
+        return np.array(built.mode().rate(y, numbers)).ravel()
 
     motion = solve_ivp(
         rate,

@@ -165,13 +165,13 @@ def simulate_rig(
         InputError: If a name is unknown, or the rig does not fit the problem.
         SimulationError: If the simulation of the machine cannot be continued.
     """
-    from zeno_orbits.experiment import default_rig
+    from zeno_orbits.experiment import default_rig, time_scale_of
     from zeno_orbits.experiment import simulate_rig as simulated
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     parts = rig or default_rig(known, values=values)
-    end = RIG_TIME * known.dynamics(values).own.time if until is None else until
+    end = RIG_TIME * time_scale_of(known, values) if until is None else until
     return simulated(
         known,
         values,

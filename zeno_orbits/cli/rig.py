@@ -154,18 +154,30 @@ def _from_start(options: argparse.Namespace) -> int:
             seed=options.seed,
             on_progress=progress,
         )
+    _show_contacts(options, run, problem)
+    return YES
+
+
+def _show_contacts(options: argparse.Namespace, run: zo.RigRun, problem: zo.Problem) -> None:
+    """Print the contacts of a run, and write its recording."""
     end = float(run.times[-1])
     touches = [
         {"start": t.start, "end": min(t.end, end), "approach_rate": t.approach_rate}
         for t in run.touches
     ]
+    several = len(run.stop_names) > 1
+    stops = [t.stop for t in run.touches] if several else []
     if options.json:
-        print_json({"problem": problem.name, "source": "simulated", "contacts": touches})
+        contacts = (
+            [one | {"stop": stop} for one, stop in zip(touches, stops, strict=True)]
+            if several
+            else touches
+        )
+        print_json({"problem": problem.name, "source": "simulated", "contacts": contacts})
     else:
-        report.print_contacts(problem.name, touches, problem.gap_unit)
+        report.print_contacts(problem.name, touches, problem.gap_unit, stops)
         report.print_lines(f"Warning: {one}." for one in api.rig_warnings(run, problem))
     _write(options, run, problem)
-    return YES
 
 
 def _rig_of(

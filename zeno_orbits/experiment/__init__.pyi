@@ -33,4 +33,5 @@ from .rig.cycle_comparison import penetration_warnings as penetration_warnings
 from .rig.run import RigSettings as RigSettings
 from .rig.run import recording_of as recording_of
 from .rig.run import RigRun as RigRun
+from .rig.run import time_scale_of as time_scale_of
 from .rig.simulator import simulate_rig as simulate_rig

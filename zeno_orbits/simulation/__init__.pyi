@@ -47,6 +47,7 @@ from .signals import signal_names as signal_names
 from .graph_shifts import GraphShifts as GraphShifts
 from .legs import LegFollower as LegFollower
 from .legs import states_after_steps as states_after_steps
+from .recorded import LoopTrajectory as LoopTrajectory
 from .looped import run_settings as run_settings
 from .settings import SimulationSettings as SimulationSettings
 from .settings import SimulationTask as SimulationTask
@@ -63,6 +64,9 @@ from .zeno_limit import extrapolate as extrapolate
 from .zeno_limit import limit_weights as limit_weights
 from .zeno_limit import spread_nodes as spread_nodes
 from .zeno_limit import tail_time as tail_time
+from .interruptions import armed_at_start as armed_at_start
+from .interruptions import enters_by_switch as enters_by_switch
+from .interruptions import slides as slides
 from .lyapunov import Exponent as Exponent
 from .lyapunov import largest_exponent as largest_exponent
 from .settling import MotionLog as MotionLog

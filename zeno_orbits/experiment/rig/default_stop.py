@@ -9,16 +9,21 @@ contact phase, where `a` is the acceleration that the stop prevents. The damping
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import dataclass
 
-import numpy as np
-
-from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.experiment.rig.machine import machine
-from zeno_orbits.model import Call, Contact, ParameterValues, Problem, Rig
-from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.simulation import Mode, simulate
+from zeno_orbits.experiment.rig.run import time_scale_of
+from zeno_orbits.model import (
+    Contact,
+    GraphDynamics,
+    HybridDynamics,
+    ParameterValues,
+    Problem,
+    Rig,
+)
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.simulation import Execution, Mode, simulate
 
 PENETRATION = 1e-3
 """Penetration of a default stop at most, in parts of the highest gap."""
@@ -31,7 +36,10 @@ _TIMES = 20.0
 
 
 def default_rig(
-    problem: Problem, *, orbit: ZenoOrbit | None = None, values: ParameterValues | None = None
+    problem: Problem,
+    *,
+    orbit: ZenoOrbit | EventOrbit | None = None,
+    values: ParameterValues | None = None,
 ) -> Rig:
     """Return the parts that a problem declares, otherwise a single stop of stated penetration.
 
@@ -45,10 +53,11 @@ def default_rig(
     if problem.rig is not None:
         return problem.rig
     if orbit is not None:
-        start = problem.state_vector(orbit.release_state)
+        state = orbit.start_state if isinstance(orbit, EventOrbit) else orbit.release_state
+        start = problem.state_vector(state)
         return Rig(contact=_stop(problem, orbit.values(problem), start, orbit.period))
     known = values or problem.values()
-    until = _TIMES * problem.dynamics(known).own.time
+    until = _TIMES * time_scale_of(problem, known)
     return Rig(contact=_stop(problem, known, problem.initial_state(), until))
 
 
@@ -56,43 +65,83 @@ def _stop(
     problem: Problem, values: ParameterValues, start: tuple[float, ...], until: float
 ) -> Contact:
     """Return the stop for a motion, or by the problem's scales if the motion is without impacts."""
-    dynamics = problem.dynamics(values)
+    graph = problem.graph_dynamics(values) if problem.has_graph else None
+    dynamics = problem.dynamics(values) if graph is None else graph.first
     own, usual = dynamics.own, Contact()
     sized = Contact(
         stiffness=usual.stiffness * own.multiplier / own.gap,
         slowest=usual.slowest * own.gap_rate,
     )
     try:
-        motion = simulate(dynamics, start, until=until)
+        motion = simulate(dynamics if graph is None else graph, start, until=until)
     except SimulationError:
         return sized
-    observe = _observer(problem, values)
-    ends = [observe(arc.end_state) for arc in motion.arcs if arc.mode is Mode.FREE]
-    heights = [observe(x)[1] for arc in motion.arcs for x in arc.sampled(50)[1]]
-    speed = max((-rate for _, _, rate, _ in ends), default=0.0)
-    height = max(heights, default=0.0)
-    if not (speed > 0.0 and height > 0.0):
+    loads = _loads(dynamics, motion) if graph is None else list(_loads_of_stops(graph, motion))
+    struck = [one for one in loads if one.speed > 0.0 and one.height > 0.0]
+    if not struck:
         return sized
-    inertia = max(one for _, _, _, one in ends)
+    return Contact(
+        stiffness=max(one.stiffness for one in struck),
+        slowest=_SLOWEST * min(one.speed for one in struck),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Load:
+    """The load of a stop in a motion.
+
+    Attributes:
+        speed: Largest impact speed.
+        height: Largest gap.
+        inertia: Largest normal inertia in an impact.
+        pull: Largest acceleration that the stop prevents in a contact phase.
+    """
+
+    speed: float
+    height: float
+    inertia: float
+    pull: float
+
+    @property
+    def stiffness(self) -> float:
+        """Stiffness of the stop with the stated penetration."""
+        depth = PENETRATION * self.height
+        return self.inertia * max(self.speed**2 / depth**2, self.pull / depth)
+
+
+def _loads(dynamics: HybridDynamics, motion: Execution) -> list[_Load]:
+    """Return the load of the stop of a machine with one stop."""
+    ends = [arc.end_state for arc in motion.arcs if arc.mode is Mode.FREE]
+    sampled = [x for arc in motion.arcs for x in arc.sampled(50)[1]]
     locked = [arc for arc in motion.arcs if arc.mode is Mode.LOCKED]
-    loads = [-dynamics.gap_acceleration(x) for arc in locked for x in arc.sampled(20)[1]]
-    load = max(loads, default=0.0)
-    depth = PENETRATION * height
-    stiffness = inertia * max(speed**2 / depth**2, load / depth)
-    return Contact(stiffness=stiffness, slowest=_SLOWEST * speed)
+    pulls = [-dynamics.gap_acceleration(x) for arc in locked for x in arc.sampled(20)[1]]
+    return [
+        _Load(
+            speed=max((-dynamics.gap_rate(x) for x in ends), default=0.0),
+            height=max(map(dynamics.gap, sampled), default=0.0),
+            inertia=max(map(dynamics.normal_inertia, ends), default=0.0),
+            pull=max(pulls, default=0.0),
+        )
+    ]
 
 
-def _observer(
-    problem: Problem, values: ParameterValues
-) -> Callable[[Vector], tuple[float, float, float, float]]:
-    """Return the function from a state to force, gap, gap rate and normal inertia."""
-    built = machine(problem, Rig())
-    p = np.asarray(values.vector, dtype=np.float64)
-    rest = Call(built.rest, p)
-    seen = Call(built.observe, np.concatenate([p, np.zeros(built.n_motors), [0.0]]))
-
-    def observe(x: Vector) -> tuple[float, float, float, float]:
-        force, gap, rate, inertia = seen(rest(x).copy()).tolist()
-        return force, gap, rate, inertia
-
-    return observe
+def _loads_of_stops(graph: GraphDynamics, motion: Execution) -> Iterator[_Load]:
+    """Yield the load of every stop of a machine with several stops or switches."""
+    sampled = [x for arc in motion.arcs for x in arc.sampled(50)[1]]
+    for k, name in enumerate(graph.stop_names):
+        view = graph.view(graph.open_mode, k)
+        struck = [one for one in motion.impacts if one.stop == name]
+        inertias = [view.normal_inertia(one.state_minus) for one in struck]
+        forces = [
+            graph.holding(graph.mode_of(arc.closed, arc.sides), k).multiplier(x)
+            for arc in motion.arcs
+            if name in arc.closed
+            for x in arc.sampled(20)[1]
+        ]
+        inertia = max(inertias, default=0.0)
+        yield _Load(
+            speed=max((-one.approach_rate for one in struck), default=0.0),
+            height=max(map(view.gap, sampled), default=0.0),
+            inertia=inertia,
+            pull=max(forces, default=0.0) / inertia if inertia else 0.0,
+        )

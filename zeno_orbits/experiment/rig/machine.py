@@ -1,14 +1,15 @@
-r"""Functions of a machine: one flow off the stop, one flow in a compliant contact, no reset.
+r"""Functions of a machine: a flow for every set of touched stops and every branch of its kinks.
 
 The state is the problem's state ``(q, v, i)`` and clock, then the angle and rate of every rotor
-driven through a gear. In place of the problem's restitution, the machine has a contact force along
+driven through a gear. In place of the restitution, each stop has a contact force along
 :math:`\nabla h` (theory (48)). The other parts of a rig are forces and voltages (theory (50),
-(51)).
+(51)). Contacts are smooth, so only a declared switch resets the state.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -27,6 +28,7 @@ from zeno_orbits.model import (
     CompletedSystem,
     Drive,
     ModeFunctions,
+    ModeGraph,
     OwnScale,
     Problem,
     Rig,
@@ -36,21 +38,24 @@ from zeno_orbits.model import (
     mode_functions,
 )
 
+_Mode = tuple[tuple[int, ...], tuple[bool, ...], int, bool]
+"""Touched stops, sides of the kinks, guard, and for a declared switch the sign of its guard."""
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Machine:
-    """The functions of a machine in ``(y, P)``, with ``P = (p, held voltages, damping factor)``.
+    """The functions of a machine in ``(y, P)``, with ``P = (p, held voltages, damping factors)``.
 
     Attributes:
         state_names: Name of each entry of ``y``, first the states of the problem.
         n_x: Number of the problem's states.
         n_q: Number of coordinates.
         n_motors: Number of motors.
+        stop_names: Name of each stop.
         holds: Whether the voltages are held between updates instead of following the feedback
             continuously.
-        free: Flow off the stop. Its event function is the gap.
-        contact: Flow in contact. Its event function is the penetration.
-        observe: ``(y, P) -> (contact force, gap, gap rate, normal inertia)``.
+        observe: ``(y, P) -> (contact forces, gaps, gap rates, normal inertias)``, each of all
+            stops.
         motors: ``(y, P) -> (currents, terminal voltages)``, each ``(n_motors,)``.
         command: ``(x measured, p) -> voltages`` commanded by the feedback.
         rest: ``(x, p) -> y`` with every rotor in the middle of its backlash and turning with its
@@ -62,14 +67,63 @@ class Machine:
     n_x: int
     n_q: int
     n_motors: int
+    stop_names: tuple[str, ...]
     holds: bool
-    free: ModeFunctions
-    contact: ModeFunctions
     observe: ca.Function
     motors: ca.Function
     command: ca.Function
     rest: ca.Function
     inertia: ca.Function
+    _branch: Callable[[tuple[bool, ...]], _Parts] = field(repr=False)
+    _graph: ModeGraph | None = field(repr=False)
+    _branches: dict[tuple[bool, ...], _Parts] = field(
+        default_factory=dict["tuple[bool, ...]", "_Parts"], repr=False
+    )
+    _modes: dict[_Mode, ModeFunctions] = field(
+        default_factory=dict["_Mode", "ModeFunctions"], repr=False
+    )
+
+    def mode(
+        self,
+        touched: Sequence[int] = (),
+        sides: Sequence[bool] = (),
+        guard: int = 0,
+        *,
+        above: bool = True,
+    ) -> ModeFunctions:
+        """Return the flow of a mode with a guard: the gap of an open stop, or the penetration.
+
+        Args:
+            touched: Indices of the touched stops.
+            sides: Side of every kink, True where its condition is positive.
+            guard: Index of the stop, or of a switch after all stops.
+            above: True for the guard of a switch, False for its negative.
+        """
+        key = (tuple(touched), tuple(sides), guard, above)
+        if key not in self._modes:
+            self._modes[key] = self._built(*key)
+        return self._modes[key]
+
+    def _built(
+        self, touched: tuple[int, ...], sides: tuple[bool, ...], guard: int, above: bool
+    ) -> ModeFunctions:
+        if sides not in self._branches:
+            self._branches[sides] = self._branch(sides)
+        parts = self._branches[sides]
+        rate = parts.rate(touched)
+        if guard < len(self.stop_names):
+            sign = -1 if guard in touched else 1
+            watched = sign * ca.vertcat(parts.gaps[guard], parts.gap_rates[guard])
+            return mode_functions("machine", parts.state, parts.numbers, rate, watched)
+        if self._graph is None:
+            raise ValueError("Argument `guard` must be the index of a stop.")
+        value, _ = self._graph.guard(((), sides), guard - len(self.stop_names))
+        value = value if above else -value
+        slope = ca.jtimes(value, parts.state, rate)
+        watched = ca.vertcat(value, slope, ca.jtimes(slope, parts.state, rate))
+        return mode_functions(
+            "machine", parts.state, parts.numbers, rate, watched[:2], watched=watched
+        )
 
     def weights(self, own: OwnScale, rates: float = 1.0) -> tuple[float, ...]:
         """Return the scales of the absolute local errors. The scale of a rotor angle is one radian.
@@ -97,33 +151,36 @@ def machine(problem: Problem, rig: Rig) -> Machine:
         InputError: If the problem does not support a part of the rig.
     """
     symbols = problem.symbols()
-    system = problem.one_stop_model(symbols)
+    system = problem.model(symbols)
     require_place(problem, system, rig)
-    parts = _Parts(problem, system, rig)
     p = ca.vertcat(*symbols.values())
-    numbers = ca.vertcat(p, parts.held, parts.damping)
-    force = contact_force(rig.contact, parts.damping, -system.gap, -system.gap_rate)
-    guard = ca.vertcat(system.gap, system.gap_rate)
+    graph = system.graph
+
+    def branch(sides: tuple[bool, ...]) -> _Parts:
+        if graph is None:
+            return _Parts(problem, system, rig, p)
+        return _Parts(problem, replace(graph.one_stop(((), sides), 0), graph=graph), rig, p)
+
+    parts = _Parts(problem, system, rig, p)
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
-        return dense_function(name, [parts.state, numbers], list(outputs))
+        return dense_function(name, [parts.state, parts.numbers], list(outputs))
 
-    def mode(name: str, force: ca.SX, guard: ca.SX) -> ModeFunctions:
-        return mode_functions(name, parts.state, numbers, parts.rate(force), guard)
-
+    seen = ca.vertcat(parts.forces, parts.gaps, parts.gap_rates, parts.normal_inertias)
     return Machine(
         state_names=(*problem.state_names, *parts.rotor_names),
         n_x=system.state.numel(),
         n_q=system.n_q,
         n_motors=parts.held.numel(),
+        stop_names=("stop",) if graph is None else tuple(one.name for one in graph.stops),
         holds=parts.holds,
-        free=mode("off", ca.SX(0), guard),
-        contact=mode("on", force, -guard),
-        observe=function("observe", ca.vertcat(force, guard, system.normal_inertia)),
+        observe=function("observe", seen),
         motors=function("motors", parts.current, parts.terminal),
         command=dense_function("command", [system.state, p], [system.motor_voltage]),
         rest=dense_function("rest", [system.state, p], [parts.rest]),
         inertia=dense_function("inertia", [system.state, p], [parts.inertia]),
+        _branch=branch,
+        _graph=graph,
     )
 
 
@@ -151,6 +208,10 @@ def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
             )
     for motor in rig.gears:
         _coupling(system, motor)
+    moved = () if system.graph is None else system.graph.switches
+    if rig.gears and any(one.q_after is not None or one.v_after is not None for one in moved):
+        wanted = "must be left out of a machine whose switches change coordinates or velocities"
+        raise InputError(f"Argument `gears` {wanted}.")
     if n_motors == 0 and (rig.bridge is not None or rig.controller is not None):
         message = f"must have motors for a bridge or a controller, but `{problem.name}` lacks them"
         raise InputError(f"Argument `problem` {message}.")
@@ -216,11 +277,23 @@ def _coupling(system: CompletedSystem, motor: int) -> _Coupling:
 class _Parts:
     """Expressions of a machine, built from the expressions of its problem."""
 
-    def __init__(self, problem: Problem, system: CompletedSystem, rig: Rig) -> None:
+    def __init__(self, problem: Problem, system: CompletedSystem, rig: Rig, p: ca.SX) -> None:
         self._system, self._rig, self._mechanism = system, rig, system.mechanism
         self._coordinates = problem.state_names[: system.n_q]
         n_motors = system.motor_voltage.numel()
-        self.held, self.damping = ca.SX.sym("held", n_motors), ca.SX.sym("damping")
+        stops = _one_by_one(system)
+        self.gaps = ca.vertcat(*(one.gap for one in stops))
+        self.gap_rates = ca.vertcat(*(one.gap_rate for one in stops))
+        self.normal_inertias = ca.vertcat(*(one.normal_inertia for one in stops))
+        self.held = ca.SX.sym("held", n_motors)
+        damping = ca.SX.sym("damping", len(stops))
+        self.numbers = ca.vertcat(p, self.held, damping)
+        self.forces = ca.vertcat(
+            *(
+                contact_force(rig.contact, damping[k], -one.gap, -one.gap_rate)
+                for k, one in enumerate(stops)
+            )
+        )
         self._exact = rig.bridge is not None and rig.bridge.switching is Switching.EXACT
         self.holds = n_motors > 0 and (rig.controller is not None or self._exact)
         self._rotors = {motor: ca.SX.sym(f"rotor{motor}", 2) for motor in sorted(rig.gears)}
@@ -235,10 +308,13 @@ class _Parts:
         self.terminal = driven - drop * bridged(system) * self.current
         self._drive = self._fed(self.terminal - slip)
 
-    def rate(self, force: ca.SX) -> ca.SX:
-        """Return the time derivative of the state under a force of the stop."""
+    def rate(self, touched: Sequence[int]) -> ca.SX:
+        """Return the time derivative of the state under the forces of the touched stops."""
         mechanism, drive = self._mechanism, self._drive
-        forces = ca.jacobian(mechanism.gap, mechanism.q).T * force + self._friction() + drive.force
+        pushes = ca.SX.zeros(self._system.n_q)
+        for k in touched:
+            pushes += ca.jacobian(self.gaps[k], mechanism.q).T * self.forces[k]
+        forces = pushes + self._friction() + drive.force
         rotor_rates: list[ca.SX] = []
         for motor, (axis, _, torque_constants) in self._couplings.items():
             gear, rotor = self._rig.gears[motor], self._rotors[motor]
@@ -250,6 +326,8 @@ class _Parts:
         if drive.after_impact is not None:
             first = 2 * self._system.n_q
             direction = self._system.impulse_direction[first : first + changes.numel()]
+            # Only a machine with one stop has such a drive.
+            force = self.forces if touched else ca.SX(0)
             changes += direction * force / self._system.normal_inertia
         _, acceleration = accelerate(replace(mechanism, mass_matrix=self.inertia), forces)
         clock = ca.SX(0, 1) if mechanism.clock is None else mechanism.clock.rate
@@ -307,6 +385,15 @@ class _Parts:
             k = self._coordinates.index(name)
             force[k] = friction_force(friction, v[k])
         return force
+
+
+def _one_by_one(system: CompletedSystem) -> list[CompletedSystem]:
+    """Return the system of every stop, with all other stops open and any branch of the kinks."""
+    if system.graph is None:
+        return [system]
+    graph = system.graph
+    mode = (), (True,) * len(graph.conditions)
+    return [graph.one_stop(mode, k) for k in range(len(graph.stops))]
 
 
 def bridged(system: CompletedSystem) -> ca.SX:

@@ -7,11 +7,13 @@ from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
 from zeno_orbits.kinds import Checked
-from zeno_orbits.model import Contact, OwnScale, Problem, Rig
+from zeno_orbits.model import Contact, OwnScale, ParameterValues, Problem, Rig, own_time
 from zeno_orbits.work import ByValue
 
 
@@ -91,6 +93,18 @@ def _depth(contact: Contact, own: OwnScale) -> float:
     return (own.multiplier / contact.stiffness) ** (1 / contact.exponent) / own.gap
 
 
+def time_scale_of(problem: Problem, values: ParameterValues) -> float:
+    """Return the time scale of a problem: rounded for one stop, of the slowest motion for several.
+
+    Args:
+        problem: The problem.
+        values: Gains and parameters.
+    """
+    if not problem.has_graph:
+        return problem.dynamics(values).own.time
+    return own_time(problem.graph_dynamics(values).first, np.array(problem.initial_state()))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Touch:
     """A contact, from its first instant to its last.
@@ -102,6 +116,7 @@ class Touch:
         end: End time [s]. It is infinite if the run ended in the contact.
         end_state: State there.
         depart_rate: Gap rate there.
+        stop: Name of the stop.
     """
 
     start: float
@@ -110,6 +125,7 @@ class Touch:
     end: float
     end_state: Vector
     depart_rate: float
+    stop: str = "stop"
 
     def earlier(self, by: float) -> Touch:
         """Return it with times that count from later on."""
@@ -135,11 +151,14 @@ class Record:
 class RigRun(ByValue):
     """A simulated run of a machine.
 
+    With several stops, gaps, forces and contacts have one column per stop, ``(n, n_stops)``.
+
     Attributes:
         problem: Name of the problem.
         rig: The parts of the machine.
         state_names: Name of each state: first the states of the problem, then rotors driven through
             gears.
+        stop_names: Name of each stop. The stop of a problem with a gap is named ``stop``.
         times: Nondecreasing times, ``(n,)`` [s].
         states: True states, ``(n, n_y)``.
         in_contact: Whether the stop is touched, ``(n,)``.
@@ -155,6 +174,7 @@ class RigRun(ByValue):
     problem: str
     rig: Rig
     state_names: tuple[str, ...]
+    stop_names: tuple[str, ...]
     times: Vector
     states: Vector
     in_contact: Vector

@@ -1,24 +1,28 @@
-"""Simulation of a machine: segments off the stop and in contact, between switching times.
+"""Simulation of a machine: segments off the stops and in contact, between switching times.
 
 A contact is a stretch of motion with a stiff force, without reset, contact multiplier or Zeno
-point. Contacts begin and end at roots of the gap, and voltages change at known times. The segments
-between are smooth, so an integrator keeps its full order.
+point. Contacts begin and end at roots of the gaps, and voltages change at known times. Kinks of the
+problem's formulas and its declared switches are events, as in the model. The segments between are
+smooth, so an integrator keeps its full order.
+
+A segment follows the guard that is expected to fall first. The other guards are then followed along
+its steps, and the earliest zero ends the segment.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import partial
-from typing import NoReturn
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NoReturn, cast
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError, counted
-from zeno_orbits.experiment.rig.contact_damping import damping_number
 from zeno_orbits.experiment.rig.controller import ControlLoop
 from zeno_orbits.experiment.rig.machine import machine
+from zeno_orbits.experiment.rig.modes import RigGuard, RigMode, damping_numbers
 from zeno_orbits.experiment.rig.run import (
     SPACING,
     Record,
@@ -27,25 +31,44 @@ from zeno_orbits.experiment.rig.run import (
     Touch,
     rate_weight,
     rig_tolerance,
+    time_scale_of,
 )
-from zeno_orbits.integrators import Leg, Outcome, Passage
+from zeno_orbits.integrators import (
+    BoxedStep,
+    Leg,
+    Outcome,
+    Passage,
+    SteppedTrajectory,
+    follow_steps,
+)
 from zeno_orbits.model import (
     Call,
     Columns,
     CompiledFlow,
     FlowMemory,
-    OwnScale,
+    GraphDynamics,
+    ModeFunctions,
     ParameterValues,
     Problem,
     Rig,
 )
-from zeno_orbits.simulation import LegFollower
+from zeno_orbits.simulation import (
+    LegFollower,
+    LoopTrajectory,
+    armed_at_start,
+    enters_by_switch,
+    slides,
+)
 from zeno_orbits.work import Progress, silent
 
 _MOST_AT_ONCE = 1000
 """Contacts that may begin and end without time advancing."""
 _IN_CONTACT = 257
 """Records of a contact at least, where nothing else divides it."""
+_GROW, _SHORTEST = 4.0, 1e-3
+"""Next window over the previous segment, and the shortest window over the problem's time."""
+_INSIDE = 1e-9
+"""Penetration over the scale of the gap from which a reset has sent the state into a stop."""
 
 
 def simulate_rig(
@@ -78,13 +101,9 @@ def simulate_rig(
         RunawayError: If a coordinate diverges.
         SimulationError: If the integration fails.
     """
-    number = damping_number(values.number("restitution"))
-    if math.isinf(number):
-        wanted = "must be greater than 0 for a compliant contact"
-        raise InputError(f"Argument `restitution` {wanted}, but it is 0.")
     if not (math.isfinite(until) and until > 0.0):
         raise InputError(f"Argument `until` must be a positive number, but it is {until:g}.")
-    follower = _Follower(problem, values, rig, number, settings or RigSettings(), seed)
+    follower = _Follower(problem, values, rig, settings or RigSettings(), seed)
     follower.begin(start)
     follower.follow(until, on_progress)
     return follower.result()
@@ -98,32 +117,43 @@ class _Follower:
         problem: Problem,
         values: ParameterValues,
         rig: Rig,
-        number: float,
         settings: RigSettings,
         seed: int,
     ) -> None:
         built = machine(problem, rig)
-        own = problem.dynamics(values).own
-        tolerance = settings.tolerance or rig_tolerance(rig.contact, own)
+        self._graph = problem.graph_dynamics(values) if problem.has_graph else None
+        if self._graph is None:
+            views, e = [problem.dynamics(values)], [values.number("restitution")]
+        else:
+            mode, n = self._graph.open_mode, len(built.stop_names)
+            views = [self._graph.view(mode, k) for k in range(n)]
+            e = [view.restitution for view in views]
+        self._numbers_of = damping_numbers(dict(zip(built.stop_names, e, strict=True)))
+        self._owns = tuple(view.own for view in views)
+        own = self._owns[0]
+        tolerances = [rig_tolerance(rig.contact, one) for one in self._owns]
+        tolerance = settings.tolerance or min(tolerances, key=lambda one: one.relative)
         self._machine, self._problem, self._rig, self._settings = built, problem, rig, settings
-        self._number, self._tolerance = number, tolerance.times(own.least)
-        self._spacing = SPACING * own.time if settings.spacing is None else settings.spacing
+        self._tolerance = tolerance.times(own.least)
+        self._own_time = time_scale_of(problem, values)
+        self._spacing = SPACING * self._own_time if settings.spacing is None else settings.spacing
         self._legs = LegFollower(self._settings.engine)
         self._p = np.asarray(values.vector, dtype=np.float64)
-        self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), [0.0]])
-        modes = {False: built.free, True: built.contact}
-        self._memories = {
-            touching: FlowMemory(mode, partial(self._weights, own, touching))
-            for touching, mode in modes.items()
-        }
+        n_stops = len(built.stop_names)
+        self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), np.zeros(n_stops)])
+        self._memories: dict[ModeFunctions, FlowMemory] = {}
         self._observe = Call(built.observe, self._numbers)
         self._motors = Call(built.motors, self._numbers)
         self._loop = self._control_loop(np.random.default_rng(seed)) if built.holds else None
         self._time, self._n_steps = 0.0, 0
         self._row = math.ceil(settings.keep_from / self._spacing)
-        self._rows: list[tuple[float, Vector, Vector, bool]] = []
+        self._rows: list[tuple[float, Vector, Vector, tuple[int, ...]]] = []
         self._touches: list[Touch] = []
-        self._began: tuple[float, Vector, float] | None = None
+        self._began: dict[int, tuple[float, Vector, float]] = {}
+        self._mode = RigMode()
+        self._window = _SHORTEST * self._own_time
+        self._crossed: tuple[float, int] | None = None
+        self._fallen: tuple[float, int] | None = None
 
     def _control_loop(self, random: np.random.Generator) -> ControlLoop:
         command = Call(self._machine.command, self._p)
@@ -137,24 +167,46 @@ class _Follower:
         )
 
     def begin(self, start: Sequence[float]) -> None:
-        """Set the state, every rotor in the middle of its play, off the stop or in contact."""
+        """Set the state, every rotor in the middle of its play, off the stops or in contact."""
         x = np.asarray(start, dtype=np.float64)
         if x.shape != (self._machine.n_x,):
             wanted = f"must be of shape ({self._machine.n_x},)"
             raise InputError(f"Argument `start` {wanted}, but it is {x.shape}.")
         self._require_inertia(x)
         self._y = Call(self._machine.rest, self._p)(x).copy()
-        gap, rate = self._gap()
-        self._touching = gap < 0.0 or (gap == 0.0 and rate < 0.0)
-        if self._touching:
-            self._enter(rate)
+        if self._graph is not None:
+            n = len(self._graph.switch_names)
+            signs = self._signs_at((True,) * n)
+            n = self._graph.n_declared
+            self._mode = RigMode(sides=signs[n:], above=signs[:n])
+        self._take_contacts()
 
-    def _weights(self, own: OwnScale, touching: bool) -> tuple[float, ...]:
-        """Return the scales of the absolute local errors."""
-        if not touching or self._settings.tolerance is not None:
+    def _take_contacts(self) -> None:
+        """Begin the contacts of a state, and end those that it has left."""
+        gaps, rates = self._gaps()
+        for k, (gap, rate) in enumerate(zip(gaps.tolist(), rates.tolist(), strict=True)):
+            touches = gap < 0.0 or (gap == 0.0 and rate < 0.0)
+            if touches != (k in self._mode.touched):
+                self._turn(k)
+
+    def _signs_at(self, before: Sequence[bool]) -> tuple[bool, ...]:
+        """Return the side of every switch at the state. A zero keeps the side."""
+        if self._graph is None:
+            return ()
+        guards, rounding, _ = self._graph.guards(self._y[: self._machine.n_x])
+        known = zip(guards.tolist(), rounding.tolist(), before, strict=True)
+        return tuple(value > 0.0 if abs(value) > level else side for value, level, side in known)
+
+    def _weights(self) -> tuple[float, ...]:
+        """Return the scales of the absolute local errors in the present mode."""
+        own, touched = self._owns[0], self._mode.touched
+        if not touched or self._settings.tolerance is not None:
             return self._machine.weights(own)
-        _, _, _, inertia = self._observe(self._y).tolist()
-        return self._machine.weights(own, rate_weight(self._rig.contact, own, inertia))
+        _, _, _, inertias = self._observed()
+        factors = [
+            rate_weight(self._rig.contact, self._owns[k], float(inertias[k])) for k in touched
+        ]
+        return self._machine.weights(own, max(factors))
 
     def _require_inertia(self, x: Vector) -> None:
         n_q = self._machine.n_q
@@ -171,7 +223,8 @@ class _Follower:
             if self._loop is not None:
                 while self._loop.next_edge <= self._time:
                     self._loop.act(self._time, self._y)
-                self._numbers[self._p.size : -1] = self._loop.held
+                n_p = self._p.size
+                self._numbers[n_p : n_p + self._machine.n_motors] = self._loop.held
                 edge = min(until, self._loop.next_edge)
             before = self._time
             self._leg(edge)
@@ -187,32 +240,91 @@ class _Follower:
         raise kind(reason, time=self._time, state=tuple(self._y.tolist()))
 
     def _leg(self, edge: float) -> None:
-        """Follow one mode to an edge, or to where the contact begins or ends."""
-        gap, rate = self._gap()
-        inside = -gap if self._touching else gap
-        mode = self._machine.contact if self._touching else self._machine.free
+        """Follow one mode to an edge, or to the first event."""
+        guards = list(self._guards())
+        horizon = edge - self._time
+        if len(guards) > 1:
+            horizon = min(horizon, self._window)
         numbers = self._numbers.copy()
+        fell, passage = self._first(guards, horizon, numbers)
+        over = passage.outcome is Outcome.HORIZON
+        ends = over and horizon == edge - self._time
+        end = edge if ends else self._time + passage.duration
+        self._keep(passage, end, numbers)
+        self._time, self._y = end, passage.state
+        if over:
+            self._window *= _GROW
+            return
+        self._window = max(_GROW * passage.duration, _SHORTEST * self._own_time)
+        n_stops = len(self._machine.stop_names)
+        if fell < n_stops:
+            self._turn(fell)
+        else:
+            self._cross(fell - n_stops, passage.outcome)
+
+    def _guards(self) -> Iterator[RigGuard]:
+        """Yield the guards of the mode, first the one that is expected to fall first."""
+        gaps, rates = self._gaps()
+        signs = np.where(np.isin(np.arange(gaps.size), self._mode.touched), -1.0, 1.0)
+        insides, speeds = signs * gaps, signs * rates
+        with np.errstate(divide="ignore", invalid="ignore"):
+            soon = np.where(speeds < 0.0, np.maximum(insides, 0.0) / -speeds, np.inf)
+        first = self._mode.touched[0] if self._mode.touched else int(np.argmin(soon))
+        for k in sorted(range(gaps.size), key=lambda k: k != first):
+            yield RigGuard(k, on_guard=bool(insides[k] <= 0.0))
+        if self._graph is None:
+            return
+        values, levels, _ = self._graph.guards(self._y[: self._machine.n_x])
+        sides = (*self._mode.above, *self._mode.sides)
+        for s, (value, level, side) in enumerate(zip(values, levels, sides, strict=True)):
+            on_guard = bool((value if side else -value) <= level)
+            yield RigGuard(gaps.size + s, on_guard=on_guard, rounding=float(level), above=side)
+
+    def _first(
+        self, guards: Sequence[RigGuard], horizon: float, numbers: Vector
+    ) -> tuple[int, Passage]:
+        """Return the guard that ends a leg first, and the flow up to its zero."""
         leg = Leg(
-            flow=CompiledFlow(mode, numbers, self._memories[self._touching]),
+            flow=self._flow(guards[0], numbers),
             y=self._y,
-            horizon=edge - self._time,
+            horizon=horizon,
             tolerance=self._tolerance,
-            on_guard=inside <= 0.0,
+            on_guard=guards[0].on_guard,
             watch=self._watch,
         )
         self._n_steps = 0
-        passage = self._legs.follow(leg)
-        over = passage.outcome is Outcome.HORIZON
-        end = edge if over else self._time + passage.duration
-        self._keep(passage, end, numbers)
-        self._time, self._y = end, passage.state
-        if not over:
-            self._touching = not self._touching
-            _, rate = self._gap()
-            if self._touching:
-                self._enter(rate)
-            else:
-                self._leave(rate)
+        fell, passage = guards[0].index, self._legs.follow(leg)
+        for guard in guards[1:]:
+            if passage.duration <= 0.0:
+                break
+            beside = Leg(
+                flow=self._flow(guard, numbers),
+                y=self._y,
+                horizon=passage.duration,
+                tolerance=self._tolerance,
+                on_guard=guard.on_guard,
+                rounding=guard.rounding,
+            )
+            found = self._beside(passage, beside)
+            if found.outcome is not Outcome.HORIZON:
+                fell, passage = guard.index, found
+        return fell, passage
+
+    def _beside(self, passage: Passage, leg: Leg) -> Passage:
+        """Follow another guard along the steps of a leg, or once more without steps."""
+        way = passage.trajectory
+        if not isinstance(way, SteppedTrajectory | LoopTrajectory):
+            return self._legs.follow(leg)
+        return follow_steps(iter(cast("Sequence[BoxedStep]", way.steps)), leg)
+
+    def _flow(self, guard: RigGuard, numbers: Vector) -> CompiledFlow:
+        """Return the flow of the present mode with a guard."""
+        mode = self._machine.mode(
+            self._mode.touched, self._mode.sides, guard.index, above=guard.above
+        )
+        if mode not in self._memories:
+            self._memories[mode] = FlowMemory(mode, self._weights)
+        return CompiledFlow(mode, numbers, self._memories[mode])
 
     def _watch(self, steps: int, offset: float, y: Vector) -> None:
         """End a leg that takes too long: its steps are kept until it is over."""
@@ -223,19 +335,28 @@ class _Follower:
             reason = f"The machine needs more than {most} to its next event: {softer}"
             raise SimulationError(reason, time=self._time + offset, state=tuple(y.tolist()))
 
-    def _gap(self) -> tuple[float, float]:
-        _, gap, rate, _ = self._observe(self._y).tolist()
-        return gap, rate
+    def _observed(self) -> Vector:
+        """Return forces, gaps, gap rates and normal inertias of the stops, ``(4, n_stops)``."""
+        return self._observe(self._y).copy().reshape(4, -1)
 
-    def _enter(self, rate: float) -> None:
-        self._began = (self._time, self._y, rate)
-        self._numbers[-1] = self._number / max(-rate, self._rig.contact.slowest)
+    def _gaps(self) -> tuple[Vector, Vector]:
+        _, gaps, rates, _ = self._observed()
+        return gaps, rates
 
-    def _leave(self, rate: float, *, forever: bool = False) -> None:
-        if self._began is None:
-            return
-        start, state, approach = self._began
-        self._began = None
+    def _turn(self, stop: int) -> None:
+        """Begin a contact, or end it."""
+        self._mode = self._mode.turned(stop)
+        _, rates = self._gaps()
+        if stop in self._mode.touched:
+            rate = float(rates[stop])
+            self._began[stop] = (self._time, self._y, rate)
+            number = self._numbers_of[stop] / max(-rate, self._rig.contact.slowest)
+            self._numbers[self._numbers.size - rates.size + stop] = number
+        else:
+            self._leave(stop, float(rates[stop]))
+
+    def _leave(self, stop: int, rate: float, *, forever: bool = False) -> None:
+        start, state, approach = self._began.pop(stop)
         touch = Touch(
             start=start,
             state=state,
@@ -243,17 +364,68 @@ class _Follower:
             end=math.inf if forever else self._time,
             end_state=self._y,
             depart_rate=rate,
+            stop=self._machine.stop_names[stop],
         )
         self._touches.append(touch)
 
+    def _cross(self, switch: int, outcome: Outcome) -> None:
+        """Go to the other side of a switch, or apply the reset of an armed one.
+
+        Raises:
+            SlidingError: If the flows on both sides of a kink point to it.
+            SimulationError: If a declared switch is armed where its guard is zero at a start.
+            PenetrationError: If a reset sends the state into a stop.
+        """
+        graph, x = self._graph, self._y[: self._machine.n_x]
+        if graph is None:
+            raise ValueError("Argument `switch` must belong to a machine with switches.")
+        name, before = graph.switch_names[switch], self._mode
+        falls = outcome is Outcome.FALL
+        armed = (
+            switch < graph.n_declared
+            and before.above[switch]
+            and bool(graph.guards(x)[2][switch] > 0.0)
+        )
+        if armed and falls:
+            self._reset(graph, switch)
+            self._fallen = self._time, switch
+            return
+        if not falls and self._crossed == (self._time, switch):
+            raise slides(name, self._time, x)
+        if armed and self._fallen != (self._time, switch):
+            raise armed_at_start(name, self._time, x)
+        self._crossed = None if falls else (self._time, switch)
+        self._mode = before.flipped(switch)
+        if falls and switch >= graph.n_declared:
+            side = self._mode.sides[switch - graph.n_declared]
+            beyond = RigGuard(len(self._machine.stop_names) + switch, on_guard=True, above=side)
+            if self._flow(beyond, self._numbers.copy()).guard(self._y)[1] < 0.0:
+                raise slides(name, self._time, x)
+
+    def _reset(self, graph: GraphDynamics, switch: int) -> None:
+        """Apply the reset of a declared switch."""
+        n_x = self._machine.n_x
+        after = self._y.copy()
+        after[:n_x] = graph.after_switch(switch, self._y[:n_x])
+        self._y = after
+        n = graph.n_declared
+        signs = self._signs_at((*(True,) * n, *self._mode.sides))
+        self._mode = replace(self._mode, above=signs[:n], sides=signs[n:])
+        gaps, _ = self._gaps()
+        for k, (gap, own) in enumerate(zip(gaps, self._owns, strict=True)):
+            if k not in self._mode.touched and gap < -_INSIDE * own.gap:
+                stop = self._machine.stop_names[k]
+                raise enters_by_switch(graph.switch_names[switch], stop, self._time, after[:n_x])
+        self._take_contacts()
+
     def _keep(self, passage: Passage, end: float, numbers: Vector) -> None:
         """Keep the grid points inside a leg, and in a contact every step."""
-        settings, start = self._settings, self._time
+        settings, start, touched = self._settings, self._time, self._mode.touched
         times: list[float] = []
         while self._row * self._spacing < end:
             times.append(self._row * self._spacing)
             self._row += 1
-        if self._touching and end >= settings.keep_from:
+        if touched and end >= settings.keep_from:
             own = start + passage.trajectory.times
             if self._loop is None:
                 # A curve through an impact needs more points than its smooth flow has steps.
@@ -263,31 +435,39 @@ class _Follower:
         for time in times:
             if start <= time < end:
                 state = passage.trajectory.state_at(time - start)
-                self._rows.append((time, state, numbers, self._touching))
+                self._rows.append((time, state, numbers, touched))
 
     def result(self) -> RigRun:
         """Return the run."""
-        self._leave(self._gap()[1], forever=True)
-        self._rows.append((self._time, self._y, self._numbers.copy(), self._touching))
-        times, states, numbers, touching = zip(*self._rows, strict=True)
+        touched = self._mode.touched
+        _, rates = self._gaps()
+        for k in list(self._began):
+            self._leave(k, float(rates[k]), forever=True)
+        self._rows.append((self._time, self._y, self._numbers.copy(), touched))
+        rows = zip(*self._rows, strict=True)
+        times, states, numbers, contacts = rows
         y, held = np.array(states), np.array(numbers)
-        seen = Columns(self._machine.observe)(y, held)[0]
+        n_stops = len(self._machine.stop_names)
+        shape = (len(times), n_stops) if n_stops > 1 else (len(times),)
+        seen = Columns(self._machine.observe)(y, held)[0].reshape(len(times), 4, n_stops)
         current, voltage = Columns(self._machine.motors)(y, held)
-        in_contact = np.array(touching, dtype=bool)
+        in_contact = np.array([[k in one for k in range(n_stops)] for one in contacts], dtype=bool)
+        # A root of the gap is rounded to either side. Off the stop the force is zero.
+        force = np.where(in_contact, np.maximum(seen[:, 0], 0.0), 0.0)
         return RigRun(
             problem=self._problem.name,
             rig=self._rig,
             state_names=self._machine.state_names,
+            stop_names=self._machine.stop_names,
             times=np.array(times),
             states=y,
-            in_contact=in_contact,
-            # A root of the gap is rounded to either side. Off the stop the force is zero.
-            contact_force=np.where(in_contact, np.maximum(seen[:, 0], 0.0), 0.0),
-            gap=seen[:, 1],
-            gap_rate=seen[:, 2],
+            in_contact=in_contact.reshape(shape),
+            contact_force=force.reshape(shape),
+            gap=seen[:, 1].reshape(shape),
+            gap_rate=seen[:, 2].reshape(shape),
             current=current,
             voltage=voltage,
-            touches=tuple(self._touches),
+            touches=tuple(sorted(self._touches, key=lambda one: one.start)),
             record=self._record(np.array(times), y, current),
         )
 

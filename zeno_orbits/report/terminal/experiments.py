@@ -106,24 +106,36 @@ def _settled(comparison: RigComparison, rows: Mapping[str, str]) -> str:
     return f"{comparison.cycles} settled cycles"
 
 
-def print_contacts(name: str, contacts: Sequence[Mapping[str, float]], gap_unit: str) -> None:
+def print_contacts(
+    name: str,
+    contacts: Sequence[Mapping[str, float]],
+    gap_unit: str,
+    stops: Sequence[str] = (),
+) -> None:
     """Print the contacts of a simulated machine.
 
     Args:
         name: Name of the problem.
         contacts: Start, end [s] and approach rate of each.
         gap_unit: Unit of the gap.
+        stops: Stop of each contact, for a machine with several stops.
     """
     unit, size = prefixed("s", *(one["end"] for one in contacts))
     rate, speed = prefixed(f"{gap_unit}/s", *(one["approach_rate"] for one in contacts))
-    columns: list[Column[Mapping[str, float]]] = [
-        number_column(f"contact begins [{unit}]", lambda one: _seven(one["start"] / size)),
-        number_column(f"ends [{unit}]", lambda one: _seven(one["end"] / size)),
+    named: Column[tuple[str, Mapping[str, float]]] = Column(
+        heading="stop", cell=lambda one: one[0], is_whole=True
+    )
+    columns: list[Column[tuple[str, Mapping[str, float]]]] = [
+        *([named] if stops else []),
+        number_column(f"contact begins [{unit}]", lambda one: _seven(one[1]["start"] / size)),
+        number_column(f"ends [{unit}]", lambda one: _seven(one[1]["end"] / size)),
         number_column(
-            f"gap rate at its beginning [{rate}]", lambda one: _seven(one["approach_rate"] / speed)
+            f"gap rate at its beginning [{rate}]",
+            lambda one: _seven(one[1]["approach_rate"] / speed),
         ),
     ]
-    print_table(columns, contacts)
+    names = stops or [""] * len(contacts)
+    print_table(columns, list(zip(names, contacts, strict=True)))
     print_lines([f"Simulated, not measured: {counted(len(contacts), 'contact')} of {name}."])
 
 
