@@ -20,6 +20,7 @@ from zeno_orbits import (
     CompletedSystem,
     Drawing,
     HybridLagrangian,
+    Output,
     Problem,
     Quantity,
     Stop,
@@ -43,8 +44,7 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
             Stop(name="open", gap=p["d"] - opening, restitution=p["restitution"]),
         ),
     )
-    reluctance = p["S0"] / (1 - (flux / p["phi_s"]) ** 2) + p["S1"] * opening
-    current = flux * reluctance / p["N"]
+    current = coil_current({"z": opening, "flux": flux}, p)
     voltage = ca.if_else(clock.sine > 0, p["U"], 0)
     # The energy of the field: the integral of the magnetomotive force over the flux.
     iron = -p["S0"] * p["phi_s"] ** 2 / 2 * ca.log(1 - (flux / p["phi_s"]) ** 2)
@@ -57,6 +57,12 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         stored_energy=iron + p["S1"] * opening * flux**2 / 2,
     )
     return hybrid_system(armature, coil)
+
+
+def coil_current(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return the current of the coil [A]."""
+    reluctance = p["S0"] / (1 - (x["flux"] / p["phi_s"]) ** 2) + p["S1"] * x["z"]
+    return x["flux"] * reluctance / p["N"]
 
 
 def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Drawing:
@@ -96,5 +102,13 @@ PROBLEM = Problem(
     starts=({"z": 9e-4, "cosine": 1.0},),
     portraits=(("z", "dz"), ("z", "flux")),
     amplitude_of="z",
+    outputs=(
+        Output(name="current", unit="A", formula=coil_current),
+        Output(
+            name="voltage",
+            unit="V",
+            formula=lambda x, p: ca.if_else(x["sine"] > 0, p["U"], 0),
+        ),
+    ),
     drawing=drawing,
 )

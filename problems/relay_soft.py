@@ -49,6 +49,7 @@ PROBLEM = replace(
     name="relay_soft",
     title="relay whose voltage is cut and applied again before its contact closes",
     model=model,
+    outputs=RELAY.outputs[:1],
     gains=(
         Quantity(
             name="t1",

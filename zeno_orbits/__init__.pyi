@@ -20,10 +20,12 @@ from .api import prove as prove
 from .api import recovery as recovery
 from .api import reduced_model_errors as reduced_model_errors
 from .api import report_page as report_page
+from .api import rig_recording as rig_recording
 from .api import sample_execution as sample_execution
 from .api import search_gains as search_gains
 from .api import simulate as simulate
 from .api import simulate_experiment as simulate_experiment
+from .api import simulate_periods as simulate_periods
 from .api import simulate_rig as simulate_rig
 from .api import simulate_to_accuracy as simulate_to_accuracy
 from .api import simulate_with_error as simulate_with_error
@@ -48,6 +50,7 @@ from .experiment.recordings.recording import Recording as Recording
 from .experiment.recordings.recording import read_recording as read_recording
 from .experiment.recordings.recording import write_recording as write_recording
 from .experiment.rig.run import RigRun as RigRun
+from .experiment.rig.run import RigSettings as RigSettings
 from .maps.mapping import ParameterMap as ParameterMap
 from .maps.pushes import Pushes as Pushes
 from .maps.pushes import PushSettings as PushSettings
@@ -190,6 +193,7 @@ __all__ = [
     "RecoverySettings",
     "Rig",
     "RigRun",
+    "RigSettings",
     "SearchResult",
     "SearchSettings",
     "Sensors",
@@ -253,12 +257,14 @@ __all__ = [
     "recovery",
     "reduced_model_errors",
     "report_page",
+    "rig_recording",
     "sample_execution",
     "save_figure",
     "search_event_gains",
     "search_gains",
     "simulate",
     "simulate_experiment",
+    "simulate_periods",
     "simulate_rig",
     "simulate_to_accuracy",
     "simulate_with_error",

@@ -173,6 +173,20 @@ def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() 
     assert_refused(ask("search", "bouncing_ball", "--section", "impact stop"), "--section")
 
 
+def test_rig_of_an_orbit_of_events_writes_a_recording_with_its_contacts() -> None:
+    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    words = ("rig", "hopper.json", "--part", "contact.stiffness=1e5", "--cycles", "2")
+    told = ask(*words, "--rate", "1000", "-o", "run.csv", "--json")
+    assert told.code == YES
+    assert len(told.data["contacts"]) == 2
+    recording = zo.read_recording("run.csv")
+    assert recording.names == ("height", "contact")
+    assert set(recording.signal("contact").values) == {0.0, 1.0}
+    assert_refused(ask("rig", "hopper.json", "--noise", "-1", "-o", "run.csv"), "--noise")
+    assert_refused(ask("rig", "motor_pendulum", "--rate", "100"), "--rate", "controller")
+    assert_refused(ask("rig", "hopper", "--t-end", "1", "--rate", "0.1"), "--rate")
+
+
 def test_continue_refuses_values_beside_an_orbit_file_and_an_orbit_of_another_problem() -> None:
     zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     words = ("continue", "hopper", "--parameter", "s=0.05:0.2", "--from", "hopper.json")

@@ -97,7 +97,7 @@ def test_a_problem_runs_from_a_start_and_lists_its_contacts(tmp_path: Path) -> N
     assert rates[1] / rates[0] == pytest.approx(0.5, abs=0.04 / 4.4)
     assert contacts[-1]["end"] == 1.5
     recording = read_recording(written)
-    assert recording.names == ("height",)
+    assert recording.names == ("height", "contact")
     assert recording.source is Source.SIMULATED
 
 

@@ -30,10 +30,13 @@ from .machines import crop as crop
 from .machines import identify as identify
 from .machines import machine_of as machine_of
 from .machines import recording_for as recording_for
+from .machines import rig_duration as rig_duration
 from .machines import rig_recording as rig_recording
+from .machines import rig_sampling as rig_sampling
 from .machines import rig_settings as rig_settings
 from .machines import rig_warnings as rig_warnings
 from .machines import simulate_experiment as simulate_experiment
+from .machines import simulate_periods as simulate_periods
 from .machines import simulate_rig as simulate_rig
 from .models import ZenoCondition as ZenoCondition
 from .models import all_problems as all_problems

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from zeno_orbits.api.inputs import (
     Named,
     Numbers,
+    any_orbit,
     as_orbit,
     front_door,
     known_problem,
@@ -18,7 +19,7 @@ from zeno_orbits.api.inputs import (
 )
 from zeno_orbits.errors import InputError, number_range
 from zeno_orbits.model import ParameterValues, Problem, Rig
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
@@ -165,13 +166,13 @@ def simulate_rig(
         InputError: If a name is unknown, or the rig does not fit the problem.
         SimulationError: If the simulation of the machine cannot be continued.
     """
-    from zeno_orbits.experiment import default_rig, time_scale_of
+    from zeno_orbits.experiment import default_rig
     from zeno_orbits.experiment import simulate_rig as simulated
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     parts = rig or default_rig(known, values=values)
-    end = RIG_TIME * time_scale_of(known, values) if until is None else until
+    end = rig_duration(known, values) if until is None else until
     return simulated(
         known,
         values,
@@ -182,6 +183,18 @@ def simulate_rig(
         settings=settings or rig_settings(parts),
         on_progress=on_progress,
     )
+
+
+def rig_duration(problem: Problem, values: ParameterValues) -> float:
+    """Return the default duration of a run without an orbit [s].
+
+    Args:
+        problem: The problem.
+        values: Gains and parameters.
+    """
+    from zeno_orbits.experiment import time_scale_of
+
+    return RIG_TIME * time_scale_of(problem, values)
 
 
 @front_door
@@ -227,6 +240,57 @@ def simulate_experiment(
     )
 
 
+@front_door
+def simulate_periods(
+    orbit: EventOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    rig: Rig | None = None,
+    periods: int = 3,
+    settle: int | None = None,
+    seed: int = 0,
+    settings: RigSettings | None = None,
+    on_progress: Progress = silent,
+) -> RigRun:
+    """Return periods of the simulated test rig near an orbit of events, after its transient.
+
+    Args:
+        orbit: The orbit of a machine with several stops or switches, or its file. The rig has its
+            gains and parameters.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        rig: The parts of the machine. The default is the rig that the problem declares.
+        periods: Number of periods to return.
+        settle: Number of periods before them. The default follows the Floquet multipliers.
+        seed: Random seed of the sensor noise.
+        settings: Accuracy and records.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Returns:
+        The run, with times since the start of the first period.
+
+    Raises:
+        InputError: If the orbit has one stop and no switch, the rig does not fit the problem, or
+            `periods` is below 1.
+        SimulationError: If the simulation of the machine cannot be continued.
+    """
+    from zeno_orbits.experiment import periods_near
+
+    found = orbit if isinstance(orbit, EventOrbit) else any_orbit(orbit)
+    if not isinstance(found, EventOrbit):
+        wanted = "must be of a machine with several stops or switches: use `simulate_experiment`"
+        raise InputError(f"Argument `orbit` {wanted}.")
+    return periods_near(
+        found,
+        problem_of(found, problem),
+        rig,
+        periods=periods,
+        settle=settle,
+        seed=seed,
+        settings=settings,
+        on_progress=on_progress,
+    )
+
+
 def compare_rig(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> RigComparison:
     """Return the cycles of a machine compared with an orbit.
 
@@ -243,7 +307,7 @@ def compare_rig(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> RigC
 def machine_of(
     problem: Problem,
     *,
-    orbit: ZenoOrbit | None = None,
+    orbit: ZenoOrbit | EventOrbit | None = None,
     values: ParameterValues | None = None,
     numbers: Numbers | None = None,
     only: Sequence[str] | None = None,
@@ -296,17 +360,52 @@ def rig_settings(rig: Rig) -> RigSettings:
     return RigSettings(tolerance=Tolerance(relative=1e-8, absolute=1e-10))
 
 
-def rig_recording(run: RigRun, problem: Problem, *, seed: int) -> Recording:
-    """Return the measured signals of a run as a recording.
+@front_door
+def rig_recording(
+    run: RigRun, problem: Named | None = None, *, noise: float = 0.0, seed: int = 0
+) -> Recording:
+    """Return the measured signals of a run as a recording, with a contact channel of every stop.
 
     Args:
-        run: The run.
-        problem: Its problem.
-        seed: Random seed of the sensor noise.
+        run: The run. Without a controller its samples are `RigSettings.spacing` apart.
+        problem: Its problem. The default is the bundled problem of its name.
+        noise: Noise on all signals but the contact channels, relative to the range of each. The
+            sensors of a controller have their own noise.
+        seed: Random seed of the noise.
+
+    Raises:
+        InputError: If noise is added to the readings of a controller, or is negative.
     """
     from zeno_orbits.experiment import recording_of
 
-    return recording_of(run, problem, {"seed": str(seed)})
+    known = known_problem(run.problem if problem is None else problem)
+    return recording_of(run, known, {"seed": str(seed)}, noise=noise, seed=seed)
+
+
+def rig_sampling(rig: Rig, rate: float | None, until: float, *, noise: float = 0.0) -> RigSettings:
+    """Return the settings of a run whose samples are taken at a rate.
+
+    Args:
+        rig: The parts of the machine.
+        rate: Samples per second [Hz], or ``None`` for the default.
+        until: End of the run [s].
+        noise: Noise of the recording.
+
+    Raises:
+        InputError: If the machine has a controller, which has its own rate and noise, or the rate
+            gives no useful number of samples.
+    """
+    from zeno_orbits.experiment import Sampling, require_noise
+
+    require_noise(noise, rig)
+    settings = rig_settings(rig)
+    if rate is None:
+        return settings
+    if rig.controller is not None:
+        wanted = "must be left out of a machine with a controller"
+        raise InputError(f"Argument `rate` {wanted}: --part controller.period.")
+    Sampling(rate=rate).count(until)
+    return replace(settings, spacing=1.0 / rate)
 
 
 def rig_warnings(run: RigRun, problem: Problem) -> tuple[str, ...]:

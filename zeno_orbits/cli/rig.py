@@ -15,7 +15,6 @@ from zeno_orbits.cli.options import (
     add_start,
     add_values,
     numbers_of,
-    orbit_and_problem,
     print_json,
     require_outputs,
     say_written,
@@ -85,6 +84,21 @@ def add_rig(commands: Any) -> None:
         action="store_true",
         help="follow the bridge's pulses edge by edge",
     )
+    parser.add_argument(
+        "--rate",
+        type=read_number,
+        metavar="HZ",
+        help="samples per second of a machine without a controller (default: 1000 per "
+        "characteristic time)",
+    )
+    parser.add_argument(
+        "--noise",
+        type=read_number,
+        default=0.0,
+        metavar="SHARE",
+        help="noise on the samples of a machine without a controller, relative to the range of "
+        "each signal; contact channels have none (default: 0)",
+    )
     parser.add_argument("--seed", type=read_seed, default=0, metavar="N", help="seed of the noise")
     parser.add_argument(
         "--cycles",
@@ -112,21 +126,27 @@ def _run_rig(options: argparse.Namespace) -> int:
 
 
 def _near_orbit(options: argparse.Namespace) -> int:
+    import zeno_orbits as zo
+
     for name in ("set", "start", "until"):
         if getattr(options, name) not in (None, {}):
             has = "whose periods --cycles counts" if name == "until" else "which has its own"
             raise InputError(f"Argument `{name}` must not be given with an orbit, {has}.")
-    options.orbit = Path(options.target)
-    orbit, problem = orbit_and_problem(options)
+    orbit = api.any_orbit(options.target)
+    problem = api.problem_of(orbit, options.problem)
     rig = _rig_of(options, problem, orbit=orbit)
+    cycles = options.cycles or _CYCLES
+    settings = api.rig_sampling(rig, options.rate, cycles * orbit.period, noise=options.noise)
+    if isinstance(orbit, zo.EventOrbit):
+        return _near_event_orbit(options, orbit, problem, rig, settings)
     with report.ProgressLine(options.interrupts.check) as progress:
         settled = api.simulate_experiment(
             orbit,
             problem=problem,
             rig=rig,
-            cycles=options.cycles or _CYCLES,
+            cycles=cycles,
             seed=options.seed,
-            settings=api.rig_settings(rig),
+            settings=settings,
             on_progress=progress,
         )
     comparison = api.compare_rig(orbit, problem, settled)
@@ -138,20 +158,45 @@ def _near_orbit(options: argparse.Namespace) -> int:
     return NO if comparison.drifting or comparison.unlike else YES
 
 
+def _near_event_orbit(
+    options: argparse.Namespace,
+    orbit: zo.EventOrbit,
+    problem: zo.Problem,
+    rig: zo.Rig,
+    settings: zo.RigSettings,
+) -> int:
+    with report.ProgressLine(options.interrupts.check) as progress:
+        run = api.simulate_periods(
+            orbit,
+            problem=problem,
+            rig=rig,
+            periods=options.cycles or _CYCLES,
+            seed=options.seed,
+            settings=settings,
+            on_progress=progress,
+        )
+    _show_contacts(options, run, problem)
+    return YES
+
+
 def _from_start(options: argparse.Namespace) -> int:
     for name in ("cycles", "problem"):
         if getattr(options, name) is not None:
             raise InputError(f"Argument `{name}` must come with an orbit file.")
     problem = api.known_problem(options.target)
-    rig = _rig_of(options, problem, values=problem.values(**numbers_of(problem, options)))
+    values = problem.values(**numbers_of(problem, options))
+    rig = _rig_of(options, problem, values=values)
+    until = api.rig_duration(problem, values) if options.until is None else options.until
+    settings = api.rig_sampling(rig, options.rate, until, noise=options.noise)
     with report.ProgressLine(options.interrupts.check) as progress:
         run = api.simulate_rig(
             problem,
             rig,
-            until=options.until,
+            until=until,
             **numbers_of(problem, options),
             start=options.start or None,
             seed=options.seed,
+            settings=settings,
             on_progress=progress,
         )
     _show_contacts(options, run, problem)
@@ -184,7 +229,7 @@ def _rig_of(
     options: argparse.Namespace,
     problem: zo.Problem,
     *,
-    orbit: zo.ZenoOrbit | None = None,
+    orbit: zo.ZenoOrbit | zo.EventOrbit | None = None,
     values: zo.ParameterValues | None = None,
 ) -> zo.Rig:
     return api.machine_of(
@@ -202,6 +247,6 @@ def _write(options: argparse.Namespace, run: zo.RigRun, problem: zo.Problem) -> 
     if options.output is not None:
         import zeno_orbits as zo
 
-        recording = api.rig_recording(run, problem, seed=options.seed)
+        recording = api.rig_recording(run, problem, noise=options.noise, seed=options.seed)
         zo.write_recording(recording, options.output)
         say_written(options, [options.output])

@@ -16,6 +16,8 @@ from .identification.unknowns import Unknown as Unknown
 from .orbit_table import OrbitTable as OrbitTable
 from .orbit_table import measurable as measurable
 from .orbit_table import tabulate_orbit as tabulate_orbit
+from .recordings.contacts import contact_channels as contact_channels
+from .recordings.contacts import contact_names as contact_names
 from .recordings.recording import RecordedSignal as RecordedSignal
 from .recordings.recording import Recording as Recording
 from .recordings.recording import Source as Source
@@ -27,11 +29,13 @@ from .recordings.sampling import sampled as sampled
 from .rig.cycle_comparison import RigComparison as RigComparison
 from .rig.cycle_comparison import compare_cycles as compare_cycles
 from .rig.cycles import SettledRig as SettledRig
+from .rig.cycles import periods_near as periods_near
 from .rig.cycles import rig_cycles as rig_cycles
 from .rig.default_stop import default_rig as default_rig
 from .rig.cycle_comparison import penetration_warnings as penetration_warnings
 from .rig.run import RigSettings as RigSettings
 from .rig.run import recording_of as recording_of
+from .rig.run import require_noise as require_noise
 from .rig.run import RigRun as RigRun
 from .rig.run import time_scale_of as time_scale_of
 from .rig.simulator import simulate_rig as simulate_rig

@@ -18,7 +18,7 @@ from zeno_orbits.experiment.rig.default_stop import default_rig
 from zeno_orbits.experiment.rig.run import RigRun, RigSettings, Touch
 from zeno_orbits.experiment.rig.simulator import simulate_rig
 from zeno_orbits.model import Problem, Rig
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.simulation import AttractorKind, Motion, SectionReturn, outcome_of
 from zeno_orbits.work import ByValue, Progress, silent
 
@@ -153,6 +153,50 @@ def rig_cycles(
     )
 
 
+def periods_near(
+    orbit: EventOrbit,
+    problem: Problem,
+    rig: Rig | None = None,
+    *,
+    periods: int = 3,
+    settle: int | None = None,
+    seed: int = 0,
+    settings: RigSettings | None = None,
+    on_progress: Progress = silent,
+) -> RigRun:
+    """Simulate a machine from the start of an orbit of events and return its settled periods.
+
+    Args:
+        orbit: The orbit. The machine has its gains and parameters.
+        problem: Its problem.
+        rig: The parts of the machine, by default the parts that the problem declares.
+        periods: Number of periods to return.
+        settle: Number of periods to discard first, by default computed from the multipliers.
+        seed: Random seed of the noise.
+        settings: Accuracy of the integration and the records to keep.
+        on_progress: Called with the part of the time that is simulated.
+
+    Raises:
+        InputError: If the rig does not fit the problem, or `periods` is less than one.
+        SimulationError: If the integration fails.
+    """
+    if periods < 1 or (settle is not None and settle < 0):
+        least = "must be at least 1, and `settle` at least 0"
+        raise InputError(f"Argument `periods` {least}, but they are {periods} and {settle}.")
+    passed = orbit.period * (settling_cycles(orbit) if settle is None else settle)
+    run = simulate_rig(
+        problem,
+        orbit.values(problem),
+        rig or default_rig(problem, orbit=orbit),
+        problem.state_vector(orbit.start_state),
+        passed + periods * orbit.period,
+        seed=seed,
+        settings=replace(settings or RigSettings(), keep_from=passed),
+        on_progress=on_progress,
+    )
+    return run.between(passed, math.inf, zero=passed)
+
+
 def _outcome(
     run: RigRun, cycles: Sequence[RigCycle], orbit: ZenoOrbit, problem: Problem
 ) -> AttractorKind:
@@ -170,7 +214,7 @@ def _outcome(
     return outcome_of(motion, close=_CLOSE_TO).outcome
 
 
-def settling_cycles(orbit: ZenoOrbit) -> int:
+def settling_cycles(orbit: ZenoOrbit | EventOrbit) -> int:
     """Return after how many cycles a machine near a stable orbit has settled."""
     radius = max((abs(mu) for mu in orbit.floquet_multipliers), default=math.nan)
     if math.isnan(radius):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.recordings.contacts import contact_names
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
 from zeno_orbits.kinds import Checked
@@ -132,6 +134,23 @@ class Touch:
         return replace(self, start=self.start - by, end=self.end - by)
 
 
+def contacts_at(touches: Sequence[Touch], stops: Sequence[str], times: Vector) -> Vector:
+    """Return whether each stop is touched at some times: 1 or 0, ``(n, n_stops)``.
+
+    Args:
+        touches: Contacts.
+        stops: Name of each stop.
+        times: Times, ``(n,)`` [s].
+    """
+    found = np.zeros((len(times), len(stops)))
+    for k, name in enumerate(stops):
+        own = sorted((one.start, one.end) for one in touches if one.stop == name)
+        starts = np.array([start for start, _ in own])
+        ends = np.array([-math.inf, *(end for _, end in own)])
+        found[:, k] = times < ends[np.searchsorted(starts, times, side="right")]
+    return found
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
     """Readings of the machine's own controller: simulated, not measured.
@@ -140,11 +159,35 @@ class Record:
         times: ``(n,)`` [s].
         coordinates: Readings of the encoders, ``(n, n_q)``.
         currents: Readings of the currents, ``(n, n_motors)`` [A].
+        contacts: 1 while a stop is touched and 0 off it, ``(n, n_stops)``.
+        outputs: Outputs of the problem in A and V, ``(n, n_outputs)``. Empty with a controller,
+            which reads coordinates and currents only.
     """
 
     times: Vector
     coordinates: Vector
     currents: Vector
+    contacts: Vector
+    outputs: Vector
+
+    def part(self, rows: slice, zero: float) -> Record:
+        """Return some readings.
+
+        Args:
+            rows: The readings.
+            zero: Time origin of the result [s].
+        """
+        kept = {one.name: getattr(self, one.name)[rows] for one in fields(self)}
+        return replace(Record(**kept), times=self.times[rows] - zero)
+
+
+_ELECTRIC = ("A", "V")
+"""Units of the outputs that an electrical instrument measures."""
+
+
+def electric_outputs(problem: Problem) -> list[int]:
+    """Return the indices of a problem's outputs in A and V."""
+    return [k for k, output in enumerate(problem.outputs) if output.unit in _ELECTRIC]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -213,47 +256,82 @@ class RigRun(ByValue):
             **kept,
             times=self.times[own] - zero,
             touches=tuple(t.earlier(zero) for t in self.touches if start <= t.start < end),
-            record=Record(
-                times=self.record.times[read] - zero,
-                coordinates=self.record.coordinates[read],
-                currents=self.record.currents[read],
-            ),
+            record=self.record.part(read, zero),
         )
 
 
 _OVER_TIME = ("states", "in_contact", "contact_force", "gap", "gap_rate", "current", "voltage")
 
 
+def require_noise(noise: float, rig: Rig) -> None:
+    """Refuse noise that is not a number from 0 on, or that is added to a controller's readings.
+
+    Args:
+        noise: Noise relative to the range of each signal.
+        rig: The parts of the machine.
+
+    Raises:
+        InputError: If the noise is refused.
+    """
+    if not 0.0 <= noise < math.inf:
+        raise InputError(f"Argument `noise` must be a number from 0 on, but it is {noise:g}.")
+    if noise and rig.controller is not None:
+        wanted = "must be left out of a machine with a controller, whose sensors have their own"
+        raise InputError(f"Argument `noise` {wanted}: --part sensors.noise.")
+
+
 def recording_of(
-    run: RigRun, problem: Problem, notes: Mapping[str, str] | None = None
+    run: RigRun,
+    problem: Problem,
+    notes: Mapping[str, str] | None = None,
+    *,
+    noise: float = 0.0,
+    seed: int = 0,
 ) -> Recording:
-    """Return the recording of a run: measured coordinates and currents with their units.
+    """Return the recording of a run: coordinates, currents, and a contact channel of every stop.
 
     Args:
         run: The run.
         problem: Its problem.
         notes: Further notes of the recording.
+        noise: Standard deviation of noise on coordinates, currents and outputs, relative to the
+            range of each. Contact channels have none.
+        seed: Random seed of this noise.
 
     Raises:
+        InputError: If noise is added to the readings of a controller, whose sensors have their own,
+            or is not a number from 0 on.
         ValueError: If the record holds fewer than two readings.
     """
-    n_q, record = run.record.coordinates.shape[1], run.record
-    n_motors = record.currents.shape[1]
+    record = run.record
+    require_noise(noise, run.rig)
+    n_q, n_motors = record.coordinates.shape[1], record.currents.shape[1]
     ends = [""] if n_motors == 1 else [str(k + 1) for k in range(n_motors)]
-    signals = [
-        RecordedSignal(name=name, unit=unit, values=values)
-        for name, unit, values in zip(
-            problem.state_names[:n_q], problem.state_units[:n_q], record.coordinates.T, strict=True
-        )
+    named: list[tuple[str, str]] = [
+        *zip(problem.state_names[:n_q], problem.state_units[:n_q], strict=True),
+        *((f"current{end}", "A") for end in ends[:n_motors]),
     ]
-    signals += [
-        RecordedSignal(name=f"current{end}", unit="A", values=values)
-        for end, values in zip(ends, record.currents.T, strict=True)
-    ]
+    columns: list[Vector] = [*record.coordinates.T, *record.currents.T]
+    if record.outputs.shape[1]:
+        chosen = [problem.outputs[k] for k in electric_outputs(problem)]
+        named += [(one.name, one.unit) for one in chosen]
+        columns += [*record.outputs.T]
+    if noise:
+        random = np.random.default_rng(seed)
+        columns = [one + noise * np.ptp(one) * random.normal(size=one.shape) for one in columns]
+    named += [(name, "1") for name in contact_names(run.stop_names)]
+    columns += [*record.contacts.T]
     return Recording(
         source=Source.SIMULATED,
         problem=problem.name,
         time=record.times,
-        signals=tuple(signals),
-        notes={"made by": "the virtual rig; nothing here was measured", **(notes or {})},
+        signals=tuple(
+            RecordedSignal(name=name, unit=unit, values=np.ascontiguousarray(values))
+            for (name, unit), values in zip(named, columns, strict=True)
+        ),
+        notes={
+            "made by": "the virtual rig; nothing here was measured",
+            **({"noise": f"{noise:g}"} if noise else {}),
+            **(notes or {}),
+        },
     )

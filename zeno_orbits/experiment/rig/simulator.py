@@ -29,6 +29,8 @@ from zeno_orbits.experiment.rig.run import (
     RigRun,
     RigSettings,
     Touch,
+    contacts_at,
+    electric_outputs,
     rate_weight,
     rig_tolerance,
     time_scale_of,
@@ -134,7 +136,7 @@ class _Follower:
         tolerances = [rig_tolerance(rig.contact, one) for one in self._owns]
         tolerance = settings.tolerance or min(tolerances, key=lambda one: one.relative)
         self._machine, self._problem, self._rig, self._settings = built, problem, rig, settings
-        self._tolerance = tolerance.times(own.least)
+        self._values, self._tolerance = values, tolerance.times(own.least)
         self._own_time = time_scale_of(problem, values)
         self._spacing = SPACING * self._own_time if settings.spacing is None else settings.spacing
         self._legs = LegFollower(self._settings.engine)
@@ -439,13 +441,11 @@ class _Follower:
 
     def result(self) -> RigRun:
         """Return the run."""
-        touched = self._mode.touched
         _, rates = self._gaps()
         for k in list(self._began):
             self._leave(k, float(rates[k]), forever=True)
-        self._rows.append((self._time, self._y, self._numbers.copy(), touched))
-        rows = zip(*self._rows, strict=True)
-        times, states, numbers, contacts = rows
+        self._rows.append((self._time, self._y, self._numbers.copy(), self._mode.touched))
+        times, states, numbers, contacts = zip(*self._rows, strict=True)
         y, held = np.array(states), np.array(numbers)
         n_stops = len(self._machine.stop_names)
         shape = (len(times), n_stops) if n_stops > 1 else (len(times),)
@@ -473,15 +473,29 @@ class _Follower:
 
     def _record(self, times: Vector, states: Vector, current: Vector) -> Record:
         """Return the readings of the controller, or evenly spaced states without a controller."""
-        n_q = self._machine.n_q
+        n_q, n_x = self._machine.n_q, self._machine.n_x
         if self._loop is None:
             spacing = self._spacing
             even = times == np.round(times / spacing) * spacing
-            return Record(times=times[even], coordinates=states[even, :n_q], currents=current[even])
+            chosen = electric_outputs(self._problem)
+            outputs = np.zeros((int(even.sum()), 0))
+            if chosen:
+                table = self._problem.output_values(self._values, states[even, :n_x])
+                outputs = table[:, chosen]
+            return Record(
+                times=times[even],
+                coordinates=states[even, :n_q],
+                currents=current[even],
+                contacts=contacts_at(self._touches, self._machine.stop_names, times[even]),
+                outputs=outputs,
+            )
         read = [entry for entry in self._loop.log if entry[0] >= self._settings.keep_from]
         width = (len(read), -1)
+        at = np.array([entry[0] for entry in read])
         return Record(
-            times=np.array([entry[0] for entry in read]),
+            times=at,
             coordinates=np.array([entry[1][:n_q] for entry in read]).reshape(*width),
             currents=np.array([entry[2] for entry in read]).reshape(*width),
+            contacts=contacts_at(self._touches, self._machine.stop_names, at),
+            outputs=np.zeros((len(read), 0)),
         )
