@@ -37,6 +37,7 @@ from .execution import state_before as state_before
 from .sensitivity import ArcShifts as ArcShifts
 from .sensitivity import EventShift as EventShift
 from .sensitivity import Perturbations as Perturbations
+from .sensitivity import carried_in_python as carried_in_python
 from .signals import Extent as Extent
 from .signals import Signal as Signal
 from .signals import extent_of as extent_of

@@ -32,12 +32,13 @@ from zeno_orbits.simulation.execution import (
     Event,
     Execution,
     Impact,
+    Mode,
     Release,
     SwitchEvent,
     ZenoPoint,
 )
-from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
-from zeno_orbits.simulation.state_transition import carried
+from zeno_orbits.simulation.sensitivity import Bounce, Carry, EventShift, Perturbations
+from zeno_orbits.simulation.tangent import carried_by_loop
 
 
 @dataclass(kw_only=True)
@@ -48,11 +49,13 @@ class GraphShifts:
         graph: The graph.
         chosen: Indices in ``p`` of the parameters of the derivatives, ``(k,)``.
         tolerance: Local error of steps that have to be taken anew.
+        carry: How perturbations are carried along an arc.
     """
 
     graph: GraphDynamics
     chosen: tuple[int, ...]
     tolerance: Tolerance
+    carry: Carry = carried_by_loop
     _known: dict[tuple[GraphMode, int], Perturbations] = field(
         default_factory=dict["tuple[GraphMode, int]", Perturbations]
     )
@@ -119,6 +122,7 @@ class GraphShifts:
                 differentials=view.differentiation.by(self.chosen),
                 n_parameters=len(self.chosen),
                 tolerance=self.tolerance,
+                carry=self.carry,
             )
         return self._known[key]
 
@@ -160,21 +164,17 @@ class GraphShifts:
         """Return the derivatives of the zero of a guard at the end of an arc."""
         n_x = arc.start_state.size
         some = self._some_stop(arc)
-        perturbations = self._of(arc, some)
-        view, differentials = perturbations.dynamics, perturbations.differentials
+        perturbations, mode = self._of(arc, some), Mode.FREE
         v, q, unit = start.state, perturbations.parameters, 1.0
         if arc.stop:
             stop, unit = self.graph.stop_names.index(arc.stop), arc.time_unit
             perturbations = self._of(arc, stop)
-            flow = perturbations.dynamics.flight(unit)
-            differential = perturbations.differentials.flight(unit)
             v = np.concatenate([v, np.zeros((2, v.shape[1]))])
             q = np.concatenate([q, start.rate[None, :]])
         elif self.graph.stop_names[some] in arc.closed:
-            flow, differential = view.locked, differentials.locked
-        else:
-            flow, differential = view.free, differentials.free
-        v = carried(flow, differential, arc, self.tolerance, v, q)
+            mode = Mode.LOCKED
+        v = self.carry(perturbations, arc, mode, v, q)
+        flow, _ = perturbations.flow_of(arc, mode, len(v))
         rate = flow.rate(arc.flow_state_at(arc.duration))
         change = gradient[:n_x] @ v[:n_x] + gradient[n_x:] @ perturbations.parameters
         delay = -change / (gradient[:n_x] @ rate[:n_x])

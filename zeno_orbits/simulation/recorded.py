@@ -390,6 +390,26 @@ class LoopTrajectory:
         """State at each of these times, ``(m, n_y)``."""
         return np.concatenate([[self._begin], self._rows[:-1, 2:], [self.end]])
 
+    def record(self, mode: int, unit: float, n_x: int) -> Record:
+        """Return the record of an arc with these steps.
+
+        Args:
+            mode: Mode of the flow, a constant of `binding`.
+            unit: Unit of its time [s].
+            n_x: Number of states of the system.
+        """
+        n_y, n, m = self._begin.size, len(self._rows), len(self._polynomials)
+        steps = np.zeros((n, binding.STEP_WIDTH + n_x + 2))
+        steps[:, : binding.STEP_WIDTH + n_y] = self._rows
+        polynomials = np.zeros((m, binding.STAGES * (n_x + 2)))
+        polynomials[:, : binding.STAGES * n_y] = self._polynomials.reshape(m, binding.STAGES * n_y)
+        arc = np.zeros((1, binding.ARC_WIDTH + 2 * n_x + 2))
+        launch = self._begin[-1] if n_y > n_x else 0.0
+        arc[0, : binding.ARC_WIDTH] = (mode, 0, 0, unit, self.duration, 0, 0, 0, n, 0, m, launch)
+        arc[0, binding.ARC_WIDTH :][:n_x] = self._begin[:n_x]
+        events = np.zeros((0, binding.EVENT_WIDTH + 2 * n_x))
+        return Record(steps=steps, polynomials=polynomials, arcs=arc, events=events)
+
     def state_at(self, offset: float) -> Vector:
         """Return the state at a time from the start."""
         return self.end if offset >= self.duration else self.states_at(np.array([offset]))[0]

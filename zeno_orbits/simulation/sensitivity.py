@@ -12,20 +12,21 @@ has the same formulas, and this module is their reference.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Tolerance
+from zeno_orbits.integrators import GuardedFlow, Tolerance
 from zeno_orbits.model import (
     GAP,
     GAP_ACCELERATION,
     GAP_RATE,
     MULTIPLIER,
     Differentials,
+    FlowDifferential,
     HybridDynamics,
 )
 from zeno_orbits.simulation.execution import Arc, Ending, Execution, Impact, Mode, ZenoPoint
@@ -85,6 +86,26 @@ class ArcShifts:
     after: EventShift
 
 
+def carried_in_python(
+    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector
+) -> Vector:
+    """Return the perturbations at the end of an arc, its duration held fixed, ``(n_y, m)``.
+
+    Args:
+        perturbations: The equations of perturbations.
+        arc: The arc.
+        mode: Mode of its flow.
+        v: Perturbations at its start, ``(n_y, m)``. A rescaled flight has two further rows.
+        q: Perturbations of the flow's parameters, ``(n_q, m)``.
+    """
+    flow, differential = perturbations.flow_of(arc, mode, len(v))
+    return carried(flow, differential, arc, perturbations.tolerance, v, q)
+
+
+Carry = Callable[["Perturbations", Arc, Mode, Vector, Vector], Vector]
+"""A function like `carried_in_python`."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Perturbations:
     """Derivatives along an execution.
@@ -94,17 +115,34 @@ class Perturbations:
         differentials: Its derivatives.
         n_parameters: Number of parameters of the derivatives.
         tolerance: Local error of steps that have to be taken anew.
+        carry: How perturbations are carried along an arc.
     """
 
     dynamics: HybridDynamics
     differentials: Differentials
     n_parameters: int
     tolerance: Tolerance
+    carry: Carry = carried_in_python
 
     @property
     def n_x(self) -> int:
         """Number of states."""
         return len(self.dynamics.state_names)
+
+    def flow_of(self, arc: Arc, mode: Mode, n_y: int) -> tuple[GuardedFlow, FlowDifferential]:
+        """Return the flow of an arc and its variational equation.
+
+        Args:
+            arc: The arc.
+            mode: Its mode.
+            n_y: Number of its states. A rescaled flight has two more than the system.
+        """
+        dynamics, by = self.dynamics, self.differentials
+        if n_y > self.n_x:
+            return dynamics.flight(arc.time_unit), by.flight(arc.time_unit)
+        if mode is Mode.LOCKED:
+            return dynamics.locked, by.locked
+        return dynamics.free, by.free
 
     @cached_property
     def parameters(self) -> Vector:
@@ -136,11 +174,10 @@ class Perturbations:
         return self._rescaled(arc, start, end)
 
     def _free(self, arc: Arc, start: EventShift) -> EventShift:
-        flow, differential = self.dynamics.free, self.differentials.free
-        v = carried(flow, differential, arc, self.tolerance, start.state, self.parameters)
+        v = self.carry(self, arc, Mode.FREE, start.state, self.parameters)
         contact = self.differentials.contact(arc.end_state)
         delay = -self._total(contact[GAP], v) / self.dynamics.gap_rate(arc.end_state)
-        state = v + flow.rate(arc.end_state)[:, None] * delay
+        state = v + self.dynamics.free.rate(arc.end_state)[:, None] * delay
         return EventShift(
             time=start.time + delay, state=state, rate=self._total(contact[GAP_RATE], state)
         )
@@ -148,12 +185,11 @@ class Perturbations:
     def _rescaled(self, arc: Arc, start: EventShift, end: Vector) -> EventShift:
         """Follow a flight in its own variables, in which its speed is also a parameter."""
         speed = arc.time_unit
-        flow, differential = self.dynamics.flight(speed), self.differentials.flight(speed)
         launched = np.concatenate([start.state, np.zeros((2, start.time.size))])
         q = np.concatenate([self.parameters, start.rate[None, :]])
-        v = carried(flow, differential, arc, self.tolerance, launched, q)
+        v = self.carry(self, arc, Mode.FREE, launched, q)
         delay = -v[-2] / end[-1]
-        moved = v + flow.rate(end)[:, None] * delay
+        moved = v + self.dynamics.flight(speed).rate(end)[:, None] * delay
         return EventShift(
             time=start.time + arc.duration * start.rate + speed * delay,
             state=moved[: self.n_x],
@@ -232,11 +268,10 @@ class Perturbations:
     def released(self, arc: Arc, zeno: EventShift) -> EventShift:
         """Return the derivatives of the release at the end of a locked arc."""
         x, dynamics = arc.end_state, self.dynamics
-        flow, differential = dynamics.locked, self.differentials.locked
-        v = carried(flow, differential, arc, self.tolerance, zeno.state, self.parameters)
+        v = self.carry(self, arc, Mode.LOCKED, zeno.state, self.parameters)
         gradient = self.differentials.contact(x)[MULTIPLIER]
         delay = -self._total(gradient, v) / dynamics.multiplier_rate(x)
-        moved = v + flow.rate(x)[:, None] * delay
+        moved = v + dynamics.locked.rate(x)[:, None] * delay
         on_stop = self.differentials.resting(x)[: self.n_x]
         return EventShift(
             time=zeno.time + delay,
@@ -248,18 +283,13 @@ class Perturbations:
         """Return the derivatives of the end of an arc that ends at a given time."""
         x, end = arc.end_state, arc.flow_state_at(arc.duration)
         zero = np.zeros_like(start.time)
-        if arc.mode is Mode.LOCKED:
-            flow, differential = self.dynamics.locked, self.differentials.locked
-        else:
-            flow, differential = self.dynamics.free, self.differentials.free
         v, q, later = start.state, self.parameters, start.time
         if end.size > self.n_x:
-            speed = arc.time_unit
-            flow, differential = self.dynamics.flight(speed), self.differentials.flight(speed)
             v = np.concatenate([v, np.zeros((2, zero.size))])
             q = np.concatenate([q, start.rate[None, :]])
-            later = (start.time + arc.duration * start.rate) / speed
-        v = carried(flow, differential, arc, self.tolerance, v, q)
+            later = (start.time + arc.duration * start.rate) / arc.time_unit
+        v = self.carry(self, arc, arc.mode, v, q)
+        flow, _ = self.flow_of(arc, arc.mode, len(v))
         state = (v - flow.rate(end)[:, None] * later)[: self.n_x]
         rate = zero
         if arc.mode is Mode.FREE:

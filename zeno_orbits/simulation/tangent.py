@@ -12,10 +12,15 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.loop import TangentProgram, Track, program_of, tangent_of
+from zeno_orbits.loop import Record, TangentProgram, Track, binding, program_of, tangent_of
 from zeno_orbits.simulation.execution import Arc, Execution, Mode
-from zeno_orbits.simulation.recorded import record_of
-from zeno_orbits.simulation.sensitivity import ArcShifts, EventShift, Perturbations
+from zeno_orbits.simulation.recorded import LoopTrajectory, record_of
+from zeno_orbits.simulation.sensitivity import (
+    ArcShifts,
+    EventShift,
+    Perturbations,
+    carried_in_python,
+)
 from zeno_orbits.simulation.state_transition import courses, trusted
 
 
@@ -90,7 +95,7 @@ def course_of(
         Times since the start of the arc in the flow's own time, ``(n,)``, and the derivatives of
         the flow's state there, ``(n, n_y, m)``.
     """
-    arc, dynamics = execution.arcs[place], perturbations.dynamics
+    arc = execution.arcs[place]
     v, q = start.state, perturbations.parameters
     is_flight = arc.flow_state_at(arc.duration).size > perturbations.n_x
     if is_flight:
@@ -102,22 +107,49 @@ def course_of(
         program, track = compiled
         times, rows = program.course(track, place, v, q, parts)
     else:
-        by = perturbations.differentials
-        flow, differential = dynamics.free, by.free
-        if is_flight:
-            flow, differential = dynamics.flight(arc.time_unit), by.flight(arc.time_unit)
-        elif arc.mode is Mode.LOCKED:
-            flow, differential = dynamics.locked, by.locked
+        flow, differential = perturbations.flow_of(arc, arc.mode, len(v))
         steps = list(courses(flow, differential, arc, perturbations.tolerance, v, q, parts=parts))
         times, rows = np.array([time for time, _ in steps]), np.array([row for _, row in steps])
     return np.append(0.0, times), np.concatenate([v[None], rows])
+
+
+def carried_by_loop(
+    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector
+) -> Vector:
+    """Return what `carried_in_python` returns, by the loop if it recorded the steps of the arc.
+
+    Args:
+        perturbations: The equations of perturbations.
+        arc: The arc.
+        mode: Mode of its flow.
+        v: Perturbations at its start, ``(n_y, m)``.
+        q: Perturbations of the flow's parameters, ``(n_q, m)``.
+    """
+    way = arc.trajectory
+    if isinstance(way, LoopTrajectory):
+        kind = binding.LOCKED if mode is Mode.LOCKED else binding.FREE
+        if len(v) > perturbations.n_x:
+            kind = binding.FLIGHT
+        record = way.record(kind, arc.time_unit, perturbations.n_x)
+        compiled = _tracked(perturbations, record)
+        if compiled is not None:
+            program, track = compiled
+            return program.course(track, 0, v, q, 1)[1][-1]
+    return carried_in_python(perturbations, arc, mode, v, q)
 
 
 def _compiled(
     perturbations: Perturbations, execution: Execution
 ) -> tuple[TangentProgram, Track] | None:
     """Return the derivatives of an execution that the loop recorded, if it has them."""
-    record, formulas = record_of(execution), perturbations.dynamics.formulas
+    return _tracked(perturbations, record_of(execution))
+
+
+def _tracked(
+    perturbations: Perturbations, record: Record | None
+) -> tuple[TangentProgram, Track] | None:
+    """Return the derivatives of the arcs of a record, if the loop has them."""
+    formulas = perturbations.dynamics.formulas
     program = None if record is None or formulas is None else program_of(formulas.system)
     if record is None or formulas is None or program is None:
         return None
