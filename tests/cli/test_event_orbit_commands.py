@@ -154,9 +154,44 @@ def test_search_refuses_objectives_and_bounds_without_a_meaning(
     assert_refused(ask("search", "hopper", "--vary", "a=5:40", *words), option, reason)
 
 
-def test_search_of_one_stop_refuses_objectives_about_several() -> None:
-    words = ("search", "vibrating_table", "--vary", "A=0.9:1.1", "--objective", "impacts")
-    assert_refused(ask(*words), "--objective", "several stops or switches")
+def test_search_of_one_stop_accepts_objectives_and_bounds_about_impacts() -> None:
+    words = ("search", "vibrating_table", "--vary", "A=0.012:0.017")
+    answer = ask(*words, "--objective", "impacts", "--bound", "stop.impact_time=0.13:")
+    assert answer.code == YES
+    assert "Asked for the least energy lost in impacts in a period" in answer.out
+    bound = ask(*words, "--bound", "stop.impact_speed=:0.4", "-o", "table.json")
+    assert bound.code == YES
+    assert ask("verify", "table.json").code == YES
+    assert_refused(ask(*words, "--objective", "impacts=roof"), "--objective", "`roof`")
+    shape = ask(*words, "--objective", "impacts", "--shape", "zeno")
+    assert_refused(shape, "--shape", "about impacts")
+
+
+def test_objectives_about_impacts_refuse_a_machine_without_them() -> None:
+    # A ball that is dropped on the ground comes to rest.
+    ball = ("search", "bouncing_ball", "--vary", "restitution=0.4:0.6", "--objective", "impacts")
+    told = ask(*ball)
+    assert told.code == NO
+    assert "does not nearly repeat" in told.err
+    assert len(told.err.splitlines()) == 1
+    # An oscillator whose force does not lift it off its stop.
+    still = ("search", "impact_oscillator", "--vary", "A=0.01:0.02", "--objective", "impacts")
+    assert ask(*still, "--max-time", "60").err.splitlines() == [
+        "zeno-orbits: The motion has no events: it strikes no stop and passes no switch "
+        "(at t = 60 s)"
+    ]
+    stop = ("search", "relay", "--vary", "U=20:24", "--objective", "bounce=roof")
+    assert_refused(ask(*stop), "--objective bounce=roof", "closed, open")
+
+
+def test_a_waveform_whose_times_leave_the_period_is_refused_in_one_line() -> None:
+    words = ("search", "relay_soft", "--objective", "impacts", "--vary", "t1=0.001:0.0015")
+    assert_refused(ask(*words, "--set", "t2=0.05"), "`times`", "0.02 s is not above `t2` = 0.05 s")
+
+
+def test_a_search_for_impacts_without_anything_to_vary_is_refused() -> None:
+    # The levels and times of `relay` are parameters, and none is varied.
+    assert_refused(ask("search", "relay", "--objective", "impacts"), "--objective", "none is free")
 
 
 def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() -> None:

@@ -302,6 +302,12 @@ def test_a_section_that_does_not_occur_is_refused_with_the_known_events() -> Non
         zo.find_event_orbit("kneed_walker", section="zeno elbow")
 
 
-def test_a_machine_with_one_stop_has_no_event_orbit() -> None:
-    with pytest.raises(zo.InputError, match="`bouncing_ball` has one stop"):
-        zo.find_event_orbit("bouncing_ball")
+def test_a_machine_with_one_stop_has_the_same_orbit_as_a_list_of_events() -> None:
+    numbers = {"Kp": 2.5, "Kd": -1.0}
+    events = zo.find_event_orbit("motor_pendulum", gains=numbers)
+    phases = zo.find_orbit("motor_pendulum", gains=numbers).unwrap()
+    assert events.sequence == ("release stop", "zeno stop")
+    assert events.period == pytest.approx(phases.period, rel=1e-11)
+    assert events.certificate["passed"]
+    largest = abs(events.floquet_multipliers[0])
+    assert largest == pytest.approx(abs(phases.floquet_multipliers[0]), abs=1e-9)

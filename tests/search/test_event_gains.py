@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import zeno_orbits as zo
 
@@ -101,10 +102,90 @@ def test_invalid_searches_are_refused(options: dict[str, Any], words: str) -> No
         _search(**{"free": {"a": (5.0, 40.0)}, **options})
 
 
-def test_objectives_about_impacts_need_several_stops_in_this_version() -> None:
-    with pytest.raises(zo.InputError, match="several stops or switches"):
-        zo.search_gains("vibrating_table", free={"A": (0.9, 1.1)}, objective=zo.MinImpactLoss())
+def test_a_search_by_phases_refuses_objectives_about_impacts_and_names_the_other_search() -> None:
+    with pytest.raises(zo.InputError, match="call `search_event_gains`"):
+        zo.search_gains("vibrating_table", free={"A": (0.01, 0.02)}, objective=zo.MinImpactLoss())
 
+
+# A machine with one stop: the ball on a shaking table, whose flights are parabolas less a sine.
+
+MASS, TURNING, G, REBOUND = 0.05, 30.0, 9.81, 0.3
+
+
+def table_impacts(amplitude: float) -> tuple[float, list[float], list[float]]:
+    """Return the take-off, the times of the impacts with their limit, and their speeds."""
+
+    def pull(time: float) -> float:
+        return G - amplitude * TURNING**2 * math.sin(TURNING * time)
+
+    def rise(time: float) -> float:
+        return amplitude * TURNING * math.cos(TURNING * time)
+
+    def flight(begin: float, speed: float) -> tuple[float, float]:
+        """Return the time of the next impact, and the speed there."""
+
+        def height(t: float) -> float:
+            table = amplitude * (math.sin(TURNING * (begin + t)) - math.sin(TURNING * begin))
+            return (speed + rise(begin)) * t - G * t**2 / 2 - table
+
+        # Without a speed the first zero is the take-off itself.
+        longest = 6 * speed / pull(begin) if speed else 0.15
+        steps = np.linspace(0.0, longest, 1000)[3:]
+        k = next(k for k, t in enumerate(steps) if height(float(t)) < 0.0)
+        t = float(brentq(height, steps[k - 1], steps[k], xtol=1e-17))
+        return begin + t, rise(begin + t) - (speed + rise(begin) - G * t)
+
+    takeoff = math.asin(G / (amplitude * TURNING**2)) / TURNING
+    times, speeds = list[float](), list[float]()
+    begin, speed = takeoff, 0.0
+    while not speeds or speeds[-1] > 1e-6:
+        begin, struck = flight(begin, speed)
+        times.append(begin)
+        speeds.append(struck)
+        speed = REBOUND * struck
+    return takeoff, [*times, begin + 2 * speed / (pull(begin) * (1 - REBOUND))], speeds
+
+
+def test_quantities_of_one_stop_have_their_closed_form() -> None:
+    takeoff, times, speeds = table_impacts(0.015)
+    found = zo.find_event_orbit("vibrating_table").certificate["quantities"]
+    wanted = {
+        "release_time": takeoff,
+        "impact_time": times[0],
+        "impact_speed": speeds[0],
+        "zeno_time": times[-1],
+        "bounce_time": times[-1] - times[0],
+        "impacts": sum(one > 0.01 * speeds[0] for one in speeds),
+        "energy_lost": MASS * (1 - REBOUND**2) / 2 * sum(one**2 for one in speeds),
+    }
+    for word, value in wanted.items():
+        assert found[f"stop.{word}"] == pytest.approx([value, value], rel=1e-7), word
+
+
+def test_one_stop_is_searched_for_a_bound_on_an_event_and_for_the_least_loss() -> None:
+    bound = zo.Bound(name="stop.impact_speed", upper=0.4)
+    found = zo.search_event_gains("vibrating_table", free={"A": (0.012, 0.017)}, bounds=[bound])
+    assert found.orbit is not None
+    assert found.orbit.certificate["passed"]
+    assert table_impacts(found.free["A"])[2][0] == pytest.approx(0.4, rel=1e-7)
+    least = zo.search_event_gains(
+        "vibrating_table",
+        free={"A": (0.012, 0.017)},
+        objective=zo.MinImpactLoss(),
+        bounds=[zo.Bound(name="stop.impact_time", lower=0.13)],
+    )
+    _, times, speeds = table_impacts(least.free["A"])
+    assert times[0] == pytest.approx(0.13, rel=1e-7)
+    loss = MASS * (1 - REBOUND**2) / 2 * sum(one**2 for one in speeds)
+    assert least.value == pytest.approx(loss, rel=1e-7)
+
+
+def test_a_corrected_drive_has_no_orbit_of_events() -> None:
+    with pytest.raises(zo.InputError, match="corrected drive"):
+        zo.find_event_orbit("motor_pendulum@corrected")
+
+
+UNCERTAIN = {"ks": (52.25, 57.75), "R": (47.5, 52.5)}
 
 # A relay whose voltage is cut at t1 and comes back at t2. The numbers are from a simplex search in
 # a program that shares no code with this one.
@@ -123,9 +204,8 @@ def test_the_softest_landing_is_the_end_of_a_family_at_which_the_impact_vanishes
 
 @pytest.mark.slow
 def test_the_robust_landing_is_at_least_as_good_as_that_of_a_simplex_search() -> None:
-    uncertain = {"ks": (52.25, 57.75), "R": (47.5, 52.5)}
     found = zo.search_event_gains(
-        "relay_soft", objective=zo.MinImpactLoss(stop="closed", uncertain=uncertain)
+        "relay_soft", objective=zo.MinImpactLoss(stop="closed", uncertain=UNCERTAIN)
     )
     assert found.orbit is not None
     assert found.orbit.certificate["passed"]
@@ -133,8 +213,8 @@ def test_the_robust_landing_is_at_least_as_good_as_that_of_a_simplex_search() ->
     assert found.free["t1"] == pytest.approx(1.20713e-3, abs=2e-8)
     assert found.free["t2"] == pytest.approx(2.49154e-3, abs=2e-7)
     # No corner is worse, by orbits that are found from rest.
-    for stiffness in uncertain["ks"]:
-        for resistance in uncertain["R"]:
+    for stiffness in UNCERTAIN["ks"]:
+        for resistance in UNCERTAIN["R"]:
             orbit = zo.find_event_orbit(
                 "relay_soft",
                 gains=found.free,

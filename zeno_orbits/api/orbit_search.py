@@ -182,7 +182,10 @@ def find_event_orbit(
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> EventOrbit:
-    """Find and verify the orbit to which a machine with several stops or switches settles.
+    """Find and verify the orbit to which a machine settles, as a list of events.
+
+    It is for machines with several stops or switches. The stop of a machine with one stop is named
+    `stop`.
 
     Args:
         problem: The problem, its name or its file.
@@ -200,8 +203,7 @@ def find_event_orbit(
         The orbit with its certificate and multipliers. `certificate["passed"]` is the verdict.
 
     Raises:
-        InputError: If a name is unknown, a value is out of range, or the problem has one stop and
-            no switch.
+        InputError: If a name is unknown, a value is out of range, or the drive is a corrected one.
         SimulationError: If no motion settles to an orbit.
     """
     from zeno_orbits.search import find_event_orbit as find
@@ -237,7 +239,10 @@ def search_event_gains(
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> EventSearchResult:
-    """Find gains of a machine with several stops or switches, and verify its orbit.
+    """Find gains by quantities of events, and verify the orbit.
+
+    It is for machines with several stops or switches, and for objectives and bounds about impacts.
+    The stop of a machine with one stop is named `stop`.
 
     Args:
         problem: The problem, its name or its file.

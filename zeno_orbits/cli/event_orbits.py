@@ -1,4 +1,4 @@
-"""The commands `search` and `verify` for machines with several stops or switches."""
+"""The commands `search` and `verify` for orbits of events."""
 
 from __future__ import annotations
 
@@ -24,12 +24,25 @@ _SEARCH = {
 }
 """Options of `search` that need a machine with one stop, by their names in the namespace."""
 
+_ABOUT_IMPACTS = ("impacts", "bounce")
+"""Words of the objectives of orbits of events alone."""
+
 _VERIFY = {
     "proof": "--proof",
     "rigorous": "--rigorous",
     "truncation": "--truncation",
 }
 """Options of `verify` that need an orbit of a machine with one stop."""
+
+
+def asks_for_events(options: argparse.Namespace) -> bool:
+    """Return True if an objective or a bound is about events, such as ``stop.impact_speed``.
+
+    Args:
+        options: The command line.
+    """
+    about = options.objective is not None and options.objective.word in _ABOUT_IMPACTS
+    return about or any("." in name for name in options.keep)
 
 
 def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
@@ -39,7 +52,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
 
     Args:
         options: The command line.
-        problem: A problem with several stops or switches.
+        problem: A problem with several stops or switches, or one with a wish about events.
 
     Raises:
         InputError: If an option needs a machine with one stop.
@@ -170,8 +183,8 @@ def _refuse(options: argparse.Namespace, names: dict[str, str]) -> None:
 
 
 def needs_one_stop(option: str) -> str:
-    """Return the message that refuses an option for machines with several stops or switches."""
+    """Return the message that refuses an option for orbits of events."""
     return (
-        f"Option `{option}` needs a machine with one stop and no switch in this version: leave it "
-        "out."
+        f"Option `{option}` needs a machine with one stop and no switch, and no objective or bound "
+        "about impacts, in this version: leave it out."
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.event_orbits import search_events
+from zeno_orbits.cli.event_orbits import asks_for_events, search_events
 from zeno_orbits.cli.options import (
     add_accuracy,
     add_command,
@@ -167,7 +167,7 @@ def add_search(commands: Any) -> None:
 def _run_search(options: argparse.Namespace) -> int:
 
     problem = api.known_problem(options.problem)
-    if problem.has_graph:
+    if problem.has_graph or asks_for_events(options):
         return search_events(options, problem)
     if options.section is not None:
         raise InputError("Option `--section` needs a machine with several stops or switches.")

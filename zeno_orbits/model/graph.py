@@ -166,13 +166,26 @@ def complete(
                     "piecewise input."
                 )
             return one
-        stops = (Stop(name="stop", gap=lagrangian.gap, restitution=restitution),)
-    else:
-        if restitution is not None:
-            raise ValueError("Argument `restitution` must be left out: every stop has its own.")
-        stops = lagrangian.stops
-        one = completed(lagrangian, drive, ca.SX(stops[0].restitution))
+        return replace(one, graph=graph_of_one_stop(one, switches or ()))
+    if restitution is not None:
+        raise ValueError("Argument `restitution` must be left out: every stop has its own.")
+    stops = lagrangian.stops
+    one = completed(lagrangian, drive, ca.SX(stops[0].restitution))
     return replace(one, graph=_graph(one, stops, tuple(switches or ())))
+
+
+def graph_of_one_stop(one: CompletedSystem, switches: Sequence[Switch] = ()) -> ModeGraph:
+    """Return the graph of modes of a machine with one stop, which is named `stop`.
+
+    Args:
+        one: The machine.
+        switches: Its switches. Every kink of a formula is a further switch.
+
+    Raises:
+        ValueError: If a switch is invalid, the gap has a kink, or the drive is a corrected one.
+    """
+    stop = Stop(name="stop", gap=one.gap, restitution=one.restitution)
+    return _graph(one, (stop,), tuple(switches))
 
 
 def _graph(

@@ -19,6 +19,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, any_number, finite_number, named_numbers
 from zeno_orbits.model.drawing import Drawing, lines_of
+from zeno_orbits.model.graph import graph_of_one_stop
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate
 from zeno_orbits.model.origin import Declared, Origin
 from zeno_orbits.model.quantities import (
@@ -185,15 +186,18 @@ class Problem(Declared):
         return _built(self)[0].graph is not None
 
     def compiled_graph(self) -> CompiledGraph:
-        """Return the functions of a machine with several stops or switches.
+        """Return the functions of a machine over its modes.
+
+        A machine with one stop and no switch has its stop under the name `stop`, and every kink of
+        its formulas is a switch.
 
         Raises:
-            InputError: If the problem has one stop and no switch.
+            InputError: If the machine has a corrected drive.
         """
         return _compiled_graph(self)
 
     def graph_dynamics(self, values: ParameterValues | Sequence[float] | Vector) -> GraphDynamics:
-        """Return the graph of modes of a machine with several stops or switches.
+        """Return the graph of modes of a machine, as `compiled_graph` has it.
 
         Args:
             values: Values of every gain and parameter, or the parameter vector, ``(n_p,)``.
@@ -576,17 +580,20 @@ def _built(problem: Problem) -> tuple[CompletedSystem, dict[str, ca.SX]]:
 
 @lru_cache(maxsize=_MOST)
 def _compiled_graph(problem: Problem) -> CompiledGraph:
-    """Return the functions of a machine with several stops or switches."""
+    """Return the functions of a machine over its modes.
+
+    Raises:
+        InputError: If it has a corrected drive.
+    """
     from zeno_orbits.model.numeric.graph_dynamics import CompiledGraph
 
     system, symbols = _built(problem)
-    if system.graph is None:
-        raise InputError(
-            f"Argument `problem` must have several stops or switches, but `{problem.name}` has one "
-            "stop and none."
-        )
+    try:
+        graph = system.graph or graph_of_one_stop(system)
+    except ValueError as error:
+        raise InputError(f"Argument `problem`: `{problem.name}` has no graph: {error}") from error
     return CompiledGraph(
-        graph=system.graph,
+        graph=graph,
         symbols=symbols,
         state_names=problem.state_names,
         starts=tuple(problem.state_vector(start) for start in problem.starts),

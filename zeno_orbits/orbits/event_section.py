@@ -441,9 +441,15 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
 
     Raises:
         InputError: If the event of the section does not occur.
-        SimulationError: If the motion does not return.
+        SimulationError: If the motion has no events, or does not return.
     """
     names = [orbit_event_name(event) for event in execution.events]
+    if not names:
+        raise SimulationError(
+            "The motion has no events: it strikes no stop and passes no switch",
+            time=execution.end_time,
+            state=tuple(execution.end_state.tolist()),
+        )
     if section is not None and section not in names:
         known = ", ".join(sorted(set(names))) or "none"
         raise InputError(

@@ -1,4 +1,4 @@
-"""Gains of machines with several stops or switches: the best orbit of events in given ranges.
+"""Gains by quantities of events: the best orbit of events in given ranges.
 
 The orbit is closed anew at every choice of the free values, and the derivatives of objective and
 bounds along the orbits are exact. Uncertain parameters count with their worst corner.
@@ -118,7 +118,7 @@ def search_event_gains(
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> EventSearchResult:
-    """Return the best orbit of a machine with several stops or switches, not verified.
+    """Return the best orbit of events of a machine, not verified.
 
     Args:
         problem: The problem.
@@ -437,7 +437,7 @@ def _require_valid(
     if not isinstance(objective, (NearestGains, OfImpacts, FastestContraction, TargetPeriod)):
         wanted = "must be one of nearest, period, contraction, impacts or bounce"
         raise InputError(
-            f"Argument `objective` {wanted} for a machine with several stops or switches, but it "
+            f"Argument `objective` {wanted} in a search by events, but it "
             f"asks for {objective.wish}."
         )
     for name, box in free.items():

@@ -37,8 +37,8 @@ one in every unknown, and with a large unit hardly in this one. A bend would tak
 rows."""
 PRECISION = 1e-9
 """Change of the objective over its first value, below which the method has converged."""
-_KEPT = 5e-10
-"""Violation of a row that counts as none, in units of its bound."""
+_KEPT = 1e-9
+"""Violation of a row that counts as none, in units of its bound: SLSQP leaves as much."""
 _TRUSTED, _LEAST_TRUSTED = 1e-3, 1e-8
 """First and least half width of the box of trust of the bundle method."""
 _NEAR = 4.0

@@ -1,4 +1,4 @@
-"""Orbits of machines with several stops or switches: a simulation settles, Newton's method closes.
+"""Orbits of events: a simulation settles, and Newton's method closes.
 
 The values of gains and parameters are fixed. The motion is simulated until it nearly repeats at
 an event, and the return to this event is solved for its fixed point. `event_gains` varies values.
@@ -42,7 +42,7 @@ def find_event_orbit(
     """Return the orbit to which a motion settles, not verified.
 
     Args:
-        problem: The problem, a machine with several stops or switches.
+        problem: The problem. The stop of a machine with one stop is named `stop`.
         values: Its parameter values.
         start: State name to initial value, by default each start of the problem in turn.
         section: Name of the event at which the period starts and ends, such as ``zeno knee``. By

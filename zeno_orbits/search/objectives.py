@@ -451,10 +451,11 @@ class MaxPush(Sampled, Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfImpacts(Sampled, Checked):
-    """Base of objectives about the impacts of a machine with several stops or switches.
+    """Base of objectives about impacts, for `search_event_gains`.
 
     Attributes:
-        stop: Name of the stop, or an empty text for all stops.
+        stop: Name of the stop, or an empty text for all stops. The one stop of a machine without
+            ``stops`` is named `stop`.
         uncertain: Name to range of uncertain parameters. The objective is then the largest value at
             the search's own values and at all corners of the ranges.
     """
@@ -489,12 +490,9 @@ class OfImpacts(Sampled, Checked):
         return f"the least {self.what}{where} in a period{over}"
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
-        """Reject an unknown stop, a machine with one stop, and ranges without a meaning."""
+        """Reject an unknown stop, and ranges without a meaning."""
         from zeno_orbits.model import unknown
 
-        if not problem.has_graph:
-            wanted = "needs a machine with several stops or switches in this version"
-            raise InputError(f"Argument `objective` {wanted}: choose another objective.")
         stops = tuple(stop.name for stop in problem.compiled_graph().graph.stops)
         if self.stop and self.stop not in stops:
             raise InputError(unknown("objective", self.stop, stops))

@@ -11,7 +11,12 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import RELEASE_ROWS, Bound
 from zeno_orbits.search.guess import settle
-from zeno_orbits.search.objectives import LEAST_RADIUS, FastestContraction, TargetPeriod
+from zeno_orbits.search.objectives import (
+    LEAST_RADIUS,
+    FastestContraction,
+    OfImpacts,
+    TargetPeriod,
+)
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import steady_turn
 from zeno_orbits.verification import require_quantities
@@ -27,6 +32,11 @@ def check_search(search: SearchProblem) -> None:
     _check_boxes(problem, search.free)
     for state in search.initial_states:
         problem.state_vector(state)
+    if isinstance(search.objective, OfImpacts):
+        raise InputError(
+            "Argument `objective` is about impacts: call `search_event_gains` in place of "
+            "`search_gains`."
+        )
     search.objective.check(problem, search.free)
     if isinstance(search.objective, TargetPeriod):
         _check_period(search, search.objective.target)
