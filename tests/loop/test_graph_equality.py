@@ -11,8 +11,9 @@ import pytest
 import zeno_orbits as zo
 from benchmarks import random_graphs
 from tests.loop.agreement import needs_compiler
-from zeno_orbits.errors import RunawayError, SimulationError
+from zeno_orbits.errors import RunawayError, SimulationError, SimultaneousEventsError
 from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.loop import LoopRun, binding
 from zeno_orbits.simulation import (
     Arc,
     Event,
@@ -21,7 +22,7 @@ from zeno_orbits.simulation import (
     SimulationTask,
     simulator,
 )
-from zeno_orbits.simulation.looped_graph import GraphHistory, GraphRecord
+from zeno_orbits.simulation.looped_graph import graph_program, settings_of_stops
 
 pytestmark = needs_compiler
 
@@ -55,11 +56,12 @@ def both(
         most_releases=(limits or {}).get("releases", np.inf),
         most_impacts=(limits or {}).get("impacts", np.inf),
     )
-    assert simulator.serves_graph(task)
     found: list[tuple[Execution | None, SimulationError | None]] = []
     for run in (simulator.by_graph_loop, simulator.by_graph):
         try:
-            found.append((run(task, graph), None))
+            execution = run(task, graph)
+            assert execution is not None
+            found.append((execution, None))
         except SimulationError as error:
             found.append((error.execution, error))
     return found
@@ -145,13 +147,36 @@ def test_a_run_beyond_its_bounds_ends_with_the_same_error() -> None:
     assert str(error) == str(reason)
 
 
-@pytest.mark.parametrize(("name", "until"), [("limited_pendulum", 20.0), ("relay", 0.09)])
-def test_the_loop_itself_follows_the_arcs(name: str, until: float) -> None:
-    execution = zo.simulate(name, until=until)
-    history = getattr(execution, "_run", None)
-    assert isinstance(history, GraphHistory)
-    by_loop = [part for part in history.parts if isinstance(part, GraphRecord)]
-    assert sum(len(part.arcs) for part in by_loop) > 0.95 * len(execution.arcs)
+def test_a_kink_that_changes_the_acceleration_in_every_flight_is_refused_by_both() -> None:
+    problem = random_graphs.problem(random_graphs.drawn(7, 129))
+    (_, error), (_, reason) = both(problem, 6.0, {}, EXPLICIT)
+    assert type(error) is SimultaneousEventsError
+    assert str(error) == str(reason)
+    assert "the switch `kink 1` changes" in str(error)
+
+
+@pytest.mark.parametrize("name", ["clapper", "kneed_walker", "limited_pendulum"])
+def test_a_run_goes_on_after_every_step(name: str) -> None:
+    problem = zo.load_problem(name)
+    graph = problem.graph_dynamics(problem.values())
+    state = np.array(problem.state_vector(problem.starts[0]))
+    task = SimulationTask(dynamics=graph.first, state=state, until=2.0, settings=EXPLICIT)
+    whole = simulator.by_graph_loop(task, graph)
+    program = graph_program(graph.compiled)
+    assert whole is not None
+    assert program is not None
+    settings = settings_of_stops(task, graph)
+    place = (binding.SettingsType * len(settings))(*(one.filled() for one in settings))
+    run = LoopRun(program, place, graph.p, state)
+    status = binding.FULL
+    while status == binding.FULL:
+        status = run.resume(steps=1, polynomials=1, arcs=3, events=11)
+    assert status == binding.DONE
+    record, n_x = run.record(), len(state)
+    expected = [numbers(event) for event in whole.events]
+    assert record.events[:, 1].tolist() == [row[0] for row in expected]
+    ends = record.arcs[:, binding.ARC_WIDTH + n_x :][:, :n_x]
+    assert ends.tolist() == [arc.end_state.tolist() for arc in whole.arcs]
 
 
 @pytest.mark.parametrize("index", range(8))

@@ -30,6 +30,7 @@ from zeno_orbits.loop import whole_source
 from zeno_orbits.loop.source import FLAGS, HERE, LIBRARIES
 from zeno_orbits.model.numeric import graph_dynamics
 from zeno_orbits.simulation import (
+    accumulations,
     arc_follower,
     completion,
     event_rules,
@@ -101,11 +102,30 @@ RULES: dict[str, float] = {
     "MOST_CORRECTIONS": rescaled_flight._MOST_CORRECTIONS,
     "CLOSE": rescaled_flight._CLOSE,
     "SWITCH_ZERO": graph_dynamics._ZERO,
+    "WAS_CLOSED": graph_run._WAS_CLOSED,
     "APART": graph_run._APART,
+    "CONTINUOUS": graph_run._CONTINUOUS,
     "GROW": graph_run._GROW,
     "SHORTEST": graph_run._SHORTEST,
     "SPENT": graph_run._SPENT,
     "LEAST_IMPULSE": graph_run._LEAST_IMPULSE,
+    "PART_BEFORE": graph_run._BEFORE,
+    "NEAR_KINK": graph_run._NEAR_KINK,
+    "SPLIT": graph_run._SPLIT,
+    "SPLIT_RESOLVED": graph_run._SPLIT_RESOLVED,
+    "ACCUMULATED": graph_run._ACCUMULATED,
+    "IN_TURN": accumulations._IN_TURN,
+    "IN_ROW": accumulations._IN_ROW,
+    "LAST_IMPACTS": accumulations._LAST,
+    "CORNER": accumulations._CORNER,
+    "SHORT": accumulations._SHORT,
+    "FAST": accumulations._FAST,
+    "SOON": accumulations._SOON,
+    "COMPARED": accumulations._COMPARED,
+    "FALLING": accumulations._FALLING,
+    "ALIKE": accumulations._ALIKE,
+    "HALF": accumulations._HALF,
+    "FALLEN": accumulations._ACCUMULATED,
 }
 
 

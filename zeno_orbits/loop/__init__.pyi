@@ -1,9 +1,10 @@
 from .export import ExportedRun as ExportedRun
 from .export import exported_files as exported_files
 from .formulas import problem_source as problem_source
-from .graph_program import Beside as Beside
+from .graph_program import GraphFormulas as GraphFormulas
 from .graph_program import GraphProgram as GraphProgram
-from .graph_program import OtherGuard as OtherGuard
+from .graph_program import Side as Side
+from .graph_program import View as View
 from .compiler import find_compiler as find_compiler
 from .folder import library_folder as library_folder
 from .library import When as When

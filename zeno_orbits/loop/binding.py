@@ -11,15 +11,15 @@ RATE, GUARD, JACOBIAN, WATCHED = 0, 3, 6, 9
 GAP, LIFT, PULL, INERTIA, REBOUND, RESTING, LANDING, TAPES = range(12, 20)
 SLOPES = 7
 EXTRAPOLATION, PASSAGE, TRUNCATION, FIXED_IMPACTS, PLASTIC_AFTER = range(5)
-STEP_WIDTH, ARC_WIDTH, EVENT_WIDTH, ESTIMATE_WIDTH = 2, 12, 5, 4
+STEP_WIDTH, ARC_WIDTH, EVENT_WIDTH, ESTIMATE_WIDTH = 2, 13, 6, 4
 IMPACT, ZENO, RELEASE, HORIZON, SWITCH = range(5)
 
 DONE, FULL, ESTIMATES, CURVE, TOO_STIFF, SINGULAR, NOT_FINITE, LEFT = range(8)
 MANY_STEPS, MANY_IMPACTS, BEYOND, GROWS, NOT_CLOSING, INTO_STOP, TOO_LARGE = range(8, 15)
-BESIDE, EVENT, OTHER_SIDE = 15, 16, 17
+MODE, INSIDE, SLIDES, COINCIDE, SPLITS, TOGETHER, IN_TURN = range(15, 22)
+ACCUMULATE, UNDEFINED, UNDETERMINED, BY_SWITCH, ARMED = range(22, 27)
 
-GUARDS, LOOKS = 16, 4
-OTHER_GAP, OTHER_MULTIPLIER, DECLARED, KINK = range(4)
+GUARDS, STOPS = 16, 8
 
 _number, _count, _address = ctypes.c_double, ctypes.c_longlong, ctypes.c_void_p
 
@@ -56,67 +56,48 @@ class ProblemType(ctypes.Structure):
         *((name, _count) for name in ("n_x", "n_q", "n_p")),
         ("carried", _count * 3),
         ("tapes", TapeType * TAPES),
-        ("scheme", SchemeType),
-        ("beside", _address),
+        ("scheme", _address),
+        ("graph", _address),
     ]
 
 
-class GuardType(ctypes.Structure):
-    """A guard beside the guard of a stop: ``zl_guard``."""
+class SideType(ctypes.Structure):
+    """The guard of a switch on one side of it: ``zl_side``."""
+
+    _fields_ = [("place", _count), ("value", TapeType), ("bounds", TapeType)]
+
+
+class GraphType(ctypes.Structure):
+    """A machine with several stops or switches: ``zl_graph``."""
 
     _fields_ = [
-        *((name, _count) for name in ("kind", "stop")),
-        *((name, _count * 2) for name in ("place", "bounds_place")),
-        *((name, TapeType * 2) for name in ("value", "bounds")),
-        ("sign", _number),
-    ]
-
-
-class BesideType(ctypes.Structure):
-    """What a machine has beside a stop: ``zl_beside``."""
-
-    _fields_ = [
-        *((name, _count) for name in ("n_guards", "n_switches", "n_stops", "stop", "n_registers")),
-        *((name, _count) for name in ("switches_place", "delassus_place")),
+        *((name, _count) for name in ("n_stops", "n_declared", "n_switches", "n_views", "n_sides")),
+        *((name, _count) for name in ("n_numbers", "switches_place", "delassus_place")),
         *((name, TapeType) for name in ("switches", "delassus")),
-        ("guards", _address),
+        *((name, _address) for name in ("resets", "reset_places", "view_keys", "view_places")),
+        *((name, _address) for name in ("views", "side_keys", "sides")),
     ]
 
 
-class StartType(ctypes.Structure):
-    """Where the next arc starts: ``zl_start``."""
+class OutlookType(ctypes.Structure):
+    """What a run over several stops looks at: ``zl_outlook``."""
 
-    _fields_ = [
-        *((name, _count) for name in ("mode", "has_speed", "has_impact")),
-        *((name, _number) for name in ("time", "speed", "lift")),
-        *((name, _number * MOST) for name in ("state", "plus", "resting", "rate")),
-    ]
+    _fields_ = [(name, _count) for name in ("rest", "focus", "sides", "above", "splits")]
 
 
-class PaceType(ctypes.Structure):
-    """What an arc changes of a run while it is followed: ``zl_pace``."""
-
-    _fields_ = [
-        *((name, _number) for name in ("window", "fastest")),
-        ("looks", _number * (3 * LOOKS)),
-        *((name, _count) for name in ("in_sequence", "first_impact", "n_estimates")),
-        *((name, _count) for name in ("n_steps", "next_look", "n_looks", "which")),
-    ]
+def mode_key(closed: int, sides: int) -> int:
+    """Return the key of a mode: ``ZL_MODE_KEY``. Both are bits."""
+    return sides << STOPS | closed
 
 
-class PlaceType(ctypes.Structure):
-    """Where a run stands between two arcs: ``zl_place``. It has the fields of its parts."""
+def view_key(mode: int, stop: int) -> int:
+    """Return the key of an open stop of a mode: ``ZL_VIEW_KEY``."""
+    return mode << 5 | stop
 
-    _anonymous_ = ("start", "pace")
-    _fields_ = [
-        ("start", StartType),
-        ("pace", PaceType),
-        *((name, _number) for name in ("quiet", "first_speed")),
-        ("sizes", _number * MOST),
-        ("rounding", _number * GUARDS),
-        *((name, _count) for name in ("n_impacts", "n_landings", "n_releases", "n_arcs")),
-        *((name, _count) for name in ("fallen", "single")),
-    ]
+
+def side_key(mode: int, switch: int, positive: int) -> int:
+    """Return the key of a side of a switch in a mode: ``ZL_SIDE_KEY``."""
+    return mode << 5 | switch << 1 | positive
 
 
 _SETTINGS = (
@@ -181,6 +162,7 @@ class DetailType(ctypes.Structure):
         ("state", _number * MOST),
         *((name, _number) for name in ("number", "steps")),
         *((name, _count) for name in ("n_state", "index")),
+        ("about", _count * 4),
     ]
 
 
@@ -203,8 +185,8 @@ def declared(library: Any) -> Any:
             [pointer, pointer, pointer, _number, _number, _number, pointer],
         ),
         "zl_evaluate": (None, [pointer, pointer, whole, pointer, pointer]),
-        "zl_put": (None, [pointer] * 2),
-        "zl_where": (None, [pointer] * 2),
+        "zl_room": (_count, [pointer]),
+        "zl_outlook_of": (None, [pointer] * 2),
         "zl_copy": (None, [pointer] * 3),
         "zl_tangent_work": (_count, [pointer] * 2),
         "zl_follow": (_count, [*[pointer] * 4, _count, pointer]),

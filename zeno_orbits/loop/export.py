@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.formulas import FILE as FORMULAS
 from zeno_orbits.loop.formulas import formulas_source
-from zeno_orbits.loop.program import Program
+from zeno_orbits.loop.program import Program, scheme
 from zeno_orbits.loop.run import RunSettings
 from zeno_orbits.loop.source import HERE, whole_source
 from zeno_orbits.loop.tape import Tape
@@ -88,10 +88,11 @@ def _data(program: Program, run: ExportedRun, stem: str) -> Iterable[str]:
         yield from _tape_arrays(k, tape)
     tapes = ",\n        ".join(_tape(k, tape) for k, tape in enumerate(program.tapes))
     problem = program.problem
-    scheme = ",\n        ".join(_scheme(problem.scheme))
     carried = ", ".join(map(str, problem.carried))
     counts = f"{problem.n_x}, {problem.n_q}, {problem.n_p}, {{{carried}}}"
-    whole = f"{counts},\n    {{\n        {tapes}\n    }},\n    {{\n        {scheme}\n    }},\n    0"
+    whole = f"{counts},\n    {{\n        {tapes}\n    }},\n    &scheme,\n    0"
+    numbers = ",\n    ".join(_scheme(scheme()))
+    yield f"static const zl_scheme scheme = {{\n    {numbers}\n}};\n"
     yield f"const zl_problem {stem}_problem = {{\n    {whole}\n}};\n"
     yield f"const zl_settings {stem}_settings = {{\n    {_settings(run.settings)}\n}};\n"
     yield _array(f"const double {stem}_parameters[]", map(_number, run.values.tolist()))
@@ -121,9 +122,9 @@ def _tape(k: int, tape: Tape) -> str:
     return "{" + ", ".join((*map(str, counts), code, constants, outputs)) + "}"
 
 
-def _scheme(scheme: c.SchemeType) -> Iterable[str]:
+def _scheme(place: c.SchemeType) -> Iterable[str]:
     for name in (entry[0] for entry in c.SchemeType._fields_):
-        value = getattr(scheme, name)
+        value = getattr(place, name)
         numbers = [value] if isinstance(value, float) else list(value)
         shown = _folded(map(_number, numbers), 8)
         yield shown if isinstance(value, float) else f"{{{shown}}}"

@@ -173,15 +173,26 @@ static void keep_tail(Unit *unit) {
     memcpy(piece->after, arc + ZL_ARC_WIDTH + n_x, n_x * sizeof(double));
 }
 
+/* Do the next thing of a run. */
+static int advance(zl_run *run, zl_records *records) {
+    Machine m;
+    if (problem->graph) {
+        Graph g;
+        enter_graph(&g, problem, run, records);
+        return advance_in_graph(&g);
+    }
+    m = machine_of(problem, run, records);
+    return do_next(&m);
+}
+
 /* Let the run do its next thing. */
 static int move_on(Unit *unit) {
     zl_records *records = &unit->records;
-    Machine m = machine_of(problem, unit->run, records);
     const Leg leg = unit->run->leg;
     const long long n_arcs = unit->run->n_arcs;
     int status;
     records->n_steps = records->n_polynomials = records->n_arcs = records->n_events = 0;
-    status = advance(&m);
+    status = advance(unit->run, records);
     if (status == ZL_ESTIMATES) return more_estimates(unit) ? OK : fail(unit, "There is no memory");
     if (status == ZL_CURVE) {
         /* Impacts are followed one by one. */

@@ -1,7 +1,7 @@
-"""A stop of a machine with several stops or switches in the library's format.
+"""A machine with several stops, switches or kinks in the library's format.
 
-The stop is a machine with one stop. The other guards of the machine are beside it: while they are
-clearly not involved, the loop carries out the execution. Otherwise the caller follows an arc.
+A view is a machine with one stop: an open stop in a mode. A side is the guard of a switch on one
+side of it, along the flow of a mode. The tables of views and sides grow when a run asks for one.
 """
 
 from __future__ import annotations
@@ -9,104 +9,196 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
 from zeno_orbits.loop import binding as c
-from zeno_orbits.loop.program import Program, TapedProblem, fill_tape
+from zeno_orbits.loop.program import Program, TapedProblem, fill_tape, scheme
 from zeno_orbits.loop.tape import Tape, tape_of
 from zeno_orbits.model import ModeFunctions
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OtherGuard:
-    """A guard beside the guard of a stop.
+class View(NamedTuple):
+    """An open stop in a mode.
 
     Attributes:
-        kind: A constant of `binding`.
-        stop: Index of the stop, or -1 for a switch.
-        sign: Side of a switch: its guard is the formula times this number.
-        off: The guard along the flow off the stop.
-        on: The guard along the flow on the stop, or ``None`` until a motion enters that mode.
+        closed: The closed stops beside the stop.
+        stop: The stop.
+        sides: Side of every kink, True where its condition is positive.
     """
 
-    kind: int
+    closed: tuple[int, ...]
     stop: int
-    sign: float
-    off: ModeFunctions
-    on: ModeFunctions | None
+    sides: tuple[bool, ...]
+
+    @property
+    def key(self) -> int:
+        """The key in the library."""
+        return c.view_key(_mode_key(self.closed, self.sides), self.stop)
+
+
+class Side(NamedTuple):
+    """A side of a switch in a mode.
+
+    Attributes:
+        closed: The closed stops.
+        sides: Side of every kink.
+        switch: The switch.
+        positive: Whether its guard is positive there.
+    """
+
+    closed: tuple[int, ...]
+    sides: tuple[bool, ...]
+    switch: int
+    positive: bool
+
+    @property
+    def key(self) -> int:
+        """The key in the library."""
+        return c.side_key(_mode_key(self.closed, self.sides), self.switch, int(self.positive))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Beside:
-    """What a machine has beside a stop.
+class GraphFormulas:
+    """The formulas that all modes of a machine share.
 
     Attributes:
-        stop: Index of the stop.
+        n_x: Number of states.
+        n_q: Number of coordinates.
+        n_p: Number of parameters.
         n_stops: Number of stops.
-        guards: The other guards, the switches last, in their order.
-        n_switches: Number of switches.
-        switches: ``(x, p, sizes) -> (formulas of all switches, their sizes, ...)``.
+        n_declared: Number of declared switches.
+        n_switches: Number of declared switches and kinks.
+        switches: ``(x, p, sizes) -> (formulas of all switches, their sizes, formulas `armed`)``.
         delassus: ``(x, p) -> J W J^T`` of all stops.
+        resets: ``(x, p) -> x`` after each declared switch.
     """
 
-    stop: int
+    n_x: int
+    n_q: int
+    n_p: int
     n_stops: int
-    guards: Sequence[OtherGuard]
+    n_declared: int
     n_switches: int
     switches: ca.Function
     delassus: ca.Function
+    resets: Sequence[ca.Function]
 
 
 class GraphProgram(TapedProblem):
-    """The formulas of a stop and of the guards beside it."""
+    """The formulas of a graph of modes, as far as runs have asked for them."""
 
-    def __init__(self, library: Any, program: Program, beside: Beside) -> None:
-        """Make the tapes.
+    def __init__(self, library: Any, formulas: GraphFormulas) -> None:
+        """Make the tapes that all modes share.
 
         Args:
             library: The library.
-            program: The stop as a machine with one stop.
-            beside: The other guards.
+            formulas: The formulas.
 
         Raises:
             UnknownOperationError: If a formula holds an operation that tapes do not have.
         """
-        carried = list(program.problem.carried)
-        super().__init__(library, program.tapes, carried, program.n_x, program.n_q, program.n_p)
-        self.beside = beside
-        self._room, self._others = 0, list[Tape]()
-        rows = (c.GuardType * max(len(beside.guards), 1))()
-        for row, guard in zip(rows, beside.guards, strict=False):
-            row.kind, row.stop, row.sign = guard.kind, guard.stop, guard.sign
-            for side, mode in enumerate((guard.off, guard.on)):
-                if mode is None:
-                    continue
-                row.place[side] = self._added(row.value[side], tape_of(mode.guard), 1)
-                if mode.bounded is not None:
-                    row.bounds_place[side] = self._added(row.bounds[side], tape_of(mode.bounded), 3)
-        self._rows, self._table = rows, c.BesideType(n_guards=len(beside.guards))
-        table = self._table
-        table.n_switches, table.n_stops, table.stop = beside.n_switches, beside.n_stops, beside.stop
-        table.guards = ctypes.addressof(rows)
-        if beside.n_switches:
-            table.switches_place = self._added(table.switches, tape_of(beside.switches), 1)
-        table.delassus_place = self._added(table.delassus, tape_of(beside.delassus), 1)
-        table.n_registers = self._room
-        self.problem.beside = ctypes.addressof(table)
-        self._size = library.zl_size(self.address)
+        super().__init__(library, (), (), formulas.n_x, formulas.n_q, formulas.n_p)
+        self.formulas = formulas
+        self.switches = tape_of(formulas.switches) if formulas.n_switches else Tape.empty()
+        self.delassus = tape_of(formulas.delassus)
+        self.resets = tuple(map(tape_of, formulas.resets))
+        self.views: dict[View, Program] = {}
+        self.sides: dict[Side, tuple[Tape, Tape]] = {}
+        self._places: dict[object, int] = {}
+        self._n_numbers = 0
+        self._kept: list[object] = []
+        for tape in (self.switches, self.delassus, *self.resets):
+            self._place(id(tape), tape.n_registers)
+        self._tabulate()
 
-    def _added(self, place: Any, tape: Tape, width: int) -> int:
-        """Write a tape to memory and return the place of its registers.
+    def add_view(self, view: View, program: Program) -> None:
+        """Add a machine with one stop to the tables."""
+        self.views[view] = program
+        self._place(view, self.library.zl_room(program.address))
+        self._tabulate()
+
+    def add_side(self, side: Side, mode: ModeFunctions) -> None:
+        """Add the guard of a switch to the tables.
+
+        Raises:
+            UnknownOperationError: If a formula holds an operation that tapes do not have.
+        """
+        bounds = Tape.empty() if mode.bounded is None else tape_of(mode.bounded)
+        value = tape_of(mode.guard)
+        self.sides[side] = value, bounds
+        self._place(side, 1 + value.n_registers + 3 * bounds.n_registers)
+        self._tabulate()
+
+    def give_back(self, memory: Any) -> None:
+        """Take back memory of a run, unless the tables have grown since."""
+        if len(memory) >= self.size:
+            super().give_back(memory)
+
+    def asked_for(self, about: Sequence[int]) -> View | Side:
+        """Return the view or side that a run asks for.
 
         Args:
-            place: The memory.
-            tape: The tape.
-            width: Numbers for each register: three, with its interval.
+            about: What the status ``MODE`` is about.
         """
-        fill_tape(place, tape)
-        self._others.append(tape)
-        first = self._room
-        self._room += width * tape.n_registers
-        return first
+        is_side, mode, index, positive = about
+        n_kinks = self.formulas.n_switches - self.formulas.n_declared
+        closed = tuple(k for k in range(self.formulas.n_stops) if mode >> k & 1)
+        sides = tuple(bool(mode >> (c.STOPS + k) & 1) for k in range(n_kinks))
+        return Side(closed, sides, index, bool(positive)) if is_side else View(closed, index, sides)
+
+    def _place(self, name: object, n_numbers: int) -> None:
+        self._places[name] = self._n_numbers
+        self._n_numbers += n_numbers
+
+    def _tabulate(self) -> None:
+        """Write the tables anew. Runs in other threads go on with those that they have."""
+        views = (c.ProblemType * max(len(self.views), 1))()
+        for place, program in zip(views, self.views.values(), strict=False):
+            ctypes.pointer(place)[0] = program.problem
+        sides = (c.SideType * max(len(self.sides), 1))()
+        for place, (side, (value, bounds)) in zip(sides, self.sides.items(), strict=False):
+            place.place = self._places[side]
+            fill_tape(place.value, value)
+            fill_tape(place.bounds, bounds)
+        resets = (c.TapeType * max(len(self.resets), 1))()
+        for place, tape in zip(resets, self.resets, strict=False):
+            fill_tape(place, tape)
+        tables = {
+            "resets": resets,
+            "reset_places": _whole([self._places[id(tape)] for tape in self.resets]),
+            "view_keys": _whole([view.key for view in self.views]),
+            "view_places": _whole([self._places[view] for view in self.views]),
+            "views": views,
+            "side_keys": _whole([side.key for side in self.sides]),
+            "sides": sides,
+        }
+        table = c.GraphType(
+            n_stops=self.formulas.n_stops,
+            n_declared=self.formulas.n_declared,
+            n_switches=self.formulas.n_switches,
+            n_views=len(self.views),
+            n_sides=len(self.sides),
+            n_numbers=self._n_numbers,
+            switches_place=self._places[id(self.switches)],
+            delassus_place=self._places[id(self.delassus)],
+            **{name: ctypes.addressof(array) for name, array in tables.items()},
+        )
+        fill_tape(table.switches, self.switches)
+        fill_tape(table.delassus, self.delassus)
+        problem = c.ProblemType(n_x=self.n_x, n_q=self.n_q, n_p=self.n_p)
+        problem.scheme = ctypes.addressof(scheme())
+        problem.graph = ctypes.addressof(table)
+        self._kept.append((problem, table, tables))
+        self.problem, self.address = problem, ctypes.addressof(problem)
+        self._size, self._spare = self.library.zl_size(self.address), []
+
+
+def _mode_key(closed: Sequence[int], sides: Sequence[bool]) -> int:
+    bits = sum(1 << k for k, side in enumerate(sides) if side)
+    return c.mode_key(sum(1 << k for k in closed), bits)
+
+
+def _whole(numbers: Sequence[int]) -> Any:
+    return (ctypes.c_longlong * max(len(numbers), 1))(*numbers)

@@ -265,7 +265,7 @@ static void set_speed(const Machine *m, double speed) {
     tape_prepare(&m->problem->tapes[rate], m->registers[rate], m->p);
     tape_prepare(&m->problem->tapes[guard], m->registers[guard], m->p);
     intervals_prepare(&m->problem->tapes[watched], m->registers[watched], m->p);
-    m->run->has_jacobian[ZL_FLIGHT] = m->run->has_lanes[ZL_FLIGHT] = 0;
+    m->ready->has_jacobian[ZL_FLIGHT] = m->ready->has_lanes[ZL_FLIGHT] = 0;
 }
 
 /* Prepare a leg of a mode from a state; its times are in units of `unit`. */
@@ -427,7 +427,7 @@ static int watch(const Machine *m, const double *y) {
     return status;
 }
 
-enum { LEG_GOES_ON = 100, LEG_FELL, LEG_AT_HORIZON, LEG_FELL_BESIDE };
+enum { LEG_GOES_ON = 100, LEG_FELL, LEG_AT_HORIZON, LEG_FELL_BESIDE, LEG_IN_DOUBT };
 
 /* Look at the other guards in a step up to a time, after which the leg is over or not: `beside.c`. */
 static int look_beside(Step *step, double until, int is_last);
@@ -465,7 +465,7 @@ static int step_leg(const Machine *m) {
     }
     leg->n_steps++;
     if (run->settings.records) record_step(m, after, was_implicit ? &found : 0);
-    status = watch(m, after);
+    if (!run->graph.in_side) status = watch(m, after);
     if (status != ZL_DONE) return status;
 
     rate_at(m, after, slope_after);
@@ -486,13 +486,13 @@ static int step_leg(const Machine *m) {
         int over = leg->time + end >= leg->horizon;
         leg_end(&step, over ? leg->horizon - leg->time : fall, leg->end);
         leg->duration = over ? leg->horizon : leg->time + fall;
-        if (m->problem->beside) {
+        if (m->others) {
             int other = look_beside(&step, leg->duration, 1);
             if (other != LEG_GOES_ON) return other;
         }
         return over ? LEG_AT_HORIZON : LEG_FELL;
     }
-    if (m->problem->beside) {
+    if (m->others) {
         int other = look_beside(&step, INFINITY, 0);
         if (other != LEG_GOES_ON) return other;
     }

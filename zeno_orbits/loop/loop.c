@@ -24,49 +24,62 @@
 #include "zeno.c"
 #include "beside.c"
 #include "machine.c"
+#include "accumulations.c"
+#include "graph.c"
+
+long long zl_room(const zl_problem *problem) { return numbers_of(problem); }
 
 long long zl_size(const zl_problem *problem) {
-    long long n = problem->n_p + 1;
-    int k;
-    for (k = 0; k < ZL_TAPES; k++) n += room_of(problem, k);
-    for (k = 0; k < ZL_MODES; k++) n += problem->tapes[ZL_RATE + k].n_registers * ZL_LANES;
-    if (problem->beside) n += problem->beside->n_registers;
+    const zl_graph *graph = problem->graph;
+    long long n = graph ? problem->n_p + graph->n_numbers : numbers_of(problem);
+    if (graph) n += graph->n_stops * (long long)(sizeof(zl_settings) / sizeof(double));
     return (long long)sizeof(zl_run) + n * (long long)sizeof(double);
 }
 
 int zl_begin(const zl_problem *problem, zl_run *run, const zl_settings *settings, const double *p,
              const double *x) {
-    Machine m;
-    int k;
     if (problem->n_x + 2 > ZL_MOST) return ZL_TOO_LARGE;
     memset(run, 0, offsetof(zl_run, factors));
-    m = machine_of(problem, run, 0);
     run->settings = *settings;
-    memcpy(m.p, p, (size_t)problem->n_p * sizeof(double));
-    m.p[problem->n_p] = NAN;
-    for (k = 0; k < ZL_TAPES; k++)
-        if (is_watched(k))
-            intervals_prepare(&problem->tapes[k], m.registers[k], m.p);
-        else if ((k < ZL_JACOBIAN || k >= ZL_GAP) && problem->tapes[k].n_outputs)
-            tape_prepare(&problem->tapes[k], m.registers[k], m.p);
-    if (problem->beside) prepare_beside(&m);
+    if (problem->graph) {
+        begin_in_graph(problem, run, settings, p);
+    } else {
+        const Machine m = machine_of(problem, run, 0);
+        prepare_formulas(&m, p);
+    }
     memcpy(run->start.state, x, (size_t)problem->n_x * sizeof(double));
     run->small_gap = settings->contact * settings->gap;
     run->small_rate = settings->contact * settings->gap_rate;
     run->pace.next_look = FIRST_PACE;
+    run->pace.window = INFINITY;
     run->stage = BEFORE;
     run->refused = -1.0;
     return ZL_DONE;
 }
 
-int zl_resume(const zl_problem *problem, zl_run *run, zl_records *records) {
-    const Machine m = machine_of(problem, run, records);
+static int resume_in_graph(const zl_problem *problem, zl_run *run, zl_records *records) {
     int status = GO_ON;
-    records->n_steps = records->n_polynomials = records->n_arcs = records->n_events = 0;
+    Graph g;
+    enter_graph(&g, problem, run, records);
     while (status == GO_ON) {
         if (run->stage == OVER) return ZL_DONE;
-        if (!has_room(&m)) return ZL_FULL;
-        status = advance(&m);
+        if (!has_room(&g.m)) return ZL_FULL;
+        status = advance_in_graph(&g);
+    }
+    return status;
+}
+
+int zl_resume(const zl_problem *problem, zl_run *run, zl_records *records) {
+    int status = GO_ON;
+    records->n_steps = records->n_polynomials = records->n_arcs = records->n_events = 0;
+    if (problem->graph) return resume_in_graph(problem, run, records);
+    {
+        const Machine m = machine_of(problem, run, records);
+        while (status == GO_ON) {
+            if (run->stage == OVER) return ZL_DONE;
+            if (!has_room(&m)) return ZL_FULL;
+            status = do_next(&m);
+        }
     }
     return status;
 }
@@ -193,27 +206,12 @@ void zl_evaluate(const zl_problem *problem, zl_run *run, int tape, const double 
         evaluate_at(&m, tape, varying, outputs);
 }
 
-void zl_put(zl_run *run, const zl_place *place) {
-    run->place = *place;
-    run->start = place->start;
-    run->pace = place->pace;
-    run->first_speed = place->first_speed;
-    run->n_impacts = place->n_impacts;
-    run->n_landings = place->n_landings;
-    run->n_releases = place->n_releases;
-    run->n_arcs = place->n_arcs;
-    run->n_rows = run->n_polynomials = run->in_hop = 0;
-    run->stage = AT_START;
-}
-
-void zl_where(const zl_run *run, zl_place *place) {
-    *place = run->place;
-    place->start = run->start;
-    place->first_speed = run->first_speed;
-    place->n_impacts = run->n_impacts;
-    place->n_landings = run->n_landings;
-    place->n_releases = run->n_releases;
-    place->n_arcs = run->n_arcs;
+void zl_outlook_of(const zl_run *run, zl_outlook *outlook) {
+    outlook->rest = run->graph.rest;
+    outlook->focus = run->graph.focus;
+    outlook->sides = run->graph.sides;
+    outlook->above = run->graph.above;
+    outlook->splits = run->graph.split_before;
 }
 
 void zl_copy(const zl_problem *problem, const zl_run *from, zl_run *to) {

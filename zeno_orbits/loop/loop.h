@@ -7,9 +7,10 @@
 #ifndef ZENO_LOOP_H
 #define ZENO_LOOP_H
 
-enum { ZL_MOST = 32, ZL_LANES = 8, ZL_STAGES = 7, ZL_LOOKS = 4, ZL_GUARDS = 16 };
+enum { ZL_MOST = 32, ZL_LANES = 8, ZL_STAGES = 7, ZL_LOOKS = 4, ZL_GUARDS = 16, ZL_STOPS = 8 };
 /* Most entries of a state, those of a rescaled flight included; tapes carried out in step; stages
-   of an implicit step; looks at the pace of a run that are kept; guards beside that of a stop. */
+   of an implicit step; looks at the pace of a run that are kept; guards beside that of a stop, and
+   switches; stops. */
 
 typedef struct {
     int op, to, a, b, c;
@@ -54,34 +55,42 @@ typedef struct {
     double values[2 * 4], columns[2 * 4 * ZL_STAGES], rows[2 * 4 * ZL_STAGES];
 } zl_scheme;
 
-/* A guard beside that of the stop which a run looks at: the gap of another open stop, the multiplier
-   of another closed stop, or a switch. Its formulas hold in the mode off the stop, and on it. */
-enum { ZL_OTHER_GAP, ZL_OTHER_MULTIPLIER, ZL_DECLARED, ZL_KINK };
-
-typedef struct {
-    long long kind, stop;
-    long long place[2], bounds_place[2]; /* of registers in those of a run */
-    zl_tape value[2];                    /* the guard and its rate */
-    zl_tape bounds[2];                   /* as ZL_WATCHED; without outputs if samples are enough */
-    double sign;                         /* side of a switch: its guard is the formula times this */
-} zl_guard;
-
-/* What a machine with several stops or switches has beside a stop. The switches come last. */
-typedef struct {
-    long long n_guards, n_switches, n_stops, stop, n_registers;
-    long long switches_place, delassus_place;
-    zl_tape switches; /* of a state and the sizes of its entries: all formulas, then their sizes */
-    zl_tape delassus; /* J W J' of all stops */
-    const zl_guard *guards;
-} zl_beside;
+typedef struct zl_graph zl_graph;
 
 typedef struct {
     long long n_x, n_q, n_p;
     long long carried[ZL_MODES]; /* the guard of a mode is a state, beside its formula */
     zl_tape tapes[ZL_TAPES];
-    zl_scheme scheme;
-    const zl_beside *beside; /* or null */
+    const zl_scheme *scheme;
+    const zl_graph *graph; /* of several stops or switches: then it has no tapes of its own. Or null */
 } zl_problem;
+
+/* The guard of a switch on one side of it, positive there, along the flow of a mode. */
+typedef struct {
+    long long place;         /* of its numbers in those of a run */
+    zl_tape value, bounds;   /* the guard and its rate; as ZL_WATCHED */
+} zl_side;
+
+/* A machine with several stops or switches. A mode is the set of closed stops and the side of every
+   kink, as bits. A view is a machine with one stop: an open stop, where others may be closed. Declared
+   switches come before kinks. A table may be incomplete: a run then asks for what it needs. */
+struct zl_graph {
+    long long n_stops, n_declared, n_switches, n_views, n_sides;
+    long long n_numbers;                      /* of a run, apart from its settings and parameters */
+    long long switches_place, delassus_place;
+    zl_tape switches; /* of a state and the sizes of its entries: formulas, their sizes, `armed` */
+    zl_tape delassus; /* J W J' of all stops */
+    const zl_tape *resets;                    /* the state after each declared switch */
+    const long long *reset_places;
+    const long long *view_keys, *view_places; /* ZL_VIEW_KEY; places of numbers */
+    const zl_problem *views;
+    const long long *side_keys;               /* ZL_SIDE_KEY */
+    const zl_side *sides;
+};
+
+#define ZL_MODE_KEY(closed, branches) ((branches) << ZL_STOPS | (closed))
+#define ZL_VIEW_KEY(mode, stop) ((mode) << 5 | (stop))
+#define ZL_SIDE_KEY(mode, a_switch, positive) ((mode) << 5 | (a_switch) << 1 | (positive))
 
 /* How a sequence of impacts is completed. */
 enum { ZL_EXTRAPOLATION, ZL_PASSAGE, ZL_TRUNCATION, ZL_FIXED_IMPACTS, ZL_PLASTIC_AFTER };
@@ -105,7 +114,7 @@ typedef struct {
     long long most_estimates;
 } zl_records;
 
-enum { ZL_STEP_WIDTH = 2, ZL_ARC_WIDTH = 12, ZL_EVENT_WIDTH = 5, ZL_ESTIMATE_WIDTH = 4 };
+enum { ZL_STEP_WIDTH = 2, ZL_ARC_WIDTH = 13, ZL_EVENT_WIDTH = 6, ZL_ESTIMATE_WIDTH = 4 };
 /* Entries of a record before its states: after a step; at start and end of an arc; before and after
    an event; on the stop and at the limit of an estimate. */
 
@@ -128,15 +137,24 @@ enum {
     ZL_NOT_CLOSING,   /* an impact does not close the gap */
     ZL_INTO_STOP,     /* the reset sends the state into the stop */
     ZL_TOO_LARGE,     /* more states than ZL_MOST */
-    ZL_BESIDE,        /* the caller has to follow the arc that starts where zl_where tells */
-    ZL_EVENT,         /* the same arc is recorded, and its event is the caller's */
-    ZL_OTHER_SIDE     /* the same arc starts on the wrong side of the switch `fallen` */
+    ZL_MODE,          /* of several stops: a view or side is missing; `about` has what */
+    ZL_INSIDE,        /* the first state is inside of the stop `index`; its gap is `number` */
+    ZL_SLIDES,        /* the flows on both sides of the switch `index` point to it */
+    ZL_COINCIDE,      /* two events at once: kind and index of both are in `about` */
+    ZL_SPLITS,        /* impacts accumulate on a stop, and a switch changes every flight: `about` */
+    ZL_TOGETHER,      /* the same, and events of the switch come in between */
+    ZL_IN_TURN,       /* impacts accumulate on stops in turn: the last one and the others: `about` */
+    ZL_ACCUMULATE,    /* events of the switch `index` accumulate */
+    ZL_UNDEFINED,     /* the guard of the switch `index` is not a number */
+    ZL_UNDETERMINED,  /* no set, or several sets of the stops in `about` fulfil the laws of contact */
+    ZL_BY_SWITCH,     /* the reset of a switch sends the state into a stop: `about` */
+    ZL_ARMED          /* the switch `index` is armed at the start */
 };
 
-/* What a status is about. */
+/* What a status is about. A singular flow of several stops names a kink nearby, or -1, as `index`. */
 typedef struct {
     double time, state[ZL_MOST], number, steps;
-    long long n_state, index;
+    long long n_state, index, about[4];
 } zl_detail;
 
 /* Where the next arc starts. Without a speed it is no rescaled flight. */
@@ -158,18 +176,10 @@ typedef struct {
     long long in_sequence, first_impact, n_estimates, n_steps, next_look, n_looks, which;
 } zl_pace;
 
-/* Where a run stands between two arcs, if it has guards beside that of a stop. */
+/* What a run over several stops looks at: bits but for the stop `focus`. */
 typedef struct {
-    zl_start start;
-    zl_pace pace;
-    double quiet, first_speed;
-    double sizes[ZL_MOST], rounding[ZL_GUARDS];
-    long long n_impacts, n_landings, n_releases, n_arcs;
-    long long fallen; /* guard beside that of the stop whose event it is, or -1 */
-    long long single; /* one arc is followed; every event is the caller's */
-} zl_place;
-/* Before the time `quiet` no Zeno point is accepted. `sizes` and `rounding` are those of switches
-   and of other guards. */
+    long long rest, focus, sides, above, splits;
+} zl_outlook;
 
 typedef struct zl_run zl_run;
 
@@ -200,8 +210,8 @@ ZL_EXPORT int zl_begin_leg(const zl_problem *problem, zl_run *run, const zl_sett
                            const double *p, const double *y, int on_guard, double rounding);
 ZL_EXPORT int zl_resume_leg(const zl_problem *problem, zl_run *run, zl_records *records);
 ZL_EXPORT int zl_fault(const double *v);
-ZL_EXPORT void zl_put(zl_run *run, const zl_place *place);
-ZL_EXPORT void zl_where(const zl_run *run, zl_place *place);
+ZL_EXPORT long long zl_room(const zl_problem *problem);
+ZL_EXPORT void zl_outlook_of(const zl_run *run, zl_outlook *outlook);
 ZL_EXPORT void zl_copy(const zl_problem *problem, const zl_run *from, zl_run *to);
 
 #endif

@@ -10,17 +10,27 @@ static void start_without_speed(zl_run *run, long long mode, double time) {
     run->stage = AT_START;
 }
 
-static void write_event(const Machine *m, int kind, double time, const double *numbers,
-                        const double *before, const double *after) {
+static void write_event_of(const Machine *m, int kind, long long index, double time,
+                           const double *numbers, const double *before, const double *after) {
     const size_t n_x = (size_t)m->problem->n_x;
     zl_records *records = m->records;
     double *row = records->events + records->n_events * (ZL_EVENT_WIDTH + 2 * m->problem->n_x);
     row[0] = kind;
     row[1] = time;
     memcpy(row + 2, numbers, 3 * sizeof(double));
+    row[5] = (double)index;
+    m->run->graph.last_kind = kind;
+    m->run->graph.last_index = index;
+    m->run->graph.last_time = time;
     memcpy(row + ZL_EVENT_WIDTH, before, n_x * sizeof(double));
     memcpy(row + ZL_EVENT_WIDTH + n_x, after, n_x * sizeof(double));
     records->n_events++;
+}
+
+/* Record an event of the stop that the run looks at. */
+static void write_event(const Machine *m, int kind, double time, const double *numbers,
+                        const double *before, const double *after) {
+    write_event_of(m, kind, m->run->graph.focus, time, numbers, before, after);
 }
 
 static void write_arc(const Machine *m, const double *numbers, const double *start,
@@ -52,7 +62,8 @@ static void write_leg(const Machine *m, int ending, double end_time) {
                                           (double)leg->n_steps,
                                           (double)leg->first_polynomial,
                                           (double)leg->n_polynomials,
-                                          leg->launch};
+                                          leg->launch,
+                                          (double)run->graph.view};
     write_arc(m, numbers, run->start.state, leg->end, leg->n_y);
 }
 
@@ -70,7 +81,7 @@ static int closes_at_once(const Machine *m, const double *x, double lift) {
 
 /* Whether the stop neither holds nor repels a state on it, to rounding. */
 static int is_slack(const Machine *m, const double *x, double lift) {
-    const zl_settings *settings = &m->run->settings;
+    const zl_settings *settings = m->settings;
     if (fabs(lift) <= settings->contact * settings->gap_acceleration) return 1;
     if (!(lift > 0.0)) return 0;
     return closes_at_once(m, x, lift);
@@ -102,11 +113,15 @@ static void reach(const Machine *m, const Limit *limit, double last_time, double
                                               0.0,
                                               (double)run->n_polynomials,
                                               0.0,
-                                              0.0};
+                                              0.0,
+                                              (double)run->graph.view};
         to_stop(m, run->start.plus, state);
         write_arc(m, numbers, state, limit->state, m->problem->n_x);
     }
 }
+
+/* Whether a sequence of impacts may end at a Zeno point, in a machine with switches: `graph.c`. */
+static int may_reach(const Machine *m, const Limit *limit);
 
 /* Apply the reset map and see what follows it. */
 static int impact(const Machine *m, double time, const double *before, double approach) {
@@ -147,6 +162,10 @@ static int impact(const Machine *m, double time, const double *before, double ap
                 limit.time = time;
                 limit.error = 0.0;
                 memcpy(limit.state, start->resting, bytes);
+                if (m->graph) {
+                    int status = may_reach(m, &limit);
+                    if (status != GO_ON) return status;
+                }
                 reach(m, &limit, time, 0.0);
             }
             start_without_speed(run, mode, time);
@@ -184,10 +203,31 @@ static void start_on_stop(const Machine *m, double time, const double *x) {
     memcpy(m->run->start.state, state, (size_t)m->problem->n_x * sizeof(double));
 }
 
-/* Start a leg of a mode from where the next arc starts. A flight is launched at a scaled gap rate of
-   1, or of 0 where its unit of time is no speed. */
+/* Record a release, and start the flight after it. */
+static int release(const Machine *m, double time, const double *x) {
+    zl_run *run = m->run;
+    const double none[3] = {0.0, 0.0, 0.0};
+    double state[ZL_MOST];
+    to_stop(m, x, state);
+    write_event(m, ZL_RELEASE, time, none, state, state);
+    run->n_releases++;
+    start_without_speed(run, ZL_FREE, time);
+    memcpy(run->start.state, state, (size_t)m->problem->n_x * sizeof(double));
+    if ((double)run->n_releases >= run->settings.most_releases) run->stage = OVER;
+    return GO_ON;
+}
+
+/* See what follows where the gap closes: no faster than rounding, the stop is touched, not struck. */
+static int meet(const Machine *m, double time, const double *x, double rate) {
+    if (!(fabs(rate) <= m->run->small_rate)) return landing(m, time, x, rate);
+    start_on_stop(m, time, x);
+    return GO_ON;
+}
+
+/* Start a leg of a mode from where the next arc starts, up to a time. A flight is launched at a scaled
+   gap rate of 1, or of 0 where its unit of time is no speed. */
 static int start_leg_at(const Machine *m, int mode, double unit, double launch, double rounding,
-                        double absolute, int on_guard) {
+                        double absolute, int on_guard, double until) {
     zl_run *run = m->run;
     const zl_start *start = &run->start;
     const zl_settings *settings = &run->settings;
@@ -201,35 +241,31 @@ static int start_leg_at(const Machine *m, int mode, double unit, double launch, 
     run->leg.start_time = start->time;
     run->leg.on_guard = on_guard;
     run->leg.rounding = rounding;
-    run->limit = settings->until;
-    if (m->problem->beside) run->limit = lesser(settings->until, start->time + run->pace.window);
-    if (!begin_leg(m, mode, unit, y, (run->limit - start->time) / unit, settings->relative,
-                   absolute)) {
+    if (!begin_leg(m, mode, unit, y, (until - start->time) / unit, settings->relative, absolute)) {
         run->leg.time = 0.0;
         return step_failed(run, ZL_NOT_FINITE);
     }
     run->stage = IN_LEG;
-    if (!m->problem->beside) return GO_ON;
-    run->begins_on_guard = on_guard;
-    return is_clear_at_start(m) ? GO_ON : ZL_BESIDE;
+    return GO_ON;
 }
 
-/* The absolute error of a flight after an impact, not below what rounding permits. */
-static double error_over_rounding(const zl_settings *settings, double lift) {
-    const double size = settings->gap_acceleration;
-    const double rounding = ROUNDING * size / greater(fabs(lift), settings->contact * size);
+/* The absolute error of a flight, after an impact not below what rounding permits. */
+static double flight_error(const zl_run *run) {
+    const zl_settings *settings = &run->settings;
+    const double size = settings->gap_acceleration, lift = fabs(run->start.lift);
+    double rounding;
+    if (!run->start.has_impact) return settings->absolute;
+    rounding = ROUNDING * size / greater(lift, settings->contact * size);
     return rounding > settings->relative ? rounding : settings->absolute;
 }
 
 static int start_leg(const Machine *m, int mode, double size, int on_guard) {
     const zl_settings *settings = &m->run->settings;
-    const zl_start *start = &m->run->start;
     const int flies = mode == ZL_FLIGHT;
-    const double absolute = flies && start->has_impact ? error_over_rounding(settings, start->lift)
-                                                       : settings->absolute;
     m->run->in_hop = 0;
-    return start_leg_at(m, mode, flies ? start->speed : 1.0, 1.0, settings->contact * size,
-                        absolute, on_guard);
+    return start_leg_at(m, mode, flies ? m->run->start.speed : 1.0, 1.0, settings->contact * size,
+                        flies ? flight_error(m->run) : settings->absolute, on_guard,
+                        settings->until);
 }
 
 /* Start on the stop in the other mode: the flow itself decides which one holds. With gap, rate and
@@ -248,16 +284,17 @@ static int start_other_mode(const Machine *m, int mode) {
     return GO_ON;
 }
 
-/* About how long a flight from the stop takes that is lower than the rounding of the gap, because
-   the multiplier turns round; 0 if it does not. And the scaled gap rate at its start, and the error
-   of that rate. */
-static double small_hop(const Machine *m, double *launch, double *error) {
+/* The flight from the stop that is lower than the rounding of the gap, because the multiplier turns
+   round. */
+static Hop small_hop(const Machine *m) {
     const zl_settings *settings = &m->run->settings;
     const double *x = m->run->start.state;
     const double time = HOP_PART * settings->time;
-    double rate[ZL_MOST], ahead[ZL_MOST], behind[ZL_MOST], fall, turn, lift, inertia, duration,
-        highest;
+    double rate[ZL_MOST], ahead[ZL_MOST], behind[ZL_MOST], gap[2], fall, turn, lift, inertia, highest;
+    Hop hop = {0.0, 0.0, 0.0};
     long long i;
+    evaluate_at(m, ZL_GAP, x, gap);
+    if (!(gap[0] <= m->run->small_gap && fabs(gap[1]) <= m->run->small_rate)) return hop;
     fall = -number_at(m, ZL_PULL, x);
     evaluate_at(m, ZL_RATE + ZL_LOCKED, x, rate);
     for (i = 0; i < m->problem->n_x; i++) {
@@ -268,59 +305,37 @@ static double small_hop(const Machine *m, double *launch, double *error) {
     turn = (number_at(m, ZL_PULL, ahead) - number_at(m, ZL_PULL, behind)) / (2 * time);
     lift = greater(number_at(m, ZL_LIFT, x), 0.0);
     inertia = number_at(m, ZL_INERTIA, x);
-    if (!(turn > 0.0)) return 0.0;
-    duration = 2.0 * (fall + sqrt(fall * fall + 3.0 * (lift * inertia) * turn)) / turn;
-    if (!(duration > 0.0)) return 0.0;
-    highest = lift + fabs(fall) / inertia * duration;
-    *error = greater(settings->relative * highest, ROUNDING * settings->gap_acceleration);
-    *launch = *error * sqrt(*error / highest);
-    return duration;
+    if (!(turn > 0.0)) return hop;
+    hop.duration = 2.0 * (fall + sqrt(fall * fall + 3.0 * (lift * inertia) * turn)) / turn;
+    if (!(hop.duration > 0.0)) {
+        hop.duration = 0.0;
+        return hop;
+    }
+    highest = lift + fabs(fall) / inertia * hop.duration;
+    hop.error = greater(settings->relative * highest, ROUNDING * settings->gap_acceleration);
+    hop.launch = hop.error * sqrt(hop.error / highest);
+    return hop;
 }
 
 /* Go on from the start of a leg that left the admissible set. */
 static int leave_leg(const Machine *m) {
     zl_run *run = m->run;
-    double duration, launch = 0.0, error = 0.0, gap[2];
-    int rests;
+    Hop hop;
     if (run->leg.mode == ZL_FLIGHT) return run->in_hop ? start_other_mode(m, ZL_LOCKED) : ZL_LEFT;
     run->first_detail = run->detail;
     if (run->leg.mode == ZL_LOCKED) return start_other_mode(m, ZL_FREE);
-    evaluate_at(m, ZL_GAP, run->start.state, gap);
-    rests = gap[0] <= run->small_gap && fabs(gap[1]) <= run->small_rate;
-    duration = rests ? small_hop(m, &launch, &error) : 0.0;
-    if (duration == 0.0) return start_other_mode(m, ZL_LOCKED);
+    hop = small_hop(m);
+    if (hop.duration == 0.0) return start_other_mode(m, ZL_LOCKED);
     run->in_hop = 1;
-    return start_leg_at(m, ZL_FLIGHT, duration, launch, 0.0, error, 1);
-}
-
-/* Leave the event at the end of a leg to the caller. */
-static int leave_event(const Machine *m, int ending, double time) {
-    write_leg(m, ending, time);
-    m->run->place.pace = m->run->pace;
-    return ZL_EVENT;
+    return start_leg_at(m, ZL_FLIGHT, hop.duration, hop.launch, 0.0, hop.error, 1,
+                        run->settings.until);
 }
 
 /* See what the end of a leg leads to. */
 static int end_leg(const Machine *m, int outcome) {
     zl_run *run = m->run;
     const Leg *leg = &run->leg;
-    const double none[3] = {0.0, 0.0, 0.0};
     double end[ZL_MOST], gap[2], time = leg->start_time + leg->unit * leg->duration;
-    if (m->problem->beside) {
-        if (outcome == LEG_AT_HORIZON && run->limit < run->settings.until) {
-            /* Not yet over: the leg is followed again, to a later end. */
-            run->pace.window *= GROW;
-            return start_leg_at(m, (int)leg->mode, leg->unit, leg->launch, leg->rounding,
-                                leg->absolute, (int)run->begins_on_guard);
-        }
-        if (outcome != LEG_AT_HORIZON) {
-            run->pace.window = greater(GROW * (time - leg->start_time), SHORTEST * run->settings.time);
-            if (!ends_alone(m)) return ZL_BESIDE;
-        }
-        if (outcome == LEG_FELL && run->place.single)
-            return leave_event(m, leg->mode == ZL_LOCKED ? ZL_RELEASE : ZL_IMPACT, time);
-        if (outcome == LEG_FELL_BESIDE) return leave_event(m, ending_beside(m), time);
-    }
     if (outcome == LEG_AT_HORIZON) {
         write_leg(m, ZL_HORIZON, run->settings.until);
         run->stage = OVER;
@@ -333,34 +348,18 @@ static int end_leg(const Machine *m, int outcome) {
         evaluate_at(m, ZL_GAP, run->start.state, gap);
         return start_leg(m, ZL_FREE, run->settings.gap, gap[0] <= run->small_gap);
     }
-    if (m->problem->beside && leg->mode != ZL_LOCKED && !strikes_alone(m, end))
-        return leave_event(m, ZL_IMPACT, time);
     write_leg(m, leg->mode == ZL_LOCKED ? ZL_RELEASE : ZL_IMPACT, time);
-    if (leg->mode == ZL_LOCKED) {
-        double state[ZL_MOST];
-        to_stop(m, end, state);
-        write_event(m, ZL_RELEASE, time, none, state, state);
-        run->n_releases++;
-        start_without_speed(run, ZL_FREE, time);
-        memcpy(run->start.state, state, (size_t)m->problem->n_x * sizeof(double));
-        if ((double)run->n_releases >= run->settings.most_releases) run->stage = OVER;
-        return GO_ON;
-    }
+    if (leg->mode == ZL_LOCKED) return release(m, time, end);
     if (leg->mode == ZL_FLIGHT)
         return landing(m, time, end, leg->unit * end[m->problem->n_x + 1]);
     evaluate_at(m, ZL_GAP, end, gap);
-    if (!(fabs(gap[1]) <= run->small_rate)) return landing(m, time, end, gap[1]);
-    /* The gap closes no faster than rounding: the stop is touched, not struck. */
-    start_on_stop(m, time, end);
-    return GO_ON;
+    return meet(m, time, end, gap[1]);
 }
 
-/* Go over to the locked arc after a Zeno point: NO_LIMIT if there is none before the end of the
-   time, ZL_BESIDE if another event may come before it. */
+/* Go over to the locked arc after a Zeno point: NO_LIMIT if there is none before the end of the time. */
 static int accepted(const Machine *m, const Limit *limit) {
     zl_run *run = m->run;
     if (limit->time >= run->settings.until || mode_on_stop(m, limit->state) == ZL_FREE) return NO_LIMIT;
-    if (m->problem->beside && !is_clear_at_limit(m, limit)) return ZL_BESIDE;
     reach(m, limit, run->start.time, run->start.speed);
     start_without_speed(run, ZL_LOCKED, limit->time);
     memcpy(run->start.state, limit->state, (size_t)m->problem->n_x * sizeof(double));
@@ -417,9 +416,6 @@ static int start_phase(const Machine *m) {
     zl_run *run = m->run;
     const double *x = run->start.state;
     double gap[2];
-    if (m->problem->beside) run->place.pace = run->pace;
-    if (run->place.single && run->start.has_speed)
-        return start_leg(m, ZL_FLIGHT, 1 / run->settings.gap_acceleration, 1);
     if (run->start.has_speed) return start_flight(m);
     run->pace.in_sequence = 0;
     if (run->start.mode == ZL_LOCKED)
@@ -451,7 +447,7 @@ static int admit(const Machine *m) {
 static int has_room(const Machine *m) {
     const zl_records *records = m->records;
     const int records_all = (int)m->run->settings.records;
-    return records->n_events + 2 < records->most_events &&
+    return records->n_events + (m->graph ? 2 + ZL_STOPS : 2) < records->most_events &&
            (!records_all || (records->n_arcs + 2 < records->most_arcs &&
                              records->n_steps < records->most_steps &&
                              records->n_polynomials < records->most_polynomials));
@@ -470,24 +466,10 @@ static int do_next(const Machine *m) {
     case IN_LEG:
         outcome = step_leg(m);
         if (outcome == LEG_GOES_ON) return GO_ON;
-        if (outcome == ZL_LEFT && !m->problem->beside) return leave_leg(m);
+        if (outcome == ZL_LEFT) return leave_leg(m);
         if (outcome >= LEG_FELL) return end_leg(m, outcome);
         return outcome;
     default:
         return ZL_DONE;
     }
-}
-
-/* The same. With guards beside that of the stop, an arc that does not simply go on is the caller's,
-   from its start. */
-static int advance(const Machine *m) {
-    zl_run *run = m->run;
-    int status;
-    if (!m->problem->beside) return do_next(m);
-    status = do_next(m);
-    if (status == GO_ON || status == ZL_DONE || status == ZL_ESTIMATES || status == ZL_EVENT)
-        return status;
-    run->pace = run->place.pace;
-    run->stage = AT_START;
-    return status == ZL_OTHER_SIDE ? status : ZL_BESIDE;
 }

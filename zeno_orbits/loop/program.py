@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -53,7 +53,8 @@ class TapedProblem:
         self.problem.carried[: len(carried)] = list(map(int, carried))
         for k, tape in enumerate(self.tapes):
             fill_tape(self.problem.tapes[k], tape)
-        _fill_scheme(self.problem.scheme)
+        self._scheme = scheme()
+        self.problem.scheme = ctypes.addressof(self._scheme)
         self.address = ctypes.addressof(self.problem)
         self._size: int = library.zl_size(self.address)
         self._spare: list[Any] = []
@@ -63,6 +64,11 @@ class TapedProblem:
     def library(self) -> Any:
         """The library that carries out the formulas."""
         return self._tapes_library
+
+    @property
+    def size(self) -> int:
+        """Size of a run in bytes."""
+        return self._size
 
     def borrowed(self) -> Any:
         """Return memory for a run."""
@@ -238,18 +244,19 @@ def fill_tape(place: Any, tape: Tape) -> None:
     place.outputs = tape.outputs.ctypes.data
 
 
-def _fill_scheme(place: Any) -> None:
-    """Write the implicit scheme to memory."""
-    scheme = radau_scheme(c.STAGES)
-    gamma, embedded = scheme.embedded
+@cache
+def scheme() -> c.SchemeType:
+    """Return the implicit scheme as the library has it."""
+    place, chosen = c.SchemeType(), radau_scheme(c.STAGES)
+    gamma, embedded = chosen.embedded
     place.gamma = gamma
-    values = [[mu.real, mu.imag] for mu in scheme.spectrum.values]
-    columns = [[column.real, column.imag] for column in scheme.spectrum.columns]
-    rows = [[row.real, row.imag] for row in scheme.spectrum.rows]
+    values = [[mu.real, mu.imag] for mu in chosen.spectrum.values]
+    columns = [[column.real, column.imag] for column in chosen.spectrum.columns]
+    rows = [[row.real, row.imag] for row in chosen.spectrum.rows]
     for name, numbers in (
-        ("nodes", scheme.nodes),
-        ("inverse", scheme.inverse),
-        ("monomials", scheme.monomials),
+        ("nodes", chosen.nodes),
+        ("inverse", chosen.inverse),
+        ("monomials", chosen.monomials),
         ("embedded", embedded),
         ("values", values),
         ("columns", columns),
@@ -257,3 +264,4 @@ def _fill_scheme(place: Any) -> None:
     ):
         field: Vector = np.frombuffer(getattr(place, name), dtype=np.float64)
         field[:] = np.ravel(np.array(numbers, dtype=np.float64))
+    return place

@@ -87,8 +87,29 @@
 #define SWITCH_ZERO 1e-12
 
 /* simulation/graph_run.py */
+#define WAS_CLOSED 1e-09
 #define APART 1e-11
+#define CONTINUOUS 1e-06
 #define GROW 4.0
 #define SHORTEST 0.001
 #define SPENT 1000.0
 #define LEAST_IMPULSE 1e-12
+#define PART_BEFORE 1e-09
+#define NEAR_KINK 1000000.0
+#define SPLIT 1e-08
+#define SPLIT_RESOLVED 0.0001
+#define ACCUMULATED 0.001
+
+/* simulation/accumulations.py */
+#define IN_TURN 16
+#define IN_ROW 7
+#define LAST_IMPACTS 6
+#define CORNER 1e-06
+#define SHORT 1e-05
+#define FAST 0.2
+#define SOON 0.001
+#define COMPARED 4
+#define FALLING 0.9
+#define ALIKE 0.1
+#define HALF 0.5
+#define FALLEN 0.001

@@ -15,41 +15,88 @@ typedef struct {
     double real[4][ZL_MOST * ZL_MOST], imaginary[4][ZL_MOST * ZL_MOST];
 } Factors;
 
-enum { BEFORE, AT_START, IN_LEG, AT_CURVE, OVER };
+enum { BEFORE, AT_START, IN_LEG, AT_CURVE, OVER, LAUNCHES, ENDED, DECIDES, IN_SIDE };
 
-/* A guard beside that of the stop, in the present leg: at the start of a step, and its rounding. */
+/* A guard beside that of the stop, in the present leg: at the start of a step, and how it ends. */
 typedef struct {
-    long long on_guard;
+    long long on_guard, began_on_guard, outcome, n_steps, n_polynomials;
     double before[2], after[2], rounding, largest_change;
+    double launched;                /* speed with which another stop is just left, or zero */
+    double at, until, end[ZL_MOST]; /* of its end: time, end of the step, state */
 } Watched;
 
+/* A flight that is lower than the rounding of the gap: its duration, 0 if there is none, and the
+   scaled gap rate at its start with its error. */
+typedef struct {
+    double duration, launch, error;
+} Hop;
+
+/* What a run over a graph of modes knows besides: `graph_run` and `accumulations` in Python. Sets of
+   stops and switches are bits. */
+typedef struct {
+    long long view, rest, focus, sides, above;
+    /* The sequence of impacts that a kink may have split, and the kinks that split its flights. */
+    long long has_current, current_rest, current_focus, split_before, split_present;
+    long long flipped, n_switches, last_kind, last_index;
+    double flipped_time, last_time;
+    long long n_turn, turn_stops[IN_TURN], n_row[ZL_GUARDS];
+    double turn_times[IN_TURN], row_times[ZL_GUARDS][IN_ROW];
+    /* Of the present arc: what it is, whether every guard is followed to its end, and its window. */
+    long long kind, careful, retried, outcome, undefined, next_guard, found, in_side;
+    double window, horizon, limit;
+    Hop hop;
+    long long first_status;
+    zl_detail failed; /* of the first step that failed */
+    zl_pace pace;     /* at the start of the arc */
+} Graphed;
+
 struct zl_run {
-    zl_settings settings;
     zl_start start;
     zl_pace pace;
     Leg leg;
     zl_detail detail;
-    double small_gap, small_rate, first_speed, spread[ZL_MODES];
-    double answer_time, answer_error, answer[ZL_MOST];
-    double refused; /* time of the last start in a mode that could not be followed */
+    double small_gap, small_rate, first_speed, refused; /* time of the last start that ended at once */
     zl_detail first_detail; /* of the leg that a hop stands for */
     long long in_hop;
     long long stage, answered, n_impacts, n_landings, n_releases, n_arcs, n_rows, n_polynomials;
-    long long has_jacobian[ZL_MODES], has_lanes[ZL_MODES];
-    zl_place place;     /* at the start of the present arc */
-    double limit; /* latest end of the present leg */
-    double fall; /* of the guard that falls first, from the start of the step */
-    long long begins_on_guard;
+    Graphed graph;
+    zl_settings settings; /* from here on a graph repeats nothing that asks for a missing mode */
+    double spread[ZL_MODES];
+    double answer_time, answer_error, answer[ZL_MOST];
+    Factors factors; /* from here on a run begins with anything */
+    Leg main, side;  /* an arc, and the flight of another stop that is left with it */
     Watched watched[ZL_GUARDS];
-    Factors factors; /* the last: a run begins without them */
 };
 
-/* The parts of a block of memory: a run, then parameters and registers. */
+/* A guard beside that of the stop: its formulas and their registers, in the present mode. */
+typedef struct {
+    int kind, index; /* the event: ZL_IMPACT, ZL_RELEASE or ZL_SWITCH; the stop or switch */
+    double sign;     /* side of a switch: its guard is the formula times this */
+    const zl_tape *value, *bounds;
+    double *registers, *bounds_registers;
+} Other;
+
+typedef struct {
+    int n;
+    Other list[ZL_GUARDS];
+} Others;
+
+/* Which registers of a machine with one stop are ready. They follow it. */
+typedef struct {
+    long long prepared, has_jacobian[ZL_MODES], has_lanes[ZL_MODES], unused;
+} Ready;
+
+/* The parts of a block of memory: a run, then parameters and registers. Of several stops there are
+   settings and formulas that all views share in between, and those of every view. */
 typedef struct {
     const zl_problem *problem;
+    const zl_graph *graph; /* or null */
     zl_run *run;
     zl_records *records;
-    double *p, *registers[ZL_TAPES], *lanes[ZL_MODES], *beside;
+    const zl_settings *settings;
+    const Others *others; /* or null */
+    Ready *ready;
+    double *p, *registers[ZL_TAPES], *lanes[ZL_MODES];
 } Machine;
 
 static int is_watched(int tape) { return ZL_WATCHED <= tape && tape < ZL_WATCHED + ZL_MODES; }
@@ -60,14 +107,27 @@ static long long room_of(const zl_problem *problem, int tape) {
     return is_watched(tape) ? interval_room(formula) : formula->n_registers;
 }
 
-static Machine machine_of(const zl_problem *problem, zl_run *run, zl_records *records) {
+/* Numbers that a machine with one stop takes. */
+static long long numbers_of(const zl_problem *problem) {
+    long long n = (long long)(sizeof(Ready) / sizeof(double)) + problem->n_p + 1;
+    int k;
+    for (k = 0; k < ZL_TAPES; k++) n += room_of(problem, k);
+    for (k = 0; k < ZL_MODES; k++) n += problem->tapes[ZL_RATE + k].n_registers * ZL_LANES;
+    return n;
+}
+
+static Machine machine_at(const zl_problem *problem, zl_run *run, zl_records *records,
+                          double *place) {
     Machine m;
-    double *place = (double *)(void *)(run + 1);
     int k;
     m.problem = problem;
+    m.graph = 0;
     m.run = run;
     m.records = records;
-    m.p = place;
+    m.settings = &run->settings;
+    m.others = 0;
+    m.ready = (Ready *)(void *)place;
+    m.p = place += sizeof(Ready) / sizeof(double);
     place += problem->n_p + 1;
     for (k = 0; k < ZL_TAPES; k++) {
         m.registers[k] = place;
@@ -77,8 +137,33 @@ static Machine machine_of(const zl_problem *problem, zl_run *run, zl_records *re
         m.lanes[k] = place;
         place += problem->tapes[ZL_RATE + k].n_registers * ZL_LANES;
     }
-    m.beside = place;
     return m;
+}
+
+/* What the views of a graph share: the settings of each stop, parameters, formulas of the graph. */
+static zl_settings *settings_at(zl_run *run) { return (zl_settings *)(void *)(run + 1); }
+
+static double *parameters_at(const zl_graph *graph, zl_run *run) {
+    return (double *)(void *)(settings_at(run) + graph->n_stops);
+}
+
+static double *numbers_at(const zl_problem *problem, zl_run *run) {
+    return parameters_at(problem->graph, run) + problem->n_p;
+}
+
+static Machine machine_of_view(const zl_problem *problem, zl_run *run, zl_records *records,
+                               long long view) {
+    const zl_graph *graph = problem->graph;
+    Machine m = machine_at(&graph->views[view], run, records,
+                           numbers_at(problem, run) + graph->view_places[view]);
+    m.graph = graph;
+    m.settings = settings_at(run) + (graph->view_keys[view] & 31);
+    return m;
+}
+
+static Machine machine_of(const zl_problem *problem, zl_run *run, zl_records *records) {
+    if (problem->graph) return machine_of_view(problem, run, records, run->graph.view);
+    return machine_at(problem, run, records, (double *)(void *)(run + 1));
 }
 
 static void evaluate_at(const Machine *m, int tape, const double *varying, double *outputs) {

@@ -122,7 +122,8 @@ class Detail:
         state: State at that time.
         number: A value for the message.
         steps: A number of steps for the message.
-        index: Index of a state.
+        index: Index of a state, stop or switch.
+        about: Further stops, switches and events.
     """
 
     time: float
@@ -130,6 +131,7 @@ class Detail:
     number: float
     steps: float
     index: int
+    about: tuple[int, ...]
 
 
 def detail_of(library: Any, place: int) -> Detail:
@@ -147,6 +149,7 @@ def detail_of(library: Any, place: int) -> Detail:
         number=told.number,
         steps=told.steps,
         index=told.index,
+        about=tuple(told.about),
     )
 
 
@@ -173,14 +176,12 @@ class _Buffers:
 class LoopRun:
     """One execution in the library. It can be resumed after every status but an error."""
 
-    def __init__(
-        self, program: TapedProblem, settings: c.SettingsType, p: Vector, x: Vector
-    ) -> None:
+    def __init__(self, program: TapedProblem, settings: Any, p: Vector, x: Vector) -> None:
         """Begin a run.
 
         Args:
             program: The problem.
-            settings: Accuracy and limits, as the library has them.
+            settings: Accuracy and limits, as the library has them. Of several stops, an array.
             p: Gains and parameters, ``(n_p,)``.
             x: Admissible state, ``(n_x,)``.
         """
@@ -236,6 +237,9 @@ class LoopRun:
         Returns:
             A status of `loop.h`. A request of memory for estimates is already handled.
         """
+        # The tables may grow while this run goes on: it takes them first, then memory for them.
+        address = self._program.address
+        self._grow()
         most = (steps, polynomials, arcs, events)
         spare = self._spare.setdefault(most, [])
         try:
@@ -247,9 +251,7 @@ class LoopRun:
         while status == c.ESTIMATES:
             places.estimates = self._estimates.ctypes.data
             places.most_estimates = len(self._estimates)
-            status = self._library.zl_resume(
-                self._program.address, self._place, ctypes.addressof(places)
-            )
+            status = self._library.zl_resume(address, self._place, ctypes.addressof(places))
             self._parts.append(buffers.written())
             if status == c.ESTIMATES:
                 more = np.empty((4 * len(self._estimates), self._estimates.shape[1]))
@@ -257,6 +259,14 @@ class LoopRun:
                 self._estimates = more
         spare.append(buffers)
         return int(status)
+
+    def _grow(self) -> None:
+        """Take more memory if the tables of the problem have grown."""
+        if self._memory is None or len(self._memory) >= self._program.size:
+            return
+        more = self._program.borrowed()
+        ctypes.memmove(more, self._memory, len(self._memory))
+        self._memory, self._place = more, ctypes.addressof(more)
 
     def answer(self, found: tuple[float, float, Vector] | None) -> None:
         """Answer the status ``CURVE``.
@@ -271,23 +281,11 @@ class LoopRun:
             self._place, int(found is not None), time, error, padded.ctypes.data
         )
 
-    def put(self, place: c.PlaceType, estimates: Vector) -> None:
-        """Start the run anew between two arcs, with its parameters and settings.
-
-        Args:
-            place: Start, counts, and the rounding of other guards.
-            estimates: Estimates of the present sequence of impacts, a row each.
-        """
-        if len(estimates) >= len(self._estimates):
-            self._estimates = np.empty((4 * len(estimates), self._estimates.shape[1]))
-        self._estimates[: len(estimates)] = estimates
-        self._library.zl_put(self._place, ctypes.addressof(place))
-
-    def where(self) -> tuple[c.PlaceType, Vector]:
-        """Return where the run stands after the status ``BESIDE``, and the estimates so far."""
-        place = c.PlaceType()
-        self._library.zl_where(self._place, ctypes.addressof(place))
-        return place, self._estimates[: place.n_estimates].copy()
+    def outlook(self) -> c.OutlookType:
+        """Return what a run over several stops looks at."""
+        outlook = c.OutlookType()
+        self._library.zl_outlook_of(self._place, ctypes.addressof(outlook))
+        return outlook
 
     def detail(self) -> Detail:
         """Return the details of the last status."""

@@ -54,9 +54,9 @@ static void rates_at(const Machine *m, const double *states, double *rates) {
         compiled_lanes(tape, m->registers[tape], states, rates);
         return;
     }
-    if (!run->has_lanes[mode]) {
+    if (!m->ready->has_lanes[mode]) {
         tape_spread(&m->problem->tapes[tape], m->registers[tape], m->lanes[mode]);
-        run->has_lanes[mode] = 1;
+        m->ready->has_lanes[mode] = 1;
     }
     tape_run_lanes(&m->problem->tapes[tape], m->lanes[mode], states, rates);
 }
@@ -109,7 +109,7 @@ ALWAYS_INLINE double overflow(const double *y, int n) {
 ALWAYS_INLINE void explicit_step_of(const int n, const Machine *m, const double *y, double size,
                                     double slopes[][ZL_MOST], double *after, double *error) {
     const Leg *leg = &m->run->leg;
-    const double *weights = weights_of(&m->run->settings, leg->mode);
+    const double *weights = weights_of(m->settings, leg->mode);
     double fifth[ZL_MOST], third[ZL_MOST], fifth_squared = 0.0, third_squared = 0.0, mixed, ratio;
     int i;
     explicit_state_of(n, m, y, size, slopes, after);
@@ -146,9 +146,9 @@ ALWAYS_INLINE void polynomial_at(const double *coefficients, int n, double at, d
 
 static const double *jacobian_at(const Machine *m, const double *y, double *columns) {
     const int mode = (int)m->run->leg.mode, tape = ZL_JACOBIAN + mode;
-    if (!m->run->has_jacobian[mode]) {
+    if (!m->ready->has_jacobian[mode]) {
         tape_prepare(&m->problem->tapes[tape], m->registers[tape], m->p);
-        m->run->has_jacobian[mode] = 1;
+        m->ready->has_jacobian[mode] = 1;
     }
     evaluate_at(m, tape, y, columns);
     return columns;
@@ -241,7 +241,7 @@ ALWAYS_INLINE double norm_of(const double *change, int rows, int n, const double
 /* One iteration of Newton's method on the stages, and the size of its correction. */
 ALWAYS_INLINE void correct(const int n, const Machine *m, const double *y, double size,
                            const double *scale, double *stages, double *norm) {
-    const zl_scheme *scheme = &m->problem->scheme;
+    const zl_scheme *scheme = m->problem->scheme;
     const Factors *factors = &m->run->factors;
     double residual[ZL_STAGES * ZL_MOST], change[ZL_STAGES * ZL_MOST];
     double states[ZL_MOST * ZL_LANES], rates[ZL_MOST * ZL_LANES];
@@ -292,7 +292,7 @@ ALWAYS_INLINE void correct(const int n, const Machine *m, const double *y, doubl
 
 ALWAYS_INLINE void finish_implicit(const int n, const Machine *m, const double *y, double size,
                                    const double *slope, const double *scale, Found *found) {
-    const zl_scheme *scheme = &m->problem->scheme;
+    const zl_scheme *scheme = m->problem->scheme;
     double raw[ZL_MOST];
     int i, j, k;
     for (k = 0; k < ZL_STAGES; k++)
@@ -317,8 +317,8 @@ ALWAYS_INLINE void implicit_step_of(const int n, const Machine *m, const double 
                                     const double *slope, double size, const double *continued,
                                     double start, double ratio, Found *found, int *converged) {
     zl_run *run = m->run;
-    const zl_scheme *scheme = &m->problem->scheme;
-    const double *weights = weights_of(&run->settings, run->leg.mode);
+    const zl_scheme *scheme = m->problem->scheme;
+    const double *weights = weights_of(m->settings, run->leg.mode);
     double columns[ZL_MOST * ZL_MOST], scale[ZL_MOST], last = 0.0, norm = 0.0;
     int i, k, count;
     *converged = 0;

@@ -375,7 +375,7 @@ static void explicit_stages(const Tangent *t, const double *y, double size, doub
     int k;
     rate_at(&t->m, y, slopes[0]);
     for (k = 0; k < ZL_STAGES; k++)
-        explicit_state(&t->m, y, size * t->m.problem->scheme.nodes[k], slopes,
+        explicit_state(&t->m, y, size * t->m.problem->scheme->nodes[k], slopes,
                        states + k * ZL_MOST);
 }
 
@@ -385,7 +385,7 @@ static void implicit_stages(const Tangent *t, const double *y, double part,
     int i, k;
     for (k = 0; k < ZL_STAGES; k++) {
         double *state = states + k * ZL_MOST;
-        polynomial_at(coefficients, t->n, part * t->m.problem->scheme.nodes[k], state);
+        polynomial_at(coefficients, t->n, part * t->m.problem->scheme->nodes[k], state);
         for (i = 0; i < t->n; i++) state[i] += y[i];
     }
 }

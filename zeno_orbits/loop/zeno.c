@@ -93,12 +93,11 @@ static void to_stop(const Machine *m, const double *x, double *state) {
 }
 
 /* The limit as far as extrapolation tells it; 0 if more impacts have to be resolved. */
-static int extrapolated(const Machine *m, Limit *limit) {
-    const zl_settings *settings = &m->run->settings;
+static int extrapolated(const Machine *m, double resolved, double tolerance, Limit *limit) {
     const double *last = estimate_of(m, m->run->pace.n_estimates - 1);
-    if (last[E_SPEED] > settings->resolved * m->run->first_speed) return 0;
+    if (last[E_SPEED] > resolved * m->run->first_speed) return 0;
     combine(m, limit);
-    if (limit->error > settings->limit_tolerance) return 0;
+    if (limit->error > tolerance) return 0;
     to_stop(m, limit->state, limit->state);
     return fabs(number_at(m, ZL_LIFT, limit->state) - last[E_LIFT]) <= MAY_BEND * fabs(last[E_LIFT]);
 }
@@ -189,7 +188,7 @@ static int limit_by_rule(const Machine *m, Limit *limit) {
         to_stop(m, limit->state, limit->state);
         return LIMIT;
     }
-    if (extrapolated(m, limit)) return LIMIT;
+    if (extrapolated(m, settings->resolved, settings->limit_tolerance, limit)) return LIMIT;
     if (settings->completion != ZL_PASSAGE) return NO_LIMIT;
     if (flights_left(m) < WORTHWHILE || !curve_is_due(m)) return NO_LIMIT;
     run->detail.time = last[E_IMPACT];

@@ -84,7 +84,7 @@ def by_loop(task: SimulationTask) -> Execution:
             # With three rows of arcs it comes back after each.
             status = run.resume(arcs=3) if reports else run.resume()
             if status == binding.CURVE:
-                limit = _followed(task, run)
+                limit = curve_limit(task, run)
                 if limit is not None:
                     paths[limit.time] = limit.path
                 run.answer(None if limit is None else (limit.time, limit.error, limit.state))
@@ -94,7 +94,7 @@ def by_loop(task: SimulationTask) -> Execution:
             if status == binding.DONE:
                 return _execution(task, run, paths)
             if status not in (binding.FULL, binding.CURVE):
-                error = _interruption(task, status, run.detail())
+                error = interruption(task, status, run.detail())
                 record = run.record()
                 error.execution = _execution(task, run, paths) if len(record.arcs) else None
                 raise error
@@ -120,7 +120,7 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
         while status in (binding.FULL, binding.CURVE):
             status = run.resume(steps=_STEPS, polynomials=64, arcs=32, events=events)
             if status == binding.CURVE:
-                limit = _followed(task, run)
+                limit = curve_limit(task, run)
                 run.answer(None if limit is None else (limit.time, limit.error, limit.state))
             record = run.taken()
             time, mode, state = run.now()
@@ -137,7 +137,7 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
                 locked=mode == binding.LOCKED,
             )
         if status != binding.DONE:
-            raise _interruption(task, status, run.detail())
+            raise interruption(task, status, run.detail())
     finally:
         run.close()
 
@@ -243,8 +243,13 @@ def shared_settings(
     )
 
 
-def _followed(task: SimulationTask, run: LoopRun) -> ZenoLimit | None:
-    """Return the Zeno point at the end of the curve of the impacts, if it can be followed there."""
+def curve_limit(task: SimulationTask, run: LoopRun) -> ZenoLimit | None:
+    """Return the Zeno point at the end of the curve of the impacts, if it can be followed there.
+
+    Args:
+        task: The simulation task, with the system whose impacts they are.
+        run: The run, whose last status is ``CURVE``.
+    """
     asked, rule = run.detail(), task.settings.completion
     if not isinstance(rule, ZenoPassage):
         return None
@@ -271,8 +276,14 @@ def _flights(task: SimulationTask, rule: ZenoPassage, run: LoopRun) -> Flight:
     return flight
 
 
-def _interruption(task: SimulationTask, status: int, told: Detail) -> SimulationError:
-    """Return the error that a status stands for."""
+def interruption(task: SimulationTask, status: int, told: Detail) -> SimulationError:
+    """Return the error that a status stands for.
+
+    Args:
+        task: The simulation task.
+        status: The status.
+        told: Its details.
+    """
     settings, names = task.settings, task.dynamics.state_names
     made: dict[int, Callable[[], SimulationError]] = {
         binding.TOO_STIFF: lambda: too_small(

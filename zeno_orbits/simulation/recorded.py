@@ -31,6 +31,7 @@ from zeno_orbits.simulation.execution import (
     Impact,
     Mode,
     Release,
+    SwitchEvent,
     ZenoPoint,
 )
 
@@ -43,22 +44,30 @@ _ENDINGS = {
 }
 
 
-def events_of(rows: Vector, n_x: int, stop: str = "") -> list[Event]:
+def events_of(
+    rows: Vector, n_x: int, stops: Sequence[str] = ("",), switches: Sequence[str] = ()
+) -> list[Event]:
     """Return the events of rows of the record.
 
     Args:
-        rows: In each row kind, time, three numbers, the state before and after.
+        rows: In each row kind, time, three numbers, stop or switch, the state before and after.
         n_x: Number of states.
-        stop: Name of the stop.
+        stops: Names of the stops.
+        switches: Names of the switches.
     """
     numbers = rows[:, : binding.EVENT_WIDTH].tolist()
     before = rows[:, binding.EVENT_WIDTH : binding.EVENT_WIDTH + n_x]
     after = rows[:, binding.EVENT_WIDTH + n_x :]
-    return [_event_of(*row, stop) for row in zip(numbers, before, after, strict=True)]
+    return [
+        _event_of(row, x, y, (switches if row[0] == binding.SWITCH else stops)[int(row[5])])
+        for row, x, y in zip(numbers, before, after, strict=True)
+    ]
 
 
 def _event_of(numbers: list[float], before: Vector, after: Vector, stop: str) -> Event:
-    kind, time, first, tail, speed = numbers
+    kind, time, first, tail, speed, _ = numbers
+    if kind == binding.SWITCH:
+        return SwitchEvent(time=time, name=stop, state_minus=before, state_plus=after)
     if kind == binding.IMPACT:
         return Impact(
             time=time, state_minus=before, state_plus=after, approach_rate=first, stop=stop
@@ -145,43 +154,62 @@ class RecordedRun:
         return len(self.dynamics.state_names)
 
     def _arc(self, row: Vector) -> Arc:
-        n_x = self._n_x
-        mode, start, end, unit, duration, ending, *counts = row[: binding.ARC_WIDTH].tolist()
-        n_y = n_x + 2 if mode == binding.FLIGHT else n_x
-        first = row[binding.ARC_WIDTH : binding.ARC_WIDTH + n_x]
-        last = row[binding.ARC_WIDTH + n_x : binding.ARC_WIDTH + n_x + n_y]
-        ended = _ENDINGS[int(ending)]
-        launch = counts.pop()
-        index, first_step, n_steps, first_polynomial, n_polynomials = map(int, counts)
-        way: Trajectory | None
-        if ended is Ending.ZENO:
-            path = self.paths.get(end, ())
-            way = SteppedTrajectory(steps=path, duration=duration, end=last) if path else None
-        else:
-            begin = np.concatenate([first, (0.0, launch)]) if mode == binding.FLIGHT else first
-            polynomials = self.record.polynomials[first_polynomial:][:n_polynomials]
-            way = LoopTrajectory(
-                flow=_Flow(self.dynamics, int(mode), unit),
-                tolerance=self.tolerance,
-                begin=begin,
-                rows=self.record.steps[first_step : first_step + n_steps, : 2 + n_y],
-                polynomials=polynomials[:, : binding.STAGES * n_y].reshape(
-                    n_polynomials, binding.STAGES, n_y
-                ),
-                duration=duration,
-                end=last,
-            )
-        return Arc(
-            mode=Mode.LOCKED if mode == binding.LOCKED else Mode.FREE,
-            start_time=start,
-            end_time=end,
-            start_state=first,
-            end_state=last[:n_x],
-            ending=ended,
-            impact_index=index,
-            time_unit=unit,
-            trajectory=way,
+        return arc_of(row, self.record, self.dynamics, self.tolerance, self.paths)
+
+
+def arc_of(
+    row: Vector,
+    record: Record,
+    dynamics: HybridDynamics,
+    tolerance: Tolerance,
+    paths: Mapping[float, tuple[Step, ...]],
+) -> Arc:
+    """Return an arc of the record.
+
+    Args:
+        row: Its row.
+        record: The record.
+        dynamics: The system with the stop of the arc.
+        tolerance: Local error of the steps.
+        paths: Curves of the impacts by the times of Zeno points that were found along them.
+    """
+    n_x = len(dynamics.state_names)
+    mode, start, end, unit, duration, ending, *counts = row[: binding.ARC_WIDTH].tolist()
+    n_y = n_x + 2 if mode == binding.FLIGHT else n_x
+    first = row[binding.ARC_WIDTH : binding.ARC_WIDTH + n_x]
+    last = row[binding.ARC_WIDTH + n_x : binding.ARC_WIDTH + n_x + n_y]
+    ended = _ENDINGS[int(ending)]
+    *counts, launch, _ = counts
+    index, first_step, n_steps, first_polynomial, n_polynomials = map(int, counts)
+    way: Trajectory | None
+    if ended is Ending.ZENO:
+        path = paths.get(end, ())
+        way = SteppedTrajectory(steps=path, duration=duration, end=last) if path else None
+    else:
+        begin = np.concatenate([first, (0.0, launch)]) if mode == binding.FLIGHT else first
+        polynomials = record.polynomials[first_polynomial:][:n_polynomials]
+        way = LoopTrajectory(
+            flow=_Flow(dynamics, int(mode), unit),
+            tolerance=tolerance,
+            begin=begin,
+            rows=record.steps[first_step : first_step + n_steps, : 2 + n_y],
+            polynomials=polynomials[:, : binding.STAGES * n_y].reshape(
+                n_polynomials, binding.STAGES, n_y
+            ),
+            duration=duration,
+            end=last,
         )
+    return Arc(
+        mode=Mode.LOCKED if mode == binding.LOCKED else Mode.FREE,
+        start_time=start,
+        end_time=end,
+        start_state=first,
+        end_state=last[:n_x],
+        ending=ended,
+        impact_index=index,
+        time_unit=unit,
+        trajectory=way,
+    )
 
 
 _ARCS: Any = Execution.__dict__["arcs"]

@@ -22,7 +22,7 @@ from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.graph_run import GraphRun
 from zeno_orbits.simulation.legs import LegFollower
 from zeno_orbits.simulation.looped import by_loop, pieces_by_loop, serves
-from zeno_orbits.simulation.looped_graph import LoopedGraphRun, serves_graph
+from zeno_orbits.simulation.looped_graph import looped
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
@@ -74,12 +74,12 @@ def simulate(
         on_progress=on_progress,
     )
     if graph is not None:
-        return by_graph_loop(task, graph) if serves_graph(task) else by_graph(task, graph)
+        return by_graph_loop(task, graph) or by_graph(task, graph)
     return by_loop(task) if serves(task) else by_reference(task)
 
 
-def by_graph_loop(task: SimulationTask, graph: GraphDynamics) -> Execution:
-    """Return the completed execution over a graph of modes, by the loop where one stop is involved.
+def by_graph_loop(task: SimulationTask, graph: GraphDynamics) -> Execution | None:
+    """Return the same over a graph of modes, or ``None`` if the loop cannot carry it out.
 
     Args:
         task: The simulation task, with the system of the graph's first stop.
@@ -89,11 +89,7 @@ def by_graph_loop(task: SimulationTask, graph: GraphDynamics) -> Execution:
         InputError: If the state is not admissible.
         SimulationError: If the execution cannot be continued.
     """
-    run = LoopedGraphRun(**_graph_parts(task, graph), task=task)
-    try:
-        return _followed(run, task)
-    finally:
-        run.close()
+    return looped(task, GraphRun(**_graph_parts(task, graph)))
 
 
 def by_graph(task: SimulationTask, graph: GraphDynamics) -> Execution:

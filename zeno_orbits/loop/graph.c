@@ -1,0 +1,1201 @@
+/* The event machine over a graph of modes, of several stops, switches and kinks: `GraphRun` in Python.
+
+   A run looks at one stop at a time. The stops that are closed beside it are constraints of both its
+   flows. Sets of stops and of switches are bits. */
+
+#define BIT(k) (1LL << (k))
+
+enum { LOCKED_ARC, FREE_ARC, FLIGHT_ARC, HOP_ARC };
+
+/* A run over a graph, its present view, and the guards beside its stop. */
+typedef struct {
+    Machine m;
+    Others others;
+    const zl_problem *whole;
+    int asks; /* for a view or side that the tables do not have; what follows is repeated */
+} Graph;
+
+/* Tables. */
+
+static long long place_of(const long long *keys, long long n, long long key) {
+    long long k;
+    for (k = 0; k < n; k++)
+        if (keys[k] == key) return k;
+    return -1;
+}
+
+static void ask(Graph *g, int is_side, long long mode, long long index, long long positive) {
+    long long *about = g->m.run->detail.about;
+    if (g->asks) return;
+    g->asks = 1;
+    about[0] = is_side;
+    about[1] = mode;
+    about[2] = index;
+    about[3] = positive;
+}
+
+static void prepare_formulas(const Machine *m, const double *p) {
+    const zl_problem *problem = m->problem;
+    int k;
+    memset(m->ready, 0, sizeof *m->ready);
+    memcpy(m->p, p, (size_t)problem->n_p * sizeof(double));
+    m->p[problem->n_p] = NAN;
+    for (k = 0; k < ZL_TAPES; k++)
+        if (is_watched(k))
+            intervals_prepare(&problem->tapes[k], m->registers[k], m->p);
+        else if ((k < ZL_JACOBIAN || k >= ZL_GAP) && problem->tapes[k].n_outputs)
+            tape_prepare(&problem->tapes[k], m->registers[k], m->p);
+    m->ready->prepared = 1;
+}
+
+static Machine view_by_place(Graph *g, long long place) {
+    Machine m = machine_of_view(g->whole, g->m.run, g->m.records, place);
+    if (!m.ready->prepared) prepare_formulas(&m, parameters_at(m.graph, m.run));
+    return m;
+}
+
+/* The machine of an open stop in a mode. */
+static Machine view_at(Graph *g, long long closed, long long sides, int stop) {
+    const zl_graph *graph = g->whole->graph;
+    const long long mode = ZL_MODE_KEY(closed, sides);
+    const long long place = place_of(graph->view_keys, graph->n_views, ZL_VIEW_KEY(mode, stop));
+    if (place < 0) ask(g, 0, mode, stop, 0);
+    return view_by_place(g, place < 0 ? 0 : place);
+}
+
+/* The machine in which a closed stop of a mode is the stop: its locked flow is that of the mode. */
+static Machine holding(Graph *g, long long closed, int stop) {
+    return view_at(g, closed & ~BIT(stop), g->m.run->graph.sides, stop);
+}
+
+/* Gap and gap rate of a stop, which are the same in every mode. */
+static void gap_of(Graph *g, int stop, const double *x, double *gap) {
+    const zl_graph *graph = g->whole->graph;
+    long long k = 0;
+    Machine m;
+    while (k < graph->n_views && (graph->view_keys[k] & 31) != stop) k++;
+    m = k < graph->n_views ? view_by_place(g, k) : view_at(g, 0, g->m.run->graph.sides, stop);
+    evaluate_at(&m, ZL_GAP, x, gap);
+}
+
+static const zl_settings *settings_of(const Graph *g, int stop) {
+    return settings_at(g->m.run) + stop;
+}
+
+/* Formulas that all views share. */
+static void shared(const Graph *g, const zl_tape *tape, long long place, const double *given,
+                   double *told) {
+    tape_run(tape, numbers_at(g->whole, g->m.run) + place, given, told);
+}
+
+/* The formulas of all switches at a state, their rounding levels, and `armed`. */
+static void switches_at(const Graph *g, const double *x, double *formulas, double *levels,
+                        double *armed) {
+    const zl_graph *graph = g->whole->graph;
+    const long long n_x = g->whole->n_x, n = graph->n_switches;
+    double given[2 * ZL_MOST], told[3 * ZL_GUARDS];
+    long long k;
+    if (!n) return;
+    for (k = 0; k < n_x; k++) {
+        given[k] = x[k];
+        given[n_x + k] = settings_of(g, 0)->sizes[k] + fabs(x[k]);
+    }
+    shared(g, &graph->switches, graph->switches_place, given, told);
+    for (k = 0; k < n; k++) {
+        formulas[k] = told[k];
+        levels[k] = SWITCH_ZERO * told[n + k];
+    }
+    if (armed) memcpy(armed, told + 2 * n, (size_t)graph->n_declared * sizeof(double));
+}
+
+/* Modes. */
+
+static void adopt(Graph *g, long long view) {
+    zl_run *run = g->m.run;
+    run->graph.view = view;
+    g->m = view_by_place(g, view);
+    g->m.others = &g->others;
+    run->settings = *g->m.settings;
+    run->small_gap = run->settings.contact * run->settings.gap;
+    run->small_rate = run->settings.contact * run->settings.gap_rate;
+}
+
+/* Look at a stop, with others closed beside it. */
+static void look(Graph *g, long long rest, int focus) {
+    Graphed *graph = &g->m.run->graph;
+    Machine m = view_at(g, rest, graph->sides, focus);
+    graph->rest = rest;
+    graph->focus = focus;
+    adopt(g, m.problem - g->whole->graph->views);
+}
+
+static int focus_of(const Graph *g) { return (int)g->m.run->graph.focus; }
+
+/* The closed stops of the arc that starts. */
+static long long closed_at_start(const Graph *g) {
+    const zl_run *run = g->m.run;
+    return run->graph.rest | (run->start.mode == ZL_LOCKED ? BIT(run->graph.focus) : 0);
+}
+
+static int is_above(const Graph *g, int k) {
+    const Graphed *graph = &g->m.run->graph;
+    const int n = (int)g->whole->graph->n_declared;
+    return (int)((k < n ? graph->above >> k : graph->sides >> (k - n)) & 1);
+}
+
+static void change_side(Graph *g, int k) {
+    Graphed *graph = &g->m.run->graph;
+    const int n = (int)g->whole->graph->n_declared;
+    if (k < n)
+        graph->above ^= BIT(k);
+    else
+        graph->sides ^= BIT(k - n);
+}
+
+/* Take the side of every switch at a state. A zero keeps the side of a kink, and is above. */
+static void take_sides(Graph *g, const double *x) {
+    const int n = (int)g->whole->graph->n_switches, first = (int)g->whole->graph->n_declared;
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS];
+    int k;
+    switches_at(g, x, formulas, levels, 0);
+    for (k = 0; k < n; k++) {
+        const int is_clear = fabs(formulas[k]) > levels[k];
+        const int is_positive = is_clear ? formulas[k] > 0.0 : k < first || is_above(g, k);
+        if (is_positive != is_above(g, k)) change_side(g, k);
+    }
+}
+
+/* Guards beside the stop. */
+
+static void formulas_of_side(Graph *g, long long mode, int k, int positive, Other *other) {
+    const zl_graph *graph = g->whole->graph;
+    long long place = place_of(graph->side_keys, graph->n_sides, ZL_SIDE_KEY(mode, k, positive));
+    const zl_side *side;
+    double *numbers;
+    if (place < 0) {
+        ask(g, 1, mode, k, positive);
+        return;
+    }
+    side = &graph->sides[place];
+    numbers = numbers_at(g->whole, g->m.run) + side->place;
+    other->value = &side->value;
+    other->bounds = &side->bounds;
+    other->registers = numbers + 1;
+    other->bounds_registers = numbers + 1 + side->value.n_registers;
+    if (numbers[0] == 0.0) {
+        const double *p = parameters_at(graph, g->m.run);
+        tape_prepare(other->value, other->registers, p);
+        intervals_prepare(other->bounds, other->bounds_registers, p);
+        numbers[0] = 1.0;
+    }
+}
+
+static void formulas_of_mode(const Machine *m, int mode, Other *other) {
+    other->value = &m->problem->tapes[ZL_GUARD + mode];
+    other->bounds = &m->problem->tapes[ZL_WATCHED + mode];
+    other->registers = m->registers[ZL_GUARD + mode];
+    other->bounds_registers = m->registers[ZL_WATCHED + mode];
+}
+
+/* Find the guards of the arc that starts: closed stops, open stops, declared switches, kinks. */
+static void find_others(Graph *g) {
+    const zl_graph *graph = g->whole->graph;
+    const Graphed *now = &g->m.run->graph;
+    const long long closed = closed_at_start(g);
+    Other *other = g->others.list;
+    int k;
+    for (k = 0; k < graph->n_stops; k++) {
+        Machine m;
+        if (!(now->rest & BIT(k))) continue;
+        m = holding(g, closed, k);
+        other->kind = ZL_RELEASE;
+        other->index = k;
+        formulas_of_mode(&m, ZL_LOCKED, other++);
+    }
+    for (k = 0; k < graph->n_stops; k++) {
+        Machine m;
+        if ((closed | BIT(now->focus)) & BIT(k)) continue;
+        m = view_at(g, closed, now->sides, k);
+        other->kind = ZL_IMPACT;
+        other->index = k;
+        formulas_of_mode(&m, ZL_FREE, other++);
+    }
+    for (k = 0; k < graph->n_switches; k++) {
+        other->kind = ZL_SWITCH;
+        other->index = k;
+        other->sign = is_above(g, k) ? 1.0 : -1.0;
+        formulas_of_side(g, ZL_MODE_KEY(closed, now->sides), k, is_above(g, k), other++);
+    }
+    g->others.n = (int)(other - g->others.list);
+}
+
+/* Take all guards at the start of an arc; 0 unless each is above its rounding, or a switch on zero. */
+static int take_guards(Graph *g) {
+    zl_run *run = g->m.run;
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS];
+    int k, is_clear = 1;
+    run->graph.undefined = -1;
+    switches_at(g, run->start.state, formulas, levels, 0);
+    for (k = 0; k < g->others.n; k++) {
+        const Other *other = &g->others.list[k];
+        const zl_settings *settings = settings_of(g, other->kind == ZL_SWITCH ? 0 : other->index);
+        const double contact = settings->contact;
+        Watched *watched = &run->watched[k];
+        double value;
+        pair_in_leg(&g->m, k, run->leg.y, watched->before);
+        value = watched->before[0];
+        watched->largest_change = watched->launched = 0.0;
+        watched->outcome = NO_FALL;
+        if (other->kind == ZL_RELEASE) {
+            watched->rounding = contact * settings->multiplier;
+        } else if (other->kind == ZL_IMPACT) {
+            double gap[2];
+            gap_of(g, other->index, run->start.state, gap);
+            value = gap[0];
+            watched->rounding = contact * settings->gap;
+            if (value <= watched->rounding && gap[1] > contact * settings->gap_rate) {
+                watched->launched = gap[1];
+                watched->rounding = contact / settings->gap_acceleration;
+                is_clear = 0;
+            }
+        } else {
+            watched->rounding = levels[other->index];
+            value = other->sign * formulas[other->index];
+            if (isnan(value) && run->graph.undefined < 0) run->graph.undefined = other->index;
+        }
+        watched->on_guard = watched->launched > 0.0 || value <= watched->rounding;
+        watched->began_on_guard = watched->on_guard;
+        if (other->kind == ZL_SWITCH && watched->on_guard ? !(value >= -watched->rounding)
+                                                          : !(value > watched->rounding))
+            is_clear = 0;
+    }
+    return is_clear;
+}
+
+/* Errors. */
+
+/* A flow that is singular at a time, and a kink that is zero there. */
+static int is_singular(Graph *g, int status, double time) {
+    zl_detail *detail = &g->m.run->detail;
+    const zl_graph *graph = g->whole->graph;
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS];
+    long long k;
+    detail->time = time;
+    detail->index = -1;
+    switches_at(g, detail->state, formulas, levels, 0);
+    for (k = graph->n_switches - 1; k >= graph->n_declared; k--)
+        if (fabs(formulas[k]) <= NEAR_KINK * levels[k]) detail->index = k;
+    return status;
+}
+
+/* A state that leaves the admissible set where a kink is zero slides, as by dry friction at rest. */
+static int penetrates(Graph *g, int status) {
+    zl_detail *detail = &g->m.run->detail;
+    const zl_graph *graph = g->whole->graph;
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], x[ZL_MOST];
+    long long k;
+    memcpy(x, detail->state, sizeof x);
+    if (is_in_corner(&g->m)) return in_turn(&g->m, detail->time, x);
+    switches_at(g, x, formulas, levels, 0);
+    for (k = graph->n_declared; k < graph->n_switches; k++)
+        if (fabs(formulas[k]) <= SPENT * levels[k]) return tell(&g->m, ZL_SLIDES, detail->time, x, k);
+    return status;
+}
+
+static int coincide(const Graph *g, int kind, long long index, int other_kind, long long other,
+                    double time, const double *x) {
+    const long long about[4] = {kind, index, other_kind, other};
+    memcpy(g->m.run->detail.about, about, sizeof about);
+    return tell(&g->m, ZL_COINCIDE, time, x, index);
+}
+
+/* Arcs. */
+
+static int begin_arc(Graph *g, int kind) {
+    Graphed *graph = &g->m.run->graph;
+    graph->kind = kind;
+    graph->window = g->m.run->pace.window;
+    graph->careful = graph->retried = 0;
+    g->m.run->stage = LAUNCHES;
+    return GO_ON;
+}
+
+/* Start the leg of an arc, within the present window. */
+static int launch(Graph *g) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    const zl_settings *settings = &run->settings;
+    const double *x = run->start.state;
+    const double contact = settings->contact;
+    double gap[2];
+    int status = GO_ON;
+    graph->pace = run->pace;
+    graph->found = -1;
+    graph->limit = lesser(settings->until, run->start.time + graph->window);
+    run->in_hop = graph->kind == HOP_ARC;
+    find_others(g);
+    if (g->asks) return GO_ON;
+    switch (graph->kind) {
+    case LOCKED_ARC:
+        status = start_leg_at(&g->m, ZL_LOCKED, 1.0, 1.0, contact * settings->multiplier,
+                              settings->absolute, is_slack(&g->m, x, number_at(&g->m, ZL_LIFT, x)),
+                              graph->limit);
+        break;
+    case FREE_ARC:
+        evaluate_at(&g->m, ZL_GAP, x, gap);
+        status = start_leg_at(&g->m, ZL_FREE, 1.0, 1.0, contact * settings->gap, settings->absolute,
+                              gap[0] <= run->small_gap, graph->limit);
+        break;
+    case FLIGHT_ARC:
+        status = start_leg_at(&g->m, ZL_FLIGHT, run->start.speed, 1.0,
+                              contact * (1 / settings->gap_acceleration), flight_error(run), 1,
+                              graph->limit);
+        break;
+    default:
+        status = start_leg_at(&g->m, ZL_FLIGHT, graph->hop.duration, graph->hop.launch, 0.0,
+                              graph->hop.error, 1, graph->limit);
+    }
+    if (!take_guards(g)) graph->careful = 1;
+    if (status == GO_ON) return GO_ON;
+    graph->outcome = status;
+    run->stage = ENDED;
+    return GO_ON;
+}
+
+/* Go on from the start of an arc that left the admissible set: `ReferenceRun.locked_arc` and others. */
+static int leave_arc(Graph *g) {
+    zl_run *run = g->m.run;
+    const int kind = (int)run->graph.kind;
+    if (kind == FLIGHT_ARC) return ZL_LEFT;
+    if (kind != HOP_ARC) run->first_detail = run->detail;
+    if (kind == FREE_ARC) {
+        run->graph.hop = small_hop(&g->m);
+        if (run->graph.hop.duration != 0.0) return begin_arc(g, HOP_ARC);
+    }
+    return start_other_mode(&g->m, kind == LOCKED_ARC ? ZL_FREE : ZL_LOCKED);
+}
+
+/* A step failed: look for the event of another guard before that. */
+static int step_failed_at(Graph *g, int status) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    const double unit = run->graph.in_side ? run->main.unit : run->leg.unit;
+    const double reached = unit * run->detail.time;
+    graph->in_side = 0;
+    if (graph->retried) {
+        run->detail.index = -1;
+        return status;
+    }
+    if (!(0.0 < reached && reached <= graph->window))
+        return is_singular(g, status, run->start.time + reached);
+    graph->window = reached * (1.0 - PART_BEFORE);
+    graph->retried = 1;
+    graph->first_status = status;
+    graph->failed = run->detail;
+    graph->failed.time = run->start.time + reached;
+    run->stage = LAUNCHES;
+    return GO_ON;
+}
+
+/* Whether a guard falls through zero here, to rounding. */
+static int is_zero(const Graph *g, const double *pair, double rounding) {
+    return pair[1] < 0.0 && pair[0] <= greater(rounding, -pair[1] * APART * g->m.run->settings.time);
+}
+
+/* Refuse a second event at the end of an arc. */
+static int require_alone(Graph *g, int main, int kind, long long index, double time,
+                         const double *x) {
+    const zl_run *run = g->m.run;
+    const int found = (int)run->graph.found;
+    double pair[2];
+    int k;
+    for (k = 0; k < g->others.n; k++) {
+        const Other *other = &g->others.list[k];
+        const Watched *watched = &run->watched[k];
+        if (k == found || (watched->began_on_guard && other->kind != ZL_IMPACT)) continue;
+        if (other->kind == ZL_IMPACT)
+            gap_of(g, other->index, x, pair);
+        else
+            tape_run(other->value, other->registers, x, pair);
+        if (is_zero(g, pair, watched->rounding))
+            return coincide(g, kind, index, other->kind, other->index, time, x);
+    }
+    if (found < 0) return GO_ON;
+    if (main == ZL_RELEASE) {
+        evaluate_at(&g->m, ZL_GUARD + ZL_LOCKED, x, pair);
+        if (!is_zero(g, pair, run->settings.contact * run->settings.multiplier)) return GO_ON;
+    } else {
+        evaluate_at(&g->m, ZL_GAP, x, pair);
+        if (!is_zero(g, pair, run->small_gap)) return GO_ON;
+    }
+    return coincide(g, kind, index, main, run->graph.focus, time, x);
+}
+
+static int after_other(Graph *g, double time, const double *x, const Other *other,
+                       const double *rate);
+static int on_other_side(Graph *g, int k);
+
+/* See what the end of an arc leads to, once the guard that fell first is known. */
+static int conclude(Graph *g) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    const zl_settings *settings = &run->settings;
+    const long long n_x = g->whole->n_x;
+    const int found = (int)graph->found, main = graph->kind == LOCKED_ARC ? ZL_RELEASE : ZL_IMPACT;
+    const int at_limit = graph->outcome == LEG_AT_HORIZON && found < 0;
+    const double begin = run->start.time, main_end = run->leg.duration;
+    int kind = main, status = GO_ON;
+    long long index = graph->focus;
+    double x[ZL_MOST], time, rate = 0.0;
+    const Other *other = found >= 0 ? &g->others.list[found] : 0;
+    if (at_limit && graph->retried) {
+        run->detail = graph->failed;
+        return is_singular(g, (int)graph->first_status, graph->failed.time);
+    }
+    if (at_limit && graph->limit < settings->until) {
+        graph->window *= GROW;
+        graph->careful = 0;
+        run->stage = LAUNCHES;
+        return GO_ON;
+    }
+    if (other && run->watched[found].outcome == IS_LEFT) {
+        const int at_end = graph->outcome == LEG_AT_HORIZON;
+        if (!graph->careful) return on_other_side(g, other->index);
+        time = at_end ? graph->limit : begin + run->leg.unit * main_end;
+        run->pace.window = greater(GROW * (time - begin), SHORTEST * settings->time);
+        return on_other_side(g, other->index);
+    }
+    if (other) {
+        const Watched *watched = &run->watched[found];
+        const int launches = watched->launched > 0.0;
+        kind = other->kind;
+        index = other->index;
+        if (launches) {
+            run->leg = run->side;
+            rate = watched->launched * run->leg.end[n_x + 1];
+        } else {
+            run->leg.duration = watched->at;
+            run->leg.n_steps = watched->n_steps;
+            run->leg.n_polynomials = watched->n_polynomials;
+            memcpy(run->leg.end, watched->end, sizeof watched->end);
+        }
+    }
+    memcpy(x, run->leg.end, sizeof x);
+    time = at_limit ? settings->until : begin + run->leg.unit * run->leg.duration;
+    run->pace.window = greater(GROW * (time - begin), SHORTEST * settings->time);
+    if (!at_limit) status = require_alone(g, main, kind, index, time, x);
+    if (status == GO_ON && !other && graph->kind == FLIGHT_ARC && !at_limit &&
+        x[n_x] > ABOVE * fabs(x[n_x + 1]) * run->leg.duration) {
+        /* The way meets the stop where the scaled gap is unaware of it: it is flown again. */
+        run->start.has_speed = 0;
+        return begin_arc(g, FREE_ARC);
+    }
+    if (other && run->watched[found].launched > 0.0) {
+        const long long view = graph->view;
+        const Machine side = view_at(g, closed_at_start(g), graph->sides, other->index);
+        graph->view = side.problem - g->whole->graph->views;
+        write_leg(&side, kind, time);
+        graph->view = view;
+    } else {
+        write_leg(&g->m, at_limit ? ZL_HORIZON : kind, time);
+    }
+    if (status != GO_ON) return status;
+    if (at_limit) {
+        run->stage = OVER;
+        return GO_ON;
+    }
+    if (other)
+        return after_other(g, time, x, other, run->watched[found].launched > 0.0 ? &rate : 0);
+    switch (graph->kind) {
+    case LOCKED_ARC:
+        return release(&g->m, time, x);
+    case FREE_ARC: {
+        double gap[2];
+        evaluate_at(&g->m, ZL_GAP, x, gap);
+        return after_other(g, time, x, 0, &gap[1]);
+    }
+    default:
+        rate = run->leg.unit * x[n_x + 1];
+        return after_other(g, time, x, 0, &rate);
+    }
+}
+
+/* Go on to find the guard that falls first, of those that have been followed to their ends. */
+static int decide(Graph *g) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    while (graph->next_guard < g->others.n) {
+        const int k = (int)graph->next_guard++;
+        const Watched *watched = &run->watched[k];
+        const Other *other = &g->others.list[k];
+        if (watched->launched > 0.0) {
+            /* Another stop is just left: its flight is followed in rescaled time. */
+            const Machine side = view_at(g, closed_at_start(g), graph->sides, other->index);
+            double y[ZL_MOST];
+            if (g->asks) return GO_ON;
+            memcpy(y, run->start.state, sizeof y);
+            y[g->whole->n_x] = 0.0;
+            y[g->whole->n_x + 1] = 1.0;
+            run->main = run->leg;
+            run->in_hop = 0;
+            graph->in_side = 1;
+            run->leg.launch = 1.0;
+            run->leg.on_guard = 1;
+            run->leg.rounding = watched->rounding;
+            run->stage = IN_SIDE;
+            if (begin_leg(&side, ZL_FLIGHT, watched->launched, y,
+                          graph->horizon * run->main.unit / watched->launched,
+                          run->settings.relative, run->settings.absolute))
+                return GO_ON;
+            run->leg.time = 0.0;
+            return step_failed_at(g, step_failed(run, ZL_NOT_FINITE));
+        }
+        if (watched->outcome == IS_LEFT && watched->until < graph->horizon) {
+            if (other->kind == ZL_SWITCH) {
+                graph->found = k;
+                return conclude(g);
+            }
+            return tell(&g->m, ZL_LEFT, run->start.time + run->leg.unit * watched->at, watched->end,
+                        0);
+        }
+        if (watched->outcome == FELL && watched->at < graph->horizon) {
+            graph->found = k;
+            graph->horizon = watched->at;
+        }
+    }
+    return conclude(g);
+}
+
+/* Take a step of the flight of another stop that is just left. */
+static int step_aside(Graph *g) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    const int k = (int)graph->next_guard - 1;
+    const Machine side = view_at(g, closed_at_start(g), graph->sides, g->others.list[k].index);
+    const int outcome = step_leg(&side);
+    if (outcome == LEG_GOES_ON) return GO_ON;
+    if (outcome == ZL_LEFT) {
+        graph->in_side = 0;
+        return ZL_LEFT;
+    }
+    if (outcome != LEG_FELL && outcome != LEG_AT_HORIZON) return step_failed_at(g, outcome);
+    graph->in_side = 0;
+    if (outcome == LEG_FELL) {
+        graph->found = k;
+        graph->horizon = run->leg.duration * (run->watched[k].launched / run->main.unit);
+        run->side = run->leg;
+        run->watched[k].outcome = FELL;
+    }
+    run->leg = run->main;
+    run->stage = DECIDES;
+    return GO_ON;
+}
+
+/* See how the leg of an arc ended. In doubt every guard is followed to its own end. */
+static int arc_ended(Graph *g) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    const int outcome = (int)graph->outcome;
+    const int is_over = outcome == LEG_FELL || outcome == LEG_AT_HORIZON;
+    if (!graph->careful) {
+        if (outcome == LEG_FELL_BESIDE || is_over) return conclude(g);
+        run->pace = graph->pace;
+        graph->careful = 1;
+        run->stage = LAUNCHES;
+        return GO_ON;
+    }
+    if (outcome == ZL_TOO_STIFF || outcome == ZL_SINGULAR || outcome == ZL_NOT_FINITE)
+        return step_failed_at(g, outcome);
+    if (!is_over) return outcome;
+    if (graph->undefined >= 0)
+        return tell(&g->m, ZL_UNDEFINED, run->start.time, run->start.state, graph->undefined);
+    graph->horizon = run->leg.duration;
+    graph->next_guard = 0;
+    return decide(g);
+}
+
+/* Switches. */
+
+/* The same start on the other side of a switch, whose guard is zero there. */
+static int on_other_side(Graph *g, int k) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    const zl_start *start = &run->start;
+    const double *x = start->state;
+    const int is_armed = k < g->whole->graph->n_declared && is_above(g, k);
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS];
+    if (graph->flipped == k && graph->flipped_time == start->time)
+        return tell(&g->m, ZL_SLIDES, start->time, x, k);
+    graph->flipped = k;
+    graph->flipped_time = start->time;
+    if (is_armed) {
+        const int has_fallen = graph->last_kind == ZL_SWITCH && graph->last_index == k &&
+                               graph->last_time == start->time;
+        const long long mode = ZL_MODE_KEY(closed_at_start(g), graph->sides);
+        Other other;
+        double pair[2];
+        switches_at(g, x, formulas, levels, armed);
+        if (!has_fallen && armed[k] > 0.0) return tell(&g->m, ZL_ARMED, start->time, x, k);
+        formulas_of_side(g, mode, k, 1, &other);
+        if (g->asks) return GO_ON;
+        tape_run(other.value, other.registers, x, pair);
+        /* The guard rose by less than its rounding and fell again. */
+        if (pair[1] > 0.0) return tell(&g->m, ZL_ACCUMULATE, start->time, x, k);
+    }
+    change_side(g, k);
+    look(g, graph->rest, focus_of(g));
+    run->stage = AT_START;
+    if (start->has_impact) {
+        const size_t n_x = (size_t)g->whole->n_x;
+        double told[2 * ZL_MOST + 1];
+        evaluate_at(&g->m, ZL_RESTING, start->plus, told);
+        memcpy(run->start.resting, told, n_x * sizeof(double));
+        run->start.lift = told[n_x];
+        memcpy(run->start.rate, told + n_x + 1, n_x * sizeof(double));
+    }
+    return GO_ON;
+}
+
+static int count_switch(Graph *g, double time, int k, const double *before, const double *after) {
+    zl_run *run = g->m.run;
+    const double none[3] = {0.0, 0.0, 0.0};
+    write_event_of(&g->m, ZL_SWITCH, k, time, none, before, after);
+    run->graph.n_switches++;
+    if (k < g->whole->graph->n_declared) {
+        int status = see_switch(&g->m, time, k, after);
+        if (status != GO_ON) return status;
+    }
+    if (run->graph.n_switches > run->settings.most_impacts)
+        return tell(&g->m, ZL_MANY_IMPACTS, time, after, k);
+    return GO_ON;
+}
+
+/* Refuse a kink that changes the acceleration of the gap in every flight. */
+static int require_continuous(Graph *g, int k, double time, const double *x) {
+    const Graphed *graph = &g->m.run->graph;
+    const long long side = BIT(k - g->whole->graph->n_declared);
+    const Machine one = view_at(g, graph->rest, graph->sides, focus_of(g));
+    const Machine other = view_at(g, graph->rest, graph->sides ^ side, focus_of(g));
+    const double here = number_at(&one, ZL_LIFT, x), there = number_at(&other, ZL_LIFT, x);
+    if (fabs(here - there) > CONTINUOUS * fabs(here))
+        return tell_two(&g->m, ZL_SPLITS, time, x, graph->focus, k);
+    return GO_ON;
+}
+
+static int placed(Graph *g, double time, const double *state, long long was_closed, int by_switch,
+                  int flying);
+
+/* Apply a switch whose guard fell through zero. */
+static int switched(Graph *g, double time, const double *x, int k) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    const zl_graph *table = g->whole->graph;
+    const long long closed = closed_at_start(g);
+    const int is_kink = k >= table->n_declared, was_above = is_above(g, k);
+    const int is_free = run->start.mode == ZL_FREE;
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS];
+    int status;
+    if (!is_kink && was_above) {
+        switches_at(g, x, formulas, levels, armed);
+        if (armed[k] > 0.0) {
+            double after[ZL_MOST];
+            shared(g, &table->resets[k], table->reset_places[k], x, after);
+            status = count_switch(g, time, k, x, after);
+            if (status != GO_ON) return status;
+            graph->has_current = 0;
+            take_sides(g, after);
+            return placed(g, time, after, closed, k, -1);
+        }
+    }
+    change_side(g, k);
+    if (is_kink) {
+        Other other;
+        double pair[2];
+        formulas_of_side(g, ZL_MODE_KEY(closed, graph->sides), k, !was_above, &other);
+        if (g->asks) return GO_ON;
+        tape_run(other.value, other.registers, x, pair);
+        if (pair[1] < 0.0) return tell(&g->m, ZL_SLIDES, time, x, k);
+        status = count_switch(g, time, k, x, x);
+        if (status != GO_ON) return status;
+        if (is_free && graph->has_current) {
+            const long long n = run->pace.n_estimates;
+            graph->split_present |= BIT(k);
+            if ((graph->split_before & BIT(k)) && n &&
+                speed_of(&g->m, n - 1) < ACCUMULATED * run->first_speed) {
+                status = require_continuous(g, k, time, x);
+                if (status != GO_ON) return status;
+            }
+        }
+    }
+    return placed(g, time, x, closed, -1, is_free ? focus_of(g) : -1);
+}
+
+/* Contact. */
+
+/* Whether a stop at zero gap and rate stays closed. */
+static int holds(const Machine *m, const double *x) {
+    return mode_on_stop(m, x) == ZL_LOCKED;
+}
+
+/* The stops that stay closed, of those with zero gap and gap rate, of which some set must fulfil the
+   laws of contact, and no other. */
+static int contact_set(Graph *g, double time, const double *x, long long still, long long *found) {
+    const int n = (int)g->whole->graph->n_stops;
+    long long closed = still;
+    int count = 0, k;
+    *found = 0;
+    /* All subsets, down to the empty one. */
+    for (;;) {
+        int fits = 1;
+        for (k = 0; fits && k < n; k++)
+            if (closed & BIT(k)) {
+                const Machine m = holding(g, closed, k);
+                fits = holds(&m, x);
+            } else if (still & BIT(k)) {
+                const Machine m = view_at(g, closed, g->m.run->graph.sides, k);
+                fits = !holds(&m, x);
+            }
+        if (fits) {
+            count++;
+            *found = closed;
+        }
+        if (!closed) break;
+        closed = (closed - 1) & still;
+    }
+    if (count == 1 || g->asks) return GO_ON;
+    g->m.run->detail.about[0] = still;
+    return tell(&g->m, ZL_UNDETERMINED, time, x, 0);
+}
+
+/* The impulses of closed stops in an impact, by Gauss's method: the matrix is positive definite. */
+static void shares_of(const double *all, int n_stops, const int *kept, int n, int focus,
+                      double *shares) {
+    double rows[ZL_STOPS][ZL_STOPS + 1];
+    int i, j, k;
+    for (i = 0; i < n; i++) {
+        for (j = 0; j < n; j++) rows[i][j] = all[kept[i] * n_stops + kept[j]];
+        rows[i][n] = all[kept[i] * n_stops + focus];
+    }
+    for (k = 0; k < n; k++)
+        for (i = k + 1; i < n; i++) {
+            const double factor = rows[i][k] / rows[k][k];
+            for (j = k; j <= n; j++) rows[i][j] -= factor * rows[k][j];
+        }
+    for (i = n - 1; i >= 0; i--) {
+        for (j = i + 1; j < n; j++) rows[i][n] -= rows[i][j] * shares[j];
+        shares[i] = rows[i][n] / rows[i][i];
+    }
+}
+
+/* Whether a set of closed stops fulfils the laws of an impact: none pulls, and no other closes. */
+static int fits_impact(const double *all, int n_stops, long long rest, long long closed, int focus,
+                       double small) {
+    double shares[ZL_STOPS];
+    int kept[ZL_STOPS], n = 0, i, k;
+    for (k = 0; k < n_stops; k++)
+        if (closed & BIT(k)) kept[n++] = k;
+    shares_of(all, n_stops, kept, n, focus, shares);
+    for (i = 0; i < n; i++)
+        if (shares[i] > small / greater(fabs(all[kept[i] * n_stops + kept[i]]), small)) return 0;
+    for (k = 0; k < n_stops; k++)
+        if ((rest & ~closed) & BIT(k)) {
+            double rate = all[k * n_stops + focus], pushed = 0.0;
+            for (i = 0; i < n; i++) pushed += all[k * n_stops + kept[i]] * shares[i];
+            if (!(rate - pushed >= -small)) return 0;
+        }
+    return 1;
+}
+
+static int count_of(long long set) {
+    int n = 0;
+    for (; set; set &= set - 1) n++;
+    return n;
+}
+
+/* The closed stops that stay closed in an impact: none of them pulls, theory (64). */
+static long long kept_closed(Graph *g, const double *x) {
+    const zl_graph *graph = g->whole->graph;
+    const int n_stops = (int)graph->n_stops;
+    const long long rest = g->m.run->graph.rest;
+    double all[ZL_STOPS * ZL_STOPS], small = 0.0;
+    int k, n;
+    if (!rest) return 0;
+    shared(g, &graph->delassus, graph->delassus_place, x, all);
+    for (k = 0; k < n_stops * n_stops; k++) small = greater(small, fabs(all[k]));
+    small *= LEAST_IMPULSE;
+    for (n = count_of(rest); n >= 0; n--) {
+        long long closed = rest;
+        for (;;) {
+            if (count_of(closed) == n && fits_impact(all, n_stops, rest, closed, focus_of(g), small))
+                return closed;
+            if (!closed) break;
+            closed = (closed - 1) & rest;
+        }
+    }
+    return 0;
+}
+
+/* Apply the reset map in the mode that its impulses determine. */
+static int strike(Graph *g, double time, const double *before, double approach) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    zl_start *start = &run->start;
+    const long long was = graph->rest, n_x = g->whole->n_x, focus = BIT(graph->focus);
+    const double none[3] = {0.0, 0.0, 0.0};
+    long long closed, candidates;
+    double given[ZL_MOST + 1], landed[3 * ZL_MOST + 2];
+    int status = see_impact(&g->m, time, before), k;
+    if (status != GO_ON) return status;
+    graph->split_before = graph->split_present;
+    graph->split_present = 0;
+    if (approach < 0.0) {
+        look(g, kept_closed(g, before), focus_of(g));
+        memcpy(given, before, (size_t)n_x * sizeof(double));
+        given[n_x] = approach;
+        evaluate_at(&g->m, ZL_LANDING, given, landed);
+        take_sides(g, landed);
+        look(g, graph->rest, focus_of(g));
+    }
+    status = impact(&g->m, time, before, approach);
+    if (status != GO_ON || run->stage == OVER) return status;
+    /* The stop opens at once, or its only impact was a Zeno point. */
+    if (!start->has_speed) graph->has_current = 0;
+    candidates = closed = closed_at_start(g);
+    if (graph->rest) {
+        status = contact_set(g, time, start->state, candidates, &closed);
+        if (status != GO_ON) return status;
+    } else {
+        closed = graph->rest;
+    }
+    for (k = 0; k < g->whole->graph->n_stops; k++)
+        if ((was & BIT(k)) && (!((graph->rest | focus) & BIT(k)) ||
+                               (graph->rest && !(closed & BIT(k))))) {
+            write_event_of(&g->m, ZL_RELEASE, k, time, none, start->state, start->state);
+            run->n_releases++;
+        }
+    if (!graph->rest || closed == candidates) return GO_ON;
+    graph->has_current = 0;
+    look(g, closed & ~focus, focus_of(g));
+    if (start->mode == ZL_LOCKED && !(closed & focus)) {
+        start->mode = ZL_FREE;
+        return GO_ON;
+    }
+    if (start->has_impact) {
+        double told[2 * ZL_MOST + 1];
+        evaluate_at(&g->m, ZL_RESTING, start->plus, told);
+        memcpy(start->resting, told, (size_t)n_x * sizeof(double));
+        start->lift = told[n_x];
+        memcpy(start->rate, told + n_x + 1, (size_t)n_x * sizeof(double));
+    }
+    return GO_ON;
+}
+
+/* Apply the impact at the end of a flight, or fly on from a graze. */
+static int land_at(Graph *g, double time, const double *x, double rate) {
+    if (rate > 0.0) return landing(&g->m, time, x, rate);
+    return strike(g, time, x, rate);
+}
+
+/* The start at a state: each stop with zero gap and rate holds, or opens. */
+static int placed(Graph *g, double time, const double *state, long long was_closed, int by_switch,
+                  int flying) {
+    zl_run *run = g->m.run;
+    const zl_graph *table = g->whole->graph;
+    const size_t bytes = (size_t)g->whole->n_x * sizeof(double);
+    long long still = 0, opening = 0, struck = 0, closed, leaving;
+    double x[ZL_MOST], gap[2];
+    int k, n = (int)table->n_stops, focus, status;
+    memcpy(x, state, bytes);
+    for (k = 0; k < n; k++) {
+        const zl_settings *settings = settings_of(g, k);
+        const double small = was_closed & BIT(k) ? WAS_CLOSED : settings->contact;
+        if (k == flying) continue;
+        gap_of(g, k, x, gap);
+        if (gap[0] > small * settings->gap) continue;
+        if (fabs(gap[1]) <= small * settings->gap_rate && gap[0] >= -small * settings->gap)
+            still |= BIT(k);
+        else if (gap[0] >= -small * settings->gap && gap[1] > 0.0)
+            opening |= BIT(k);
+        else if (by_switch >= 0)
+            return tell_two(&g->m, ZL_BY_SWITCH, time, x, by_switch, k);
+        else
+            struck |= BIT(k);
+    }
+    status = contact_set(g, time, x, still, &closed);
+    if (status != GO_ON) return status;
+    for (k = 0; k < n; k++)
+        if (closed & BIT(k)) {
+            const Machine m = holding(g, closed, k);
+            double on_stop[ZL_MOST];
+            to_stop(&m, x, on_stop);
+            memcpy(x, on_stop, bytes);
+        }
+    if (struck) {
+        int first = 0, second;
+        while (!(struck & BIT(first))) first++;
+        for (second = first + 1; second < n; second++)
+            if (struck & BIT(second))
+                return coincide(g, ZL_IMPACT, first, ZL_IMPACT, second, time, x);
+        look(g, closed, first);
+        evaluate_at(&g->m, ZL_GAP, x, gap);
+        return strike(g, time, x, gap[1]);
+    }
+    /* Of those that open, one at rest comes first. */
+    leaving = still & ~closed ? still & ~closed : opening & ~closed;
+    if (!leaving && flying >= 0) leaving = BIT(flying);
+    if (closed && !leaving) {
+        for (focus = n - 1; !(closed & BIT(focus));) focus--;
+        look(g, closed & ~BIT(focus), focus);
+        start_without_speed(run, ZL_LOCKED, time);
+        memcpy(run->start.state, x, bytes);
+        return GO_ON;
+    }
+    focus = focus_of(g);
+    if (leaving)
+        for (focus = 0; !(leaving & BIT(focus));) focus++;
+    look(g, closed, focus);
+    evaluate_at(&g->m, ZL_GAP, x, gap);
+    start_without_speed(run, ZL_FREE, time);
+    memcpy(run->start.state, x, bytes);
+    if (gap[0] <= run->small_gap && gap[1] > run->small_rate) {
+        run->start.speed = gap[1];
+        run->start.has_speed = 1;
+    }
+    return GO_ON;
+}
+
+/* What follows where the gap of the stop closes, or the event of another guard.
+
+   `rate` is the gap rate, if it is known better than by the state. */
+static int after_other(Graph *g, double time, const double *x, const Other *other,
+                       const double *rate) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    const long long closed = closed_at_start(g);
+    double gap[2];
+    run->stage = AT_START;
+    if (!other) {
+        if (graph->kind != FREE_ARC) return land_at(g, time, x, *rate);
+    } else if (other->kind == ZL_SWITCH) {
+        return switched(g, time, x, other->index);
+    } else {
+        graph->has_current = 0;
+        if (other->kind == ZL_RELEASE) {
+            look(g, closed & ~BIT(other->index), other->index);
+            return release(&g->m, time, x);
+        }
+        look(g, closed, other->index);
+    }
+    evaluate_at(&g->m, ZL_GAP, x, gap);
+    if (rate) gap[1] = *rate;
+    if (!(fabs(gap[1]) <= run->small_rate)) return land_at(g, time, x, gap[1]);
+    /* The stop is touched, not struck. */
+    start_on_stop(&g->m, time, x);
+    if (run->start.mode == ZL_FREE) graph->has_current = 0;
+    return GO_ON;
+}
+
+/* Sequences of impacts. */
+
+/* Whether no other guard falls on the way to a Zeno point: a status if that is refused. */
+static int is_clear_at(Graph *g, const Limit *limit, int *clear) {
+    const zl_graph *table = g->whole->graph;
+    const Graphed *graph = &g->m.run->graph;
+    const double *x = limit->state;
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], pair[2];
+    int k;
+    *clear = 0;
+    for (k = 0; k < table->n_stops; k++)
+        if (!((graph->rest | BIT(graph->focus)) & BIT(k))) {
+            gap_of(g, k, x, pair);
+            if (!(pair[0] > 0.0)) return GO_ON;
+        }
+    for (k = 0; k < table->n_stops; k++)
+        if (graph->rest & BIT(k)) {
+            const Machine m = holding(g, graph->rest, k);
+            evaluate_at(&m, ZL_GUARD + ZL_LOCKED, x, pair);
+            if (!(pair[0] > 0.0)) return GO_ON;
+        }
+    switches_at(g, x, formulas, levels, 0);
+    for (k = 0; k < table->n_switches; k++)
+        /* A kink that splits every flight is zero at the limit itself. */
+        if (!(graph->split_before & BIT(k)) &&
+            !((is_above(g, k) ? formulas[k] : -formulas[k]) > -SPENT * levels[k]))
+            return GO_ON;
+    for (k = 0; k < table->n_switches; k++)
+        if ((graph->split_before & BIT(k)) && fabs(formulas[k]) <= SPENT * levels[k]) {
+            int status = require_continuous(g, k, limit->time, x);
+            if (status != GO_ON) return status;
+        }
+    *clear = 1;
+    return GO_ON;
+}
+
+/* Follow one flight of a sequence of impacts, or go to its Zeno point. */
+static int fly_on(Graph *g) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    zl_start *start = &run->start;
+    Limit limit;
+    int found = NO_LIMIT, is_due = 0, is_clear, status;
+    if (!graph->has_current || graph->current_rest != graph->rest ||
+        graph->current_focus != graph->focus) {
+        graph->has_current = 1;
+        graph->current_rest = graph->rest;
+        graph->current_focus = graph->focus;
+        graph->split_before = graph->split_present = 0;
+        run->pace.first_impact = run->n_impacts;
+        run->pace.n_estimates = 0;
+    }
+    if (run->stage == AT_CURVE) {
+        is_due = 1;
+        if (run->answered) {
+            limit.time = run->answer_time;
+            limit.error = run->answer_error;
+            memcpy(limit.state, run->answer, sizeof limit.state);
+            found = LIMIT;
+        }
+    } else if (start->has_impact) {
+        if (run->pace.n_estimates == g->m.records->most_estimates) return ZL_ESTIMATES;
+        if (run->pace.n_estimates && start->speed >= speed_of(&g->m, run->pace.n_estimates - 1))
+            run->pace.n_estimates = 0;
+        if (add_estimate(&g->m)) {
+            is_due = 1;
+            found = limit_by_rule(&g->m, &limit);
+        } else
+            run->pace.n_estimates = 0;
+    }
+    if (found == CURVE) {
+        run->stage = AT_CURVE;
+        run->answered = 0;
+        return ZL_CURVE;
+    }
+    /* Flights that a kink splits determine the Zeno point less accurately. */
+    if (is_due && found == NO_LIMIT && graph->split_before &&
+        extrapolated(&g->m, SPLIT_RESOLVED, SPLIT, &limit))
+        found = LIMIT;
+    if (found == LIMIT && limit.time < run->settings.until) {
+        status = is_clear_at(g, &limit, &is_clear);
+        if (status != GO_ON || g->asks) return status;
+        if (is_clear && mode_on_stop(&g->m, limit.state) == ZL_LOCKED) {
+            status = may_reach(&g->m, &limit);
+            if (status != GO_ON) return status;
+            reach(&g->m, &limit, start->time, start->speed);
+            graph->has_current = 0;
+            start_without_speed(run, ZL_LOCKED, limit.time);
+            memcpy(start->state, limit.state, (size_t)g->whole->n_x * sizeof(double));
+            return GO_ON;
+        }
+        if (is_clear) graph->has_current = 0;
+    }
+    if (run->n_impacts - run->pace.first_impact > run->settings.most_impacts)
+        return tell(&g->m, ZL_MANY_IMPACTS, start->time, start->state, 0);
+    return begin_arc(g, FLIGHT_ARC);
+}
+
+/* The first start, from an admissible state. */
+static int admit_to_graph(Graph *g) {
+    zl_run *run = g->m.run;
+    const zl_graph *table = g->whole->graph;
+    double x[ZL_MOST], gap[2];
+    int k;
+    memcpy(x, run->start.state, sizeof x);
+    run->graph.sides = BIT(table->n_switches - table->n_declared) - 1;
+    run->graph.above = run->graph.rest = run->graph.focus = 0;
+    run->graph.flipped = -1;
+    run->graph.last_kind = ZL_HORIZON;
+    take_sides(g, x);
+    look(g, 0, 0);
+    start_without_speed(run, ZL_FREE, 0.0);
+    for (k = 0; k < table->n_stops; k++) {
+        gap_of(g, k, x, gap);
+        if (gap[0] < -settings_of(g, k)->contact * settings_of(g, k)->gap) {
+            run->detail.number = gap[0];
+            return tell(&g->m, ZL_INSIDE, 0.0, x, k);
+        }
+    }
+    return placed(g, 0.0, x, 0, -1, -1);
+}
+
+/* Do the next thing: a step, an event, the start of an arc. */
+static int do_next_in_graph(Graph *g) {
+    zl_run *run = g->m.run;
+    int outcome;
+    switch (run->stage) {
+    case BEFORE:
+        return admit_to_graph(g);
+    case AT_START:
+    case AT_CURVE:
+        if (run->start.has_speed) return fly_on(g);
+        return begin_arc(g, run->start.mode == ZL_LOCKED ? LOCKED_ARC : FREE_ARC);
+    case LAUNCHES:
+        return launch(g);
+    case IN_LEG:
+        outcome = step_leg(&g->m);
+        if (outcome == LEG_GOES_ON) return GO_ON;
+        run->graph.outcome = outcome;
+        run->stage = ENDED;
+        return GO_ON;
+    case IN_SIDE:
+        return step_aside(g);
+    case ENDED:
+        return arc_ended(g);
+    case DECIDES:
+        return decide(g);
+    default:
+        return ZL_DONE;
+    }
+}
+
+/* The same. Where a view or side is missing, the run stands where it was, and asks for it. */
+static int advance_in_graph(Graph *g) {
+    zl_run *run = g->m.run;
+    const long long stage = run->stage;
+    const int may_ask = stage != IN_LEG && stage != IN_SIDE;
+    double before[offsetof(zl_run, settings) / sizeof(double)];
+    const zl_records records = *g->m.records;
+    int status;
+    if (may_ask) memcpy(before, run, sizeof before);
+    status = do_next_in_graph(g);
+    if (g->asks && may_ask) {
+        long long about[4];
+        memcpy(about, run->detail.about, sizeof about);
+        memcpy((void *)run, before, sizeof before);
+        *g->m.records = records;
+        memcpy(run->detail.about, about, sizeof about);
+        return ZL_MODE;
+    }
+    if (status == ZL_LEFT && (stage == ENDED || stage == DECIDES || stage == IN_SIDE))
+        status = leave_arc(g);
+    if (stage != BEFORE && (status == ZL_LEFT || status == ZL_BY_SWITCH || status == ZL_INTO_STOP))
+        status = penetrates(g, status);
+    return status;
+}
+
+/* A run over a graph as its memory has it. */
+static void enter_graph(Graph *g, const zl_problem *problem, zl_run *run, zl_records *records) {
+    g->m = machine_of(problem, run, records);
+    g->whole = problem;
+    g->asks = 0;
+    if (run->stage == BEFORE) return;
+    adopt(g, run->graph.view);
+    if (run->stage == IN_LEG || run->stage >= ENDED) find_others(g);
+}
+
+/* Begin a run: the settings of every stop, and parameters. */
+static void begin_in_graph(const zl_problem *problem, zl_run *run, const zl_settings *settings,
+                           const double *p) {
+    const zl_graph *graph = problem->graph;
+    double *numbers;
+    long long k;
+    memcpy(settings_at(run), settings, (size_t)graph->n_stops * sizeof *settings);
+    memcpy(parameters_at(graph, run), p, (size_t)problem->n_p * sizeof(double));
+    numbers = numbers_at(problem, run);
+    for (k = 0; k < graph->n_views; k++)
+        ((Ready *)(void *)(numbers + graph->view_places[k]))->prepared = 0;
+    for (k = 0; k < graph->n_sides; k++) numbers[graph->sides[k].place] = 0.0;
+    if (graph->n_switches) tape_prepare(&graph->switches, numbers + graph->switches_place, p);
+    tape_prepare(&graph->delassus, numbers + graph->delassus_place, p);
+    for (k = 0; k < graph->n_declared; k++)
+        tape_prepare(&graph->resets[k], numbers + graph->reset_places[k], p);
+}
