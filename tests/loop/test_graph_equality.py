@@ -11,6 +11,7 @@ import pytest
 import zeno_orbits as zo
 from benchmarks import random_graphs
 from tests.loop.agreement import needs_compiler
+from tests.loop.shaken import shaken
 from zeno_orbits.errors import RunawayError, SimulationError, SimultaneousEventsError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.loop import LoopRun, binding
@@ -183,6 +184,17 @@ def test_a_run_goes_on_after_every_step(name: str) -> None:
 def test_random_machines_give_the_same_bits(index: int) -> None:
     problem = random_graphs.problem(random_graphs.drawn(11, index))
     require_agreement(problem, 6.0, {}, EXPLICIT, 0.0)
+
+
+@pytest.mark.parametrize("seed", [1, 22])
+def test_impacts_on_a_stop_while_others_are_closed_give_the_same_bits(seed: int) -> None:
+    require_agreement(shaken(seed), 2.0, {}, EXPLICIT, 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(50))
+def test_many_machines_with_closed_stops_give_the_same_bits(seed: int) -> None:
+    require_agreement(shaken(seed), 8.0, {}, EXPLICIT, 0.0)
 
 
 @pytest.mark.slow

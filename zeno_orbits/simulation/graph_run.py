@@ -25,7 +25,7 @@ from typing import cast
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, PenetrationError, StepSizeError
+from zeno_orbits.errors import InputError, PenetrationError, SimulationError, StepSizeError
 from zeno_orbits.integrators import (
     BoxedStep,
     GuardedFlow,
@@ -342,8 +342,13 @@ class GraphRun(ReferenceRun):
         """Return the next arc within the present window."""
         arc, end = ReferenceRun.follow_arc(self, start, flow, natural, on_guard=on_guard)
         closed = self._closed(start)
-        guards = list(self._guards(start, closed))
-        self.interruption = self._earliest(guards, arc)
+        try:
+            guards = list(self._guards(start, closed))
+            self.interruption = self._earliest(guards, arc)
+        except SimulationError:
+            # The arc does not reach its end.
+            self.arcs.pop()
+            raise
         if self.interruption is None:
             stop = self.stop_name if start.speed is not None else ""
             self.arcs[-1] = arc = self._named(arc, closed, stop)
