@@ -433,7 +433,7 @@ class LoopTrajectory:
         polynomials[:, : binding.STAGES * n_y] = self._polynomials.reshape(m, binding.STAGES * n_y)
         arc = np.zeros((1, binding.ARC_WIDTH + 2 * n_x + 2))
         launch = self._begin[-1] if n_y > n_x else 0.0
-        arc[0, : binding.ARC_WIDTH] = (mode, 0, 0, unit, self.duration, 0, 0, 0, n, 0, m, launch)
+        arc[0, : binding.ARC_WIDTH] = (mode, 0, 0, unit, self.duration, 0, 0, 0, n, 0, m, launch, 0)
         arc[0, binding.ARC_WIDTH :][:n_x] = self._begin[:n_x]
         events = np.zeros((0, binding.EVENT_WIDTH + 2 * n_x))
         return Record(steps=steps, polynomials=polynomials, arcs=arc, events=events)
