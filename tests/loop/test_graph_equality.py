@@ -11,6 +11,7 @@ import pytest
 import zeno_orbits as zo
 from benchmarks import random_graphs
 from tests.loop.agreement import needs_compiler
+from tests.loop.refused import REFUSED
 from tests.loop.shaken import shaken
 from zeno_orbits.errors import RunawayError, SimulationError, SimultaneousEventsError
 from zeno_orbits.integrators import RungeKutta
@@ -146,6 +147,15 @@ def test_a_run_beyond_its_bounds_ends_with_the_same_error() -> None:
     (_, error), (_, reason) = both(zo.load_problem("clapper"), 30.0, {}, settings)
     assert type(error) is RunawayError
     assert str(error) == str(reason)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_motion_is_refused_by_both_in_the_same_words(name: str) -> None:
+    problem, words_of_it = REFUSED[name]
+    require_agreement(problem, 6.0, {}, EXPLICIT, 0.0)
+    (_, error), (_, reason) = both(problem, 6.0, {}, EXPLICIT)
+    assert str(error) == str(reason)
+    assert words_of_it in str(error)
 
 
 def test_a_kink_that_changes_the_acceleration_in_every_flight_is_refused_by_both() -> None:

@@ -449,6 +449,7 @@ static int conclude(Graph *g) {
     double x[ZL_MOST], time, rate = 0.0;
     const Other *other = found >= 0 ? &g->others.list[found] : 0;
     if (at_limit && graph->retried) {
+        write_leg(&g->m, ZL_HORIZON, graph->limit);
         run->detail = graph->failed;
         return is_singular(g, (int)graph->first_status, graph->failed.time);
     }
