@@ -11,8 +11,9 @@ import pytest
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.commands import MISUSE, YES, ask
-from tests.support.one_stop import one_stop_problems
-from zeno_orbits.simulation import Impact, ZenoPoint, simulate
+from tests.support.one_stop import GRAPHS, one_stop_problems
+from zeno_orbits.loop import binding
+from zeno_orbits.simulation import Impact, SwitchEvent, ZenoPoint, simulate
 
 pytestmark = [needs_compiler, pytest.mark.usefixtures("here")]
 
@@ -26,7 +27,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _events_of(name: str, *options: str, level: str = "-O1") -> list[tuple[str, list[float]]]:
-    """Return what the example program prints: kind, then time and state, of every event."""
+    """Return what the example program prints: kind and name, time and state, of every event."""
     answer = ask("export", name, "-o", "exported", *options)
     assert answer.code == YES, answer.err
     stem = next(Path("exported").glob("*.h")).stem
@@ -36,14 +37,16 @@ def _events_of(name: str, *options: str, level: str = "-O1") -> list[tuple[str, 
     # No variable of Python, nor any other, is there.
     run = subprocess.run(["./program"], capture_output=True, text=True, check=False, env={})
     assert run.returncode == 0, run.stderr
+    n = 1 + len(zo.load_problem(name).state_names)
     rows = [line.split() for line in run.stdout.splitlines()]
-    return [(kind, [float(number) for number in numbers]) for kind, *numbers in rows]
+    return [(" ".join(row[:-n]), [float(number) for number in row[-n:]]) for row in rows]
 
 
 def _expected(name: str, until: float) -> list[tuple[str, list[float]]]:
     problem = zo.load_problem(name)
+    values = problem.values()
     run = simulate(
-        problem.dynamics(problem.values()),
+        problem.graph_dynamics(values) if problem.has_graph else problem.dynamics(values),
         problem.state_vector(problem.starts[0]),
         until=until,
     )
@@ -51,8 +54,12 @@ def _expected(name: str, until: float) -> list[tuple[str, list[float]]]:
     for event in run.events:
         kind = "impact" if isinstance(event, Impact) else "release"
         kind = "zeno" if isinstance(event, ZenoPoint) else kind
-        state = event.state_plus if isinstance(event, Impact) else event.state
-        found.append((kind, [event.time, *state.tolist()]))
+        if isinstance(event, SwitchEvent):
+            kind, name, state = "switch", event.name, event.state_plus
+        else:
+            name = event.stop
+            state = event.state_plus if isinstance(event, Impact) else event.state
+        found.append((f"{kind} {name}".strip(), [event.time, *state.tolist()]))
     return found
 
 
@@ -69,6 +76,80 @@ def test_an_exported_problem_gives_the_same_to_the_last_digit(name: str) -> None
 @pytest.mark.parametrize("name", one_stop_problems())
 def test_every_bundled_problem_can_be_exported(name: str) -> None:
     assert _events_of(name, "--t-end", "4", level="-O2") == _expected(name, 4.0)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name == "hopper" else pytest.mark.slow) for name in GRAPHS],
+)
+def test_machines_with_several_stops_or_switches_give_the_same_digits(name: str) -> None:
+    until = GRAPHS[name]
+    found = _events_of(name, "--t-end", str(until))
+    assert len(found) > 10
+    assert found == _expected(name, until)
+
+
+@pytest.mark.slow
+def test_a_run_that_ends_early_tells_why() -> None:
+    answer = ask("export", "relay_soft", "--t-end", "0.01", "-o", "exported")
+    assert answer.code == YES, answer.err
+    code = Path("exported/main.c").read_text(encoding="utf-8")
+    # Exchanged switching times are refused, as in Python.
+    places = list(zo.load_problem("relay_soft").symbols())
+    t1, t2 = places.index("t1"), places.index("t2")
+    begin = "status = zl_begin(problem, run, settings, relay_soft_parameters"
+    swapped = "swapped[T1] = swapped[T2] + 1.0; status = zl_begin(problem, run, settings, swapped"
+    swapped = swapped.replace("T1", str(t1)).replace("T2", str(t2))
+    assert begin in code
+    memory = "double swapped[64]; memcpy(swapped, relay_soft_parameters, (size_t)problem->n_p * 8);"
+    code = code.replace(begin, f"{{ {memory} {swapped}").replace(
+        "relay_soft_start);", "relay_soft_start); }", 1
+    )
+    Path("exported/main.c").write_text(f"#include <string.h>\n{code}", encoding="utf-8")
+    words = ["cc", "-O1", "exported/main.c", "exported/relay_soft.c", "-o", "program", "-lm"]
+    assert subprocess.run(words, check=False).returncode == 0
+    run = subprocess.run(["./program"], capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert run.stderr == f"status {binding.UNORDERED} at 0 s\n"
+
+
+def test_a_machine_with_too_many_modes_is_refused() -> None:
+    Path("many.py").write_text(MANY, encoding="utf-8")
+    answer = ask("export", "many.py", "-o", "exported")
+    assert answer.code == MISUSE
+    assert "`problem` cannot be exported: it has 512 modes, and at most 256 are exported" in (
+        answer.err
+    )
+
+
+MANY = """
+import casadi as ca
+import zeno_orbits as zo
+
+
+def model(p):
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    force = sum(ca.if_else(q > k, 1, 0) for k in range(1, 9))
+    mass = zo.HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=v**2 / 2, potential=9.81 * q, passive_force=-force, gap=q
+    )
+    return zo.hybrid_system(mass, zo.no_drive(mass), p["restitution"], switches=())
+
+
+PROBLEM = zo.Problem(
+    name="many",
+    title="ball through eight layers",
+    source="tests/loop/test_export.py",
+    state_names=("height", "speed"),
+    state_units=("m", "m/s"),
+    parameters=(zo.Quantity.restitution(0.5),),
+    gains=(),
+    model=model,
+    starts=({"height": 9.5},),
+    portraits=(("height", "speed"),),
+    amplitude_of="height",
+)
+"""
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ import pytest
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.commands import MISUSE, YES, ask
-from tests.support.one_stop import one_stop_problems
+from tests.support.one_stop import GRAPHS, one_stop_problems
 from zeno_orbits.simulation import Execution
 
 pytestmark = [needs_compiler, pytest.mark.usefixtures("here")]
@@ -177,6 +177,77 @@ def test_units_of_every_bundled_problem_are_valid_and_give_the_states_of_simulat
     assert np.max(np.abs(np.array(found) - expected) / (1.0 + np.abs(expected))) <= 1e-11
     assert unit.get("impacts") == len(run.impacts)
     assert unit.get("zeno_points") == len(run.zeno_points)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GRAPHS)
+def test_units_of_machines_with_several_stops_or_switches_follow_simulate(
+    export: Export, name: str
+) -> None:
+    validation = pytest.importorskip("fmpy.validation")
+    until = GRAPHS[name]
+    file = export(name, "--t-end", str(until))
+    assert validation.validate_fmu(str(file)) == []
+    run = _execution(name, until)
+    unit = Unit(file)
+    assert unit.initialize(until) == OK
+    times = np.linspace(0.0, until, 301).tolist()
+    found = _followed(unit, times, run.state_names)
+    assert found == [run.state_at(time).tolist() for time in times]
+    assert unit.get("impacts") == len(run.impacts)
+    assert unit.get("zeno_points") == len(run.zeno_points)
+    stops = zo.load_problem(name).graph_dynamics(zo.load_problem(name).values()).stop_names
+    closed = run.arcs[-1].closed
+    assert unit.get("mode") == sum(2**k for k, stop in enumerate(stops) if stop in closed)
+    for stop in stops if len(stops) > 1 else ():
+        points = [point.time for point in run.zeno_points if point.stop == stop]
+        assert unit.get(f"zeno_points_{stop}") == len(points)
+        assert unit.get(f"impacts_{stop}") == sum(one.stop == stop for one in run.impacts)
+        assert unit.get(f"zeno_time_{stop}") == points[-1]
+
+
+@pytest.mark.slow
+def test_the_waveform_of_a_relay_can_be_another(export: Export) -> None:
+    unit = Unit(export("relay_soft", "--t-end", "0.09"))
+    assert unit.set("t1", 1.2e-3) == OK
+    assert unit.set("t2", 2.5e-3) == OK
+    assert unit.initialize(0.03) == OK
+    assert unit.step(0.0, 0.03) == OK
+    run = zo.simulate("relay_soft", until=0.03, gains={"t1": 1.2e-3, "t2": 2.5e-3})
+    # Sizes that tolerances are measured in are those of the exported gains.
+    assert unit.states(run.state_names) == pytest.approx(run.end_state.tolist(), abs=1e-9)
+    assert unit.get("impacts_closed") == sum(one.stop == "closed" for one in run.impacts)
+    # On a closed contact the run starts anew with other gains, and goes on.
+    assert unit.call("Reset") == OK
+    assert unit.initialize(0.03) == OK
+    assert unit.step(0.0, 0.01) == OK
+    assert unit.get("mode") == 1
+    reached = dict(zip(run.state_names, unit.states(run.state_names), strict=True))
+    assert unit.set("U", 20.0) == ERROR
+    assert unit.set("t1", 1.0e-3) == OK
+    assert unit.step(0.01, 0.02) == OK
+    expected = zo.simulate("relay_soft", until=0.02, gains={"t1": 1.0e-3}, start=reached)
+    assert unit.states(run.state_names) == pytest.approx(expected.end_state.tolist(), abs=1e-9)
+    assert unit.set("t1", 0.02) == OK
+    assert unit.step(0.03, 0.0) == ERROR
+    assert unit.messages[-1] == "Switching times do not increase at 0.03 s"
+
+
+@pytest.mark.slow
+def test_a_kept_state_inside_an_arc_is_taken_again(export: Export) -> None:
+    unit = Unit(export("clapper", "--t-end", "30.0"))
+    names = ("place", "speed", "impacts_upper", "zeno_points_lower", "mode")
+    names = (*zo.load_problem("clapper").state_names[:2], *names[2:])
+    assert unit.initialize(30.0) == OK
+    assert unit.step(0.0, 7.3) == OK
+    kept = ctypes.c_void_p(None)
+    assert unit.call("GetFMUState", ctypes.byref(kept)) == OK
+    times = [7.3, 7.35, 9.0, 20.0, 30.0]
+    rows = [_followed(unit, times, names)]
+    assert unit.call("SetFMUState", kept) == OK
+    rows.append(_followed(unit, times, names))
+    assert rows[0] == rows[1]
+    assert unit.call("FreeFMUState", ctypes.byref(kept)) == OK
 
 
 @pytest.mark.slow

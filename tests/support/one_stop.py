@@ -1,4 +1,4 @@
-"""The bundled problems with one stop and no switch, for tests of commands that need one."""
+"""The bundled problems with one stop and no switch, and those with several stops or switches."""
 
 from __future__ import annotations
 
@@ -12,3 +12,15 @@ def one_stop_problems() -> dict[str, Path]:
     return {
         name: path for name, path in bundled_problems().items() if not load_problem(name).has_graph
     }
+
+
+GRAPHS = {
+    "relay": 0.09,
+    "relay_soft": 0.09,
+    "clapper": 30.0,
+    "kneed_walker": 2.0,
+    "hopper": 5.0,
+    "limited_pendulum": 4.0,
+    "sampled_pendulum": 4.0,
+}
+"""The bundled problems with several stops or switches, and a time with their events [s]."""

@@ -21,8 +21,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.loop import ExportedRun, Program
-    from zeno_orbits.model import Problem
+    from zeno_orbits.loop import ExportedRun, GraphProgram, Program
+    from zeno_orbits.model import ParameterValues, Problem
 
 
 def add_export(commands: Any) -> None:
@@ -71,11 +71,8 @@ def add_export(commands: Any) -> None:
 
 
 def _run_export(options: argparse.Namespace) -> int:
-    import numpy as np
-
-    from zeno_orbits.loop import ExportedRun, exported_files, program_or_reason
+    from zeno_orbits.loop import exported_files
     from zeno_orbits.model import load_problem
-    from zeno_orbits.simulation import SimulationTask, run_settings
     from zeno_orbits.work import require_folder, write_all
 
     require_folder(options.output)
@@ -86,22 +83,7 @@ def _run_export(options: argparse.Namespace) -> int:
     if not options.until > 0.0:
         message = f"must be a positive number of seconds, but it is {options.until}"
         raise InputError(f"Argument `until` {message}.")
-    task = SimulationTask(
-        dynamics=problem.dynamics(values),
-        state=np.array(start_of(problem, options)),
-        until=options.until,
-    )
-    program = program_or_reason(problem.compiled())
-    if isinstance(program, str):
-        raise InputError(f"Argument `problem` cannot be exported: {program}.")
-    run = ExportedRun(
-        name=problem.name,
-        state_names=problem.state_names,
-        parameter_names=tuple(problem.symbols()),
-        values=np.array(values.vector),
-        state=task.state,
-        settings=run_settings(task),
-    )
+    program, run = _exported(problem, values, options)
     warning = ""
     if options.fmu:
         files, warning = _unit(problem, program, run, options)
@@ -117,8 +99,55 @@ def _run_export(options: argparse.Namespace) -> int:
     return YES
 
 
+def _exported(
+    problem: Problem, values: ParameterValues, options: argparse.Namespace
+) -> tuple[Program | GraphProgram, ExportedRun]:
+    """Return the formulas of a problem, and the values and names of its exported run.
+
+    Raises:
+        InputError: If the compiled loop cannot carry out the problem.
+    """
+    import numpy as np
+
+    from zeno_orbits.loop import ExportedRun, program_or_reason
+    from zeno_orbits.simulation import (
+        SimulationTask,
+        run_settings,
+        settings_of_stops,
+        whole_program,
+    )
+
+    graph = problem.graph_dynamics(values) if problem.has_graph else None
+    task = SimulationTask(
+        dynamics=problem.dynamics(values) if graph is None else graph.first,
+        state=np.array(start_of(problem, options)),
+        until=options.until,
+    )
+    program: Program | GraphProgram | str
+    if graph is None:
+        program, settings = program_or_reason(problem.compiled()), [run_settings(task)]
+    else:
+        program, settings = whole_program(graph.compiled), settings_of_stops(task, graph)
+    if isinstance(program, str):
+        raise InputError(f"Argument `problem` cannot be exported: {program}.")
+    run = ExportedRun(
+        name=problem.name,
+        state_names=problem.state_names,
+        parameter_names=tuple(problem.symbols()),
+        values=np.array(values.vector),
+        state=task.state,
+        settings=settings,
+        stop_names=("",) if graph is None else graph.stop_names,
+        switch_names=() if graph is None else graph.switch_names,
+    )
+    return program, run
+
+
 def _unit(
-    problem: Problem, program: Program, run: ExportedRun, options: argparse.Namespace
+    problem: Problem,
+    program: Program | GraphProgram,
+    run: ExportedRun,
+    options: argparse.Namespace,
 ) -> tuple[dict[str, bytes], str]:
     """Return the co-simulation unit as file name to bytes, and the reason if it lacks a library."""
     from zeno_orbits import __version__

@@ -17,9 +17,9 @@ IMPACT, ZENO, RELEASE, HORIZON, SWITCH = range(5)
 DONE, FULL, ESTIMATES, CURVE, TOO_STIFF, SINGULAR, NOT_FINITE, LEFT = range(8)
 MANY_STEPS, MANY_IMPACTS, BEYOND, GROWS, NOT_CLOSING, INTO_STOP, TOO_LARGE = range(8, 15)
 MODE, INSIDE, SLIDES, COINCIDE, SPLITS, TOGETHER, IN_TURN = range(15, 22)
-ACCUMULATE, UNDEFINED, UNDETERMINED, BY_SWITCH, ARMED = range(22, 27)
+ACCUMULATE, UNDEFINED, UNDETERMINED, BY_SWITCH, ARMED, UNORDERED = range(22, 28)
 
-GUARDS, STOPS = 16, 8
+GUARDS, STOPS, ORDERS = 16, 8, 64
 
 _number, _count, _address = ctypes.c_double, ctypes.c_longlong, ctypes.c_void_p
 
@@ -73,7 +73,8 @@ class GraphType(ctypes.Structure):
     _fields_ = [
         *((name, _count) for name in ("n_stops", "n_declared", "n_switches", "n_views", "n_sides")),
         *((name, _count) for name in ("n_numbers", "switches_place", "delassus_place")),
-        *((name, TapeType) for name in ("switches", "delassus")),
+        ("orders_place", _count),
+        *((name, TapeType) for name in ("switches", "delassus", "orders")),
         *((name, _address) for name in ("resets", "reset_places", "view_keys", "view_places")),
         *((name, _address) for name in ("views", "side_keys", "sides")),
     ]

@@ -16,7 +16,8 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.formulas import FILE as FORMULAS
 from zeno_orbits.loop.formulas import formulas_source
-from zeno_orbits.loop.program import Program, scheme
+from zeno_orbits.loop.graph_program import GraphProgram
+from zeno_orbits.loop.program import Program, TapedProblem, scheme
 from zeno_orbits.loop.run import RunSettings
 from zeno_orbits.loop.source import HERE, whole_source
 from zeno_orbits.loop.tape import Tape
@@ -32,7 +33,9 @@ class ExportedRun:
         parameter_names: Name of each gain and parameter.
         values: Their values, ``(n_p,)``.
         state: Initial state of the example, ``(n_x,)``.
-        settings: Accuracy and limits.
+        settings: Accuracy and limits at every stop.
+        stop_names: Name of each stop.
+        switch_names: Name of each switch, the declared switches before the kinks.
     """
 
     name: str
@@ -40,14 +43,16 @@ class ExportedRun:
     parameter_names: Sequence[str]
     values: Vector
     state: Vector
-    settings: RunSettings
+    settings: Sequence[RunSettings]
+    stop_names: Sequence[str] = ("",)
+    switch_names: Sequence[str] = ()
 
 
-def exported_files(program: Program, run: ExportedRun) -> dict[str, str]:
+def exported_files(program: Program | GraphProgram, run: ExportedRun) -> dict[str, str]:
     """Return the exported files, name to text: the code, its header and an example.
 
     Args:
-        program: The formulas.
+        program: The formulas. Of several stops, those of all modes.
         run: Values and names.
     """
     stem = stem_of(run.name)
@@ -58,9 +63,10 @@ def exported_files(program: Program, run: ExportedRun) -> dict[str, str]:
     # The library includes its own header, which the exported header replaces.
     places = {
         "loop.h": f'#include "{stem}.h"\n',
-        FORMULAS: formulas_source(program.n_x, program.tapes),
         **dict.fromkeys(("tangent.h", "tangent.c"), ""),
     }
+    if isinstance(program, Program):
+        places[FORMULAS] = formulas_source(program.n_x, program.tapes)
     library = whole_source(skipped=places)
     code = "\n".join((library, *_data(program, run, stem)))
     main = (HERE / "example.c").read_text(encoding="utf-8").replace("PROBLEM", stem)
@@ -72,54 +78,114 @@ def stem_of(name: str) -> str:
     return re.sub(r"\W", "_", name)
 
 
-_DECLARATIONS = """/* The problem, the numbers of a run, and the names that belong to them. */
+_DECLARATIONS = """/* The problem, the settings of a run at every stop, and names. */
 extern const zl_problem PROBLEM_problem;
-extern const zl_settings PROBLEM_settings;
+extern const zl_settings PROBLEM_settings[];
 extern const double PROBLEM_parameters[];
 extern const double PROBLEM_start[];
 extern const char *const PROBLEM_state_names[];
 extern const char *const PROBLEM_parameter_names[];
+extern const char *const PROBLEM_stop_names[];
+extern const char *const PROBLEM_switch_names[];
 """
 
 
-def _data(program: Program, run: ExportedRun, stem: str) -> Iterable[str]:
+class _Arrays:
+    """Definitions of arrays, each of which is written once."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+        self._names: dict[str, str] = {}
+
+    def name(self, kind: str, entries: Sequence[str]) -> str:
+        """Return the name of an array of constants, or ``0`` if it is empty."""
+        if not entries:
+            return "0"
+        text = _folded(entries, 4)
+        key = f"{kind} {text}"
+        if key not in self._names:
+            self._names[key] = name = f"data_{len(self._names)}"
+            self.texts.append(f"static const {kind} {name}[] = {{\n    {text}\n}};\n")
+        return self._names[key]
+
+    def tape(self, tape: Tape) -> str:
+        """Return a formula as an entry."""
+        rows = ["{" + ", ".join(map(str, row)) + "}" for row in tape.code.tolist()]
+        counts = (
+            *(tape.n_varying, tape.n_parameters, tape.constants.size, tape.n_registers),
+            *(tape.n_once, tape.n_first, len(tape.code), tape.outputs.size),
+        )
+        names = (
+            self.name("zl_instruction", rows),
+            self.name("double", list(map(_number, tape.constants.tolist()))),
+            self.name("int", list(map(str, tape.outputs.tolist()))),
+        )
+        return "{" + ", ".join((*map(str, counts), *names)) + "}"
+
+    def problem(self, program: TapedProblem, graph: str = "0") -> str:
+        """Return a machine with one stop, or a graph, as an entry."""
+        problem, tapes = program.problem, list(map(self.tape, program.tapes)) or ["{0}"]
+        carried = ", ".join(map(str, problem.carried))
+        counts = f"{problem.n_x}, {problem.n_q}, {problem.n_p}, {{{carried}}}"
+        inside = ",\n        ".join(tapes)
+        return (
+            f"{{\n    {counts},\n    {{\n        {inside}\n    }},\n    &scheme,\n    {graph}\n}}"
+        )
+
+    def graph(self, program: GraphProgram) -> str:
+        """Return the tables of a graph as an entry."""
+        views = [self.problem(view) for view in program.views.values()]
+        sides = [
+            f"{{{program.place_of(side)}, {self.tape(value)}, {self.tape(bounds)}}}"
+            for side, (value, bounds) in program.sides.items()
+        ]
+        resets = list(map(self.tape, program.resets))
+        shared = (program.switches, program.delassus, program.orders)
+        formulas = program.formulas
+        counts = (
+            *(formulas.n_stops, formulas.n_declared, formulas.n_switches, len(views), len(sides)),
+            program.n_numbers,
+            *map(program.place_of, shared),
+        )
+        entries = (
+            *map(str, counts),
+            *map(self.tape, shared),
+            self.name("zl_tape", resets),
+            self.name("long long", [str(program.place_of(tape)) for tape in program.resets]),
+            self.name("long long", [str(view.key) for view in program.views]),
+            self.name("long long", [str(program.place_of(view)) for view in program.views]),
+            self.name("zl_problem", views),
+            self.name("long long", [str(side.key) for side in program.sides]),
+            self.name("zl_side", sides),
+        )
+        return "{\n    " + ",\n    ".join(entries) + "\n}"
+
+
+def _data(program: Program | GraphProgram, run: ExportedRun, stem: str) -> Iterable[str]:
     """Yield the definitions of the variables that the header declares."""
-    for k, tape in enumerate(program.tapes):
-        yield from _tape_arrays(k, tape)
-    tapes = ",\n        ".join(_tape(k, tape) for k, tape in enumerate(program.tapes))
-    problem = program.problem
-    carried = ", ".join(map(str, problem.carried))
-    counts = f"{problem.n_x}, {problem.n_q}, {problem.n_p}, {{{carried}}}"
-    whole = f"{counts},\n    {{\n        {tapes}\n    }},\n    &scheme,\n    0"
     numbers = ",\n    ".join(_scheme(scheme()))
     yield f"static const zl_scheme scheme = {{\n    {numbers}\n}};\n"
-    yield f"const zl_problem {stem}_problem = {{\n    {whole}\n}};\n"
-    yield f"const zl_settings {stem}_settings = {{\n    {_settings(run.settings)}\n}};\n"
+    arrays = _Arrays()
+    if isinstance(program, GraphProgram):
+        graph = arrays.graph(program)
+        whole = arrays.problem(program, "&graph")
+        yield from arrays.texts
+        yield f"static const zl_graph graph = {graph};\n"
+    else:
+        whole = arrays.problem(program)
+        yield from arrays.texts
+    yield f"const zl_problem {stem}_problem = {whole};\n"
+    settings = ["{\n    " + _settings(one) + "\n}" for one in run.settings]
+    yield f"const zl_settings {stem}_settings[] = {{{', '.join(settings)}}};\n"
     yield _array(f"const double {stem}_parameters[]", map(_number, run.values.tolist()))
     yield _array(f"const double {stem}_start[]", map(_number, run.state.tolist()))
-    yield _array(f"const char *const {stem}_state_names[]", map(_text, run.state_names))
-    yield _array(f"const char *const {stem}_parameter_names[]", map(_text, run.parameter_names))
-
-
-def _tape_arrays(k: int, tape: Tape) -> Iterable[str]:
-    if len(tape.code):
-        rows = ("{" + ", ".join(map(str, row)) + "}" for row in tape.code.tolist())
-        yield _array(f"static const zl_instruction code_{k}[]", rows)
-    if tape.constants.size:
-        yield _array(f"static const double constants_{k}[]", map(_number, tape.constants.tolist()))
-    if tape.outputs.size:
-        yield _array(f"static const int outputs_{k}[]", map(str, tape.outputs.tolist()))
-
-
-def _tape(k: int, tape: Tape) -> str:
-    counts = (
-        *(tape.n_varying, tape.n_parameters, tape.constants.size, tape.n_registers, tape.n_once),
-        *(tape.n_first, len(tape.code), tape.outputs.size),
-    )
-    code = f"code_{k}" if len(tape.code) else "0"
-    constants = f"constants_{k}" if tape.constants.size else "0"
-    outputs = f"outputs_{k}" if tape.outputs.size else "0"
-    return "{" + ", ".join((*map(str, counts), code, constants, outputs)) + "}"
+    for name, words in (
+        ("state", run.state_names),
+        ("parameter", run.parameter_names),
+        ("stop", run.stop_names),
+        ("switch", run.switch_names or ("",)),
+    ):
+        yield _array(f"const char *const {stem}_{name}_names[]", map(_text, words))
 
 
 def _scheme(place: c.SchemeType) -> Iterable[str]:

@@ -49,11 +49,13 @@ const char *fmi3GetVersion(void) { return "3.0"; }
 /* Everything as it is after instantiation. */
 static void set_up(Unit *unit) {
     Reached *reached = &unit->reached;
+    int k;
     memset(reached, 0, sizeof *reached);
     memcpy(unit->p, PROBLEM_parameters, (size_t)problem->n_p * sizeof(double));
     memcpy(reached->state, PROBLEM_start, (size_t)problem->n_x * sizeof(double));
-    reached->relative = PROBLEM_settings.relative;
+    reached->relative = PROBLEM_settings[0].relative;
     reached->zeno_time = NAN;
+    for (k = 0; k < ZL_STOPS; k++) reached->zeno_times[k] = NAN;
     reached->stop = 1e300;
 }
 
@@ -62,17 +64,14 @@ static Unit *new_unit(void) {
     zl_records *records;
     if (!unit) return 0;
     records = &unit->records;
-    records->most_steps = records->most_polynomials = records->most_arcs = ROOM;
-    records->most_events = ROOM;
+    records->most_arcs = records->most_events = ROOM;
     records->most_estimates = ESTIMATES;
-    records->steps = malloc(ROOM * (ZL_STEP_WIDTH + ZL_MOST) * sizeof(double));
-    records->polynomials = malloc(ROOM * ZL_STAGES * ZL_MOST * sizeof(double));
     records->arcs = malloc(ROOM * (ZL_ARC_WIDTH + 2 * ZL_MOST) * sizeof(double));
     records->events = malloc(ROOM * (ZL_EVENT_WIDTH + 2 * ZL_MOST) * sizeof(double));
     records->estimates = malloc(estimates_size(ESTIMATES));
     unit->run = calloc(1, run_size());
     unit->p = calloc(1, p_size());
-    if (records->steps && records->polynomials && records->arcs && records->events &&
+    if (more_steps(unit, ROOM) && records->arcs && records->events &&
         records->estimates && unit->run && unit->p)
         return unit;
     fmi3FreeInstance(unit);
@@ -176,6 +175,7 @@ int fmi3GetFloat64(void *instance, const uint32_t refs[], size_t n, double value
     const Unit *unit = instance;
     const Reached *reached = &unit->reached;
     const uint32_t n_x = (uint32_t)problem->n_x, n_p = (uint32_t)problem->n_p;
+    int stop = 0;
     size_t k;
     if (n != m) return fail(unit, "Every variable has one value");
     for (k = 0; k < n; k++) {
@@ -188,6 +188,8 @@ int fmi3GetFloat64(void *instance, const uint32_t refs[], size_t n, double value
             values[k] = unit->p[ref - 1 - n_x];
         else if (ref == n_x + n_p + 1 + ZENO_TIME)
             values[k] = reached->zeno_time;
+        else if (of_stop(ref, &stop) == ZENO_TIME)
+            values[k] = reached->zeno_times[stop];
         else
             return fail(unit, "There is no such variable of type Float64");
     }
@@ -223,6 +225,7 @@ int fmi3GetInt32(void *instance, const uint32_t refs[], size_t n, int32_t values
     const Unit *unit = instance;
     const Reached *reached = &unit->reached;
     const uint32_t first = (uint32_t)(1 + problem->n_x + problem->n_p);
+    int stop = 0;
     size_t k;
     if (n != m) return fail(unit, "Every variable has one value");
     for (k = 0; k < n; k++) {
@@ -232,6 +235,10 @@ int fmi3GetInt32(void *instance, const uint32_t refs[], size_t n, int32_t values
             values[k] = (int32_t)reached->impacts;
         else if (refs[k] == first + ZENO_POINTS)
             values[k] = (int32_t)reached->zeno_points;
+        else if (of_stop(refs[k], &stop) == IMPACTS)
+            values[k] = (int32_t)reached->stop_impacts[stop];
+        else if (of_stop(refs[k], &stop) == ZENO_POINTS)
+            values[k] = (int32_t)reached->stop_zeno_points[stop];
         else
             return fail(unit, "There is no such variable of type Int32");
     }
@@ -244,6 +251,14 @@ static int copied(const Unit *from, Unit *to) {
         if (!more_estimates(to)) return ERROR;
     memcpy(to->records.estimates, from->records.estimates,
            estimates_size(from->records.most_estimates));
+    if (to->records.most_steps < from->records.most_steps &&
+        !more_steps(to, from->records.most_steps))
+        return ERROR;
+    memcpy(to->records.steps, from->records.steps, steps_size(from->records.n_steps));
+    memcpy(to->records.polynomials, from->records.polynomials,
+           polynomials_size(from->records.n_polynomials));
+    to->records.n_steps = from->records.n_steps;
+    to->records.n_polynomials = from->records.n_polynomials;
     to->reached = from->reached;
     memcpy(to->run, from->run, run_size());
     memcpy(to->p, from->p, p_size());

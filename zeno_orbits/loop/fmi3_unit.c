@@ -1,12 +1,16 @@
 /* A unit: a run and what it has reached. The run is always a step ahead of the communication point,
    and states are dense output inside that step. So they do not depend on the communication points,
-   unless a parameter or an input changes: then the run starts anew from the state reached. */
+   unless a parameter or an input changes: then the run starts anew from the state reached.
+
+   With several stops or switches, the run is an arc ahead: another guard may end the arc before its
+   last steps. */
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };
-enum { PENDING = 8, ROOM = 8, ESTIMATES = 64 };
+enum { PENDING = 32, ROOM = 16, ESTIMATES = 64 };
 
-/* Value references: time, states, parameters, then these. */
+/* Value references: time, states, parameters, then these. With several stops the last three follow for
+   every stop. */
 enum { MODE, IMPACTS, ZENO_POINTS, ZENO_TIME, OTHERS };
 
 typedef void (*Log)(void *environment, int status, const char *category, const char *message);
@@ -14,7 +18,7 @@ typedef void (*Log)(void *environment, int status, const char *category, const c
 /* Where the run is inside of its last step, or on the way to a Zeno point. */
 typedef struct {
     double start, end, unit, leg_start, offset, size;
-    int mode, way;
+    int mode, way, view;
     double before[ZL_MOST], after[ZL_MOST], coefficients[ZL_STAGES * ZL_MOST];
 } Piece;
 
@@ -22,16 +26,20 @@ enum { NOWHERE, EXPLICIT, IMPLICIT, STRAIGHT };
 
 typedef struct {
     double time;
-    int kind;
+    int kind, index;
 } Happening;
 
 /* What stays in one piece of memory without pointers, to be kept and taken again. */
 typedef struct {
     int stage, begun, over, changed, n_pending, mode;
     double origin, time, stop, relative, state[ZL_MOST], zeno_time;
-    long long impacts, zeno_points;
+    long long closed, impacts, zeno_points, stop_impacts[ZL_STOPS], stop_zeno_points[ZL_STOPS];
+    double zeno_times[ZL_STOPS];
     Happening pending[PENDING];
     Piece piece;
+    /* Of the present arc with its steps: how many were passed, and steps and polynomials before it. */
+    long long n_passed, first_step, first_polynomial;
+    double arc[ZL_ARC_WIDTH + 2 * ZL_MOST];
 } Reached;
 
 typedef struct {
@@ -49,6 +57,22 @@ static size_t run_size(void) { return (size_t)zl_size(problem); }
 static size_t p_size(void) { return (size_t)(problem->n_p + 1) * sizeof(double); }
 static size_t estimates_size(long long n) {
     return (size_t)n * (size_t)(ZL_ESTIMATE_WIDTH + 2 * problem->n_x) * sizeof(double);
+}
+
+static size_t steps_size(long long n) {
+    return (size_t)n * (size_t)(ZL_STEP_WIDTH + problem->n_x + 2) * sizeof(double);
+}
+static size_t polynomials_size(long long n) {
+    return (size_t)n * (size_t)(ZL_STAGES * (problem->n_x + 2)) * sizeof(double);
+}
+static int number_of_stops(void) { return problem->graph ? (int)problem->graph->n_stops : 1; }
+
+/* Which variable of a stop a reference means, if there are several stops; else MODE. */
+static int of_stop(uint32_t ref, int *stop) {
+    const long long place = (long long)ref - (1 + problem->n_x + problem->n_p + OTHERS);
+    if (number_of_stops() < 2 || place < 0 || place >= 3 * number_of_stops()) return MODE;
+    *stop = (int)(place / 3);
+    return IMPACTS + (int)(place % 3);
 }
 
 static int fail(const Unit *unit, const char *text) {
@@ -74,40 +98,73 @@ static int interrupted(const Unit *unit, int status) {
         "A velocity grows without end",
         "An impact does not close the gap",
         "The reset sends the state into the stop",
+        "The machine has too many states",
+        "A mode is missing",
+        "The state is inside of a stop",
+        "The motion slides along a switch",
+        "Two events coincide",
+        "A switch changes in every flight of impacts that accumulate",
+        "Events of a switch come between impacts that accumulate",
+        "Impacts accumulate on several stops in turn",
+        "Events of a switch accumulate",
+        "The guard of a switch is not a number",
+        "The laws of contact do not determine the closed stops",
+        "The reset of a switch sends the state into a stop",
+        "A switch is armed at its start",
+        "Switching times do not increase",
     };
     zl_detail detail;
     const char *text = "The run ended";
-    if (status >= ZL_TOO_STIFF && status <= ZL_INTO_STOP) text = texts[status - ZL_TOO_STIFF];
+    if (status >= ZL_TOO_STIFF && status <= ZL_UNORDERED) text = texts[status - ZL_TOO_STIFF];
     zl_tell(unit->run, &detail);
     return fail_at(unit, text, unit->reached.origin + detail.time);
 }
 
-/* Restitution of the slowest impacts, as the law of impact has it. */
-static double slow_restitution(const Unit *unit) {
-    double approach = -PROBLEM_settings.contact * PROBLEM_settings.gap_rate, speed;
-    zl_evaluate(problem, unit->run, ZL_REBOUND, &approach, &speed);
+/* Restitution of the slowest impacts on a stop, as the law of impact has it. */
+static double slow_restitution(const Unit *unit, int stop) {
+    const zl_settings *settings = &PROBLEM_settings[stop];
+    double approach = -settings->contact * settings->gap_rate, speed;
+    Machine m = machine_of(problem, unit->run, 0);
+    if (problem->graph) {
+        long long view = 0;
+        while ((problem->graph->view_keys[view] & 31) != stop) view++;
+        m = machine_of_view(problem, unit->run, 0, view);
+        prepare_formulas(&m, unit->p);
+    }
+    evaluate_at(&m, ZL_REBOUND, &approach, &speed);
     return speed / -approach;
 }
 
 /* Start the run from the state reached, with the parameters as they are. */
 static int begin(Unit *unit) {
     Reached *reached = &unit->reached;
+    const long long closed = reached->begun ? reached->closed : 0;
     double gap[2];
-    zl_settings settings = PROBLEM_settings;
-    settings.records = 1;
-    settings.until = reached->stop - reached->time;
-    settings.absolute *= reached->relative / settings.relative;
-    settings.relative = reached->relative;
-    zl_begin(problem, unit->run, &settings, unit->p, reached->state);
+    zl_settings settings[ZL_STOPS];
+    int k;
+    for (k = 0; k < number_of_stops(); k++) {
+        settings[k] = PROBLEM_settings[k];
+        settings[k].records = 1;
+        settings[k].until = reached->stop - reached->time;
+        settings[k].absolute *= reached->relative / settings[k].relative;
+        settings[k].relative = reached->relative;
+    }
+    zl_begin(problem, unit->run, settings, unit->p, reached->state);
     if (memcmp(unit->p, PROBLEM_parameters, (size_t)problem->n_p * sizeof(double)) != 0)
-        unit->run->settings.restitution = slow_restitution(unit);
+        for (k = 0; k < number_of_stops(); k++)
+            (problem->graph ? settings_at(unit->run) + k : &unit->run->settings)->restitution =
+                slow_restitution(unit, k);
+    unit->run->graph.was_closed = closed;
     reached->origin = reached->time;
     reached->piece.way = NOWHERE;
     reached->piece.end = 0.0;
     reached->n_pending = reached->over = reached->changed = 0;
     reached->begun = 1;
+    reached->n_passed = 0;
+    reached->arc[8] = 0.0;
+    if (problem->graph) return OK;
     zl_evaluate(problem, unit->run, ZL_GAP, reached->state, gap);
-    if (gap[0] >= -PROBLEM_settings.contact * PROBLEM_settings.gap) return OK;
+    if (gap[0] >= -PROBLEM_settings[0].contact * PROBLEM_settings[0].gap) return OK;
     return fail_at(unit, "The state is inside of the stop", reached->time);
 }
 
@@ -122,6 +179,19 @@ static int more_estimates(Unit *unit) {
     return 1;
 }
 
+/* Give the steps of an arc more memory. */
+static int more_steps(Unit *unit, long long n) {
+    zl_records *records = &unit->records;
+    double *steps = realloc(records->steps, steps_size(n)), *polynomials;
+    if (!steps) return 0;
+    records->steps = steps;
+    polynomials = realloc(records->polynomials, polynomials_size(n));
+    if (!polynomials) return 0;
+    records->polynomials = polynomials;
+    records->most_steps = records->most_polynomials = n;
+    return 1;
+}
+
 /* Keep the events that have just been recorded until the communication point reaches them. */
 static void keep_events(Unit *unit) {
     Reached *reached = &unit->reached;
@@ -130,6 +200,7 @@ static void keep_events(Unit *unit) {
     for (k = 0; k < unit->records.n_events && reached->n_pending < PENDING; k++) {
         const double *row = unit->records.events + k * width;
         reached->pending[reached->n_pending].kind = (int)row[0];
+        reached->pending[reached->n_pending].index = (int)row[5];
         reached->pending[reached->n_pending].time = row[1];
         reached->n_pending++;
     }
@@ -167,6 +238,7 @@ static void keep_tail(Unit *unit) {
     const size_t n_x = (size_t)problem->n_x;
     piece->way = STRAIGHT;
     piece->mode = ZL_FREE;
+    piece->view = (int)arc[12];
     piece->start = arc[1];
     piece->end = arc[2];
     memcpy(piece->before, arc + ZL_ARC_WIDTH, n_x * sizeof(double));
@@ -185,22 +257,85 @@ static int advance(zl_run *run, zl_records *records) {
     return do_next(&m);
 }
 
+/* Take the next step of the present arc; 0 if there is none. */
+static int pass_step(Unit *unit) {
+    Reached *reached = &unit->reached;
+    Piece *piece = &reached->piece;
+    const zl_records *records = &unit->records;
+    const double *arc = reached->arc, *start = arc + ZL_ARC_WIDTH;
+    const long long n_x = problem->n_x, width = ZL_STEP_WIDTH + n_x + 2;
+    const long long n_steps = (long long)arc[8], k = reached->n_passed;
+    const long long late = k - (n_steps - (long long)arc[10]);
+    const int is_flight = (int)arc[0] == ZL_FLIGHT, is_last = k + 1 == n_steps;
+    const double *row = records->steps + ((long long)arc[7] - reached->first_step + k) * width;
+    if (k >= n_steps) return 0;
+    reached->n_passed++;
+    piece->way = late >= 0 ? IMPLICIT : EXPLICIT;
+    piece->mode = (int)arc[0];
+    piece->view = (int)arc[12];
+    piece->unit = arc[3];
+    piece->leg_start = arc[1];
+    piece->offset = row[0];
+    piece->size = row[1];
+    piece->start = arc[1] + arc[3] * row[0];
+    piece->end = is_last ? arc[2] : arc[1] + arc[3] * (row[0] + row[1]);
+    if (k > 0) {
+        memcpy(piece->before, row - width + ZL_STEP_WIDTH, (size_t)(n_x + 2) * sizeof(double));
+    } else {
+        memcpy(piece->before, start, (size_t)n_x * sizeof(double));
+        piece->before[n_x] = 0.0;
+        piece->before[n_x + 1] = arc[11];
+    }
+    memcpy(piece->after, is_last ? start + n_x : row + ZL_STEP_WIDTH, (size_t)n_x * sizeof(double));
+    if (late >= 0)
+        memcpy(piece->coefficients,
+               records->polynomials + ((long long)arc[9] - reached->first_polynomial + late) *
+                                          ZL_STAGES * (n_x + 2),
+               (size_t)(ZL_STAGES * (n_x + (is_flight ? 2 : 0))) * sizeof(double));
+    return 1;
+}
+
+static int carried_on(Unit *unit, int status);
+static void keep_tail(Unit *unit);
+
+/* Take the next piece of a run over a graph: a step of the present arc, or of the next. */
+static int move_on_in_graph(Unit *unit) {
+    Reached *reached = &unit->reached;
+    zl_records *records = &unit->records;
+    if (!pass_step(unit)) {
+        reached->piece.way = NOWHERE;
+        records->n_steps = records->n_polynomials = records->n_arcs = 0;
+        reached->first_step = unit->run->n_rows;
+        reached->first_polynomial = unit->run->n_polynomials;
+        while (!records->n_arcs && unit->run->stage != OVER) {
+            int status;
+            if (records->n_steps == records->most_steps && !more_steps(unit, 4 * records->most_steps))
+                return fail(unit, "There is no memory");
+            records->n_events = 0;
+            status = carried_on(unit, advance(unit->run, records));
+            if (status != OK) return status;
+        }
+        if (records->n_arcs) {
+            const size_t bytes = (size_t)(ZL_ARC_WIDTH + 2 * problem->n_x + 2) * sizeof(double);
+            memcpy(reached->arc, records->arcs, bytes);
+            reached->n_passed = 0;
+            if (!pass_step(unit)) keep_tail(unit);
+        }
+    }
+    reached->over = unit->run->stage == OVER && reached->n_passed >= (long long)reached->arc[8];
+    return OK;
+}
+
 /* Let the run do its next thing. */
 static int move_on(Unit *unit) {
     zl_records *records = &unit->records;
     const Leg leg = unit->run->leg;
     const long long n_arcs = unit->run->n_arcs;
     int status;
+    if (problem->graph) return move_on_in_graph(unit);
     records->n_steps = records->n_polynomials = records->n_arcs = records->n_events = 0;
-    status = advance(unit->run, records);
-    if (status == ZL_ESTIMATES) return more_estimates(unit) ? OK : fail(unit, "There is no memory");
-    if (status == ZL_CURVE) {
-        /* Impacts are followed one by one. */
-        zl_answer(unit->run, 0, 0.0, 0.0, PROBLEM_settings.sizes);
-        return OK;
-    }
-    if (status != GO_ON) return interrupted(unit, status);
-    keep_events(unit);
+    status = carried_on(unit, advance(unit->run, records));
+    if (status != OK) return status;
     if (records->n_steps)
         keep_step(unit, &leg, unit->run->n_arcs > n_arcs);
     else if (records->n_arcs)
@@ -209,11 +344,25 @@ static int move_on(Unit *unit) {
     return OK;
 }
 
+/* See to what a run needs after its next thing, and to its events. */
+static int carried_on(Unit *unit, int status) {
+    if (status == ZL_ESTIMATES) return more_estimates(unit) ? OK : fail(unit, "There is no memory");
+    if (status == ZL_CURVE) {
+        /* Impacts are followed one by one. */
+        zl_answer(unit->run, 0, 0.0, 0.0, PROBLEM_settings[0].sizes);
+        return OK;
+    }
+    if (status != GO_ON) return interrupted(unit, status);
+    keep_events(unit);
+    return OK;
+}
+
 /* The state at a time of the run inside the last piece. */
 static void state_inside_piece(Unit *unit, double time, double *state) {
     const Piece *piece = &unit->reached.piece;
     const int n = (int)problem->n_x, n_y = n + (piece->mode == ZL_FLIGHT ? 2 : 0);
     const double offset = (time - piece->leg_start) / piece->unit - piece->offset;
+    long long view;
     double y[ZL_MOST];
     int i;
     if (time >= piece->end) {
@@ -231,7 +380,10 @@ static void state_inside_piece(Unit *unit, double time, double *state) {
         for (i = 0; i < n; i++) state[i] = piece->before[i] + y[i];
         return;
     }
+    view = unit->run->graph.view;
+    unit->run->graph.view = piece->view;
     zl_states_at(problem, unit->run, piece->mode, piece->unit, piece->before, &offset, 1, y);
+    unit->run->graph.view = view;
     memcpy(state, y, (size_t)n * sizeof(double));
 }
 
@@ -246,9 +398,21 @@ static void pass_events(Reached *reached, double time) {
         }
         reached->impacts += one.kind == ZL_IMPACT;
         reached->zeno_points += one.kind == ZL_ZENO;
-        if (one.kind == ZL_ZENO) reached->zeno_time = reached->origin + one.time;
+        if (one.kind == ZL_IMPACT) reached->stop_impacts[one.index]++;
+        if (one.kind != ZL_ZENO) continue;
+        reached->stop_zeno_points[one.index]++;
+        reached->zeno_time = reached->zeno_times[one.index] = reached->origin + one.time;
     }
     reached->n_pending = left;
+}
+
+/* The closed stops of a piece, as bits. */
+static long long closed_in(const Piece *piece) {
+    const int on_stop = piece->mode == ZL_LOCKED;
+    long long key;
+    if (!problem->graph) return on_stop;
+    key = problem->graph->view_keys[piece->view];
+    return (key >> 5 & (BIT(ZL_STOPS) - 1)) | (on_stop ? BIT(key & 31) : 0);
 }
 
 /* Bring the state to a time. */
@@ -266,7 +430,8 @@ static int go_to(Unit *unit, double target) {
     }
     pass_events(reached, time);
     state_inside_piece(unit, time, reached->state);
-    reached->mode = piece->mode == ZL_LOCKED;
+    reached->closed = closed_in(piece);
+    reached->mode = (int)reached->closed;
     reached->time = target;
     return OK;
 }

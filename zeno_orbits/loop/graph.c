@@ -1094,13 +1094,28 @@ static int fly_on(Graph *g) {
     return begin_arc(g, FLIGHT_ARC);
 }
 
+/* Whether the switching times of all piecewise inputs increase. */
+static int are_in_order(const Graph *g) {
+    const zl_graph *graph = g->whole->graph;
+    const long long n = graph->orders.n_outputs / 2;
+    double times[2 * ZL_ORDERS], none = 0.0;
+    long long k;
+    if (!n) return 1;
+    shared(g, &graph->orders, graph->orders_place, &none, times);
+    for (k = 0; k < n; k++)
+        if (!(times[n + k] > times[k])) return 0;
+    return 1;
+}
+
 /* The first start, from an admissible state. */
 static int admit_to_graph(Graph *g) {
     zl_run *run = g->m.run;
     const zl_graph *table = g->whole->graph;
+    const long long was_closed = run->graph.was_closed;
     double x[ZL_MOST], gap[2];
     int k;
     memcpy(x, run->start.state, sizeof x);
+    if (!are_in_order(g)) return tell(&g->m, ZL_UNORDERED, 0.0, x, 0);
     run->graph.sides = BIT(table->n_switches - table->n_declared) - 1;
     run->graph.above = run->graph.rest = run->graph.focus = 0;
     run->graph.flipped = -1;
@@ -1109,13 +1124,14 @@ static int admit_to_graph(Graph *g) {
     look(g, 0, 0);
     start_without_speed(run, ZL_FREE, 0.0);
     for (k = 0; k < table->n_stops; k++) {
+        const zl_settings *settings = settings_of(g, k);
         gap_of(g, k, x, gap);
-        if (gap[0] < -settings_of(g, k)->contact * settings_of(g, k)->gap) {
+        if (gap[0] < -(was_closed & BIT(k) ? WAS_CLOSED : settings->contact) * settings->gap) {
             run->detail.number = gap[0];
             return tell(&g->m, ZL_INSIDE, 0.0, x, k);
         }
     }
-    return placed(g, 0.0, x, 0, -1, -1);
+    return placed(g, 0.0, x, was_closed, -1, -1);
 }
 
 /* Do the next thing: a step, an event, the start of an arc. */
@@ -1197,6 +1213,7 @@ static void begin_in_graph(const zl_problem *problem, zl_run *run, const zl_sett
     for (k = 0; k < graph->n_sides; k++) numbers[graph->sides[k].place] = 0.0;
     if (graph->n_switches) tape_prepare(&graph->switches, numbers + graph->switches_place, p);
     tape_prepare(&graph->delassus, numbers + graph->delassus_place, p);
+    if (graph->orders.n_outputs) tape_prepare(&graph->orders, numbers + graph->orders_place, p);
     for (k = 0; k < graph->n_declared; k++)
         tape_prepare(&graph->resets[k], numbers + graph->reset_places[k], p);
 }

@@ -7,7 +7,7 @@ side of it, along the flow of a mode. The tables of views and sides grow when a 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -73,6 +73,7 @@ class GraphFormulas:
         switches: ``(x, p, sizes) -> (formulas of all switches, their sizes, formulas `armed`)``.
         delassus: ``(x, p) -> J W J^T`` of all stops.
         resets: ``(x, p) -> x`` after each declared switch.
+        orders: ``p -> (lower times, upper times)`` of piecewise inputs.
     """
 
     n_x: int
@@ -84,6 +85,7 @@ class GraphFormulas:
     switches: ca.Function
     delassus: ca.Function
     resets: Sequence[ca.Function]
+    orders: ca.Function
 
 
 class GraphProgram(TapedProblem):
@@ -104,31 +106,31 @@ class GraphProgram(TapedProblem):
         self.switches = tape_of(formulas.switches) if formulas.n_switches else Tape.empty()
         self.delassus = tape_of(formulas.delassus)
         self.resets = tuple(map(tape_of, formulas.resets))
+        times = formulas.orders.numel_out(0)
+        self.orders = tape_of(formulas.orders, parameters=0) if times else Tape.empty()
         self.views: dict[View, Program] = {}
         self.sides: dict[Side, tuple[Tape, Tape]] = {}
         self._places: dict[object, int] = {}
         self._n_numbers = 0
         self._kept: list[object] = []
-        for tape in (self.switches, self.delassus, *self.resets):
+        for tape in (self.switches, self.delassus, self.orders, *self.resets):
             self._place(id(tape), tape.n_registers)
         self._tabulate()
 
-    def add_view(self, view: View, program: Program) -> None:
-        """Add a machine with one stop to the tables."""
-        self.views[view] = program
-        self._place(view, self.library.zl_room(program.address))
-        self._tabulate()
-
-    def add_side(self, side: Side, mode: ModeFunctions) -> None:
-        """Add the guard of a switch to the tables.
+    def add(self, views: Mapping[View, Program], sides: Mapping[Side, ModeFunctions]) -> None:
+        """Add machines with one stop, and guards of switches, to the tables.
 
         Raises:
             UnknownOperationError: If a formula holds an operation that tapes do not have.
         """
-        bounds = Tape.empty() if mode.bounded is None else tape_of(mode.bounded)
-        value = tape_of(mode.guard)
-        self.sides[side] = value, bounds
-        self._place(side, 1 + value.n_registers + 3 * bounds.n_registers)
+        for view, program in views.items():
+            self.views[view] = program
+            self._place(view, self.library.zl_room(program.address))
+        for side, mode in sides.items():
+            bounds = Tape.empty() if mode.bounded is None else tape_of(mode.bounded)
+            value = tape_of(mode.guard)
+            self.sides[side] = value, bounds
+            self._place(side, 1 + value.n_registers + 3 * bounds.n_registers)
         self._tabulate()
 
     def give_back(self, memory: Any) -> None:
@@ -147,6 +149,19 @@ class GraphProgram(TapedProblem):
         closed = tuple(k for k in range(self.formulas.n_stops) if mode >> k & 1)
         sides = tuple(bool(mode >> (c.STOPS + k) & 1) for k in range(n_kinks))
         return Side(closed, sides, index, bool(positive)) if is_side else View(closed, index, sides)
+
+    @property
+    def n_numbers(self) -> int:
+        """Numbers of a run, apart from its settings and parameters."""
+        return self._n_numbers
+
+    def place_of(self, one: View | Side | Tape) -> int:
+        """Return the place of numbers in those of a run.
+
+        Args:
+            one: A view, a side, or a tape that all modes share.
+        """
+        return self._places[id(one) if isinstance(one, Tape) else one]
 
     def _place(self, name: object, n_numbers: int) -> None:
         self._places[name] = self._n_numbers
@@ -183,10 +198,12 @@ class GraphProgram(TapedProblem):
             n_numbers=self._n_numbers,
             switches_place=self._places[id(self.switches)],
             delassus_place=self._places[id(self.delassus)],
+            orders_place=self._places[id(self.orders)],
             **{name: ctypes.addressof(array) for name, array in tables.items()},
         )
         fill_tape(table.switches, self.switches)
         fill_tape(table.delassus, self.delassus)
+        fill_tape(table.orders, self.orders)
         problem = c.ProblemType(n_x=self.n_x, n_q=self.n_q, n_p=self.n_p)
         problem.scheme = ctypes.addressof(scheme())
         problem.graph = ctypes.addressof(table)

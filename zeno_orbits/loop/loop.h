@@ -7,10 +7,11 @@
 #ifndef ZENO_LOOP_H
 #define ZENO_LOOP_H
 
-enum { ZL_MOST = 32, ZL_LANES = 8, ZL_STAGES = 7, ZL_LOOKS = 4, ZL_GUARDS = 16, ZL_STOPS = 8 };
+enum { ZL_MOST = 32, ZL_LANES = 8, ZL_STAGES = 7, ZL_LOOKS = 4, ZL_GUARDS = 16, ZL_STOPS = 8, ZL_ORDERS = 64
+};
 /* Most entries of a state, those of a rescaled flight included; tapes carried out in step; stages
    of an implicit step; looks at the pace of a run that are kept; guards beside that of a stop, and
-   switches; stops. */
+   switches; stops; pairs of switching times. */
 
 typedef struct {
     int op, to, a, b, c;
@@ -77,9 +78,10 @@ typedef struct {
 struct zl_graph {
     long long n_stops, n_declared, n_switches, n_views, n_sides;
     long long n_numbers;                      /* of a run, apart from its settings and parameters */
-    long long switches_place, delassus_place;
+    long long switches_place, delassus_place, orders_place;
     zl_tape switches; /* of a state and the sizes of its entries: formulas, their sizes, `armed` */
     zl_tape delassus; /* J W J' of all stops */
+    zl_tape orders;   /* of switching times: all that must be below, then all that must be above */
     const zl_tape *resets;                    /* the state after each declared switch */
     const long long *reset_places;
     const long long *view_keys, *view_places; /* ZL_VIEW_KEY; places of numbers */
@@ -148,7 +150,8 @@ enum {
     ZL_UNDEFINED,     /* the guard of the switch `index` is not a number */
     ZL_UNDETERMINED,  /* no set, or several sets of the stops in `about` fulfil the laws of contact */
     ZL_BY_SWITCH,     /* the reset of a switch sends the state into a stop: `about` */
-    ZL_ARMED          /* the switch `index` is armed at the start */
+    ZL_ARMED,         /* the switch `index` is armed at the start */
+    ZL_UNORDERED      /* switching times of a piecewise input do not increase */
 };
 
 /* What a status is about. A singular flow of several stops names a kink nearby, or -1, as `index`. */

@@ -14,17 +14,20 @@ import tempfile
 import zipfile
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from zeno_orbits.errors import InputError, KernelError
 from zeno_orbits.loop.compiler import find_compiler
 from zeno_orbits.loop.export import ExportedRun, exported_files, stem_of
+from zeno_orbits.loop.graph_program import GraphProgram
 from zeno_orbits.loop.program import Program
 from zeno_orbits.loop.source import FLAGS, LIBRARIES, whole_source
 
 _OWN = ("mode", "impacts", "zeno_points", "zeno_time")
-"""Further outputs, in the order of `fmi3_unit.c`."""
+"""Further outputs, in the order of `fmi3_unit.c`. With several stops the last three of each stop
+follow."""
 
 _MEANINGS = {
     "mode": "1 on the stop, 0 off it",
@@ -69,11 +72,11 @@ class ExportedUnit:
                 raise InputError(f"Argument `input` {message}.")
 
 
-def exported_unit(program: Program, unit: ExportedUnit) -> tuple[bytes, str]:
+def exported_unit(program: Program | GraphProgram, unit: ExportedUnit) -> tuple[bytes, str]:
     """Return the unit as the bytes of a file `.fmu`, and the reason if it lacks a library.
 
     Args:
-        program: The formulas.
+        program: The formulas. Of several stops, those of all modes.
         unit: Names, values and kinds of the variables.
 
     Raises:
@@ -187,7 +190,7 @@ def _description(unit: ExportedUnit, token: str) -> str:
     variables = list(_variables(unit))
     outputs = [one for one in variables if one.attributes["causality"] == "output"]
     known = [one for one in outputs if one.attributes.get("initial") == "calculated"]
-    stop, relative = run.settings.until, run.settings.relative
+    stop, relative = run.settings[0].until, run.settings[0].relative
     units = sorted({one.attributes["unit"] for one in variables if "unit" in one.attributes})
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription fmiVersion="3.0" ',
@@ -219,7 +222,7 @@ def _variables(unit: ExportedUnit) -> Iterator[_Variable]:
     run, taken = unit.run, {"time", *unit.run.state_names, *unit.run.parameter_names}
     independent = {"causality": "independent", "variability": "continuous"}
     yield _Variable("Float64", {"name": "time", "valueReference": "0", **independent})
-    counter = iter(range(1, len(taken) + len(_OWN)))
+    counter = count(1)
     for name, value in zip(run.state_names, run.state.tolist(), strict=True):
         kind = {"causality": "output", "variability": "continuous", "initial": "exact"}
         yield _Variable("Float64", _attributes(unit, name, next(counter), value, kind))
@@ -231,10 +234,19 @@ def _variables(unit: ExportedUnit) -> Iterator[_Variable]:
             kind["variability"] = "tunable"
         yield _Variable("Float64", _attributes(unit, name, next(counter), value, kind))
     discrete = {"causality": "output", "variability": "discrete", "initial": "calculated"}
-    for own in _OWN:
-        words = {"name": _free_name(own, taken), "valueReference": str(next(counter))}
-        kind = "Float64" if own == "zeno_time" else "Int32"
-        yield _Variable(kind, {**words, "description": _MEANINGS[own], **discrete})
+    several = len(run.stop_names) > 1
+    for own, stop in [
+        *((own, "") for own in _OWN),
+        *((own, stop) for stop in run.stop_names if several for own in _OWN[1:]),
+    ]:
+        name = _free_name(f"{own}_{stem_of(stop)}" if stop else own, taken)
+        taken.add(name)
+        meaning = _MEANINGS[own] + (f", on the stop {stop}" if stop else "")
+        if several and own == "mode":
+            powers = (f"{2**k} for {stop}" for k, stop in enumerate(run.stop_names))
+            meaning = f"sum over the closed stops: {', '.join(powers)}"
+        words = {"name": name, "valueReference": str(next(counter)), "description": meaning}
+        yield _Variable("Float64" if own == "zeno_time" else "Int32", {**words, **discrete})
 
 
 def _attributes(

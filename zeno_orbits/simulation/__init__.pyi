@@ -50,6 +50,8 @@ from .legs import LegFollower as LegFollower
 from .legs import states_after_steps as states_after_steps
 from .recorded import LoopTrajectory as LoopTrajectory
 from .looped import run_settings as run_settings
+from .looped_graph import settings_of_stops as settings_of_stops
+from .looped_graph import whole_program as whole_program
 from .settings import SimulationSettings as SimulationSettings
 from .settings import SimulationTask as SimulationTask
 from .simulator import by_reference as by_reference

@@ -6,9 +6,10 @@ when a motion first needs them. `graph_program` names the machines that it canno
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain, combinations, product
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -22,6 +23,7 @@ from zeno_orbits.loop import (
     GraphFormulas,
     GraphProgram,
     LoopRun,
+    Program,
     Record,
     RunSettings,
     Side,
@@ -29,9 +31,9 @@ from zeno_orbits.loop import (
     View,
     binding,
     loop_library,
-    program_of,
+    program_or_reason,
 )
-from zeno_orbits.model import CompiledGraph, GraphDynamics, OwnScale
+from zeno_orbits.model import CompiledGraph, GraphDynamics, ModeFunctions, OwnScale
 from zeno_orbits.simulation.admission import require_admissible
 from zeno_orbits.simulation.execution import Arc, Event, Mode
 from zeno_orbits.simulation.graph_run import GraphRun
@@ -164,7 +166,11 @@ class _Followed:
         while True:
             status = run.resume()
             if status == binding.MODE:
-                _add(self.rules.graph.compiled, self.program, run.detail().about)
+                _add(
+                    self.rules.graph.compiled,
+                    self.program,
+                    self.program.asked_for(run.detail().about),
+                )
             elif status == binding.CURVE:
                 limit = self._curve_limit()
                 if limit is not None:
@@ -254,7 +260,7 @@ def looped(task: SimulationTask, rules: GraphRun) -> RecordedExecution | None:
     """
     graph = rules.graph
     program = graph_program(graph.compiled)
-    if program is None or not _serves(task):
+    if isinstance(program, str) or not _serves(task):
         return None
     require_admissible(graph.first, task.state, np.inf)
     run = LoopRun(program, _settings(task, rules), graph.p, task.state)
@@ -302,11 +308,14 @@ def settings_of_stops(task: SimulationTask, graph: GraphDynamics) -> list[RunSet
     ]
 
 
-_programs: WeakKeyDictionary[CompiledGraph, GraphProgram | None] = WeakKeyDictionary()
+_MOST_MODES = 256
+"""Modes of a machine whose formulas are exported: about 50 kB of code each."""
+
+_programs: WeakKeyDictionary[CompiledGraph, GraphProgram | str] = WeakKeyDictionary()
 
 
-def graph_program(compiled: CompiledGraph) -> GraphProgram | None:
-    """Return a graph in the library's format, or ``None`` if the loop cannot carry it out.
+def graph_program(compiled: CompiledGraph) -> GraphProgram | str:
+    """Return a graph in the library's format, or the reason why it does not exist, as a clause.
 
     The reference carries out a machine with too many stops, switches or states, with an operation
     that tapes do not have, or with formulas that are to be interpreted.
@@ -319,16 +328,21 @@ def graph_program(compiled: CompiledGraph) -> GraphProgram | None:
     return _programs[compiled]
 
 
-def _made(compiled: CompiledGraph) -> GraphProgram | None:
+def _made(compiled: CompiledGraph) -> GraphProgram | str:
     library, graph = loop_library(), compiled.graph
     n_stops, n_switches = len(graph.stops), len(graph.switch_names)
-    too_many = n_stops > binding.STOPS or n_stops - 1 + n_switches > binding.GUARDS
-    if library is None or too_many:
-        return None
+    if library is None:
+        return "the library is missing"
+    if n_stops > binding.STOPS:
+        return f"it has {n_stops} stops, and the loop takes {binding.STOPS}"
+    if n_stops - 1 + n_switches > binding.GUARDS:
+        return f"it has {n_switches} switches and kinks, and the loop takes fewer"
+    if len(graph.time_orders) > binding.ORDERS:
+        return f"it has {len(graph.time_orders)} pairs of switching times, and the loop takes fewer"
     first = View((), 0, (True,) * len(graph.conditions))
-    program = program_of(compiled.system((first.closed, first.sides), 0))
-    if program is None:
-        return None
+    program = program_or_reason(compiled.system((first.closed, first.sides), 0))
+    if isinstance(program, str):
+        return program
     formulas = GraphFormulas(
         n_x=program.n_x,
         n_q=program.n_q,
@@ -339,43 +353,71 @@ def _made(compiled: CompiledGraph) -> GraphProgram | None:
         switches=compiled.switches,
         delassus=compiled.delassus,
         resets=compiled.resets,
+        orders=compiled.times,
     )
     try:
         made = GraphProgram(library, formulas)
-    except UnknownOperationError:
-        return None
-    made.add_view(first, program)
+    except UnknownOperationError as error:
+        return f"a formula holds the operation `{error}`"
+    made.add({first: program}, {})
     return made
 
 
-def _add(compiled: CompiledGraph, program: GraphProgram, about: Sequence[int]) -> None:
-    """Add what a run asks for to the tables.
-
-    Raises:
-        UnknownOperationError: If a formula holds an operation that tapes do not have.
-    """
-    add(compiled, program, program.asked_for(about))
-
-
-def add(compiled: CompiledGraph, program: GraphProgram, asked: View | Side) -> None:
-    """Add a view or a side to the tables of a program, unless they have it.
+def whole_program(compiled: CompiledGraph) -> GraphProgram | str:
+    """Return a graph with all its modes, or the reason why it does not exist, as a clause.
 
     Args:
         compiled: The graph.
-        program: The program.
-        asked: The view or side.
+    """
+    begun = graph_program(compiled)
+    if isinstance(begun, str):
+        return begun
+    graph, program = compiled.graph, GraphProgram(begun.library, begun.formulas)
+    n_stops, n_kinks = len(graph.stops), len(graph.conditions)
+    n_modes = 2 ** (n_stops + n_kinks)
+    if n_modes > _MOST_MODES:
+        return f"it has {n_modes} modes, and at most {_MOST_MODES} are exported"
+    views, sides = dict[View, Program](), dict[Side, ModeFunctions]()
+    try:
+        for branches in product((True, False), repeat=n_kinks):
+            for closed in _subsets(n_stops):
+                for stop in set(range(n_stops)).difference(closed):
+                    view = View(closed, stop, branches)
+                    views[view] = _view(compiled, view)
+                for switch, positive in product(range(len(graph.switch_names)), (True, False)):
+                    mode = compiled.guard((closed, branches), switch, positive)
+                    sides[Side(closed, branches, switch, positive)] = mode
+        program.add(views, sides)
+    except UnknownOperationError as error:
+        return f"of a formula: {error}"
+    return program
+
+
+def _subsets(n: int) -> Iterator[tuple[int, ...]]:
+    return chain.from_iterable(combinations(range(n), k) for k in range(n + 1))
+
+
+def _view(compiled: CompiledGraph, view: View) -> Program:
+    """Return the formulas of a view.
+
+    Raises:
+        UnknownOperationError: If one of them holds an operation that tapes do not have.
+    """
+    program = program_or_reason(compiled.system((view.closed, view.sides), view.stop))
+    if isinstance(program, str):
+        raise UnknownOperationError(program)
+    return program
+
+
+def _add(compiled: CompiledGraph, program: GraphProgram, asked: View | Side) -> None:
+    """Add what a run asks for to the tables of a program, unless they have it.
 
     Raises:
         UnknownOperationError: If a formula holds an operation that tapes do not have.
     """
-    if isinstance(asked, Side):
-        if asked not in program.sides:
-            mode = asked.closed, asked.sides
-            program.add_side(asked, compiled.guard(mode, asked.switch, asked.positive))
-        return
-    if asked in program.views:
-        return
-    view = program_of(compiled.system((asked.closed, asked.sides), asked.stop))
-    if view is None:
-        raise UnknownOperationError("of a mode")
-    program.add_view(asked, view)
+    if isinstance(asked, View):
+        if asked not in program.views:
+            program.add({asked: _view(compiled, asked)}, {})
+    elif asked not in program.sides:
+        mode = asked.closed, asked.sides
+        program.add({}, {asked: compiled.guard(mode, asked.switch, asked.positive)})
