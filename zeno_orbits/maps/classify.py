@@ -192,11 +192,11 @@ def usual_time(
 
 def _restitution(problem: Problem, values: ParameterValues) -> float:
     """Return the largest restitution of all stops."""
-    system = system_of(problem, values)
-    if not isinstance(system, GraphDynamics):
+    if not problem.has_graph:
         return values.parameters["restitution"]
-    stops = range(len(system.stop_names))
-    return max(system.view(system.open_mode, k).restitution for k in stops)
+    graph = problem.graph_dynamics(values)
+    stops = range(len(graph.stop_names))
+    return max(graph.view(graph.open_mode, k).restitution for k in stops)
 
 
 def _in_words(problem: Problem, found: Attractor) -> Attractor:
