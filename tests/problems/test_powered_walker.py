@@ -32,27 +32,13 @@ def _step(orbit: zo.EventOrbit) -> float:
     return math.sin(strike["q2"]) - math.sin(strike["q1"])
 
 
-def motors(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the torques of both motors and their electrical power, at the declared gains."""
-    torque_constant, resistance = 1.0, 2.0
-    hip, hip_rate = q[1] - q[0], v[1] - v[0]
-    knee, knee_rate = q[1] - q[2], v[1] - v[2]
-    hip_voltage = 5.0 * (0.42 - hip) + 0.2 * hip_rate
-    knee_voltage = -1.5 * (knee + 1.6 * hip) + 0.8 * knee_rate
-    hip_current = (hip_voltage - torque_constant * hip_rate) / resistance
-    knee_current = (knee_voltage - torque_constant * knee_rate) / resistance
-    on_hip, on_knee = torque_constant * hip_current, torque_constant * knee_current
-    torques = np.array([-on_hip, on_hip + on_knee, -on_knee])
-    return torques, hip_voltage * hip_current + knee_voltage * knee_current
-
-
 def test_an_independent_event_loop_returns_after_the_same_events_with_the_same_energy() -> None:
     orbit = _orbit()
     assert orbit.certificate["passed"]
     assert orbit.certificate["stable"]
     assert orbit.sequence == ("zeno knee", "switch heel strike")
     start = _state(orbit.start_state)
-    machine = kneed_walker.walker(0.2, slope=0.0, drive=motors)
+    machine = kneed_walker.walker(0.2, slope=0.0, drive=kneed_walker.motors)
     run = simulated(machine, (*start, 0.0), 1.05 * orbit.period, closed=("knee",))
     strike = next(event for event in run.events if event.kind == "switch")
     assert strike.time == pytest.approx(orbit.period, abs=1e-10)

@@ -98,6 +98,20 @@ def _undriven(_q: np.ndarray, _v: np.ndarray) -> tuple[np.ndarray, float]:
     return np.zeros(3), 0.0
 
 
+def motors(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return torques and electrical power of the motors of `powered_walker`, at its own gains."""
+    torque_constant, resistance = 1.0, 2.0
+    hip, hip_rate = q[1] - q[0], v[1] - v[0]
+    knee, knee_rate = q[1] - q[2], v[1] - v[2]
+    hip_voltage = 5.0 * (0.42 - hip) + 0.2 * hip_rate
+    knee_voltage = -1.5 * (knee + 1.6 * hip) + 0.8 * knee_rate
+    hip_current = (hip_voltage - torque_constant * hip_rate) / resistance
+    knee_current = (knee_voltage - torque_constant * knee_rate) / resistance
+    on_hip, on_knee = torque_constant * hip_current, torque_constant * knee_current
+    torques = np.array([-on_hip, on_hip + on_knee, -on_knee])
+    return torques, hip_voltage * hip_current + knee_voltage * knee_current
+
+
 def walker(restitution: float, *, slope: float = SLOPE, drive: Drive = _undriven) -> Machine:
     """Return the walker with a restitution of the knee stop. Its further state is the energy in."""
     return Machine(

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 from zeno_orbits.api.inputs import (
     Named,
+    any_orbit,
     as_orbit,
     file_of,
     front_door,
     plan_of,
     problem_of,
 )
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Plan, Progress, silent
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 @front_door
 def largest_push(
-    orbit: ZenoOrbit | str | Path,
+    orbit: ZenoOrbit | EventOrbit | str | Path,
     *,
     problem: Named | None = None,
     directions: Sequence[Mapping[str, float]] = (),
@@ -53,7 +54,7 @@ def largest_push(
     """
     from zeno_orbits import maps
 
-    orbit = as_orbit(orbit)
+    orbit = any_orbit(orbit)
     known = problem_of(orbit, problem)
     shared = plan_of(workers, plan)
     source = known if shared is None else file_of(known if problem is None else problem)

@@ -7,6 +7,10 @@ An impulse of size :math:`j` acts along the generalized force :math:`r` at one i
 with :math:`W` the inverse mass on the holonomic constraints. In contact, an impulse away from the
 stop opens it. Towards the stop, the impulse of the stop keeps the gap rate at zero (theory (7) with
 a plastic impact at zero speed). Currents and other states do not change.
+With several closed stops :math:`S`, their impulses :math:`\Lambda` solve
+
+.. math:: \Lambda \ge 0,\qquad J_S v^+ \ge 0,\qquad \Lambda \perp J_S v^+,
+    \qquad v^+ = v^- + W r\, j + W J_S^\top \Lambda
 
 Basins of attraction may be nonconvex. The impulses of a ray are therefore first scanned in equal
 steps, and the first loss is then located by bisection. A loss between two steps is not detected.
@@ -18,6 +22,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -26,12 +31,25 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, any_number, shown
 from zeno_orbits.kinds import require_kinds
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.classify import attractors_at, attractors_from, known_orbits, usual_time
+from zeno_orbits.maps.classify import (
+    attractors_at,
+    attractors_from,
+    known_orbits,
+    system_of,
+    usual_time,
+)
 from zeno_orbits.maps.known import KnownOrbit, returns_to
 from zeno_orbits.maps.plane import OF_BASINS
-from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, ProblemFile, unknown
-from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.simulation import Mode, simulate, simulator_in_use
+from zeno_orbits.model import (
+    GraphDynamics,
+    HybridDynamics,
+    ParameterValues,
+    Problem,
+    ProblemFile,
+    unknown,
+)
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit, orbit_event_name
+from zeno_orbits.simulation import Arc, Mode, simulate, simulator_in_use, state_after
 from zeno_orbits.work import (
     Columns,
     Displayed,
@@ -51,6 +69,8 @@ _SAME_PERIOD = 1e-6
 """Largest relative difference between the period of an orbit and of the motion from its start."""
 _HUGE = 1e100
 """Largest entry of a generalized force, whose square is still a double."""
+_TOUCHES = 1e-9
+"""Gap and gap rate that count as zero, in units of the problem's own."""
 _HALVINGS = 60
 """Halvings of a step after which doubles cannot resolve its ends."""
 
@@ -228,6 +248,7 @@ class _Moment:
         phase: Part of the period.
         state: State, ``(n_x,)``.
         locked: True if the orbit is in contact.
+        closed: With several stops, the indices of those at zero gap and gap rate.
         mobility: Inverse mass on the constraints, ``(n_q, n_q)``.
         largest_energy: Largest kinetic energy of the whole orbit [J].
     """
@@ -235,6 +256,7 @@ class _Moment:
     phase: float
     state: tuple[float, ...]
     locked: bool
+    closed: tuple[int, ...]
     mobility: Vector
     largest_energy: float
 
@@ -279,11 +301,14 @@ def _loss(
 
     It returns ``None`` if the motion returns to the orbit.
     """
-    dynamics = problem.dynamics(values)
+    system = system_of(problem, values)
 
     def lost(ray: Mapping[str, Any], impulse: float) -> Attractor | None:
         state, change = np.array(ray["state"]), np.array(ray["change"])
-        after = pushed(dynamics, state, change * impulse, locked=ray["locked"])
+        if isinstance(system, GraphDynamics):
+            after = pushed_on_stops(system, state, change * impulse, ray["closed"])
+        else:
+            after = pushed(system, state, change * impulse, locked=ray["locked"])
         (reached,) = attractors_from(
             problem, [(values, after)], until=until, accuracy=OF_BASINS, known=(orbit,)
         )
@@ -329,9 +354,58 @@ def pushed(dynamics: HybridDynamics, state: Vector, change: Vector, *, locked: b
     return after
 
 
+def pushed_on_stops(
+    graph: GraphDynamics, state: Vector, change: Vector, closed: Sequence[int]
+) -> Vector:
+    """Return the state of a machine with several stops after an impulse, ``(n_x,)``.
+
+    Args:
+        graph: The graph of modes.
+        state: State before the impulse, ``(n_x,)``.
+        change: Change of the velocities without a stop, ``(n_q,)``.
+        closed: Indices of the stops at zero gap and gap rate.
+    """
+    speeds = slice(graph.n_q, 2 * graph.n_q)
+    after = state.copy()
+    after[speeds] += change
+    views = [graph.view(graph.open_mode, k) for k in closed]
+    matrix = graph.delassus(state)[np.ix_(closed, closed)]
+    impulses = stop_impulses(matrix, np.array([view.gap_rate(after) for view in views]))
+    # A unit impulse of a stop changes its own gap rate by J W J'.
+    for view, own in zip(views, impulses * np.diag(matrix), strict=True):
+        after[speeds] += own * view.impulse_direction(state)[speeds]
+    return after
+
+
+def stop_impulses(matrix: Vector, rates: Vector) -> Vector:
+    r"""Return the impulses of stops that keep their gap rates at zero or above, ``(n,)``.
+
+    .. math:: \Lambda \ge 0,\qquad \dot h + G \Lambda \ge 0,
+        \qquad \Lambda \perp \dot h + G \Lambda
+
+    `G` is positive definite, so there is one solution. It is found by enumeration.
+
+    Args:
+        matrix: Delassus matrix `G` of the stops, ``(n, n)``.
+        rates: Gap rates without the impulses, ``(n,)``.
+    """
+    n, best, least = len(rates), np.zeros(len(rates)), math.inf
+    for held in chain.from_iterable(combinations(range(n), size) for size in range(n + 1)):
+        rows = list(held)
+        impulses = np.zeros(n)
+        impulses[rows] = np.linalg.solve(matrix[np.ix_(rows, rows)], -rates[rows])
+        left = rates + matrix @ impulses
+        left[rows] = np.diag(matrix)[rows] * impulses[rows]
+        # By rounding, no set may satisfy all conditions: take the set that misses them least.
+        missed = -float(np.min(left, initial=0.0))
+        if missed < least:
+            best, least = impulses, missed
+    return best
+
+
 def largest_pushes(
     source: Problem | ProblemFile,
-    orbit: ZenoOrbit,
+    orbit: ZenoOrbit | EventOrbit,
     *,
     directions: Sequence[Mapping[str, float]] = (),
     settings: PushSettings | None = None,
@@ -477,7 +551,7 @@ def _require_direction(
 def _prepared(
     problem: Problem,
     values: ParameterValues,
-    orbit: ZenoOrbit,
+    orbit: ZenoOrbit | EventOrbit,
     directions: Sequence[Mapping[str, float]],
     settings: PushSettings,
 ) -> tuple[KnownOrbit, float, list[tuple[Push, dict[str, Any]]]]:
@@ -518,6 +592,7 @@ def _rays_from(
                 ray = {
                     "state": list(moment.state),
                     "locked": moment.locked,
+                    "closed": list(moment.closed),
                     "change": (sense * change).tolist(),
                     "reach": end,
                 }
@@ -570,7 +645,7 @@ def _computed(
 
 
 def _attracting(
-    problem: Problem, values: ParameterValues, orbit: ZenoOrbit, until: float | None
+    problem: Problem, values: ParameterValues, orbit: ZenoOrbit | EventOrbit, until: float | None
 ) -> KnownOrbit:
     """Return the orbit as a known orbit for comparison with motions.
 
@@ -591,19 +666,47 @@ def _attracting(
         said = f"its spectral radius is {reached.spectral_radius:.6g}"
         raise InputError(f"Argument `orbit` must be stable, but {said}.")
     # An unstable orbit may leave the motion on another orbit of the same period.
-    if not known[0].passes(np.array(problem.state_vector(orbit.start_state))):
+    if not _meets(problem, values, known[0], orbit):
         said = "the motion that starts on it ends on another orbit"
         raise InputError(f"Argument `orbit` must be stable, but {said}.")
     return known[0]
 
 
+def _meets(
+    problem: Problem, values: ParameterValues, known: KnownOrbit, orbit: ZenoOrbit | EventOrbit
+) -> bool:
+    """Return True if the start of an orbit is a state of a known orbit."""
+    start = np.array(problem.state_vector(orbit.start_state))
+    if not isinstance(orbit, EventOrbit):
+        return known.passes(start)
+    # Its period may start at another event.
+    turned = simulate(problem.graph_dynamics(values), start, until=1.5 * orbit.period)
+    return any(
+        known.passes(np.asarray(state_after(event)))
+        for event in turned.events
+        if orbit_event_name(event) == known.section
+    )
+
+
+def _touched(graph: GraphDynamics, arc: Arc, state: Vector) -> tuple[int, ...]:
+    """Return the indices of the stops that are closed in an arc, or at zero gap and gap rate."""
+    touched = list[int]()
+    for k, name in enumerate(graph.stop_names):
+        view = graph.view(graph.open_mode, k)
+        gap, rate = abs(view.gap(state)), abs(view.gap_rate(state))
+        touches = gap <= _TOUCHES * view.own.gap and rate <= _TOUCHES * view.own.gap_rate
+        if touches or name in arc.closed:
+            touched.append(k)
+    return tuple(touched)
+
+
 def _moments(
-    problem: Problem, values: ParameterValues, orbit: ZenoOrbit, phases: int
+    problem: Problem, values: ParameterValues, orbit: ZenoOrbit | EventOrbit, phases: int
 ) -> list[_Moment]:
     """Return the orbit at equidistant phases."""
-    dynamics = problem.dynamics(values)
+    system = system_of(problem, values)
     start = np.array(problem.state_vector(orbit.start_state))
-    motion = simulate(dynamics, start, until=orbit.period)
+    motion = simulate(system, start, until=orbit.period)
     times = [k / phases * orbit.period for k in range(phases)]
     states = motion.states_at(np.array(times))
     mobilities, _ = problem.inverse_masses(values, states)
@@ -611,13 +714,19 @@ def _moments(
     moments: list[_Moment] = []
     for k, time in enumerate(times):
         arc = next(arc for arc in motion.arcs if time < arc.end_time)
-        # At a release the state is on the stop, with gap rate zero.
-        locked = arc.mode is Mode.LOCKED or (k == 0 and orbit.shape.starts_at_release)
+        if isinstance(system, GraphDynamics):
+            closed = _touched(system, arc, states[k])
+            locked = bool(closed)
+        else:
+            # At a release the state is on the stop, with gap rate zero.
+            released = isinstance(orbit, ZenoOrbit) and orbit.shape.starts_at_release
+            closed, locked = (), arc.mode is Mode.LOCKED or (k == 0 and released)
         moments.append(
             _Moment(
                 phase=k / phases,
                 state=tuple(states[k].tolist()),
                 locked=locked,
+                closed=closed,
                 mobility=mobilities[k],
                 largest_energy=float(np.max(energies)),
             )

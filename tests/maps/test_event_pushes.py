@@ -1,0 +1,192 @@
+"""Pushes of machines with several stops and switches: the law, and brute-force simulations."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.reference.event_loop import Accuracy, complementary, simulated
+from tests.reference.kneed_walker import motors, walker
+from zeno_orbits.cli import main
+from zeno_orbits.maps import pushed_on_stops, read_pushes
+
+BISTABLE = {"omega": 2.09, "c": 0.2, "A": 1.47, "restitution": 0.64}
+"""A clapper that either strikes both stops, or stays between them."""
+TURN = 2 * math.pi / BISTABLE["omega"]
+
+
+@cache
+def _clapper() -> zo.EventOrbit:
+    return zo.find_event_orbit("clapper", parameters=BISTABLE, start={"speed": 4.0, "cosine": 1.0})
+
+
+@cache
+def _pushes() -> zo.Pushes:
+    settings = zo.PushSettings(phases=4, steps=48, reach=2.0, error=1e-4)
+    return zo.largest_push(_clapper(), settings=settings)
+
+
+def _state_at(orbit: zo.EventOrbit, phase: float) -> dict[str, float]:
+    run = zo.simulate(
+        orbit.problem,
+        until=orbit.period,
+        start=orbit.start_state,
+        parameters=orbit.parameters,
+        gains=orbit.gains,
+    )
+    state = run.state_at(phase * orbit.period).tolist()
+    return dict(zip(run.state_names, state, strict=True))
+
+
+def _strikes_after(phase: float, impulse: float) -> bool:
+    """Return whether a clapper of 1 kg strikes its stops, long after an impulse."""
+    start = _state_at(_clapper(), phase)
+    start["speed"] += impulse
+    run = zo.simulate("clapper", until=80 * TURN, parameters=BISTABLE, start=start)
+    return any(event.time > 79 * TURN for event in run.events)
+
+
+@pytest.mark.slow
+def test_impulses_below_the_largest_return_and_those_just_above_are_lost() -> None:
+    rng, found = np.random.default_rng(3), _pushes()
+    assert len(found.pushes) == 8
+    lost = [push for push in found.pushes if math.isfinite(push.largest)]
+    assert lost
+    for push in found.pushes:
+        sense = push.direction["place"]
+        end = push.searched if math.isnan(push.largest) else push.largest
+        for part in rng.uniform(0.0, 0.99, size=12):
+            assert _strikes_after(push.phase, sense * part * end)
+    for push in lost:
+        assert push.beyond == "another periodic orbit without a Zeno point"
+        sense = push.direction["place"]
+        assert not _strikes_after(push.phase, sense * (push.largest + 1.01 * push.error))
+        assert push.error <= 1e-4 * push.largest * (1 + 1e-3)
+    assert found.least is not None
+    assert found.least.largest == min(push.largest for push in lost)
+
+
+def test_an_orbit_that_starts_at_another_event_has_the_same_pushes() -> None:
+    settings = zo.PushSettings(phases=1, steps=1, reach=1e-3)
+    for section in ("impact upper", "impact lower"):
+        orbit = zo.find_event_orbit(
+            "clapper",
+            parameters=BISTABLE,
+            start={"speed": 4.0, "cosine": 1.0},
+            section=section,
+        )
+        found = zo.largest_push(orbit, settings=settings)
+        assert found.least is None
+        assert found.spectral_radius == pytest.approx(0.30324777, abs=1e-7)
+
+
+def test_a_push_on_a_closed_knee_follows_the_law_of_contact() -> None:
+    orbit = zo.find_event_orbit("powered_walker")
+    problem = zo.load_problem("powered_walker")
+    graph = problem.graph_dynamics(orbit.values(problem))
+    # Just before heel strike the knee is on its stop: the gap is q2 - q3.
+    state = np.array(problem.state_vector(orbit.events[-1].state))
+    inverse = np.linalg.inv(walker(0.2, slope=0.0).mass(state[:3]))
+    normal = np.array([0.0, 1.0, -1.0])
+    opened = set[bool]()
+    for force in np.array([(1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0.3, 0, -1)], dtype=float):
+        change = inverse @ force * 0.05
+        after = pushed_on_stops(graph, state, change, (0,))[3:6]
+        free = state[3:6] + change
+        (impulse,) = complementary(
+            np.array([[normal @ inverse @ normal]]), np.array([normal @ free])
+        )
+        assert after == pytest.approx(free + inverse @ normal * impulse, abs=1e-12)
+        assert normal @ after >= -1e-12
+        opened.add(bool(normal @ after > 1e-6))
+    assert opened == {True, False}
+
+
+@pytest.mark.slow
+def test_an_independent_event_loop_walks_on_or_falls_beside_the_largest_push() -> None:
+    orbit = zo.find_event_orbit("powered_walker")
+    settings = zo.PushSettings(phases=1, steps=6, error=1e-2)
+    found = zo.largest_push(orbit, directions=[{"q1": 1.0}], settings=settings)
+    machine = walker(0.2, slope=0.0, drive=motors)
+    names = zo.load_problem("powered_walker").state_names
+    start = np.array([orbit.start_state[name] for name in names])
+    response, normal = np.linalg.inv(machine.mass(start[:3])), np.array([0.0, 1.0, -1.0])
+    for push in found.pushes:
+        assert push.beyond == "it falls"
+        force = np.array([push.direction["q1"], 0.0, 0.0])
+        for impulse in (push.largest - push.error, push.largest + 2 * push.error):
+            v = start[3:] + response @ force * impulse
+            blocked = min(normal @ v, 0.0) / (normal @ response @ normal)
+            pushed = (*start[:3], *(v - response @ normal * blocked), 0.0)
+            run = simulated(
+                machine,
+                pushed,
+                15 * orbit.period,
+                closed=("knee",),
+                accuracy=Accuracy(tolerance=1e-9),
+            )
+            falls = abs(run.end_state[0]) > 1.2
+            assert falls == (impulse > push.largest)
+
+
+def test_a_push_into_a_corner_is_carried_by_both_stops() -> None:
+    def corner(p: Any) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        mass = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=(v[0] ** 2 + v[1] ** 2 + p["c"] * v[0] * v[1]) / 2,
+            potential=q[0] + q[1],
+            stops=(
+                zo.Stop(name="floor", gap=q[1], restitution=0.5),
+                zo.Stop(name="wall", gap=q[0], restitution=0.5),
+            ),
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass))
+
+    problem = zo.Problem(
+        name="corner",
+        title="mass in a corner",
+        source="here",
+        state_names=("x", "y", "dx", "dy"),
+        state_units=("m", "m", "m/s", "m/s"),
+        parameters=(zo.Quantity.positive("c", 1.2, "1", "coupling"),),
+        gains=(),
+        model=corner,
+        starts=({},),
+        portraits=(("x", "dx"),),
+        amplitude_of="x",
+    ).checked()
+    graph = problem.graph_dynamics(problem.values())
+    inverse = np.linalg.inv(np.array([[1.0, 0.6], [0.6, 1.0]]))
+    gaps = np.array([[0.0, 1.0], [1.0, 0.0]])
+    delassus = gaps @ inverse @ gaps.T
+    rng, kept = np.random.default_rng(2), set[int]()
+    for force in rng.normal(size=(40, 2)):
+        free = inverse @ force
+        impulses = complementary(delassus, gaps @ free)
+        after = pushed_on_stops(graph, np.zeros(4), free, (0, 1))
+        assert after[2:] == pytest.approx(free + inverse @ gaps.T @ impulses, abs=1e-12)
+        kept.add(int(np.sum(impulses > 0.0)))
+    assert kept == {0, 1, 2}
+
+
+def test_the_command_pushes_an_orbit_of_events(tmp_path: Path, capsys: Any) -> None:
+    orbit, file = tmp_path / "orbit.json", tmp_path / "pushes.json"
+    zo.write_event_orbit(zo.find_event_orbit("hopper"), orbit)
+    words = ["--phases", "2", "--steps", "2", "-o", str(file)]
+    # Every hopper returns: v^2 maps to e^2 v^2 + 2 a s.
+    assert main(["push", str(orbit), *words]) == 0
+    found = read_pushes(file)
+    assert len(found.pushes) == 4
+    assert found.least is None
+    capsys.readouterr()
+    assert main(["recovery", str(orbit)]) == 2
+    assert "format 3" in capsys.readouterr().err
