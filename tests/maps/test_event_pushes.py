@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -176,6 +177,16 @@ def test_a_push_into_a_corner_is_carried_by_both_stops() -> None:
         assert after[2:] == pytest.approx(free + inverse @ gaps.T @ impulses, abs=1e-12)
         kept.add(int(np.sum(impulses > 0.0)))
     assert kept == {0, 1, 2}
+
+
+def test_an_orbit_that_its_motion_leaves_is_refused() -> None:
+    orbit = zo.find_event_orbit("hopper")
+    settings = zo.PushSettings(phases=1, steps=1)
+    with pytest.raises(zo.InputError, match="must be stable"):
+        zo.largest_push(replace(orbit, period=1.1 * orbit.period), settings=settings)
+    faster = {**orbit.start_state, "speed": 1.2 * orbit.start_state["speed"]}
+    with pytest.raises(zo.InputError, match="ends on another orbit"):
+        zo.largest_push(replace(orbit, start_state=faster), settings=settings)
 
 
 def test_the_command_pushes_an_orbit_of_events(tmp_path: Path, capsys: Any) -> None:
