@@ -19,7 +19,7 @@ import pytest
 from scipy.linalg import expm
 
 import zeno_orbits as zo
-from tests.reference.event_loop import Contact, Event, Machine, simulated
+from tests.reference.relay_by_hand import D, E, M, period_by_hand, relay_by_hand
 from zeno_orbits.orbits import event_return
 
 C, OMEGA = 0.3, 1.7
@@ -220,50 +220,6 @@ def test_an_oscillator_answers_harmonics_with_its_frequency_response() -> None:
 
 SOFT, ROBUST = (1.17589, 3.48276), (1.20713, 2.49154)
 """Published switching times [ms]: for one machine, and for 5 % of change in ks and R."""
-T, M, D, E = 40.0, 1.6e-3, 0.9, 0.3
-
-
-def relay_by_hand(ks: float, resistance: float, times: tuple[float, float]) -> Machine:
-    """Return the relay in mm and ms, with its flux in 1e-5 Wb, and switches in the time."""
-
-    def voltage(branches: tuple[bool, ...]) -> float:
-        cut, again, off = branches
-        return 0.0 if off or (cut and not again) else 24.0
-
-    def current(z: float, flux: float) -> float:
-        flux = 1e-5 * flux
-        return flux * (6e6 / (1 - (flux / 3.6e-5) ** 2) + 2.2e10 * 1e-3 * z) / 1200
-
-    def force(_t: float, q: Any, v: Any, x: Any, _branches: Any) -> np.ndarray:
-        newton = ks * (0.0159 - 1e-3 * q[0]) - 0.05 * v[0] - 2.2e10 * (1e-5 * x[0]) ** 2 / 2
-        return np.array([1e-3 * newton / M])
-
-    def rate(_t: float, q: Any, _v: Any, x: Any, branches: tuple[bool, ...]) -> np.ndarray:
-        weber = (voltage(branches) - resistance * current(q[0], x[0])) / 1200
-        return np.array([1e-3 * weber / 1e-5])
-
-    return Machine(
-        n=1,
-        mass=lambda _: np.eye(1),
-        force=force,
-        rate=rate,
-        contacts=(
-            Contact(name="closed", gap=lambda q: q[0], normal=lambda _: np.ones(1), restitution=E),
-            Contact(
-                name="open", gap=lambda q: D - q[0], normal=lambda _: -np.ones(1), restitution=E
-            ),
-        ),
-        kinks=tuple(lambda t, _q, _v, _x, at=at: t - at for at in (*times, T / 2)),
-    )
-
-
-def period_by_hand(machine: Machine) -> list[Event]:
-    """Return the events of a period that begins as the voltage is applied, at rest when open."""
-    before = simulated(machine, [D, 0.0, 0.0], T, closed=("open",))
-    run = simulated(machine, [D, 0.0, float(before.end_state[2])], T, closed=("open",))
-    assert run.refused is None
-    assert run.unsure is None
-    return run.events
 
 
 def period_of(times: tuple[float, float], **parameters: float) -> zo.Execution:

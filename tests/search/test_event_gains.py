@@ -11,6 +11,8 @@ import pytest
 from scipy.optimize import brentq
 
 import zeno_orbits as zo
+from tests.reference.relay_by_hand import lost_by_hand, period_by_hand, relay_by_hand
+from tests.support.relays import UNCERTAIN, pulsed_relay, switching_times
 
 # The hopper: impact speed v with v^2 = 2 a s / (1 - e^2), loss a s, multiplier e^2.
 A, S, E = 20.0, 0.1, 0.5
@@ -185,8 +187,6 @@ def test_a_corrected_drive_has_no_orbit_of_events() -> None:
         zo.find_event_orbit("motor_pendulum@corrected")
 
 
-UNCERTAIN = {"ks": (52.25, 57.75), "R": (47.5, 52.5)}
-
 # A relay whose voltage is cut at t1 and comes back at t2. The numbers are from a simplex search in
 # a program that shares no code with this one.
 
@@ -223,3 +223,37 @@ def test_the_robust_landing_is_at_least_as_good_as_that_of_a_simplex_search() ->
             lost = orbit.certificate["quantities"]["closed.energy_lost"][0]
             assert lost <= found.worst * (1 + 1e-9)
     assert np.isfinite(found.mean or math.nan)
+
+
+# Six switching times, as lengths of levels. The start is rounded from a global search.
+
+SIX = (1.136e-3, 1.768e-3, 0.396e-3, 0.68e-3, 0.5675e-3, 1.9e-3)
+BEST = (1.13371675, 2.96223735, 3.36195586, 4.26008844, 5.10589474, 6.99556498)
+"""Switching times of the optimum [ms]."""
+LOST = 1.06634747e-4
+"""Energy lost at its worst corners [J]."""
+
+
+@pytest.mark.slow
+def test_six_switching_times_lose_a_quarter_of_what_two_lose() -> None:
+    problem = pulsed_relay(SIX)
+    found = zo.search_event_gains(
+        problem, objective=zo.MinImpactLoss(stop="closed", uncertain=UNCERTAIN)
+    )
+    assert found.orbit is not None
+    assert found.orbit.certificate["passed"]
+    assert found.worst < 1.067e-4
+    assert 4.33619e-4 / found.worst > 4.0
+    times = [1e3 * time for time in switching_times(problem, found.free)]
+    # The worst case is flat along some directions.
+    assert times == pytest.approx(BEST, abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness", UNCERTAIN["ks"])
+@pytest.mark.parametrize("resistance", UNCERTAIN["R"])
+def test_a_program_that_shares_no_code_loses_no_more_at_a_corner(
+    stiffness: float, resistance: float
+) -> None:
+    events = period_by_hand(relay_by_hand(stiffness, resistance, BEST))
+    assert lost_by_hand(events, "closed") < LOST * (1 + 1e-5)
