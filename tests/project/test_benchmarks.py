@@ -23,6 +23,7 @@ REDUCED = {
     "fidelity": ("--least", "1e-3", "--runs", "1"),
     "identification_intervals": ("--seeds", "2"),
     "loop": ("--runs", "1", "--no-reference"),
+    "many_gains": ("--gains", "2", "--kinds", "amplitudes", "--trials", "4"),
     "map_agreement": ("--points", "3", "--grid", "4"),
     "map_speed": ("--size", "3", "--orbits", "2", "--fates", "2"),
     "memory": ("--simulations", "20", "--searches", "2", "--problems", "3"),
