@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from zeno_orbits.experiment import (
         Comparison,
         Counterpart,
+        EventComparison,
         Identification,
         Recording,
         RigComparison,
@@ -63,37 +64,41 @@ def crop(
 
 @front_door
 def compare(
-    orbit: ZenoOrbit | str | Path,
+    orbit: ZenoOrbit | EventOrbit | str | Path,
     recording: Recording | str | Path,
     *,
     problem: Named | None = None,
     t_start: float | None = None,
     t_end: float | None = None,
     on_progress: Progress = silent,
-) -> Comparison:
+) -> Comparison | EventComparison:
     """Return a recording compared with an orbit.
 
     Args:
         orbit: The orbit, or its file.
         recording: The recording, or its file. Signals with the name of a state, motor or output of
-            the problem are compared.
+            the problem are compared. For an orbit of a machine with several stops or switches it
+            must have the contact channel of a stop.
         problem: The orbit's problem. The default is the bundled problem of its name.
         t_start: First time of the recording that counts [s].
         t_end: Last time of the recording that counts [s].
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
-        InputError: If the recording contains no signal of the problem, or a signal has a wrong
-            unit.
+        InputError: If the recording contains no signal of the problem, a signal has a wrong unit,
+            or a contact channel is invalid.
         SimulationError: If the orbit does not return.
     """
     from zeno_orbits.experiment import compare as compared
+    from zeno_orbits.experiment import compare_events
 
-    orbit = as_orbit(orbit)
-    known = problem_of(orbit, problem)
+    found = any_orbit(orbit)
+    known = problem_of(found, problem)
     data = recording_for(known, recording, t_start, t_end, on_progress)
     on_progress("comparing", None)
-    return compared(orbit, known, data)
+    if isinstance(found, EventOrbit):
+        return compare_events(found, known, data)
+    return compared(found, known, data)
 
 
 @front_door
@@ -122,13 +127,15 @@ def identify(
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
-        InputError: If a name is unknown or a range does not fit the parameter.
+        InputError: If a name is unknown, a range does not fit the parameter, or the machine has
+            several stops or switches.
         UnfittableError: If the recording does not show such an orbit, or no orbit exists at the
             initial parameter values.
     """
     from zeno_orbits.experiment import identify as identified
 
     known = known_problem(problem)
+    known.one_stop_model(known.symbols())
     values = known.values(gains=gains, parameters=parameters)
     unknowns = _unknowns(known, values, fit)
     data = recording_for(known, recording, t_start, t_end, on_progress)
@@ -464,11 +471,15 @@ def recording_for(
         DataFileError: If the file is not a recording.
         InputError: If fewer than two rows are left.
     """
-    from zeno_orbits.experiment import measurable, read_recording
+    from zeno_orbits.experiment import CONTACT, event_signals, measurable, read_recording
 
     if isinstance(recording, str | Path):
         on_progress("reading the recording", None)
-        recording = read_recording(recording, only=tuple(measurable(problem)))
+        if problem.has_graph:
+            known = tuple(event_signals(problem))
+            recording = read_recording(recording, only=known, families=(CONTACT,))
+        else:
+            recording = read_recording(recording, only=tuple(measurable(problem)))
     return crop(recording, t_start, t_end)
 
 

@@ -15,13 +15,13 @@ from zeno_orbits.cli.options import (
     add_problem,
     add_recording,
     numbers_of,
-    orbit_and_problem,
     print_json,
     require_outputs,
     say_written,
     write_json,
 )
 from zeno_orbits.cli.parsing import read_fit
+from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 
@@ -50,8 +50,14 @@ def add_compare(commands: Any) -> None:
 
 
 def _run_compare(options: argparse.Namespace) -> int:
+    import zeno_orbits as zo
+
     require_outputs(options, files=(), reads=[options.orbit, options.data])
-    orbit, problem = orbit_and_problem(options)
+    orbit = api.any_orbit(options.orbit)
+    problem = api.problem_of(orbit, options.problem)
+    if isinstance(orbit, zo.EventOrbit) and options.picture is not None:
+        wanted = "must be left out for an orbit of a machine with several stops or switches"
+        raise InputError(f"Argument `picture` {wanted}.")
     with report.ProgressLine(options.interrupts.check) as progress:
         found = api.compare(
             orbit,
@@ -62,11 +68,12 @@ def _run_compare(options: argparse.Namespace) -> int:
             on_progress=progress,
         )
     picture: Path | None = options.picture
-    drawn = [] if picture is None or found.deviations is None else [picture]
-    for path in drawn:
+    drawn: list[Path] = []
+    if isinstance(found, zo.Comparison) and picture is not None and found.deviations is not None:
         from zeno_orbits.report import plots
 
-        plots.save_figure(plots.plot_comparison(problem, found), path)
+        drawn = [picture]
+        plots.save_figure(plots.plot_comparison(problem, found), picture)
     if options.json:
         print_json(found.as_json())
     else:

@@ -1,4 +1,7 @@
 from .comparison.comparison import Comparison as Comparison
+from .comparison.event_comparison import EventComparison as EventComparison
+from .comparison.event_comparison import compare_events as compare_events
+from .comparison.event_reference import event_signals as event_signals
 from .comparison.verdict import Verdict as Verdict
 from .comparison.comparison import compare as compare
 from .comparison.counterpart import Counterpart as Counterpart
@@ -16,6 +19,7 @@ from .identification.unknowns import Unknown as Unknown
 from .orbit_table import OrbitTable as OrbitTable
 from .orbit_table import measurable as measurable
 from .orbit_table import tabulate_orbit as tabulate_orbit
+from .recordings.contacts import CONTACT as CONTACT
 from .recordings.contacts import contact_channels as contact_channels
 from .recordings.contacts import contact_names as contact_names
 from .recordings.recording import RecordedSignal as RecordedSignal

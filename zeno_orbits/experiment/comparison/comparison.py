@@ -21,7 +21,7 @@ from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
 from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
 from zeno_orbits.experiment.comparison.gap_samples import stop_level
-from zeno_orbits.experiment.comparison.metrics import Metric, contact_metrics, metric
+from zeno_orbits.experiment.comparison.metrics import Metric, contact_metrics, metric, plain_number
 from zeno_orbits.experiment.comparison.overlay import RELATED, Overlay, lay_over, shared_signals
 from zeno_orbits.experiment.comparison.signal_metrics import (
     portrait_metrics,
@@ -168,17 +168,8 @@ class Comparison(Displayed):
             "source": None if source is None else source.value,
             "signals": list(self.signals),
             "cycles": None if self.period is None else self.period.n_cycles,
-            "release_time": None if self.where is None else _plain(self.where.release),
-            "metrics": {
-                one.name: {
-                    "unit": one.unit,
-                    "orbit": _plain(one.orbit),
-                    "data": _plain(one.data),
-                    "difference": _plain(one.data - one.orbit),
-                    "standard_error": _plain(one.error),
-                }
-                for one in self.metrics
-            },
+            "release_time": None if self.where is None else plain_number(self.where.release),
+            "metrics": {one.name: one.as_json() for one in self.metrics},
         }
 
 
@@ -281,7 +272,3 @@ def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
     begin = where.release + where.period * math.floor((time[0] - where.release) / where.period)
     until = begin + (int(strange[-1]) + 1) * where.period
     return [f"the motion is still settling at first: skip that part with --from {until:.4g}"]
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit
@@ -28,6 +30,21 @@ class Metric:
     orbit: float
     data: float
     error: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the quantity as plain data, with null for unknown values."""
+        return {
+            "unit": self.unit,
+            "orbit": plain_number(self.orbit),
+            "data": plain_number(self.data),
+            "difference": plain_number(self.data - self.orbit),
+            "standard_error": plain_number(self.error),
+        }
+
+
+def plain_number(value: float) -> float | None:
+    """Return a number for JSON, with null for an unknown value."""
+    return float(value) if math.isfinite(value) else None
 
 
 def metric(name: str, unit: str, orbit: float, found: Estimate) -> Metric:

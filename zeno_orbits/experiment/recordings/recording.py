@@ -183,7 +183,9 @@ def _written(recording: Recording) -> Iterator[bytes]:
 
 
 @checked
-def read_recording(path: Path | str, *, only: Collection[str] = ()) -> Recording:
+def read_recording(
+    path: Path | str, *, only: Collection[str] = (), families: Collection[str] = ()
+) -> Recording:
     """Read a recording in SI units.
 
     Rows without a time or with the same time as the previous row are omitted. Infinite values are
@@ -193,6 +195,8 @@ def read_recording(path: Path | str, *, only: Collection[str] = ()) -> Recording
         path: The file.
         only: Names of the signals to read, if the file has them. All signals are read if `only` is
             empty. The contents of other columns do not matter then.
+        families: Beginnings of further names to read. ``contact`` stands for ``contact`` and
+            ``contact.STOP``.
 
     Raises:
         DataFileError: If the file cannot be read or parsed. The message names the line.
@@ -204,7 +208,11 @@ def read_recording(path: Path | str, *, only: Collection[str] = ()) -> Recording
     names = [name for name, _ in titles]
     time = _time_column(path, names)
     wanted = only or names
-    chosen = [k for k, name in enumerate(names) if k != time and name and name in wanted]
+    chosen = [
+        k
+        for k, name in enumerate(names)
+        if k != time and name and (name in wanted or name.partition(".")[0] in families)
+    ]
     for k in chosen:
         if names.count(names[k]) > 1:
             raise DataFileError(path, f"two of its columns are named `{names[k]}`")

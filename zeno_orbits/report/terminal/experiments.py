@@ -22,6 +22,7 @@ from zeno_orbits.report.terminal.console import print_lines, print_table
 if TYPE_CHECKING:
     from zeno_orbits.experiment import (
         Comparison,
+        EventComparison,
         Fitted,
         Identification,
         Metric,
@@ -139,7 +140,7 @@ def print_contacts(
     print_lines([f"Simulated, not measured: {counted(len(contacts), 'contact')} of {name}."])
 
 
-def print_comparison(found: Comparison) -> None:
+def print_comparison(found: Comparison | EventComparison) -> None:
     """Print the verdict on a recording, and its quantities next to the orbit's quantities."""
     print_lines(_verdict(found))
 
@@ -169,7 +170,7 @@ _NAMED = 4
 """Differing quantities that are named."""
 
 
-def _verdict(found: Comparison) -> list[str]:
+def _verdict(found: Comparison | EventComparison) -> list[str]:
     """Return the verdict in words."""
     from zeno_orbits.experiment import Verdict
 

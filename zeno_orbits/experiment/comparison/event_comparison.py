@@ -1,0 +1,214 @@
+"""Comparison of a recording with an orbit of events, by the contact channels of its stops.
+
+The channels give the period, the times of first contacts and releases, and the lengths of bounces.
+States and outputs of the recording place the orbit in time, and must move like the orbit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.comparison.estimate import Estimate
+from zeno_orbits.experiment.comparison.event_alignment import LIKE, placed_events
+from zeno_orbits.experiment.comparison.event_contacts import SeenEvents
+from zeno_orbits.experiment.comparison.event_reference import (
+    event_table,
+    orbit_sequences,
+    shared_event_signals,
+)
+from zeno_orbits.experiment.comparison.metrics import Metric, metric, plain_number
+from zeno_orbits.experiment.comparison.verdict import Verdict
+from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
+from zeno_orbits.experiment.recordings.periodicity import periodicity
+from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import EventOrbit
+from zeno_orbits.work import Columns, Displayed
+
+_REPEATS = 0.4
+"""Least part of the variance of all signals that repeats."""
+_CHANCE, _FINEST = 1e-3, 1e-4
+"""Chance by which noise makes a quantity differ, and the least relative difference that counts."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class EventComparison(Displayed):
+    """Comparison of a recording with an orbit of a machine with several stops or switches.
+
+    Attributes:
+        orbit: The orbit.
+        problem: Its problem.
+        recording: The recording.
+        signals: Names of the recorded states and outputs.
+        cycles: Number of periods in the recording, or NaN.
+        metrics: Values of the recording and of the orbit.
+        reasons: Reasons why the recording does not show such an orbit, most serious first.
+        unresolved: Reasons why the recording is inconclusive.
+        remarks: Further findings.
+    """
+
+    orbit: EventOrbit
+    problem: Problem
+    recording: Recording
+    signals: tuple[str, ...]
+    cycles: float = math.nan
+    metrics: tuple[Metric, ...] = ()
+    reasons: tuple[str, ...] = ()
+    unresolved: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return one line: the verdict and the reasons."""
+        found = f"verdict={self.verdict.value} {' '.join((*self.reasons, *self.unresolved))}"
+        return f"<EventComparison with {self.orbit.problem}: {found.strip()}>"
+
+    def _columns(self) -> Columns:
+        """Return the values of the recording next to the values of the orbit."""
+        names = ("name", "unit", "orbit", "data", "error")
+        return {name: [getattr(one, name) for one in self.metrics] for name in names}
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict on the recording."""
+        if self.reasons:
+            return Verdict.NO_ORBIT
+        if self.unresolved:
+            return Verdict.UNDECIDED
+        return Verdict.OTHER_VALUES if self.differences else Verdict.THIS_ORBIT
+
+    @cached_property
+    def differences(self) -> tuple[Metric, ...]:
+        """The quantities that differ from the orbit's by more than their errors."""
+        from scipy.special import ndtri
+
+        known = [one for one in self.metrics if math.isfinite(one.data) and one.error >= 0.0]
+        if not known:
+            return ()
+        most = -float(ndtri(_CHANCE / 2.0 / len(known)))
+        return tuple(
+            one
+            for one in known
+            if abs(one.data - one.orbit) > max(most * one.error, _FINEST * self._size(one))
+        )
+
+    def _size(self, one: Metric) -> float:
+        return self.orbit.period if one.unit == "s" else max(abs(one.orbit), 1.0)
+
+    @property
+    def agrees(self) -> bool:
+        """True if the recording shows this orbit, or one of the machine with other values."""
+        return self.verdict in {Verdict.THIS_ORBIT, Verdict.OTHER_VALUES}
+
+    def metric(self, name: str) -> Metric:
+        """Return a quantity by its name.
+
+        Raises:
+            InputError: If no quantity has this name.
+        """
+        for one in self.metrics:
+            if one.name == name:
+                return one
+        known = ", ".join(one.name for one in self.metrics)
+        raise InputError(f"Argument `metric` must be one of {known}, but it is `{name}`.")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the comparison as plain data, with null for unknown values."""
+        source = self.recording.source
+        return {
+            "agrees": self.agrees,
+            "verdict": self.verdict.value,
+            "reasons": list(self.reasons),
+            "unresolved": list(self.unresolved),
+            "differences": [one.name for one in self.differences],
+            "remarks": list(self.remarks),
+            "problem": self.orbit.problem,
+            "source": None if source is None else source.value,
+            "signals": list(self.signals),
+            "cycles": plain_number(self.cycles),
+            "metrics": {one.name: one.as_json() for one in self.metrics},
+        }
+
+
+def compare_events(orbit: EventOrbit, problem: Problem, recording: Recording) -> EventComparison:
+    """Compare a recording with an orbit of a machine with several stops or switches.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        recording: The recording. Contact channels, states and outputs count.
+
+    Raises:
+        InputError: If a contact channel is invalid, the recording lacks contact channels, or a
+            signal has a unit of another kind.
+        SimulationError: If the orbit cannot be simulated.
+    """
+    stops = problem.graph_dynamics(orbit.values(problem)).stop_names
+    channels = contact_channels(recording, stops)
+    names = shared_event_signals(problem, recording)
+    struck = {stop: found for stop in stops if (found := orbit_sequences(orbit, stop))}
+    begun = EventComparison(
+        orbit=orbit,
+        problem=problem,
+        recording=recording,
+        signals=names,
+        remarks=tuple(_remarks(recording, problem, names, contact_names(stops))),
+    )
+    if not channels:
+        listed = ", ".join(contact_names(stops))
+        raise InputError(f"Argument `recording` must have a contact channel ({listed}).")
+    whole = np.stack([*(recording.signal(name).values for name in names), *channels.values()])
+    found = periodicity(recording.time, whole)
+    if found is None or found.n_cycles < 1.0:
+        span = recording.time[-1] - recording.time[0]
+        reason = f"no period is seen in {span:.4g} s, and the orbit's is {orbit.period:.4g} s"
+        return replace(begun, reasons=(reason,))
+    begun = replace(begun, cycles=found.n_cycles)
+    if found.repeats < _REPEATS:
+        reason = f"only {100 * found.repeats:.0f} % of the signals' variance repeats"
+        return replace(begun, reasons=(reason,))
+    seen = SeenEvents.of(recording.time, channels, struck, orbit.period, found.period)
+    reasons, unresolved = seen.findings()
+    missing = [stop for stop in struck if stop not in channels]
+    if missing:
+        listed = ", ".join(f"`{stop}`" for stop in missing)
+        unresolved = (*unresolved, f"contacts cannot be seen on {listed}: no channel was recorded")
+    table = event_table(orbit, problem, names)
+    period = seen.period if seen.period.known else Estimate(value=found.period, error=found.error)
+    place = placed_events(
+        table, recording, names, tuple(channels), seen, period.value, found.average
+    )
+    unlike = [
+        f"`{name}` moves differently: its correlation with the orbit is {likeness:.2f}"
+        for name, likeness in place.likeness.items()
+        if likeness < LIKE
+    ]
+    return replace(
+        begun,
+        metrics=(
+            metric("period", "s", orbit.period, period),
+            *seen.metrics(table, place.start, period, quantities=not reasons and not unresolved),
+        ),
+        reasons=(*reasons, *unlike),
+        unresolved=unresolved,
+    )
+
+
+def _remarks(
+    recording: Recording, problem: Problem, names: Sequence[str], channels: Sequence[str]
+) -> list[str]:
+    found: list[str] = []
+    others = [name for name in recording.names if name not in (*names, *channels)]
+    if others:
+        found.append(f"not signals of the problem, left out: {', '.join(others)}")
+    if recording.problem and recording.problem != problem.name:
+        found.append(f"the recording names the problem `{recording.problem}`, not `{problem.name}`")
+    if recording.source is None:
+        found.append("the recording does not say whether it was measured or simulated")
+    return found

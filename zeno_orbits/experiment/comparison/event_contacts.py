@@ -1,0 +1,322 @@
+"""Contacts of a recording, sequence by sequence, next to the sequences of an orbit of events."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.comparison.contact_edges import (
+    Edge,
+    SeenSequence,
+    mean_of,
+    period_of_edges,
+    seen_contacts,
+    seen_sequences,
+)
+from zeno_orbits.experiment.comparison.estimate import Estimate
+from zeno_orbits.experiment.comparison.event_reference import (
+    EventTable,
+    OrbitSequence,
+    longest_flight,
+)
+from zeno_orbits.experiment.comparison.metrics import Metric, metric
+
+_SHARE = 0.25
+"""Part of the orbit's contact phase that a lasting contact lasts at least."""
+_EXPECTED = 2.0
+"""A flight of the orbit that lasts so many samples would be seen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Stop:
+    """The contacts of a stop in a recording and in the orbit.
+
+    Attributes:
+        name: Name of the stop.
+        orbit: The orbit's sequences.
+        seen: The recorded sequences that are whole, for each of the orbit's sequences.
+        cycles: Number of the cycle of each.
+        others: Number of recorded sequences that fit none of the orbit's.
+        n_contacts: Number of contacts in the recording.
+    """
+
+    name: str
+    orbit: tuple[OrbitSequence, ...]
+    seen: tuple[tuple[SeenSequence, ...], ...]
+    cycles: tuple[tuple[int, ...], ...]
+    others: int
+    n_contacts: int
+
+    def labels(self) -> list[str]:
+        """Return the names of its sequences."""
+        if len(self.orbit) == 1:
+            return [self.name]
+        return [f"{self.name} {k}" for k in range(1, len(self.orbit) + 1)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenEvents:
+    """The contacts of all stops in a recording.
+
+    Attributes:
+        stops: The stops with a channel.
+        step: Time between two samples [s].
+        orbit_period: Period of the orbit [s].
+        period: Period by the edges.
+        span: Duration of the recording [s].
+    """
+
+    stops: tuple[_Stop, ...]
+    step: float
+    orbit_period: float
+    period: Estimate
+    span: float
+
+    @classmethod
+    def of(
+        cls,
+        time: Vector,
+        channels: Mapping[str, Vector],
+        struck: Mapping[str, tuple[OrbitSequence, ...]],
+        orbit_period: float,
+        period: float,
+    ) -> SeenEvents:
+        """Return the contacts of the channels of stops that the orbit strikes."""
+        step = float(np.median(np.diff(time)))
+        stops = tuple(
+            _stop(time, channels[name], name, sequences, orbit_period, period, step)
+            for name, sequences in struck.items()
+            if name in channels
+        )
+        series: list[list[Edge]] = []
+        cycles: list[tuple[int, ...]] = []
+        for stop in stops:
+            for found, numbers in zip(stop.seen, stop.cycles, strict=True):
+                series += [[one.begins[0] for one in found], [one.release for one in found]]
+                cycles += [numbers, numbers]
+        return cls(
+            stops=stops,
+            step=step,
+            orbit_period=orbit_period,
+            period=period_of_edges(series, cycles),
+            span=float(time[-1] - time[0]),
+        )
+
+    def model_channel(self, stop: str, n: int) -> Vector:
+        """Return the contact channel of the orbit at even phases, ``(n,)``."""
+        phases = np.arange(n) / n * self.orbit_period
+        found = np.zeros(n)
+        for one in self.stops:
+            for sequence in one.orbit if one.name == stop else ():
+                if sequence.zeno is not None and sequence.release is not None:
+                    since = (phases - sequence.zeno) % self.orbit_period
+                    found[since < sequence.release - sequence.zeno] = 1.0
+        return found
+
+    def offset(self, start: float, period: float) -> Estimate:
+        """Return the mean delay of first impacts against a start of the orbit's period."""
+        late = [
+            (one.begins[0].middle - start - sequence.impacts[0] + period / 2) % period - period / 2
+            for stop in self.stops
+            for sequence, found in zip(stop.orbit, stop.seen, strict=True)
+            for one in found
+        ]
+        if not late:
+            return Estimate(value=0.0, error=math.inf)
+        spread = float(np.std(late)) if len(late) > 1 else period
+        return Estimate(value=float(np.mean(late)), error=spread)
+
+    def findings(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the reasons against such an orbit, and those why the samples do not decide."""
+        reasons: list[str] = []
+        unresolved: list[str] = []
+        for stop in self.stops:
+            for label, sequence, found in zip(stop.labels(), stop.orbit, stop.seen, strict=True):
+                against, open_ = self._finding(stop, label, sequence, found)
+                reasons += against
+                unresolved += open_
+        return tuple(reasons), tuple(unresolved)
+
+    def _finding(
+        self, stop: _Stop, label: str, sequence: OrbitSequence, found: Sequence[SeenSequence]
+    ) -> tuple[list[str], list[str]]:
+        if not stop.n_contacts:
+            return [f"the contact `{stop.name}` never closes"], []
+        if not found:
+            what = f"no whole sequence of contacts of `{label}` is seen in {self.span:.4g} s"
+            return ([], [what]) if self.span < 2.5 * self.orbit_period else ([what], [])
+        if stop.others > len(found) / 2:
+            return [
+                f"`{stop.name}` closes {stop.others} times at other times than in the orbit"
+            ], []
+        if sequence.zeno is None:
+            return [], []
+        short = min(one.fewest for one in found)
+        if not all(one.is_resolved for one in found):
+            what = f"a contact or flight of `{label}` has {short} sample"
+            return [], [f"bounces cannot be decided: {what}, and shorter ones may be missed"]
+        expected = float(sequence.flights[0]) if len(sequence.flights) else 0.0
+        if not any(one.contacts for one in found) and expected > _EXPECTED * self.step:
+            what = f"no bounce of `{label}` is seen"
+            return [], [f"bounces cannot be decided: {what}, and contacts may be missed"]
+        if sequence.release is not None:
+            own = sequence.release - sequence.zeno
+            lasts = float(np.median([one.release.middle - one.begins[-1].middle for one in found]))
+            if lasts < _SHARE * own:
+                what = f"the contact `{label}` lasts for {lasts:.3g} s at most"
+                return [f"no contact phase is seen: {what}, the orbit's for {own:.3g} s"], []
+        for one in found:
+            lengths = np.diff([edge.middle for edge in one.begins])
+            if len(lengths) > 1 and np.any(np.diff(lengths) > 2 * self.step):
+                return [f"the bounces of `{label}` do not become shorter"], []
+        return [], []
+
+    def metrics(
+        self, table: EventTable, start: Estimate, period: Estimate, *, quantities: bool
+    ) -> list[Metric]:
+        """Return the quantities of all sequences.
+
+        Args:
+            table: The orbit.
+            start: A time at which the period of the orbit starts [s].
+            period: The period.
+            quantities: Whether bounces are resolved, so that their quantities have a meaning.
+        """
+        found: list[Metric] = []
+        for stop in self.stops:
+            parts = zip(stop.labels(), stop.orbit, stop.seen, strict=True)
+            for label, sequence, seen in parts:
+                if not seen:
+                    continue
+                one = _Quantities(
+                    label=label,
+                    sequence=sequence,
+                    seen=seen,
+                    step=self.step,
+                    period=period,
+                    table=table,
+                    start=start,
+                )
+                found += one.times()
+                if quantities and sequence.zeno is not None:
+                    found += one.bounces()
+        return found
+
+
+def _stop(
+    time: Vector,
+    channel: Vector,
+    name: str,
+    sequences: tuple[OrbitSequence, ...],
+    orbit_period: float,
+    period: float,
+    step: float,
+) -> _Stop:
+    contacts = seen_contacts(time, channel)
+    longest = longest_flight(sequences, orbit_period) * period / orbit_period
+    found = seen_sequences(contacts, time, longest, step)
+    begins: Vector = np.array([one.begins[0].middle for one in found])
+    first_impacts: Vector = np.array([one.impacts[0] for one in sequences])
+    own: Vector = first_impacts * (period / orbit_period)
+    if not found:
+        none = tuple(() for _ in sequences)
+        return _Stop(
+            name=name, orbit=sequences, seen=none, cycles=none, others=0, n_contacts=len(contacts)
+        )
+    # The distances between first impacts tell which sequence of the orbit is which.
+    best, kinds, numbers = math.inf, np.zeros(len(found), dtype=np.int64), np.zeros(len(found))
+    for first in range(len(own)):
+        late: Vector = np.subtract.outer(begins - begins[0], own - own[first])
+        turns: Vector = np.round(late / period)
+        off = np.abs(late - turns * period)
+        nearest = np.argmin(off, axis=1)
+        total = float(np.sum(np.min(off, axis=1)))
+        if total < best:
+            best, kinds = total, nearest
+            numbers = turns[np.arange(len(found)), nearest]
+    seen = [[found[j] for j in np.flatnonzero(kinds == k)] for k in range(len(own))]
+    cycles = [[int(numbers[j]) for j in np.flatnonzero(kinds == k)] for k in range(len(own))]
+    twice = sum(len(one) - len(set(one)) for one in cycles)
+    return _Stop(
+        name=name,
+        orbit=sequences,
+        seen=tuple(tuple(one) for one in seen),
+        cycles=tuple(tuple(one) for one in cycles),
+        others=twice,
+        n_contacts=len(contacts),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Quantities:
+    """The quantities of a sequence over all cycles."""
+
+    label: str
+    sequence: OrbitSequence
+    seen: tuple[SeenSequence, ...]
+    step: float
+    period: Estimate
+    table: EventTable
+    start: Estimate
+
+    def times(self) -> list[Metric]:
+        """Return the first impact, the end of the chatter and the release, since the zero phase."""
+        found = [self._time("impact_time", self.sequence.impacts[0], lambda one: one.begins[0])]
+        if self.sequence.zeno is not None:
+            found.append(self._time("zeno_time", self.sequence.zeno, lambda one: one.begins[-1]))
+        if self.sequence.release is not None:
+            found.append(self._time("release_time", self.sequence.release, lambda one: one.release))
+        return found
+
+    def bounces(self) -> list[Metric]:
+        """Return number and lengths of the bounces, bounce time and contact duration."""
+        zeno, impacts = self.sequence.zeno, self.sequence.impacts
+        if zeno is None:
+            return []
+        counts = np.array([len(one.begins) - 1 for one in self.seen], dtype=np.float64)
+        spread = float(np.std(counts, ddof=1)) / math.sqrt(len(counts)) if len(counts) > 1 else 0.0
+        contact = float(np.median([c for one in self.seen for c in one.contacts] or [self.step]))
+        expected = float(np.sum(self.sequence.flights > max(contact, self.step)))
+        found = [
+            self._difference(
+                "bounce_time",
+                zeno - impacts[0],
+                [(one.begins[0], one.begins[-1]) for one in self.seen],
+            ),
+            metric(
+                f"{self.label}.bounces",
+                "1",
+                expected,
+                Estimate(value=float(np.mean(counts)), error=spread),
+            ),
+        ]
+        for k in range(int(np.min(counts))):
+            own = impacts[k + 1] - impacts[k] if k + 1 < len(impacts) else math.nan
+            pairs = [(one.begins[k], one.begins[k + 1]) for one in self.seen]
+            found.append(self._difference(f"bounce {k + 1}", own, pairs))
+        if self.sequence.release is not None:
+            pairs = [(one.begins[-1], one.release) for one in self.seen]
+            found.append(self._difference("contact_time", self.sequence.release - zeno, pairs))
+        return found
+
+    def _difference(self, word: str, own: float, pairs: Sequence[tuple[Edge, Edge]]) -> Metric:
+        values = np.array([later.middle - earlier.middle for earlier, later in pairs])
+        estimate = mean_of(values, 2, self.step)
+        return metric(f"{self.label}.{word}", "s", own, estimate)
+
+    def _time(self, word: str, own: float, edge: Callable[[SeenSequence], Edge]) -> Metric:
+        period, orbit = self.period.value, self.table.orbit
+        # Cycles count from the start nearest to the middle, so an error of the period hardly moves.
+        late = np.array([edge(one).middle for one in self.seen]) - self.start.value
+        turns = np.round((late - own * period / orbit.period) / period)
+        values = late - turns * period
+        estimate = mean_of(values, 1, self.step).unsure(self.start.error)
+        drift = float(np.mean(turns)) * self.period.error
+        wanted = self.table.since_zero(own)
+        since = estimate.value - own + wanted
+        told = Estimate(value=since, error=math.hypot(estimate.error, drift))
+        return metric(f"{self.label}.{word}", "s", wanted, told)
