@@ -728,8 +728,8 @@ def test_a_run_is_recorded_with_names_and_units_as_simulated(problem: Problem) -
     start = problem.state_vector(problem.starts[0])
     run = simulate_rig(problem, problem.values(), default_rig(problem), start, 0.1)
     recording = recording_of(run, problem, {"seed": "0"})
-    assert recording.names == ("theta1", "theta2", "current")
-    assert [signal.unit for signal in recording.signals] == ["rad", "rad", "A"]
+    assert recording.names == ("theta1", "theta2", "current", "contact")
+    assert [signal.unit for signal in recording.signals] == ["rad", "rad", "A", "1"]
     assert recording.problem == problem.name
     assert recording.notes["seed"] == "0"
     assert np.diff(recording.time) == pytest.approx(1e-3)
