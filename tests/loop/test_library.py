@@ -63,6 +63,7 @@ RULES: dict[str, float] = {
     "ABOVE": reference_run._ABOVE,
     "STEADY": reference_run._STEADY,
     "HOP_PART": small_hops._PART,
+    "HOP_LOW": small_hops._LOW,
     "LEAVES": following.LEAVES,
     "EXPLICIT_SAFETY": dop853.SAFETY,
     "EXPLICIT_SHRINK": dop853.SHRINK,

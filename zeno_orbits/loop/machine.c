@@ -295,6 +295,9 @@ static Hop small_hop(const Machine *m) {
     long long i;
     evaluate_at(m, ZL_GAP, x, gap);
     if (!(gap[0] <= m->run->small_gap && fabs(gap[1]) <= m->run->small_rate)) return hop;
+    lift = number_at(m, ZL_LIFT, x);
+    if (!(lift >= -settings->contact * settings->gap_acceleration)) return hop;
+    lift = greater(lift, 0.0);
     fall = -number_at(m, ZL_PULL, x);
     evaluate_at(m, ZL_RATE + ZL_LOCKED, x, rate);
     for (i = 0; i < m->problem->n_x; i++) {
@@ -303,15 +306,15 @@ static Hop small_hop(const Machine *m) {
         behind[i] = x[i] - shift;
     }
     turn = (number_at(m, ZL_PULL, ahead) - number_at(m, ZL_PULL, behind)) / (2 * time);
-    lift = greater(number_at(m, ZL_LIFT, x), 0.0);
     inertia = number_at(m, ZL_INERTIA, x);
     if (!(turn > 0.0)) return hop;
     hop.duration = 2.0 * (fall + sqrt(fall * fall + 3.0 * (lift * inertia) * turn)) / turn;
-    if (!(hop.duration > 0.0)) {
+    highest = lift + fabs(fall) / inertia * hop.duration;
+    if (!(hop.duration > 0.0 &&
+          highest * (hop.duration * hop.duration) <= HOP_LOW * settings->gap)) {
         hop.duration = 0.0;
         return hop;
     }
-    highest = lift + fabs(fall) / inertia * hop.duration;
     hop.error = greater(settings->relative * highest, ROUNDING * settings->gap_acceleration);
     hop.launch = hop.error * sqrt(hop.error / highest);
     return hop;

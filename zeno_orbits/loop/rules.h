@@ -48,6 +48,7 @@
 
 /* simulation/small_hops.py */
 #define HOP_PART 1e-05
+#define HOP_LOW 1e-08
 
 /* simulation/simulator.py */
 #define ABOVE 1e-06

@@ -226,8 +226,10 @@ class ReferenceRun:
         """Follow a flight that is lower than the rounding of the gap, if that explains an error."""
         dynamics, x = self.dynamics, start.state
         rests = dynamics.gap(x) <= self.small_gap and abs(dynamics.gap_rate(x)) <= self.small_rate
+        least = -self.settings.contact * self.own.gap_acceleration
+        may_lift = rests and dynamics.gap_acceleration(x) >= least
         relative = self.settings.tolerance.relative
-        if not rests or (hop := small_hop(dynamics, x, relative)) is None:
+        if not may_lift or (hop := small_hop(dynamics, x, relative)) is None:
             return self._in_other_mode(start, error)
         launched = replace(start, speed=hop.duration, hop=hop)
         flight = self.dynamics.flight(hop.duration)

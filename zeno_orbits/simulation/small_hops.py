@@ -19,6 +19,10 @@ _PART = 1e-5
 """Of the problem's own time, over which the rate of the multiplier is differentiated."""
 
 
+_LOW = 1e-8
+"""Largest height, relative to the size of the gap in the problem."""
+
+
 class SmallHop(NamedTuple):
     """A flight lower than the rounding of the gap.
 
@@ -35,7 +39,7 @@ class SmallHop(NamedTuple):
 
 
 def small_hop(dynamics: HybridDynamics, state: Vector, relative: float) -> SmallHop | None:
-    """Return the flight from a state on the stop, or ``None`` if the multiplier does not turn.
+    """Return the flight from a state on the stop, or ``None`` if it is not as low.
 
     Args:
         dynamics: The system.
@@ -54,5 +58,7 @@ def small_hop(dynamics: HybridDynamics, state: Vector, relative: float) -> Small
     if not duration > 0.0:
         return None
     highest = lift + abs(fall) / inertia * duration
+    if not highest * duration**2 <= _LOW * dynamics.own.gap:
+        return None
     error = max(relative * highest, ROUNDING * dynamics.own.gap_acceleration)
     return SmallHop(duration=duration, error=error, launch=error * math.sqrt(error / highest))
