@@ -16,7 +16,7 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import assume, given, reject, settings
+from hypothesis import assume, example, given, reject, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
@@ -318,6 +318,8 @@ def test_the_ball_moves_alike_in_all_units(
     _same_motion(plain, other, 1e-8)
 
 
+# The gap acceleration after the first impact is nearly zero, and grows during the flight.
+@example(units=Units(mass=1.0, length=1.0, time=10.0), turn=0.0, drive=-1.0, e=0.5)
 @examples(30)
 @given(units=units, turn=between(-3, 3), drive=between(-2, 0), e=between(0, 0.8))
 def test_the_cart_moves_alike_in_all_units(

@@ -62,6 +62,7 @@ RULES: dict[str, float] = {
     "ROUNDED": steps.ROUNDED,
     "ABOVE": reference_run._ABOVE,
     "STEADY": reference_run._STEADY,
+    "BRIEF": arc_follower._BRIEF,
     "HOP_PART": small_hops._PART,
     "HOP_LOW": small_hops._LOW,
     "LEAVES": following.LEAVES,

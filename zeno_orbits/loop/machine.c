@@ -254,7 +254,8 @@ static double flight_error(const zl_run *run) {
     const zl_settings *settings = &run->settings;
     const double size = settings->gap_acceleration, lift = fabs(run->start.lift);
     double rounding;
-    if (!run->start.has_impact) return settings->absolute;
+    if (!run->start.has_impact || !(2.0 * run->start.speed <= BRIEF * settings->time * lift))
+        return settings->absolute;
     rounding = ROUNDING * size / greater(lift, settings->contact * size);
     return rounding > settings->relative ? rounding : settings->absolute;
 }

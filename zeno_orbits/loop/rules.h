@@ -57,6 +57,7 @@
 /* simulation/arc_follower.py */
 #define FIRST_PACE 25000
 #define RISE 1.5
+#define BRIEF 0.001
 
 /* simulation/event_rules.py */
 #define INSIDE 1e-09

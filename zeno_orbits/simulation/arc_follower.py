@@ -34,6 +34,9 @@ from zeno_orbits.simulation.small_hops import SmallHop
 _FIRST_LOOK = 25_000
 """Steps before the first check of the pace of an execution. Regular motions take about 150 steps
 per second."""
+_BRIEF = 1e-3
+"""Longest duration of a flight of which the tolerance depends on rounding, in the problem's own
+time."""
 _HOPPING = RungeKutta()
 """The integrator of a flight that is lower than the rounding of the gap: far shorter than anything
 that its rates change over."""
@@ -147,16 +150,20 @@ class ArcFollower:
         self._n_steps, self._next_look, looks, self._fastest, self._which = pace
         self._looks = [_Look(steps=int(n), time=time, speed=speed) for n, time, speed in looks]
 
-    def _over_rounding(self, lift: float) -> Tolerance:
+    def _over_rounding(self, lift: float, speed: float) -> Tolerance:
         """Return the tolerance of a flight after an impact, not below what rounding permits.
 
         The rounding of the gap acceleration changes the scaled gap rate by its ratio to that
-        acceleration. Steps with a smaller error would be many.
+        acceleration. Steps with a smaller error would be many. Only a brief flight keeps its
+        acceleration, and other states hardly change during it.
 
         Args:
             lift: Gap acceleration at the start of the flight.
+            speed: Gap rate there.
         """
         size, tolerance = self.dynamics.own.gap_acceleration, self.tolerance
+        if not 2.0 * speed <= _BRIEF * self.dynamics.own.time * abs(lift):
+            return tolerance
         rounding = ROUNDING * size / max(abs(lift), self.contact * size)
         return replace(tolerance, absolute=rounding) if rounding > tolerance.relative else tolerance
 
@@ -192,8 +199,8 @@ class ArcFollower:
         launch, tolerance, hop = 1.0, self.tolerance, start.hop
         if hop is not None:
             launch, tolerance = hop.launch, replace(tolerance, absolute=hop.error)
-        elif start.resting is not None:
-            tolerance = self._over_rounding(start.resting.gap_acceleration)
+        elif start.resting is not None and start.speed is not None:
+            tolerance = self._over_rounding(start.resting.gap_acceleration, start.speed)
         leg = Leg(
             flow=flow,
             y=start.state if start.speed is None else launched(start.state, launch),
