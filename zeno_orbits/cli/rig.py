@@ -97,7 +97,7 @@ def add_rig(commands: Any) -> None:
         default=0.0,
         metavar="SHARE",
         help="noise on the samples of a machine without a controller, relative to the range of "
-        "each signal; contact channels have none (default: 0)",
+        "each signal; contact channels stay exact (default: 0)",
     )
     parser.add_argument("--seed", type=read_seed, default=0, metavar="N", help="seed of the noise")
     parser.add_argument(

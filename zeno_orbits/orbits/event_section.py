@@ -446,7 +446,7 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     names = [orbit_event_name(event) for event in execution.events]
     if not names:
         raise SimulationError(
-            "The motion has no events: it strikes no stop and passes no switch",
+            "The motion strikes no stop and passes no switch",
             time=execution.end_time,
             state=tuple(execution.end_state.tolist()),
         )
