@@ -290,10 +290,10 @@ class EventPoint:
             return False
         moving = [k for k in range(len(x)) if k not in first.clock]
         times = np.linspace(begin, motion.end_time, _SAMPLES)
-        moved = [motion.state_at(time) - x for time in times.tolist()]
+        moved = motion.states_at(times) - x
         largest = np.max(np.abs([arc.start_state - x for arc in motion.arcs]), axis=0)
         zero = _CONTACT * self._usual[moving]
-        moves = np.abs(np.array(moved)[None, :, moving])
+        moves = np.abs(moved[None, :, moving])
         return bool(is_still(moves, largest[None, moving], zero)[0])
 
     def _without_events(self, motion: Execution) -> Attractor | None:
@@ -302,8 +302,8 @@ class EventPoint:
         if turn is None:
             return None
         count = min(int(motion.end_time / 2 / turn), 2 * _TURNS)
-        ends = [motion.end_time - k * turn for k in range(count, -1, -1)]
-        states = [motion.state_at(time) for time in ends]
+        ends: Vector = motion.end_time - turn * np.arange(count, -1.0, -1.0)
+        states = list(motion.states_at(ends))
         rows = np.array(states) / scale_of(states, self._units, self._usual)
         for n in range(1, count // 2 + 1):
             if np.max(np.abs(rows[n:] - rows[:-n])) < self._same:

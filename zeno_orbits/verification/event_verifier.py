@@ -283,7 +283,7 @@ def _sampled(graph: GraphDynamics, period: _Period) -> dict[str, float]:
         closed, sides = graph.mode_of(arc.closed, arc.sides)
         n_x, span = len(arc.start_state), arc.end_time - arc.start_time
         times = np.linspace(0.0, span, _SAMPLES + 2)[1:-1]
-        states = [*arc.flow_states[1:-1, :n_x], *(arc.state_at(arc.start_time + t) for t in times)]
+        states = [*arc.flow_states[1:-1, :n_x], *arc.states_at(arc.start_time + times)]
         for x in states:
             for k in range(len(graph.stop_names)):
                 if k not in closed:

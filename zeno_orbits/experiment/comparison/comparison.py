@@ -14,14 +14,20 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit, fit_contacts
 from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
 from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
 from zeno_orbits.experiment.comparison.gap_samples import stop_level
-from zeno_orbits.experiment.comparison.metrics import Metric, contact_metrics, metric, plain_number
+from zeno_orbits.experiment.comparison.metrics import (
+    Metric,
+    contact_metrics,
+    metric,
+    metric_columns,
+    named_metric,
+    plain_number,
+)
 from zeno_orbits.experiment.comparison.overlay import RELATED, Overlay, lay_over, shared_signals
 from zeno_orbits.experiment.comparison.signal_metrics import (
     portrait_metrics,
@@ -88,8 +94,7 @@ class Comparison(Displayed):
 
     def _columns(self) -> Columns:
         """Return the values of the recording next to the values of the orbit."""
-        names = ("name", "unit", "orbit", "data", "error")
-        return {name: [getattr(metric, name) for metric in self.metrics] for name in names}
+        return metric_columns(self.metrics)
 
     @property
     def period(self) -> Periodicity | None:
@@ -140,7 +145,7 @@ class Comparison(Displayed):
     @property
     def agrees(self) -> bool:
         """True if the recording shows this orbit, or one of the machine with other values."""
-        return self.verdict in {Verdict.THIS_ORBIT, Verdict.OTHER_VALUES}
+        return self.verdict.shows_orbit
 
     def metric(self, name: str) -> Metric:
         """Return a number by its name.
@@ -148,11 +153,7 @@ class Comparison(Displayed):
         Raises:
             InputError: If no metric has this name.
         """
-        for one in self.metrics:
-            if one.name == name:
-                return one
-        known = ", ".join(one.name for one in self.metrics)
-        raise InputError(f"Argument `metric` must be one of {known}, but it is `{name}`.")
+        return named_metric(self.metrics, name)
 
     def as_json(self) -> dict[str, Any]:
         """Return the comparison as plain data, with null for unknown values."""

@@ -23,8 +23,14 @@ from zeno_orbits.experiment.comparison.event_reference import (
     orbit_sequences,
     shared_event_signals,
 )
-from zeno_orbits.experiment.comparison.metrics import Metric, metric, plain_number
-from zeno_orbits.experiment.comparison.verdict import Verdict
+from zeno_orbits.experiment.comparison.metrics import (
+    Metric,
+    metric,
+    metric_columns,
+    named_metric,
+    plain_number,
+)
+from zeno_orbits.experiment.comparison.verdict import Verdict, beyond_chance
 from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
@@ -34,8 +40,6 @@ from zeno_orbits.work import Columns, Displayed
 
 _REPEATS = 0.4
 """Least part of the variance of all signals that repeats."""
-_CHANCE, _FINEST = 1e-3, 1e-4
-"""Chance by which noise makes a quantity differ, and the least relative difference that counts."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -71,8 +75,7 @@ class EventComparison(Displayed):
 
     def _columns(self) -> Columns:
         """Return the values of the recording next to the values of the orbit."""
-        names = ("name", "unit", "orbit", "data", "error")
-        return {name: [getattr(one, name) for one in self.metrics] for name in names}
+        return metric_columns(self.metrics)
 
     @property
     def verdict(self) -> Verdict:
@@ -86,17 +89,7 @@ class EventComparison(Displayed):
     @cached_property
     def differences(self) -> tuple[Metric, ...]:
         """The quantities that differ from the orbit's by more than their errors."""
-        from scipy.special import ndtri
-
-        known = [one for one in self.metrics if math.isfinite(one.data) and one.error >= 0.0]
-        if not known:
-            return ()
-        most = -float(ndtri(_CHANCE / 2.0 / len(known)))
-        return tuple(
-            one
-            for one in known
-            if abs(one.data - one.orbit) > max(most * one.error, _FINEST * self._size(one))
-        )
+        return beyond_chance(self.metrics, self._size)
 
     def _size(self, one: Metric) -> float:
         return self.orbit.period if one.unit == "s" else max(abs(one.orbit), 1.0)
@@ -104,7 +97,7 @@ class EventComparison(Displayed):
     @property
     def agrees(self) -> bool:
         """True if the recording shows this orbit, or one of the machine with other values."""
-        return self.verdict in {Verdict.THIS_ORBIT, Verdict.OTHER_VALUES}
+        return self.verdict.shows_orbit
 
     def metric(self, name: str) -> Metric:
         """Return a quantity by its name.
@@ -112,11 +105,7 @@ class EventComparison(Displayed):
         Raises:
             InputError: If no quantity has this name.
         """
-        for one in self.metrics:
-            if one.name == name:
-                return one
-        known = ", ".join(one.name for one in self.metrics)
-        raise InputError(f"Argument `metric` must be one of {known}, but it is `{name}`.")
+        return named_metric(self.metrics, name)
 
     def as_json(self) -> dict[str, Any]:
         """Return the comparison as plain data, with null for unknown values."""

@@ -190,7 +190,7 @@ def event_table(orbit: EventOrbit, problem: Problem, names: Sequence[str]) -> Ev
     start = np.array(problem.state_vector(orbit.start_state))
     run = simulate(graph, start, until=orbit.period * (1 + _PAST))
     times = np.arange(_PHASES) / _PHASES * orbit.period
-    states = np.array([run.state_at(time) for time in times.tolist()])
+    states = run.states_at(times)
     outputs = [output.name for output in problem.outputs]
     table = problem.output_values(values, states) if outputs else np.zeros((_PHASES, 0))
     columns = [

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit
 from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.orbit_table import OrbitTable
+from zeno_orbits.work import Columns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +42,25 @@ class Metric:
             "difference": plain_number(self.data - self.orbit),
             "standard_error": plain_number(self.error),
         }
+
+
+def named_metric(metrics: Sequence[Metric], name: str) -> Metric:
+    """Return a quantity by its name.
+
+    Raises:
+        InputError: If no quantity has this name.
+    """
+    for one in metrics:
+        if one.name == name:
+            return one
+    known = ", ".join(one.name for one in metrics)
+    raise InputError(f"Argument `metric` must be one of {known}, but it is `{name}`.")
+
+
+def metric_columns(metrics: Sequence[Metric]) -> Columns:
+    """Return the values of the recording next to the values of the orbit."""
+    names = ("name", "unit", "orbit", "data", "error")
+    return {name: [getattr(one, name) for one in metrics] for name in names}
 
 
 def plain_number(value: float) -> float | None:

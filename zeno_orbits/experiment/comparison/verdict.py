@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -36,6 +36,11 @@ class Verdict(Enum):
     OTHER_VALUES = "other values"
     NO_ORBIT = "no orbit"
     UNDECIDED = "undecided"
+
+    @property
+    def shows_orbit(self) -> bool:
+        """True if the recording shows the orbit, or one of the machine with other values."""
+        return self in {Verdict.THIS_ORBIT, Verdict.OTHER_VALUES}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,19 +129,30 @@ def differing(
         table: The orbit.
         signals: Names of the recorded signals, in the order of the table.
     """
-    known = [one for one in metrics if math.isfinite(one.data) and one.error > 0.0]
+    measured = [one for one in metrics if one.error > 0.0]
+    found = beyond_chance(measured, lambda one: _size(one, table, signals))
+    # Quantities before distances, which only repeat that something differs.
+    return tuple(sorted(found, key=lambda one: "deviation" in one.name or "distance" in one.name))
+
+
+def beyond_chance(metrics: Sequence[Metric], size: Callable[[Metric], float]) -> tuple[Metric, ...]:
+    """Return the known quantities that differ from the orbit's beyond their errors and chance.
+
+    Args:
+        metrics: All quantities. Those without a value or an error are left out.
+        size: Function from a quantity to its size.
+    """
+    known = [one for one in metrics if math.isfinite(one.data) and one.error >= 0.0]
     if not known:
         return ()
     from scipy.special import ndtri
 
     most = -float(ndtri(_CHANCE / 2.0 / len(known)))
-    found = [
+    return tuple(
         one
         for one in known
-        if abs(one.data - one.orbit) > max(most * one.error, _FINEST * _size(one, table, signals))
-    ]
-    # Quantities before distances, which only repeat that something differs.
-    return tuple(sorted(found, key=lambda one: "deviation" in one.name or "distance" in one.name))
+        if abs(one.data - one.orbit) > max(most * one.error, _FINEST * size(one))
+    )
 
 
 def _size(one: Metric, table: OrbitTable, signals: Sequence[str]) -> float:

@@ -434,10 +434,9 @@ class _Follower:
                 own = np.concatenate([own, np.linspace(start, end, _IN_CONTACT)])
             kept = own[own >= settings.keep_from]
             times = sorted({*times, *kept.tolist()})
-        for time in times:
-            if start <= time < end:
-                state = passage.trajectory.state_at(time - start)
-                self._rows.append((time, state, numbers, touched))
+        inside = [time for time in times if start <= time < end]
+        states = passage.trajectory.states_at(np.array(inside) - start) if inside else ()
+        self._rows += [(*pair, numbers, touched) for pair in zip(inside, states, strict=True)]
 
     def result(self) -> RigRun:
         """Return the run."""
