@@ -74,7 +74,7 @@ def test_what_the_computer_reads_is_written_as_a_recording(file: Path, tmp_path:
     assert recording.source is Source.SIMULATED
     assert recording.problem == "motor_pendulum"
     assert recording.notes["seed"] == "4"
-    assert recording.names == ("theta1", "theta2", "current")
+    assert recording.names == ("theta1", "theta2", "current", "contact")
     # A cycle at 1 kHz.
     assert np.diff(recording.time) == pytest.approx(1e-3)
     assert len(recording.time) == pytest.approx(1814, abs=40)
