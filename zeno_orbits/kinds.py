@@ -90,11 +90,17 @@ class _Names(dict[str, Any]):
     """The names of a module, then those of the rooms: a module may import them for types alone."""
 
     def __missing__(self, name: str) -> Any:
-        for found in iter_modules(zeno_orbits.__path__):
-            room = import_module(f"zeno_orbits.{found.name}") if found.ispkg else None
-            if name in getattr(room, "__all__", ()):
-                return getattr(room, name)
-        raise KeyError(name)
+        return getattr(import_module(_rooms()[name]), name)
+
+
+@cache
+def _rooms() -> dict[str, str]:
+    """Return the room that offers each name."""
+    offering = dict[str, str]()
+    for found in iter_modules(zeno_orbits.__path__, "zeno_orbits."):
+        for name in getattr(import_module(found.name), "__all__", ()) if found.ispkg else ():
+            offering.setdefault(name, found.name)
+    return offering
 
 
 @cache

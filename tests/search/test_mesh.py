@@ -107,7 +107,7 @@ def _between(mesh: Array, width: float, scheme: Collocation) -> float:
 def test_a_mesh_is_fine_in_a_layer_and_coarse_outside(width: float, tolerance: float) -> None:
     scheme = radau_scheme(5)
     mesh = graded_mesh(
-        lambda t: np.array([math.exp(-t / width)]), scheme, scale=ONE, tolerance=tolerance
+        lambda t: np.exp(-t / width)[:, None], scheme, scale=ONE, tolerance=tolerance
     )
     sizes = np.diff(mesh)
     assert mesh[0] == 0.0
@@ -124,7 +124,7 @@ def test_a_mesh_is_fine_in_a_layer_and_coarse_outside(width: float, tolerance: f
 def test_a_tighter_tolerance_gives_a_finer_mesh() -> None:
     def sized(tolerance: float) -> int:
         mesh = graded_mesh(
-            lambda t: np.array([math.exp(-t / 0.01)]),
+            lambda t: np.exp(-t / 0.01)[:, None],
             radau_scheme(4),
             scale=ONE,
             tolerance=tolerance,
@@ -137,7 +137,7 @@ def test_a_tighter_tolerance_gives_a_finer_mesh() -> None:
 @pytest.mark.parametrize("n", [2, 4, 6])
 def test_a_polynomial_of_the_degree_of_the_stages_needs_one_interval(n: int) -> None:
     mesh = graded_mesh(
-        lambda t: np.array([(t - 0.3) ** n, 1.0]),
+        lambda t: np.array([(t - 0.3) ** n, np.ones_like(t)]).T,
         radau_scheme(n),
         scale=np.ones(2),
         tolerance=ROUNDING,
@@ -148,7 +148,7 @@ def test_a_polynomial_of_the_degree_of_the_stages_needs_one_interval(n: int) -> 
 def test_a_state_counts_in_units_of_its_scale() -> None:
     def mesh(scale: float) -> Array:
         return graded_mesh(
-            lambda t: np.array([1e3 * math.exp(-t / 0.02)]),
+            lambda t: 1e3 * np.exp(-t / 0.02)[:, None],
             radau_scheme(4),
             scale=np.array([scale]),
             tolerance=1e-6,
@@ -156,14 +156,14 @@ def test_a_state_counts_in_units_of_its_scale() -> None:
 
     assert len(mesh(1e3)) < len(mesh(1.0))
     alone = graded_mesh(
-        lambda t: np.array([math.exp(-t / 0.02)]), radau_scheme(4), scale=ONE, tolerance=1e-6
+        lambda t: np.exp(-t / 0.02)[:, None], radau_scheme(4), scale=ONE, tolerance=1e-6
     )
     assert mesh(1e3).tolist() == alone.tolist()
 
 
 def test_a_jump_ends_at_the_deepest_interval() -> None:
     mesh = graded_mesh(
-        lambda t: np.array([float(t > 1 / 3)]),
+        lambda t: (t > 1 / 3).astype(float)[:, None],
         radau_scheme(3),
         scale=ONE,
         tolerance=1e-6,
@@ -173,9 +173,7 @@ def test_a_jump_ends_at_the_deepest_interval() -> None:
 
 
 def test_fewest_even_intervals_are_kept() -> None:
-    mesh = graded_mesh(
-        lambda t: np.array([t]), radau_scheme(3), scale=ONE, tolerance=1e-9, fewest=4
-    )
+    mesh = graded_mesh(lambda t: t[:, None], radau_scheme(3), scale=ONE, tolerance=1e-9, fewest=4)
     assert mesh.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
 
 
@@ -198,7 +196,7 @@ def test_a_parabola_is_halved_until_its_chords_are_near_enough(
     # Half way the chord of x^2 over an interval h misses it by h^2 / 4, from whichever side; the
     # second state never does.
     mesh = graded_mesh(
-        lambda t: np.array([sign * t**2, 3.0]),
+        lambda t: np.array([sign * t**2, np.full_like(t, 3.0)]).T,
         radau_scheme(1),
         scale=np.array([scale, 1e-9]),
         tolerance=tolerance,
@@ -209,9 +207,9 @@ def test_a_parabola_is_halved_until_its_chords_are_near_enough(
 def test_a_trajectory_is_seen_at_the_points_of_the_polynomial_and_half_way_between_them() -> None:
     scheme, seen = radau_scheme(3), set[float]()
 
-    def trajectory(t: float) -> Array:
-        seen.add(t)
-        return np.zeros(1)
+    def trajectory(t: Array) -> Array:
+        seen.update(t.tolist())
+        return np.zeros((len(t), 1))
 
     mesh = graded_mesh(trajectory, scheme, scale=ONE, tolerance=0.0)
     assert mesh.tolist() == [0.0, 1.0]
@@ -222,15 +220,15 @@ def test_a_trajectory_is_seen_at_the_points_of_the_polynomial_and_half_way_betwe
 
 def test_a_jump_is_halved_fourteen_times_if_nothing_else_is_said() -> None:
     mesh = graded_mesh(
-        lambda t: np.array([float(t > 1 / 3)]), radau_scheme(1), scale=ONE, tolerance=1e-6
+        lambda t: (t > 1 / 3).astype(float)[:, None], radau_scheme(1), scale=ONE, tolerance=1e-6
     )
     assert np.min(np.diff(mesh)) == 2.0**-14
 
 
 def test_a_trajectory_of_rounding_gets_no_more_intervals_than_it_may() -> None:
     # Noise of 1e-6 cannot be followed to 1e-9: the tolerance is raised to that of the noise.
-    def noisy(at: float) -> Array:
-        return np.array([np.exp(at) + 1e-6 * np.sin(1e9 * at)])
+    def noisy(at: Array) -> Array:
+        return (np.exp(at) + 1e-6 * np.sin(1e9 * at))[:, None]
 
     scheme = radau_scheme(3)
     mesh = graded_mesh(noisy, scheme, scale=ONE, tolerance=1e-9, most=20)
@@ -241,6 +239,11 @@ def test_a_trajectory_of_rounding_gets_no_more_intervals_than_it_may() -> None:
 
 def test_a_trajectory_that_is_not_finite_gets_the_even_mesh() -> None:
     mesh = graded_mesh(
-        lambda _: np.array([np.nan]), radau_scheme(3), scale=ONE, tolerance=1e-9, fewest=3, most=9
+        lambda t: np.full((len(t), 1), np.nan),
+        radau_scheme(3),
+        scale=ONE,
+        tolerance=1e-9,
+        fewest=3,
+        most=9,
     )
     assert mesh.tolist() == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0])

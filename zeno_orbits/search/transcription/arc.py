@@ -105,8 +105,8 @@ class ArcWriter:
         length = guess.duration
         scale = flow_scale(guess, self.scale)
 
-        def trajectory(fraction: float) -> Vector:
-            return guess.flow_state_at(fraction * length)
+        def trajectory(fractions: Vector) -> Vector:
+            return guess.flow_states_at(fractions * length)
 
         # An interval replaces at least four steps of the simulation, unless it resolves rounding.
         mesh = graded_mesh(
@@ -117,7 +117,7 @@ class ArcWriter:
             most=len(guess.flow_times) - 1 + _FEW,
         )
         fractions = stage_fractions(mesh, scheme)
-        first = np.array([trajectory(float(fraction)) for fraction in fractions]).T
+        first = trajectory(fractions).T
         stages = self.program.variable(f"{name} stages", first, scale=scale)
         duration = self.program.variable(f"{name} duration", length, scale=length)
         n_intervals = len(mesh) - 1

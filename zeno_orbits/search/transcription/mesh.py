@@ -10,7 +10,6 @@ Source: [HairerWanner1996]_, theory (17).
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 
@@ -24,7 +23,7 @@ _ROUNDING, _SIZE = 1e-16, 1.0
 
 
 def graded_mesh(
-    trajectory: Callable[[float], Array],
+    trajectory: Callable[[Array], Array],
     scheme: Collocation,
     *,
     scale: Array,
@@ -40,7 +39,7 @@ def graded_mesh(
     multiplied by ten until ``most`` intervals are sufficient.
 
     Args:
-        trajectory: State at a fraction of the arc in [0, 1], ``(n_y,)``.
+        trajectory: States at fractions of the arc in [0, 1], ``(n,)`` to ``(n, n_y)``.
         scheme: Collocation scheme. The polynomial interpolates its stages and the interval's start.
         scale: Size of each state, ``(n_y,)``.
         tolerance: Largest deviation of the polynomial between its points, in units of ``scale``.
@@ -54,28 +53,30 @@ def graded_mesh(
     points = np.concatenate([[0.0], scheme.nodes])
     between = (points[1:] + points[:-1]) / 2
     predict = np.array([lagrange_basis(points.tolist(), float(at)) for at in between])
+    places = np.concatenate([points, between])
 
-    def deviation(left: float, right: float) -> float:
-        at = np.array([trajectory(left + (right - left) * float(c)) for c in points])
-        seen = np.array([trajectory(left + (right - left) * float(c)) for c in between])
-        return float(np.max(np.abs(predict @ at - seen) / scale))
+    def deviations(left: Array, right: Array) -> Array:
+        fractions = left[:, None] + (right - left)[:, None] * places
+        states = trajectory(fractions.ravel()).reshape(*fractions.shape, -1)
+        at, seen = states[:, : len(points)], states[:, len(points) :]
+        return np.max(np.abs(predict @ at - seen) / scale, axis=(1, 2))
 
-    even = np.linspace(0.0, 1.0, fewest + 1).tolist()
+    even = np.linspace(0.0, 1.0, fewest + 1)
     room = max(most, fewest)
     while tolerance < _SIZE:
-        ends = [0.0]
-        waiting = [(left, right, deepest) for left, right in pairwise(even)][::-1]
-        while waiting and len(ends) + len(waiting) <= room + 1:
-            left, right, depth = waiting.pop()
-            if depth == 0 or deviation(left, right) <= tolerance:
-                ends.append(right)
-                continue
+        left, right, ends = even[:-1], even[1:], [even[:1]]
+        for depth in range(deepest + 1):
+            coarse = ~(deviations(left, right) <= tolerance) & (depth < deepest)
+            ends.append(right[~coarse])
+            left, right = left[coarse], right[coarse]
             middle = (left + right) / 2
-            waiting += [(middle, right, depth - 1), (left, middle, depth - 1)]
-        if not waiting:
-            return np.array(ends)
+            left, right = np.concatenate([left, middle]), np.concatenate([middle, right])
+            if sum(map(len, ends)) + len(left) > room + 1 or not left.size:
+                break
+        if not left.size:
+            return np.sort(np.concatenate(ends))
         tolerance = max(_COARSER * tolerance, _ROUNDING)
-    return np.array(even)
+    return even
 
 
 def stage_fractions(mesh: Array, scheme: Collocation) -> Array:
