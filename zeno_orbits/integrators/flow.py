@@ -116,6 +116,10 @@ class GuardedFlow(Protocol):
         """Return the guard and its time derivative along the flow."""
         ...
 
+    def guards(self, states: Vector) -> Vector:
+        """Return the guard at states ``(n, n_y)``, ``(n,)``."""
+        ...
+
     @property
     def is_bounded(self) -> bool:
         """True if the guard varies otherwise than the state, and its bounds in a box are known."""
@@ -191,6 +195,10 @@ class PlainFlow:
     def guard(self, y: Vector) -> tuple[float, float]:
         """Return the guard and its time derivative along the flow."""
         return self.guard_and_rate(y)
+
+    def guards(self, states: Vector) -> Vector:
+        """Return the guard at states ``(n, n_y)``, ``(n,)``."""
+        return np.array([self.guard_and_rate(y)[0] for y in states])
 
     @property
     def is_bounded(self) -> bool:

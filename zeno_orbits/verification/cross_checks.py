@@ -201,22 +201,19 @@ def second_model(orbit: ZenoOrbit, problem: Problem, cycle: Cycle) -> float:
     by_hand: HybridDynamics = load_reference(problem).dynamics(values)
     derived = problem.dynamics(values)
     times = np.linspace(0.0, cycle.end.time, 41)
-    free = [cycle.execution.state_at(float(t)) for t in times]
-    free += [impact.state_minus for impact in cycle.impacts]
-    rested = [derived.on_stop(x) for x in free]
+    struck = [impact.state_minus for impact in cycle.impacts]
+    free = np.array([*cycle.execution.states_at(times), *struck])
+    rested = np.array([derived.on_stop(x) for x in free])
 
-    def gap_between(
-        quantity: Callable[[HybridDynamics, Vector], Vector], at: list[Vector]
-    ) -> float:
-        pairs = [(quantity(by_hand, x), quantity(derived, x)) for x in at]
-        size = np.max([np.abs(b) for _, b in pairs], axis=0)
-        size = np.where(size > 0.0, size, 1.0)
-        return max(float(np.max(np.abs(a - b) / size)) for a, b in pairs)
+    def gap_between(quantity: Callable[[HybridDynamics], Vector]) -> float:
+        one, other = quantity(by_hand), quantity(derived)
+        size = np.max(np.abs(other), axis=0)
+        return float(np.max(np.abs(one - other) / np.where(size > 0.0, size, 1.0)))
 
     return max(
-        gap_between(lambda d, x: d.free.rate(x), free),
-        gap_between(lambda d, x: d.locked.rate(x), rested),
-        gap_between(lambda d, x: d.reset_map(x, d.gap_rate(x)), free),
-        gap_between(lambda d, x: np.array([d.gap_acceleration(x), d.multiplier(x)]), rested),
-        gap_between(lambda d, x: np.array([d.energy(x), d.normal_inertia(x)]), free),
+        gap_between(lambda d: d.free.rates(free)),
+        gap_between(lambda d: d.locked.rates(rested)),
+        gap_between(lambda d: np.array([d.reset_map(x, d.gap_rate(x)) for x in free])),
+        gap_between(lambda d: np.array([[d.gap_acceleration(x), d.multiplier(x)] for x in rested])),
+        gap_between(lambda d: np.array([[d.energy(x), d.normal_inertia(x)] for x in free])),
     )

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Tolerance
+from zeno_orbits.integrators import Automatic, GuardedFlow, Radau, RungeKutta, Tolerance
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation import Arc, Mode, states_after_steps
 from zeno_orbits.verification.integration import FirstCycle
@@ -41,23 +43,24 @@ def sampled_guards(dynamics: HybridDynamics, first: FirstCycle) -> dict[str, flo
         for arc in first.cycle.execution.arcs:
             if arc.trajectory is None:
                 continue
-            for state in _states(dynamics, arc, longest):
-                if arc.mode is Mode.FREE:
-                    deepest = max(deepest, -dynamics.gap(state))
-                else:
-                    pull = max(pull, -dynamics.multiplier(state))
+            flow = dynamics.free if arc.mode is Mode.FREE else dynamics.locked
+            below = -float(np.min(flow.guards(_states(dynamics, flow, arc, longest)), initial=0.0))
+            if arc.mode is Mode.FREE:
+                deepest = max(deepest, below)
+            else:
+                pull = max(pull, below)
     except ZenoOrbitsError:
         return {"penetration": math.inf, "adhesion": math.inf}
     return {"penetration": deepest / first.gap, "adhesion": pull / first.force}
 
 
-def _states(dynamics: HybridDynamics, arc: Arc, longest: float) -> Vector:
+def _states(dynamics: HybridDynamics, flow: GuardedFlow, arc: Arc, longest: float) -> Vector:
     """Return the states inside an arc after steps of a bounded length, ``(n, n_x)``."""
     engine = Automatic(
         explicit=RungeKutta(largest_step=longest), implicit=Radau(largest_step=longest)
     )
     return states_after_steps(
-        dynamics.free if arc.mode is Mode.FREE else dynamics.locked,
+        flow,
         engine,
         arc.start_state,
         _TOLERANCE.times(dynamics.own.least),

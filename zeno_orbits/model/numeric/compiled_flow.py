@@ -275,6 +275,11 @@ class FlowMemory:
         return Call(self.mode.guard, self.p)
 
     @cached_property
+    def guards(self) -> Columns:
+        """From states, and parameters in the same rows, to the guard and its rate."""
+        return Columns(self.mode.guard)
+
+    @cached_property
     def bounds(self) -> Call | None:
         """From lower and upper ends of a box of states to bounds of the guard in it."""
         bounds = self.mode.bounds
@@ -343,6 +348,11 @@ class CompiledFlow:
             return self._end_guard
         value, rate = self.calls().guard(y).tolist()
         return value, rate
+
+    def guards(self, states: Vector) -> Vector:
+        """Return the guard at states ``(n, n_y)``, ``(n,)``."""
+        p = np.broadcast_to(self.p, (len(states), self.p.size))
+        return self._memory.guards(states, p)[0][:, 0]
 
     @property
     def weights(self) -> tuple[float, ...]:
