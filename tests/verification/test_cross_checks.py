@@ -22,6 +22,7 @@ from tests.support.periods_by_hand import (
     zeno,
 )
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.integrators import PlainFlow
 from zeno_orbits.orbits import Moment, PhaseKind
 from zeno_orbits.simulation import SimulationSettings, Truncation, ZenoExtrapolation, ZenoPassage
 from zeno_orbits.verification import DeltaCut, cross_checks
@@ -339,11 +340,15 @@ def test_an_imbalance_is_what_is_unexplained_of_the_largest_energy() -> None:
 # A second model.
 
 
+def _flow(rate: Callable[[Any], Any]) -> PlainFlow:
+    return PlainFlow(field=rate, guard_and_rate=lambda _: (0.0, 0.0))
+
+
 def _model(**parts: Any) -> Any:
     """Return a model whose every quantity at a state (t, ...) is known."""
     named = {
-        "free": SimpleNamespace(rate=lambda x: np.array([1.0 + x[0], 0.0])),
-        "locked": SimpleNamespace(rate=lambda x: np.array([2.0 + x[0], 0.0])),
+        "free": _flow(lambda x: np.array([1.0 + x[0], 0.0])),
+        "locked": _flow(lambda x: np.array([2.0 + x[0], 0.0])),
         "reset_map": lambda x, rate: np.array([rate, -x[1]]),
         "gap_rate": lambda x: 3.0 + x[0],
         "gap_acceleration": lambda x: 4.0 + x[0],
@@ -377,7 +382,7 @@ def _difference(monkeypatch: pytest.MonkeyPatch, **parts: Any) -> float:
     # States before impacts are not among those on the way.
     hits = [impact(0.7, (10.0, 20.0)), impact(0.9, (11.0, 20.0))]
     period = cycle([phase((0, (0, 0)), hits, None, (2.0, (0, 0)))])
-    period.execution.state_at = lambda t: np.array([t, 20.0])
+    period.execution.states_at = lambda t: np.array([t, np.full_like(t, 20.0)]).T
     return second_model(orbit, problem, period)
 
 
@@ -393,8 +398,8 @@ def test_two_models_differ_by_their_worst_quantity_in_its_largest_size(
     # The largest value of each is at the last impact, 11; an entry that is zero has the size 1.
     model, by = _model(), sign * 0.5
     for parts, size in (
-        ({"free": SimpleNamespace(rate=_at(place, model.free.rate, by))}, 1.0),
-        ({"locked": SimpleNamespace(rate=_at(place, model.locked.rate, by))}, 1.0),
+        ({"free": _flow(_at(place, model.free.rate, by))}, 1.0),
+        ({"locked": _flow(_at(place, model.locked.rate, by))}, 1.0),
         ({"reset_map": _at(place, model.reset_map, by)}, 20.0),
         ({"gap_rate": _at(place, model.gap_rate, by)}, 14.0),
         ({"gap_acceleration": _at(place, model.gap_acceleration, by)}, 15.0),
@@ -415,7 +420,7 @@ def test_models_are_compared_on_the_stop_where_they_hold_on_it(
         return lambda x: value(x) + (1.0 if x[1] != 1.0 else 0.0)
 
     same = {
-        "locked": SimpleNamespace(rate=off_it(model.locked.rate)),
+        "locked": _flow(off_it(model.locked.rate)),
         "gap_acceleration": off_it(model.gap_acceleration),
         "multiplier": off_it(model.multiplier),
     }
