@@ -629,7 +629,8 @@ def compared(
     while i < len(mine) or j < len(theirs):
         a = mine[i] if i < len(mine) else None
         b = theirs[j] if j < len(theirs) else None
-        if a and a.kind == "release" and a.forced and not (b and b.kind == "release"):
+        same = a is not None and b is not None and (a.kind, a.name) == (b.kind, b.name)
+        if a and a.kind == "release" and a.forced and not same:
             notes["a stop opens at an event without a release"] += 1
             i += 1
             continue
@@ -642,7 +643,7 @@ def compared(
                 continue
         if (a is None or b is None) and _inside_limit(run.events, i, seen, j):
             break
-        if a is None or b is None or (a.kind, a.name) != (b.kind, b.name):
+        if a is None or b is None or not same:
             return Verdict("disagree", f"event {n}: {_shown(a)} / {_shown(b)}", n, notes)
         time_slack, state_slack = slack(i)
         off = abs(a.time - b.time) / (1 + a.time)
