@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -38,7 +39,8 @@ def told_by(*answers: Told, accuracy: Accuracy | None = None) -> tuple[Attractor
         def attractor(self) -> Attractor:
             return self._answer
 
-    answer = sure_attractor(Scripted, accuracy or Accuracy())  # type: ignore[arg-type]
+    answer, way = sure_attractor(Scripted, accuracy or Accuracy())  # type: ignore[arg-type]
+    assert way is (None if math.isnan(answer.period) else answers[len(used) - 1][1])
     return answer, used
 
 

@@ -36,7 +36,7 @@ def largest_push(
     """Return the largest impulses from which the motion returns to an orbit.
 
     The impulses act at equidistant phases of the period, in both senses of each direction. The
-    first lost impulse of a scan is located by bisection.
+    first lost impulse is located by a scan, which is finer where motions return late.
 
     Args:
         orbit: The orbit, or its file. It must be stable.

@@ -11,6 +11,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
+from zeno_orbits.maps.approach import Way
 from zeno_orbits.maps.attempt import Accuracy
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.crossings import Follower
@@ -105,9 +106,31 @@ def attractors_from(
             found.append(Attractor(fate=Fate.FAILED, detail=str(error)))
         else:
             exact = accuracy or Accuracy()
-            found.append(_attractor(problem, system[1], state, until, limits, exact, known))
+            found.append(_settled(problem, system[1], state, until, limits, exact, known)[0])
         on_progress("classifying motions", len(found) / len(motions))
     return tuple(found)
+
+
+def approach_from(
+    problem: Problem,
+    system: HybridDynamics | GraphDynamics,
+    state: Vector,
+    *,
+    until: float,
+    accuracy: Accuracy,
+    known: Sequence[KnownOrbit],
+) -> tuple[Attractor, Way | None]:
+    """Return the attractor of a motion, and its approach if the attractor has a period.
+
+    Args:
+        problem: The problem.
+        system: Its system.
+        state: Initial state, ``(n_x,)``.
+        until: Longest simulated time [s].
+        accuracy: Accuracy of the simulation.
+        known: Orbits of this system with which the motion is compared.
+    """
+    return _settled(problem, system, state, until, _limits(problem, None), accuracy, known)
 
 
 def known_orbits(
@@ -141,7 +164,7 @@ def known_orbits(
     return distinct_orbits(found)
 
 
-def _attractor(
+def _settled(
     problem: Problem,
     system: HybridDynamics | GraphDynamics,
     start: Vector,
@@ -149,8 +172,8 @@ def _attractor(
     limits: Vector,
     accuracy: Accuracy,
     known: Sequence[KnownOrbit],
-) -> Attractor:
-    """Return the attractor of one motion."""
+) -> tuple[Attractor, Way | None]:
+    """Return the attractor of one motion, and its approach."""
     units = problem.state_units
     motion: Callable[[Accuracy], Point | EventPoint]
     if isinstance(system, GraphDynamics):
@@ -161,9 +184,9 @@ def _attractor(
         usual = first.own.states(len(start))
         follower = Follower(dynamics=first, bounds=limits)
         motion = partial(Point, follower, units, start, until, usual=usual, known=known)
-    found = sure_attractor(motion, accuracy)
+    found, way = sure_attractor(motion, accuracy)
     turns = turns_in(first, start, found.period)
-    return _in_words(problem, replace(found, turns=turns))
+    return _in_words(problem, replace(found, turns=turns)), way
 
 
 def usual_time(

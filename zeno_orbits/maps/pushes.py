@@ -12,8 +12,7 @@ With several closed stops :math:`S`, their impulses :math:`\Lambda` solve
 .. math:: \Lambda \ge 0,\qquad J_S v^+ \ge 0,\qquad \Lambda \perp J_S v^+,
     \qquad v^+ = v^- + W r\, j + W J_S^\top \Lambda
 
-Basins of attraction may be nonconvex. The impulses of a ray are therefore first scanned in equal
-steps, and the first loss is then located by bisection. A loss between two steps is not detected.
+The smallest impulse with a loss along a ray is located by `zeno_orbits.maps.rays`.
 """
 
 from __future__ import annotations
@@ -30,16 +29,17 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, any_number, shown
 from zeno_orbits.kinds import require_kinds
-from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.attractors import Fate
 from zeno_orbits.maps.classify import (
+    approach_from,
     attractors_at,
-    attractors_from,
     known_orbits,
     system_of,
     usual_time,
 )
 from zeno_orbits.maps.known import KnownOrbit, returns_to
 from zeno_orbits.maps.plane import OF_BASINS
+from zeno_orbits.maps.rays import Loss, Trial, first_loss, located
 from zeno_orbits.model import (
     GraphDynamics,
     HybridDynamics,
@@ -71,8 +71,6 @@ _HUGE = 1e100
 """Largest entry of a generalized force, whose square is still a double."""
 _TOUCHES = 1e-9
 """Gap and gap rate that count as zero, in units of the problem's own."""
-_HALVINGS = 60
-"""Halvings of a step after which doubles cannot resolve its ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -277,65 +275,45 @@ class _Rays:
         """Return the largest impulse, its error and the motion beyond per ray, as plain data."""
         problem = self.source.load() if isinstance(self.source, ProblemFile) else self.source
         values = problem.values(gains=self.gains, parameters=self.parameters)
-        lost = _loss(problem, values, self.orbit, self.until)
+        tried = _trials(problem, values, self.orbit, self.until)
         found: list[dict[str, Any]] = []
         for ray in rays:
-            found.append(self._along(partial(lost, ray), ray["reach"] / self.steps))
+            loss = first_loss(partial(tried, ray), ray["reach"], self.steps, self.error)
+            found.append(_as_found(loss))
             tell_part(len(found) / len(rays))
         return found
 
-    def _along(self, lost: Callable[[float], Attractor | None], step: float) -> dict[str, Any]:
-        kept = 0.0
-        for k in range(1, self.steps + 1):
-            beyond = lost(k * step)
-            if beyond is not None:
-                return _located(lost, kept, k * step, beyond, self.error)
-            kept = k * step
-        return {"largest": None, "error": None, "beyond": ""}
 
-
-def _loss(
+def _trials(
     problem: Problem, values: ParameterValues, orbit: KnownOrbit, until: float
-) -> Callable[[Mapping[str, Any], float], Attractor | None]:
-    """Return the function of a ray and an impulse that returns the attractor of a lost motion.
-
-    It returns ``None`` if the motion returns to the orbit.
-    """
+) -> Callable[[Mapping[str, Any], float], Trial]:
+    """Return the function of a ray and an impulse that simulates the motion after the impulse."""
     system = system_of(problem, values)
 
-    def lost(ray: Mapping[str, Any], impulse: float) -> Attractor | None:
+    def tried(ray: Mapping[str, Any], impulse: float) -> Trial:
         state, change = np.array(ray["state"]), np.array(ray["change"])
         if isinstance(system, GraphDynamics):
             after = pushed_on_stops(system, state, change * impulse, ray["closed"])
         else:
             after = pushed(system, state, change * impulse, locked=ray["locked"])
-        (reached,) = attractors_from(
-            problem, [(values, after)], until=until, accuracy=OF_BASINS, known=(orbit,)
+        reached, way = approach_from(
+            problem, system, after, until=until, accuracy=OF_BASINS, known=(orbit,)
         )
-        return None if returns_to(orbit, reached, problem.state_names) else reached
+        if not returns_to(orbit, reached, problem.state_names):
+            return Trial(impulse=impulse, beyond=reached, delay=math.inf)
+        delay = 0.0 if way is None else way.times[way.captured]
+        return Trial(impulse=impulse, beyond=None, delay=delay)
 
-    return lost
+    return tried
 
 
-def _located(
-    lost: Callable[[float], Attractor | None],
-    kept: float,
-    gone: float,
-    beyond: Attractor,
-    error: float,
-) -> dict[str, Any]:
-    """Locate the smallest impulse with a loss by bisection."""
-    for _ in range(_HALVINGS):
-        middle = (kept + gone) / 2
-        if gone - kept <= error * gone or not kept < middle < gone:
-            break
-        reached = lost(middle)
-        if reached is None:
-            kept = middle
-        else:
-            gone, beyond = middle, reached
+def _as_found(loss: Loss | None) -> dict[str, Any]:
+    """Return the largest impulse, its error and the motion beyond, as plain data."""
+    if loss is None:
+        return {"largest": None, "error": None, "beyond": ""}
+    beyond = loss.beyond
     words = f"another {beyond.phrase}" if beyond.fate in _ORBITS else beyond.phrase
-    return {"largest": kept, "error": gone - kept, "beyond": words}
+    return {"largest": loss.kept, "error": loss.gone - loss.kept, "beyond": words}
 
 
 def pushed(dynamics: HybridDynamics, state: Vector, change: Vector, *, locked: bool) -> Vector:
@@ -489,7 +467,7 @@ def least_push(
     settings = settings or PushSettings()
     values = orbit.values(problem)
     known, until, asked = _prepared(problem, values, orbit, directions, settings)
-    lost = _loss(problem, values, known, until)
+    trial_of = _trials(problem, values, known, until)
     kept = [0.0] * len(asked)
     least: Push | None = None
     parts = [k / settings.steps for k in range(1, settings.steps + 1)]
@@ -499,15 +477,13 @@ def least_push(
         push, ray = asked[n]
         if tried <= kept[n]:
             continue
-        beyond = lost(ray, tried)
-        if beyond is None:
+        trial = trial_of(ray, tried)
+        if trial.beyond is None:
             kept[n] = tried
             continue
-        found = _located(partial(lost, ray), kept[n], tried, beyond, settings.error)
+        found = _as_found(located(partial(trial_of, ray), kept[n], trial, settings.error))
         kept[n] = math.inf
-        least = replace(
-            push, largest=found["largest"], error=found["error"], beyond=found["beyond"]
-        )
+        least = replace(push, **found)
     return least or min((push for push, _ in asked), key=lambda push: push.searched)
 
 

@@ -21,12 +21,15 @@ _DEPENDS = "its attractor depends on the smallest errors"
 
 def sure_attractor(
     motion: Callable[[Accuracy], Point | EventPoint], accuracy: Accuracy
-) -> Attractor:
+) -> tuple[Attractor, Way | None]:
     """Return the attractor of a motion. After a long transient, two accuracies have to agree.
 
     Args:
         motion: Function of an accuracy that returns the motion from its start.
         accuracy: The usual accuracy.
+
+    Returns:
+        The attractor, and the approach of the motion if the attractor has a period.
     """
     left = [
         replace(accuracy, motion=error, orbit=min(error, accuracy.orbit))
@@ -40,11 +43,11 @@ def sure_attractor(
         way = point.way if math.isfinite(answer.period) else None
         if before is None:
             if way is None or not (way.captured >= _WANDERS or way.doubtful):
-                return answer
+                return answer, way
         elif way is not None and _agree(*before, answer, way):
-            return answer
+            return answer, way
         if way is None or not left:
-            return Attractor(fate=Fate.UNSETTLED, trend=answer.trend, detail=_DEPENDS)
+            return Attractor(fate=Fate.UNSETTLED, trend=answer.trend, detail=_DEPENDS), None
         before, accuracy = (answer, way), left.pop(0)
 
 
