@@ -16,7 +16,7 @@ import zeno_orbits as zo
 from tests.reference.event_loop import Accuracy, complementary, simulated
 from tests.reference.kneed_walker import motors, walker
 from zeno_orbits.cli import main
-from zeno_orbits.maps import pushed_on_stops, read_pushes
+from zeno_orbits.maps import pushed, read_pushes
 
 BISTABLE = {"omega": 2.09, "c": 0.2, "A": 1.47, "restitution": 0.64}
 """A clapper that either strikes both stops, or stays between them."""
@@ -99,7 +99,7 @@ def test_a_push_on_a_closed_knee_follows_the_law_of_contact() -> None:
     opened = set[bool]()
     for force in np.array([(1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0.3, 0, -1)], dtype=float):
         change = inverse @ force * 0.05
-        after = pushed_on_stops(graph, state, change, (0,))[3:6]
+        after = pushed(graph, state, change, (0,))[3:6]
         free = state[3:6] + change
         (impulse,) = complementary(
             np.array([[normal @ inverse @ normal]]), np.array([normal @ free])
@@ -125,10 +125,10 @@ def test_an_independent_event_loop_walks_on_or_falls_beside_the_largest_push() -
         for impulse in (push.largest - push.error, push.largest + 2 * push.error):
             v = start[3:] + response @ force * impulse
             blocked = min(normal @ v, 0.0) / (normal @ response @ normal)
-            pushed = (*start[:3], *(v - response @ normal * blocked), 0.0)
+            begin = (*start[:3], *(v - response @ normal * blocked), 0.0)
             run = simulated(
                 machine,
-                pushed,
+                begin,
                 15 * orbit.period,
                 closed=("knee",),
                 accuracy=Accuracy(tolerance=1e-9),
@@ -173,7 +173,7 @@ def test_a_push_into_a_corner_is_carried_by_both_stops() -> None:
     for force in rng.normal(size=(40, 2)):
         free = inverse @ force
         impulses = complementary(delassus, gaps @ free)
-        after = pushed_on_stops(graph, np.zeros(4), free, (0, 1))
+        after = pushed(graph, np.zeros(4), free, (0, 1))
         assert after[2:] == pytest.approx(free + inverse @ gaps.T @ impulses, abs=1e-12)
         kept.add(int(np.sum(impulses > 0.0)))
     assert kept == {0, 1, 2}

@@ -30,7 +30,7 @@ from .pushes import PushSettings as PushSettings
 from .pushes import largest_pushes as largest_pushes
 from .pushes import least_push as least_push
 from .pushes import push_units as push_units
-from .pushes import pushed_on_stops as pushed_on_stops
+from .pushes import pushed as pushed
 from .recovery import Recovery as Recovery
 from .recovery import RecoverySettings as RecoverySettings
 from .recovery import recovery_of as recovery_of

@@ -4,15 +4,15 @@ An impulse of size :math:`j` acts along the generalized force :math:`r` at one i
 
 .. math:: v^+ = v^- + W r\, j
 
-with :math:`W` the inverse mass on the holonomic constraints. In contact, an impulse away from the
-stop opens it. Towards the stop, the impulse of the stop keeps the gap rate at zero (theory (7) with
-a plastic impact at zero speed). Currents and other states do not change.
-With several closed stops :math:`S`, their impulses :math:`\Lambda` solve
+with :math:`W` the inverse mass on the holonomic constraints. An impulse away from a closed stop
+opens it. Towards the stop, the impulse of the stop keeps the gap rate at zero (theory (7) with a
+plastic impact at zero speed). The impulses :math:`\Lambda` of all closed stops :math:`S` solve
 
 .. math:: \Lambda \ge 0,\qquad J_S v^+ \ge 0,\qquad \Lambda \perp J_S v^+,
     \qquad v^+ = v^- + W r\, j + W J_S^\top \Lambda
 
-The smallest impulse with a loss along a ray is located by `zeno_orbits.maps.rays`.
+Currents and other states do not change. The smallest impulse with a loss along a ray is located by
+`zeno_orbits.maps.rays`.
 """
 
 from __future__ import annotations
@@ -245,15 +245,13 @@ class _Moment:
     Attributes:
         phase: Part of the period.
         state: State, ``(n_x,)``.
-        locked: True if the orbit is in contact.
-        closed: With several stops, the indices of those at zero gap and gap rate.
+        closed: Indices of the stops at zero gap and gap rate.
         mobility: Inverse mass on the constraints, ``(n_q, n_q)``.
         largest_energy: Largest kinetic energy of the whole orbit [J].
     """
 
     phase: float
     state: tuple[float, ...]
-    locked: bool
     closed: tuple[int, ...]
     mobility: Vector
     largest_energy: float
@@ -292,10 +290,7 @@ def _trials(
 
     def tried(ray: Mapping[str, Any], impulse: float) -> Trial:
         state, change = np.array(ray["state"]), np.array(ray["change"])
-        if isinstance(system, GraphDynamics):
-            after = pushed_on_stops(system, state, change * impulse, ray["closed"])
-        else:
-            after = pushed(system, state, change * impulse, locked=ray["locked"])
+        after = pushed(system, state, change * impulse, ray["closed"])
         reached, way = approach_from(
             problem, system, after, until=until, accuracy=OF_BASINS, known=(orbit,)
         )
@@ -316,38 +311,26 @@ def _as_found(loss: Loss | None) -> dict[str, Any]:
     return {"largest": loss.kept, "error": loss.gone - loss.kept, "beyond": words}
 
 
-def pushed(dynamics: HybridDynamics, state: Vector, change: Vector, *, locked: bool) -> Vector:
+def pushed(
+    system: HybridDynamics | GraphDynamics, state: Vector, change: Vector, closed: Sequence[int]
+) -> Vector:
     """Return the state after an impulse, ``(n_x,)``.
 
     Args:
-        dynamics: The system.
-        state: State before the impulse, ``(n_x,)``.
-        change: Change of the velocities without a stop, ``(n_q,)``.
-        locked: True if the state is in contact.
-    """
-    after = state.copy()
-    after[dynamics.n_q : 2 * dynamics.n_q] += change
-    if locked and dynamics.gap_rate(after) <= 0.0:
-        return dynamics.on_stop(after)
-    return after
-
-
-def pushed_on_stops(
-    graph: GraphDynamics, state: Vector, change: Vector, closed: Sequence[int]
-) -> Vector:
-    """Return the state of a machine with several stops after an impulse, ``(n_x,)``.
-
-    Args:
-        graph: The graph of modes.
+        system: The system.
         state: State before the impulse, ``(n_x,)``.
         change: Change of the velocities without a stop, ``(n_q,)``.
         closed: Indices of the stops at zero gap and gap rate.
     """
-    speeds = slice(graph.n_q, 2 * graph.n_q)
     after = state.copy()
+    if isinstance(system, GraphDynamics):
+        views = [system.view(system.open_mode, k) for k in closed]
+        matrix = system.delassus(state)[np.ix_(closed, closed)]
+    else:
+        views = [system for _ in closed]
+        matrix = np.full((len(closed), len(closed)), 1.0 / system.normal_inertia(state))
+    speeds = slice(system.n_q, 2 * system.n_q)
     after[speeds] += change
-    views = [graph.view(graph.open_mode, k) for k in closed]
-    matrix = graph.delassus(state)[np.ix_(closed, closed)]
     impulses = stop_impulses(matrix, np.array([view.gap_rate(after) for view in views]))
     # A unit impulse of a stop changes its own gap rate by J W J'.
     for view, own in zip(views, impulses * np.diag(matrix), strict=True):
@@ -558,7 +541,7 @@ def _rays_from(
                 push = Push(
                     phase=moment.phase,
                     direction={name: sense * entry for name, entry in direction.items()},
-                    mode=(Mode.LOCKED if moment.locked else Mode.FREE).value,
+                    mode=(Mode.LOCKED if moment.closed else Mode.FREE).value,
                     largest=math.nan,
                     error=math.nan,
                     beyond="",
@@ -567,7 +550,6 @@ def _rays_from(
                 )
                 ray = {
                     "state": list(moment.state),
-                    "locked": moment.locked,
                     "closed": list(moment.closed),
                     "change": (sense * change).tolist(),
                     "reach": end,
@@ -692,16 +674,14 @@ def _moments(
         arc = next(arc for arc in motion.arcs if time < arc.end_time)
         if isinstance(system, GraphDynamics):
             closed = _touched(system, arc, states[k])
-            locked = bool(closed)
         else:
             # At a release the state is on the stop, with gap rate zero.
             released = isinstance(orbit, ZenoOrbit) and orbit.shape.starts_at_release
-            closed, locked = (), arc.mode is Mode.LOCKED or (k == 0 and released)
+            closed = (0,) if arc.mode is Mode.LOCKED or (k == 0 and released) else ()
         moments.append(
             _Moment(
                 phase=k / phases,
                 state=tuple(states[k].tolist()),
-                locked=locked,
                 closed=closed,
                 mobility=mobilities[k],
                 largest_energy=float(np.max(energies)),
