@@ -291,7 +291,7 @@ class Families:
         began = time.process_time()
         told["families"] = []
         for family in found.families:
-            period = family.points[len(family.points) // 2].period
+            period = max(point.period for point in family.points)
             if machine.problem == OSCILLATOR:
                 tracer = Tracer(returned=exact, scale=np.ones(2), box=box)
                 x, s = np.array(first), values.number(parameter)

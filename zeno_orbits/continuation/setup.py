@@ -137,25 +137,28 @@ def start_at_release(
     _require_orbit_of(problem, orbit.problem)
     orbit.shape.require_one_release()
     values = orbit.values(problem)
+    x = np.array(problem.state_vector(orbit.release_state))
+    cycle = cycle_of(
+        problem.dynamics(values),
+        x,
+        orbit.shape,
+        horizon=PATIENCE * orbit.period,
+        settings=settings.simulation,
+    )
     setup = Setup(
         values=values,
         parameter=parameter,
         box=box,
         section=ReleaseReturns,
         metric=FamilyMetric(
-            scale=_sizes(problem, orbit), unit=box[1] - box[0], horizon=PATIENCE * orbit.period
+            # A state may be small at every event.
+            scale=cycle.execution.own.not_small(cycle.scale(), _SETTLED),
+            unit=box[1] - box[0],
+            horizon=PATIENCE * orbit.period,
         ),
         simulation=settings.simulation,
     )
-    x = np.array(problem.state_vector(orbit.release_state))
     return FamilyStart(setup=setup, x=x, s=_checked(problem, values, "in", parameter, box))
-
-
-def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
-    """Return the size of each state over the events of an orbit, away from zero, ``(n_x,)``."""
-    events = [problem.state_vector(state) for state in orbit.states_at_events]
-    sizes = np.max(np.abs(events), axis=0)
-    return problem.dynamics(orbit.values(problem)).own.not_small(sizes, 1e-9)
 
 
 _SAMPLES = 20
