@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from zeno_orbits.simulation import (
     Arc,
     Event,
     Execution,
+    Impact,
     SimulationSettings,
     SimulationTask,
     simulator,
@@ -29,6 +31,7 @@ from zeno_orbits.simulation.looped_graph import graph_program, settings_of_stops
 pytestmark = needs_compiler
 
 EXPLICIT = SimulationSettings(engine=RungeKutta())
+PROBLEMS = Path(__file__).parents[2] / "problems"
 ROUNDING = 1e-11
 """Of implicit steps, as in `test_equality`."""
 BUNDLED: tuple[tuple[str, float, dict[str, float]], ...] = (
@@ -47,12 +50,13 @@ def both(
     values: Mapping[str, float],
     settings: SimulationSettings,
     limits: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
 ) -> list[tuple[Execution | None, SimulationError | None]]:
     """Return what the loop and the reference give: executions, and the errors that ended them."""
     graph = problem.graph_dynamics(problem.values(parameters=dict(values)))
     task = SimulationTask(
         dynamics=graph.first,
-        state=np.array(problem.state_vector(problem.starts[0])),
+        state=np.array(problem.state_vector(start or problem.starts[0])),
         until=until,
         settings=settings,
         most_releases=(limits or {}).get("releases", np.inf),
@@ -96,9 +100,10 @@ def require_agreement(
     settings: SimulationSettings,
     tolerance: float,
     limits: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
 ) -> Execution | None:
     """Require the same events, arcs and errors, in every bit if the tolerance is zero."""
-    (found, error), (expected, reason) = both(problem, until, values, settings, limits)
+    (found, error), (expected, reason) = both(problem, until, values, settings, limits, start)
     assert type(error) is type(reason)
     assert (found is None) == (expected is None)
     if found is None or expected is None:
@@ -116,6 +121,26 @@ def require_agreement(
             assert one.flow_times.tolist() == other.flow_times.tolist()
             assert one.flow_states.tolist() == other.flow_states.tolist()
     return found
+
+
+@pytest.mark.parametrize(
+    ("name", "start"),
+    [
+        ("clapper", {"place": 1.0, "speed": 0.1, "cosine": 1.0}),
+        ("clapper", {"place": -1.0, "speed": -0.1, "cosine": 1.0}),
+        ("relay", {"z": 0.0, "dz": -0.5, "cosine": 1.0}),
+    ],
+)
+def test_a_start_on_a_stop_that_moves_into_it_is_an_impact(
+    name: str, start: dict[str, float]
+) -> None:
+    # Tables that no run has filled: the first question of this run is about the struck stop.
+    problem = zo.load_problem(str(PROBLEMS / f"{name}.py"))
+    execution = require_agreement(problem, 1e-3, {}, EXPLICIT, 0.0, start=start)
+    assert execution is not None
+    first = execution.events[0]
+    assert isinstance(first, Impact)
+    assert (first.time, first.approach_rate) == (0.0, -abs(start.get("speed", start.get("dz", 0))))
 
 
 @pytest.mark.parametrize(("name", "until", "values"), BUNDLED)

@@ -13,6 +13,7 @@ typedef struct {
     Others others;
     const zl_problem *whole;
     int asks; /* for a view or side that the tables do not have; what follows is repeated */
+    long long asked[4]; /* the first question, as the status `ZL_MODE` tells it */
 } Graph;
 
 /* Tables. */
@@ -25,13 +26,12 @@ static long long place_of(const long long *keys, long long n, long long key) {
 }
 
 static void ask(Graph *g, int is_side, long long mode, long long index, long long positive) {
-    long long *about = g->m.run->detail.about;
     if (g->asks) return;
     g->asks = 1;
-    about[0] = is_side;
-    about[1] = mode;
-    about[2] = index;
-    about[3] = positive;
+    g->asked[0] = is_side;
+    g->asked[1] = mode;
+    g->asked[2] = index;
+    g->asked[3] = positive;
 }
 
 static void prepare_formulas(const Machine *m, const double *p) {
@@ -1175,11 +1175,10 @@ static int advance_in_graph(Graph *g) {
     if (may_ask) memcpy(before, run, sizeof before);
     status = do_next_in_graph(g);
     if (g->asks && may_ask) {
-        long long about[4];
-        memcpy(about, run->detail.about, sizeof about);
         memcpy((void *)run, before, sizeof before);
         *g->m.records = records;
-        memcpy(run->detail.about, about, sizeof about);
+        /* What was done after the question, without its formulas, may have told something else. */
+        memcpy(run->detail.about, g->asked, sizeof g->asked);
         return ZL_MODE;
     }
     if (status == ZL_LEFT && (stage == ENDED || stage == DECIDES || stage == IN_SIDE))
