@@ -153,12 +153,6 @@ def test_a_false_channel_is_refused(name: str, value: float, words: str) -> None
         zo.compare(_orbit(), replace(_recording(), signals=(signal,)))
 
 
-def test_identify_refuses_a_machine_with_several_stops_in_one_line() -> None:
-    with pytest.raises(zo.InputError, match="`relay` has several stops or switches") as refused:
-        zo.identify("relay", _recording(), ["restitution"])
-    assert "\n" not in str(refused.value)
-
-
 @pytest.mark.slow
 def test_bounce_times_of_recordings_of_the_rig_are_within_two_errors() -> None:
     found = scores(settled(periods=3), RATE, NOISE, range(100, 112))

@@ -16,6 +16,7 @@ REDUCED = {
     "chatter_cascade": ("--most", "2"),
     "comparison": ("--machines", "motor_flap", "--samples", "150", "--seeds", "1"),
     "contact_coverage": ("--recordings", "2", "--periods", "3"),
+    "contact_fits": ("--quick",),
     "coverage": ("--quick", "--problems", "vibrating_table", "--workers", "1"),
     "error_over_tolerance": ("--starts", "1"),
     "every_command": ("eccentric_cam",),

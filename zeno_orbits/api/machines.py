@@ -127,15 +127,14 @@ def identify(
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
-        InputError: If a name is unknown, a range does not fit the parameter, or the machine has
-            several stops or switches.
+        InputError: If a name is unknown, a range does not fit the parameter, or a contact channel
+            is invalid.
         UnfittableError: If the recording does not show such an orbit, or no orbit exists at the
             initial parameter values.
     """
     from zeno_orbits.experiment import identify as identified
 
     known = known_problem(problem)
-    known.one_stop_model(known.symbols())
     values = known.values(gains=gains, parameters=parameters)
     unknowns = _unknowns(known, values, fit)
     data = recording_for(known, recording, t_start, t_end, on_progress)
@@ -471,15 +470,12 @@ def recording_for(
         DataFileError: If the file is not a recording.
         InputError: If fewer than two rows are left.
     """
-    from zeno_orbits.experiment import CONTACT, event_signals, measurable, read_recording
+    from zeno_orbits.experiment import CONTACT, measurable, read_recording
 
     if isinstance(recording, str | Path):
         on_progress("reading the recording", None)
-        if problem.has_graph:
-            known = tuple(event_signals(problem))
-            recording = read_recording(recording, only=known, families=(CONTACT,))
-        else:
-            recording = read_recording(recording, only=tuple(measurable(problem)))
+        families = (CONTACT,) if problem.has_graph else ()
+        recording = read_recording(recording, only=tuple(measurable(problem)), families=families)
     return crop(recording, t_start, t_end)
 
 

@@ -1,7 +1,6 @@
 from .comparison.comparison import Comparison as Comparison
 from .comparison.event_comparison import EventComparison as EventComparison
 from .comparison.event_comparison import compare_events as compare_events
-from .comparison.event_reference import event_signals as event_signals
 from .comparison.verdict import Verdict as Verdict
 from .comparison.comparison import compare as compare
 from .comparison.counterpart import Counterpart as Counterpart

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import Columns, CompiledSystem, HybridDynamics, Problem, dense_function
+from zeno_orbits.integrators import GuardedFlow
+from zeno_orbits.model import Columns, GraphDynamics, HybridDynamics, Problem, dense_function
 from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search import cycle_near
 from zeno_orbits.simulation import (
@@ -49,6 +50,8 @@ _SURE = 4.0
 """Standard errors of a phase within which it may be off."""
 _LEAST = 24
 """Intervals of an arc at least."""
+_INSIDE = 1e-9
+"""Part of an arc by which a state is inside it, so that every condition of a formula is decided."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,7 +82,8 @@ class Measurement:
     def derivatives(self, states: Vector, p: Vector) -> Vector:
         """Return the derivatives with respect to the state and to `p`, ``(n, n_s, n_x + n_p)``."""
         flat = self.slopes(states, _rows(p, states))[0]
-        return flat.reshape(len(states), -1, len(self.names)).transpose(0, 2, 1)
+        columns = (len(states), states.shape[1] + len(p), len(self.names))
+        return flat.reshape(columns).transpose(0, 2, 1)
 
 
 def _rows(p: Vector, states: Vector) -> Vector:
@@ -88,11 +92,10 @@ def _rows(p: Vector, states: Vector) -> Vector:
 
 def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
     """Return the signals of a problem with the given names, each one of `measurable`."""
-    compiled = problem.compiled()
-    x = ca.SX.sym("x", compiled.n_x)
-    p = ca.SX.sym("p", compiled.contact.numel_in(1))
     known = measurable(problem)
-    outputs = ca.vertcat(*(_formula(problem, compiled, name, x, p) for name in names))
+    x = ca.SX.sym("x", len(problem.state_names))
+    p = ca.SX.sym("p", len(problem.names))
+    outputs = ca.vertcat(*(_formula(problem, name, x, p) for name in names))
     slopes = ca.jacobian(outputs, ca.vertcat(x, p))
     return Measurement(
         names=tuple(names),
@@ -104,9 +107,8 @@ def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
 
 def measurable(problem: Problem) -> dict[str, str]:
     """Return the units of all measurable signals by name: states, motors, outputs."""
-    compiled = problem.compiled()
     units = dict(zip(problem.state_names, problem.state_units, strict=True))
-    for name in signal_names(compiled):
+    for name in _motor_signals(problem):
         units.setdefault(name, "A" if name.startswith("current") else "V")
     for output in problem.outputs:
         units.setdefault(output.name, output.unit)
@@ -123,11 +125,18 @@ def gap_coordinates(problem: Problem) -> tuple[str, ...]:
     )
 
 
-def _formula(problem: Problem, compiled: CompiledSystem, name: str, x: ca.SX, p: ca.SX) -> ca.SX:
-    if name in signal_names(compiled):
-        return signal(compiled, name).function(x, p)
+def _motor_signals(problem: Problem) -> tuple[str, ...]:
+    """Return the names of the states and of the signals of motors, with one stop alone."""
+    return () if problem.has_graph else tuple(signal_names(problem.compiled()))
+
+
+def _formula(problem: Problem, name: str, x: ca.SX, p: ca.SX) -> ca.SX:
+    if name in problem.state_names:
+        return x[problem.state_names.index(name)]
+    if name in _motor_signals(problem):
+        return signal(problem.compiled(), name).function(x, p)
     if name == GAP:
-        return compiled.contact_at(x, p).gap
+        return problem.compiled().contact_at(x, p).gap
     outputs = [output.name for output in problem.outputs]
     if name not in outputs:
         raise ValueError(f"Argument `name` must be a signal of the problem, but it is `{name}`.")
@@ -173,28 +182,42 @@ class CubicColumns:
         return self.at(times), np.asarray(self._pieces(times, nu=1), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class OrbitTable:
-    """One period of an orbit, from release to release, with times since the first release.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PeriodTable:
+    """One period of an orbit, with times since its start.
 
     Attributes:
-        cycle: The period.
+        period: [s].
         measured: The signals.
         nodes: Values of the signals.
         states: The states.
         p: Gains, then parameters.
     """
 
-    cycle: Cycle
+    period: float
     measured: Measurement
     nodes: CubicColumns
     states: CubicColumns
     p: Vector
 
-    @property
-    def period(self) -> float:
-        """[s]."""
-        return self.cycle.period
+    def at(self, phases: Vector) -> Vector:
+        """Return the signals at phases, ``(n, n_s)``.
+
+        Args:
+            phases: Phases in periods from the start, ``(n,)``.
+        """
+        return self.nodes.at(np.mod(phases, 1.0) * self.period)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OrbitTable(PeriodTable):
+    """One period of an orbit, from release to release, with times since the first release.
+
+    Attributes:
+        cycle: The period.
+    """
+
+    cycle: Cycle
 
     @property
     def first_impact(self) -> float:
@@ -206,14 +229,6 @@ class OrbitTable:
         """[s]."""
         return self.cycle.zeno.time - self.cycle.start.time
 
-    def at(self, phases: Vector) -> Vector:
-        """Return the signals at phases, ``(n, n_s)``.
-
-        Args:
-            phases: Phases in periods from the release, ``(n,)``.
-        """
-        return self.nodes.at(np.mod(phases, 1.0) * self.period)
-
 
 def jump_width(error: float) -> float:
     """Return the distance from a jump within which samples are ignored, in periods.
@@ -224,7 +239,7 @@ def jump_width(error: float) -> float:
     return min(max(_SURE * error, _BESIDE), ROUGHLY)
 
 
-def beside_jumps(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
+def beside_jumps(table: PeriodTable, phases: Vector, width: float) -> NDArray[np.bool_]:
     """Return the mask of samples near a jump of their signal, ``(n, n_s)``.
 
     Such a sample shows on which side of the jump it was taken, and nothing else. It does not count
@@ -238,7 +253,7 @@ def beside_jumps(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.
     return _beside(phases, *_jumps(table), width)
 
 
-def jump_bins(table: OrbitTable, n: int) -> NDArray[np.bool_]:
+def jump_bins(table: PeriodTable, n: int) -> NDArray[np.bool_]:
     """Return the bins of the phase in which a signal of an orbit jumps, ``(n, n_s)``."""
     places, jumps = _jumps(table)
     found = np.zeros((n, jumps.shape[1]), dtype=np.bool_)
@@ -246,7 +261,7 @@ def jump_bins(table: OrbitTable, n: int) -> NDArray[np.bool_]:
     return found
 
 
-def _jumps(table: OrbitTable) -> tuple[Vector, NDArray[np.bool_]]:
+def _jumps(table: PeriodTable) -> tuple[Vector, NDArray[np.bool_]]:
     """Return the phases of impacts and the release, and which signals jump there."""
     nodes = table.nodes
     before = np.flatnonzero(np.diff(nodes.times) <= 0.0)
@@ -254,7 +269,7 @@ def _jumps(table: OrbitTable) -> tuple[Vector, NDArray[np.bool_]]:
     return nodes.times[before] / table.period, steps > _JUMP * np.ptp(nodes.values, axis=0)
 
 
-def in_layers(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
+def in_layers(table: PeriodTable, phases: Vector, width: float) -> NDArray[np.bool_]:
     """Return the mask of samples in a boundary layer after an impact, where their signal is steep.
 
     A current follows a jump of the velocity through a layer of width `L/R`. It is a layer if, at
@@ -328,33 +343,94 @@ def tabulated(
     """
     whole = state_nodes(dynamics, cycle.execution.arcs)
     whole = replace(whole, times=whole.times - cycle.start.time)
-    slopes = measured.derivatives(whole.values, p)[:, :, : whole.values.shape[1]]
-    signals = CubicColumns(
-        times=whole.times,
-        values=measured.values(whole.values, p),
-        slopes=np.einsum("nsx,nx->ns", slopes, whole.slopes),
+    return OrbitTable(
+        cycle=cycle,
+        period=cycle.period,
+        measured=measured,
+        nodes=signal_nodes(whole, measured, p),
+        states=whole,
+        p=p,
     )
-    return OrbitTable(cycle=cycle, measured=measured, nodes=signals, states=whole, p=p)
+
+
+def signal_nodes(states: CubicColumns, measured: Measurement, p: Vector) -> CubicColumns:
+    """Return signals over time from the states.
+
+    Args:
+        states: The states over time.
+        measured: The signals.
+        p: Gains, then parameters.
+    """
+    slopes = measured.derivatives(states.values, p)[:, :, : states.values.shape[1]]
+    return CubicColumns(
+        times=states.times,
+        values=measured.values(states.values, p),
+        slopes=np.einsum("nsx,nx->ns", slopes, states.slopes),
+    )
 
 
 def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> CubicColumns:
     """Return the states along arcs in order, those that take no time left out."""
-    pieces = [_arc_nodes(dynamics, arc) for arc in arcs if arc.end_time > arc.start_time]
+    flows = {Mode.LOCKED: dynamics.locked, Mode.FREE: dynamics.free}
+    return _joined(
+        [_arc_nodes(flows[arc.mode], arc) for arc in arcs if arc.end_time > arc.start_time]
+    )
+
+
+def graph_nodes(graph: GraphDynamics, arcs: Sequence[Arc]) -> CubicColumns:
+    """Return the states along arcs over a graph of modes, those that take no time left out.
+
+    The states at both ends of an arc are those just inside it, where a formula with a condition
+    has the value of the arc.
+
+    Args:
+        graph: The graph of modes.
+        arcs: The arcs, in order.
+    """
+    return _joined(
+        [
+            _arc_nodes(_flow_of(graph, arc), arc, inside=_INSIDE)
+            for arc in arcs
+            if arc.end_time > arc.start_time
+        ]
+    )
+
+
+def _flow_of(graph: GraphDynamics, arc: Arc) -> GuardedFlow:
+    """Return the flow of the mode of an arc."""
+    closed, sides = graph.mode_of(arc.closed, arc.sides)
+    others = [k for k in range(len(graph.stop_names)) if k not in closed]
+    if others:
+        return graph.view((closed, sides), others[0]).free
+    return graph.holding((closed, sides), closed[0]).locked
+
+
+_Nodes = tuple[Vector, Vector, Vector]
+"""Times, states and their slopes."""
+
+
+def _joined(pieces: Sequence[_Nodes]) -> CubicColumns:
     times, states, slopes = zip(*pieces, strict=True)
     return CubicColumns(
         times=np.concatenate(times), values=np.concatenate(states), slopes=np.concatenate(slopes)
     )
 
 
-def _arc_nodes(dynamics: HybridDynamics, arc: Arc) -> tuple[Vector, Vector, Vector]:
-    """Return times, states and their slopes along an arc."""
+def _arc_nodes(flow: GuardedFlow, arc: Arc, inside: float = 0.0) -> _Nodes:
+    """Return times, states and their slopes along an arc.
+
+    Args:
+        flow: The flow of its mode.
+        arc: The arc.
+        inside: Part of the arc by which the states at its ends are inside it.
+    """
     times = _node_times(arc)
-    states = arc.states_at(times)
+    margin = inside * (arc.end_time - arc.start_time)
+    states = arc.states_at(np.clip(times, arc.start_time + margin, arc.end_time - margin))
     if arc.ending is Ending.ZENO:
         # The tail of the impacts is not a solution of the flow because it has infinitely many
         # jumps.
         return times, states, np.gradient(states, times, axis=0)
-    flow = dynamics.locked if arc.mode is Mode.LOCKED else dynamics.free
     return times, states, flow.rates(states)
 
 

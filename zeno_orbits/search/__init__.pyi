@@ -1,7 +1,9 @@
 from .closing import Closing as Closing
 from .closing import OrbitNotClosedError as OrbitNotClosedError
 from .closing import close_orbit as close_orbit
+from .event_search import event_orbit_of as event_orbit_of
 from .event_search import find_event_orbit as find_event_orbit
+from .event_search import settled_return as settled_return
 from .event_gains import EventSearchResult as EventSearchResult
 from .event_gains import search_event_gains as search_event_gains
 from .closing import orbit_of as orbit_of

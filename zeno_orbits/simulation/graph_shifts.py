@@ -38,7 +38,7 @@ from zeno_orbits.simulation.execution import (
     ZenoPoint,
 )
 from zeno_orbits.simulation.sensitivity import Bounce, Carry, EventShift, Perturbations
-from zeno_orbits.simulation.tangent import carried_by_loop
+from zeno_orbits.simulation.tangent import carried_by_loop, course_along
 
 
 @dataclass(kw_only=True)
@@ -72,6 +72,35 @@ class GraphShifts:
         Raises:
             SimulationError: If an event has no derivative: a stop is touched without an impact.
         """
+        for _, event, before, after in self._moments(execution):
+            if event is not None:
+                yield event, before, after
+
+    def courses(
+        self, execution: Execution, parts: int
+    ) -> Iterator[tuple[Arc, Vector, Vector, Vector]]:
+        """Yield the derivatives along every arc, at equal times.
+
+        Args:
+            execution: The execution. Its impacts must be resolved one by one.
+            parts: Number of evenly spaced points per step of the integrator.
+
+        Yields:
+            An arc, times from its start on, ``(n,)`` [s], the derivatives of the state there with
+            respect to the start and the chosen parameters, ``(n, n_x, m)``, and their rates in
+            time. The tail of a Zeno point and arcs that take no time are left out.
+
+        Raises:
+            SimulationError: If an event has no derivative: a stop is touched without an impact.
+        """
+        for arc, event, start, _ in self._moments(execution):
+            if event is None and arc.ending is not Ending.ZENO and arc.end_time > arc.start_time:
+                yield arc, *self._course(arc, start, parts)
+
+    def _moments(
+        self, execution: Execution
+    ) -> Iterator[tuple[Arc, Event | None, EventShift, EventShift]]:
+        """Yield every arc with the derivatives of its start, and every event as `along` does."""
         events = list(execution.events)
         arcs = execution.arcs
         here = self._start(arcs[0])
@@ -80,8 +109,9 @@ class GraphShifts:
             first = events.pop(0)
             before = self._before(first, here, arcs[0], arcs[0])
             here, bounces = self._after(first, before, arcs[0], arcs[0], bounces)
-            yield first, before, here
+            yield arcs[0], first, before, here
         for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
+            yield arc, None, here, here
             if arc.ending is Ending.HORIZON:
                 return
             if arc.ending is not Ending.ZENO:
@@ -91,7 +121,7 @@ class GraphShifts:
                 event = events.pop(0)
                 before = self._before(event, here, arc, following)
                 here, bounces = self._after(event, before, arc, following, bounces)
-                yield event, here if isinstance(event, ZenoPoint) else before, here
+                yield arc, event, here if isinstance(event, ZenoPoint) else before, here
                 crossed = True
             if not crossed and arc.ending is not Ending.SWITCH:
                 raise SimulationError(
@@ -160,19 +190,43 @@ class GraphShifts:
         declared = slice(self.graph.n_declared)
         return int(np.argmin(np.abs(guards[declared]) / np.maximum(rounding[declared], 1e-300)))
 
-    def _crossed(self, arc: Arc, start: EventShift, gradient: Vector) -> EventShift:
-        """Return the derivatives of the zero of a guard at the end of an arc."""
-        n_x = arc.start_state.size
+    def _launch(self, arc: Arc, start: EventShift) -> tuple[Perturbations, Mode, Vector, Vector]:
+        """Return the equations of perturbations of an arc, its mode, and its perturbations."""
         some = self._some_stop(arc)
         perturbations, mode = self._of(arc, some), Mode.FREE
-        v, q, unit = start.state, perturbations.parameters, 1.0
+        v, q = start.state, perturbations.parameters
         if arc.stop:
-            stop, unit = self.graph.stop_names.index(arc.stop), arc.time_unit
-            perturbations = self._of(arc, stop)
+            perturbations = self._of(arc, self.graph.stop_names.index(arc.stop))
             v = np.concatenate([v, np.zeros((2, v.shape[1]))])
             q = np.concatenate([q, start.rate[None, :]])
         elif self.graph.stop_names[some] in arc.closed:
             mode = Mode.LOCKED
+        return perturbations, mode, v, q
+
+    def _course(self, arc: Arc, start: EventShift, parts: int) -> tuple[Vector, Vector, Vector]:
+        """Return times, derivatives of the state at equal times, and their rates along an arc."""
+        n_x = arc.start_state.size
+        perturbations, mode, v, q = self._launch(arc, start)
+        offsets, shifts = course_along(perturbations, arc, mode, v, q, parts)
+        # An explicit flow has a last step that may reach beyond the end of the arc.
+        offsets = np.minimum(offsets, arc.duration)
+        states = arc.flow_states_at(offsets)[:, :n_x]
+        _, differential = perturbations.flow_of(arc, mode, n_x)
+        own = perturbations.dynamics
+        rates = (own.locked if mode is Mode.LOCKED else own.free).rates(states)
+        later = start.time + offsets[:, None] * (start.rate if arc.stop else 0.0)
+        moved = shifts[:, :n_x] - rates[:, :, None] * later[:, None]
+        every = np.broadcast_to(
+            perturbations.parameters, (len(states), *perturbations.parameters.shape)
+        )
+        slopes = differential.linear(states) @ np.concatenate([moved, every], axis=1)
+        return arc.start_time + offsets * arc.time_unit, moved, slopes
+
+    def _crossed(self, arc: Arc, start: EventShift, gradient: Vector) -> EventShift:
+        """Return the derivatives of the zero of a guard at the end of an arc."""
+        n_x = arc.start_state.size
+        perturbations, mode, v, q = self._launch(arc, start)
+        unit = arc.time_unit if arc.stop else 1.0
         v = self.carry(perturbations, arc, mode, v, q)
         flow, _ = perturbations.flow_of(arc, mode, len(v))
         rate = flow.rate(arc.flow_state_at(arc.duration))

@@ -103,14 +103,10 @@ def course_of(
         v = np.concatenate([v, np.zeros((2, start.time.size))])
         q = np.concatenate([q, start.rate[None, :]])
     compiled = _compiled(perturbations, execution)
-    if compiled is not None:
-        program, track = compiled
-        times, rows = program.course(track, place, v, q, parts)
-    else:
-        flow, differential = perturbations.flow_of(arc, arc.mode, len(v))
-        steps = list(courses(flow, differential, arc, perturbations.tolerance, v, q, parts=parts))
-        times, rows = np.array([time for time, _ in steps]), np.array([row for _, row in steps])
-    return np.append(0.0, times), np.concatenate([v[None], rows])
+    if compiled is None:
+        return _course_in_python(perturbations, arc, arc.mode, v, q, parts)
+    program, track = compiled
+    return _from_start(v, *program.course(track, place, v, q, parts))
 
 
 def carried_by_loop(
@@ -125,17 +121,62 @@ def carried_by_loop(
         v: Perturbations at its start, ``(n_y, m)``.
         q: Perturbations of the flow's parameters, ``(n_q, m)``.
     """
+    compiled = _recorded(perturbations, arc, mode, len(v))
+    if compiled is None:
+        return carried_in_python(perturbations, arc, mode, v, q)
+    program, track = compiled
+    return program.course(track, 0, v, q, 1)[1][-1]
+
+
+def course_along(
+    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector, parts: int
+) -> tuple[Vector, Vector]:
+    """Return the perturbations along an arc, by the loop if it recorded the steps of the arc.
+
+    Args:
+        perturbations: The equations of perturbations.
+        arc: The arc.
+        mode: Mode of its flow.
+        v: Perturbations at its start, ``(n_y, m)``.
+        q: Perturbations of the flow's parameters, ``(n_q, m)``.
+        parts: Number of evenly spaced points per step.
+
+    Returns:
+        Times since the start of the arc in the flow's own time, ``(n,)``, and the perturbations
+        there, ``(n, n_y, m)``.
+    """
+    compiled = _recorded(perturbations, arc, mode, len(v))
+    if compiled is None:
+        return _course_in_python(perturbations, arc, mode, v, q, parts)
+    program, track = compiled
+    return _from_start(v, *program.course(track, 0, v, q, parts))
+
+
+def _course_in_python(
+    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector, parts: int
+) -> tuple[Vector, Vector]:
+    flow, differential = perturbations.flow_of(arc, mode, len(v))
+    steps = list(courses(flow, differential, arc, perturbations.tolerance, v, q, parts=parts))
+    times, rows = zip(*steps, strict=True)
+    return _from_start(v, np.array(times), np.array(rows))
+
+
+def _from_start(v: Vector, times: Vector, rows: Vector) -> tuple[Vector, Vector]:
+    """Return times and perturbations along an arc with those at its start."""
+    return np.append(0.0, times), np.concatenate([v[None], rows])
+
+
+def _recorded(
+    perturbations: Perturbations, arc: Arc, mode: Mode, n_y: int
+) -> tuple[TangentProgram, Track] | None:
+    """Return the derivatives of an arc that the loop recorded, if it has them."""
     way = arc.trajectory
-    if isinstance(way, LoopTrajectory):
-        kind = binding.LOCKED if mode is Mode.LOCKED else binding.FREE
-        if len(v) > perturbations.n_x:
-            kind = binding.FLIGHT
-        record = way.record(kind, arc.time_unit, perturbations.n_x)
-        compiled = _tracked(perturbations, record)
-        if compiled is not None:
-            program, track = compiled
-            return program.course(track, 0, v, q, 1)[1][-1]
-    return carried_in_python(perturbations, arc, mode, v, q)
+    if not isinstance(way, LoopTrajectory):
+        return None
+    kind = binding.LOCKED if mode is Mode.LOCKED else binding.FREE
+    if n_y > perturbations.n_x:
+        kind = binding.FLIGHT
+    return _tracked(perturbations, way.record(kind, arc.time_unit, perturbations.n_x))
 
 
 def _compiled(

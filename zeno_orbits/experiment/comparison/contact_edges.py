@@ -64,12 +64,14 @@ class SeenSequence:
         begins: Edges at which the contacts begin, up to the lasting contact.
         release: Edge at which the last contact ends.
         fewest: Smallest number of samples of a contact or flight of the sequence.
+        n_sure: Number of beginnings before which every contact and flight is resolved.
         contacts: Durations of the contacts before the lasting contact [s].
     """
 
     begins: tuple[Edge, ...]
     release: Edge
     fewest: int
+    n_sure: int
     contacts: tuple[float, ...]
 
     @property
@@ -140,14 +142,18 @@ def _sequence(group: Sequence[SeenContact], step: float) -> SeenSequence:
     release = group[-1].end
     if release is None:
         raise ValueError("Argument `group` must end in the recording.")
-    counts = [one.samples for one in group[: lasting + 1]]
-    for before, after in pairwise(group[: lasting + 1]):
-        if before.end is not None and after.begin is not None:
-            counts.append(round((after.begin.low - before.end.high) / step) + 1)
+    # The fewest samples of each contact before the lasting one and of the flight after it.
+    bounces = [
+        min(before.samples, round((after.begin.low - before.end.high) / step) + 1)
+        for before, after in pairwise(group[: lasting + 1])
+        if before.end is not None and after.begin is not None
+    ]
+    unsure = (k for k, count in enumerate(bounces) if count < _FEWEST)
     return SeenSequence(
         begins=tuple(begins),
         release=release,
-        fewest=min(counts),
+        fewest=min([*bounces, group[lasting].samples]),
+        n_sure=next(unsure, len(bounces)) + 1,
         contacts=tuple(
             one.end.middle - one.begin.middle
             for one in group[:lasting]

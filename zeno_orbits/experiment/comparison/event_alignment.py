@@ -46,8 +46,8 @@ def placed_events(
     n = len(table.values)
     grid = np.arange(n) / n
     data = average(grid)
-    closed = np.stack([seen.model_channel(stop, n) for stop in channels], axis=1)
-    model = np.concatenate([table.values, closed], axis=1)
+    closed = [seen.model_channel(stop, n) for stop in channels]
+    model = np.column_stack([table.values, *closed])
     a, b = (one - one.mean(axis=0) for one in (model, data))
     size = np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
     spectra = np.fft.rfft(a, axis=0) * np.conj(np.fft.rfft(b, axis=0))

@@ -7,18 +7,20 @@ States and outputs of the recording place the orbit in time, and must move like 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.estimate import Estimate
-from zeno_orbits.experiment.comparison.event_alignment import LIKE, placed_events
+from zeno_orbits.experiment.comparison.event_alignment import LIKE, EventPlace, placed_events
 from zeno_orbits.experiment.comparison.event_contacts import SeenEvents
 from zeno_orbits.experiment.comparison.event_reference import (
+    EventTable,
     event_table,
     orbit_sequences,
     shared_event_signals,
@@ -32,7 +34,7 @@ from zeno_orbits.experiment.comparison.metrics import (
 )
 from zeno_orbits.experiment.comparison.verdict import Verdict, beyond_chance
 from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
-from zeno_orbits.experiment.recordings.periodicity import periodicity
+from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import EventOrbit
@@ -125,6 +127,46 @@ class EventComparison(Displayed):
         }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaidEvents:
+    """An orbit of events in its place in a recording.
+
+    Attributes:
+        names: Names of the recorded states and outputs.
+        found: Periodicity of all signals and channels.
+        seen: The contacts of the channels.
+        table: The orbit by phase.
+        period: The period, from the edges of the channels if they show it.
+        place: Position of the orbit.
+        against: Reasons of the contacts why the recording does not show such an orbit.
+        unlike: Reasons of the signals.
+        unresolved: Reasons why the contacts are inconclusive.
+    """
+
+    names: tuple[str, ...]
+    found: Periodicity
+    seen: SeenEvents
+    table: EventTable
+    period: Estimate
+    place: EventPlace
+    against: tuple[str, ...]
+    unlike: tuple[str, ...]
+    unresolved: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unlaid:
+    """An orbit without a place in a recording.
+
+    Attributes:
+        reason: The reason.
+        cycles: Number of periods in the recording, or NaN.
+    """
+
+    reason: str
+    cycles: float = math.nan
+
+
 def compare_events(orbit: EventOrbit, problem: Problem, recording: Recording) -> EventComparison:
     """Compare a recording with an orbit of a machine with several stops or switches.
 
@@ -141,57 +183,109 @@ def compare_events(orbit: EventOrbit, problem: Problem, recording: Recording) ->
     stops = problem.graph_dynamics(orbit.values(problem)).stop_names
     channels = contact_channels(recording, stops)
     names = shared_event_signals(problem, recording)
-    struck = {stop: found for stop in stops if (found := orbit_sequences(orbit, stop))}
+    struck = [stop for stop in stops if orbit_sequences(orbit, stop)]
     begun = EventComparison(
         orbit=orbit,
         problem=problem,
         recording=recording,
         signals=names,
-        remarks=tuple(_remarks(recording, problem, names, contact_names(stops))),
+        remarks=event_remarks(recording, problem, names, contact_names(stops)),
     )
     if not channels:
         listed = ", ".join(contact_names(stops))
         raise InputError(f"Argument `recording` must have a contact channel ({listed}).")
-    whole = np.stack([*(recording.signal(name).values for name in names), *channels.values()])
-    found = periodicity(recording.time, whole)
-    if found is None or found.n_cycles < 1.0:
-        span = recording.time[-1] - recording.time[0]
-        reason = f"no period is seen in {span:.4g} s, and the orbit's is {orbit.period:.4g} s"
-        return replace(begun, reasons=(reason,))
-    begun = replace(begun, cycles=found.n_cycles)
-    if found.repeats < _REPEATS:
-        reason = f"only {100 * found.repeats:.0f} % of the signals' variance repeats"
-        return replace(begun, reasons=(reason,))
-    seen = SeenEvents.of(recording.time, channels, struck, orbit.period, found.period)
-    reasons, unresolved = seen.findings()
+    laid = lay_events(orbit, problem, recording, names, channels)
+    if isinstance(laid, Unlaid):
+        return replace(begun, cycles=laid.cycles, reasons=(laid.reason,))
+    unresolved = laid.unresolved
     missing = [stop for stop in struck if stop not in channels]
     if missing:
         listed = ", ".join(f"`{stop}`" for stop in missing)
         unresolved = (*unresolved, f"contacts cannot be seen on {listed}: no channel was recorded")
+    quantities = not laid.against and not unresolved
+    return replace(
+        begun,
+        cycles=laid.found.n_cycles,
+        metrics=(
+            metric("period", "s", orbit.period, laid.period),
+            *laid.seen.metrics(laid.table, laid.place.start, laid.period, quantities=quantities),
+        ),
+        reasons=(*laid.against, *laid.unlike),
+        unresolved=unresolved,
+    )
+
+
+def lay_events(
+    orbit: EventOrbit,
+    problem: Problem,
+    recording: Recording,
+    names: Sequence[str],
+    channels: Mapping[str, Vector],
+    *,
+    partly: bool = False,
+) -> LaidEvents | Unlaid:
+    """Return an orbit in its place in a recording, or the reason why it has none.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        recording: The recording.
+        names: Names of the recorded states and outputs.
+        channels: Contact channels by the name of their stop.
+        partly: Whether it is enough to resolve the first bounce of a sequence.
+
+    Raises:
+        SimulationError: If the orbit cannot be simulated.
+    """
+    whole = np.stack([*(recording.signal(name).values for name in names), *channels.values()])
+    found = periodicity(recording.time, whole)
+    if found is None or found.n_cycles < 1.0:
+        span = recording.time[-1] - recording.time[0]
+        return Unlaid(
+            reason=f"no period is seen in {span:.4g} s, and the orbit's is {orbit.period:.4g} s"
+        )
+    if found.repeats < _REPEATS:
+        return Unlaid(
+            reason=f"only {100 * found.repeats:.0f} % of the signals' variance repeats",
+            cycles=found.n_cycles,
+        )
+    struck = {stop: own for stop in channels if (own := orbit_sequences(orbit, stop))}
+    seen = SeenEvents.of(recording.time, channels, struck, orbit.period, found.period)
+    against, unresolved = seen.findings(partly=partly)
     table = event_table(orbit, problem, names)
     period = seen.period if seen.period.known else Estimate(value=found.period, error=found.error)
     place = placed_events(
         table, recording, names, tuple(channels), seen, period.value, found.average
     )
-    unlike = [
+    unlike = tuple(
         f"`{name}` moves differently: its correlation with the orbit is {likeness:.2f}"
         for name, likeness in place.likeness.items()
         if likeness < LIKE
-    ]
-    return replace(
-        begun,
-        metrics=(
-            metric("period", "s", orbit.period, period),
-            *seen.metrics(table, place.start, period, quantities=not reasons and not unresolved),
-        ),
-        reasons=(*reasons, *unlike),
+    )
+    return LaidEvents(
+        names=tuple(names),
+        found=found,
+        seen=seen,
+        table=table,
+        period=period,
+        place=place,
+        against=against,
+        unlike=unlike,
         unresolved=unresolved,
     )
 
 
-def _remarks(
+def event_remarks(
     recording: Recording, problem: Problem, names: Sequence[str], channels: Sequence[str]
-) -> list[str]:
+) -> tuple[str, ...]:
+    """Return remarks on what of a recording is left out, and on its origin.
+
+    Args:
+        recording: The recording.
+        problem: The problem.
+        names: Names of the recorded states and outputs.
+        channels: Names of the contact channels of the problem.
+    """
     found: list[str] = []
     others = [name for name in recording.names if name not in (*names, *channels)]
     if others:
@@ -200,4 +294,4 @@ def _remarks(
         found.append(f"the recording names the problem `{recording.problem}`, not `{problem.name}`")
     if recording.source is None:
         found.append("the recording does not say whether it was measured or simulated")
-    return found
+    return tuple(found)

@@ -130,19 +130,29 @@ class SeenEvents:
         spread = float(np.std(late)) if len(late) > 1 else period
         return Estimate(value=float(np.mean(late)), error=spread)
 
-    def findings(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the reasons against such an orbit, and those why the samples do not decide."""
+    def findings(self, *, partly: bool = False) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the reasons against such an orbit, and those why the samples do not decide.
+
+        Args:
+            partly: Whether the first bounce of a sequence is enough. By default every bounce must
+                be resolved.
+        """
         reasons: list[str] = []
         unresolved: list[str] = []
         for stop in self.stops:
             for label, sequence, found in zip(stop.labels(), stop.orbit, stop.seen, strict=True):
-                against, open_ = self._finding(stop, label, sequence, found)
+                against, open_ = self._finding(stop, label, sequence, found, partly)
                 reasons += against
                 unresolved += open_
         return tuple(reasons), tuple(unresolved)
 
     def _finding(
-        self, stop: _Stop, label: str, sequence: OrbitSequence, found: Sequence[SeenSequence]
+        self,
+        stop: _Stop,
+        label: str,
+        sequence: OrbitSequence,
+        found: Sequence[SeenSequence],
+        partly: bool,
     ) -> tuple[list[str], list[str]]:
         if not stop.n_contacts:
             return [f"the contact `{stop.name}` never closes"], []
@@ -156,7 +166,7 @@ class SeenEvents:
         if sequence.zeno is None:
             return [], []
         short = min(one.fewest for one in found)
-        if not all(one.is_resolved for one in found):
+        if not all(one.is_resolved or (partly and one.n_sure > 1) for one in found):
             what = f"a contact or flight of `{label}` has {short} sample"
             return [], [f"bounces cannot be decided: {what}, and shorter ones may be missed"]
         expected = float(sequence.flights[0]) if len(sequence.flights) else 0.0

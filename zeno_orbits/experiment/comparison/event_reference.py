@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.orbit_table import measurable
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem, powers_of
 from zeno_orbits.orbits import EventOrbit
@@ -49,43 +50,82 @@ class OrbitSequence:
         return max(one for one in known if one is not None)
 
 
-def orbit_sequences(orbit: EventOrbit, stop: str) -> tuple[OrbitSequence, ...]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlacedSequence:
+    """A sequence of impacts as indices of events, each with the periods to add to its time.
+
+    Attributes:
+        impacts: The impacts, in order.
+        zeno: Zeno point, or ``None``.
+        release: Release after the Zeno point, or ``None``.
+    """
+
+    impacts: tuple[tuple[int, int], ...]
+    zeno: tuple[int, int] | None
+    release: tuple[int, int] | None
+
+
+def placed_sequences(
+    events: Sequence[tuple[str, float]], period: float, stop: str
+) -> tuple[PlacedSequence, ...]:
     """Return the sequences of a stop in a period, in order of their first impacts.
 
     An impact that follows no impact on the same stop, or no slower motion towards a Zeno point,
     begins a sequence.
 
     Args:
-        orbit: The orbit.
+        events: Name and time of every event of the period, in order.
+        period: The period [s].
         stop: Name of the stop.
     """
-    period = orbit.period
     own = [
-        (event.name.partition(" ")[0], event.time)
-        for event in orbit.events
-        if event.name.partition(" ")[2] == stop and not event.name.startswith("switch ")
+        (place, name.partition(" ")[0], time)
+        for place, (name, time) in enumerate(events)
+        if name.partition(" ")[2] == stop and not name.startswith("switch ")
     ]
-    accumulates = any(kind == "zeno" for kind, _ in own)
+    accumulates = any(kind == "zeno" for _, kind, _ in own)
     n = len(own)
-    found: list[OrbitSequence] = []
-    for first, (kind, begin) in enumerate(own):
-        if kind != "impact" or (accumulates and own[first - 1][0] == "impact" and n > 1):
+    found: list[PlacedSequence] = []
+    for first, (start, kind, begin) in enumerate(own):
+        if kind != "impact" or (accumulates and own[first - 1][1] == "impact" and n > 1):
             continue
-        impacts, zeno, release = [begin], None, None
+        impacts, zeno, release = [(start, 0)], None, None
         for k in range(1, n):
-            what, time = own[(first + k) % n]
-            time += period * math.ceil((begin - time) / period) if time < begin else 0.0
+            place, what, time = own[(first + k) % n]
+            turns = math.ceil((begin - time) / period) if time < begin else 0
             if what == "impact":
                 if not accumulates or zeno is not None:
                     break
-                impacts.append(time)
+                impacts.append((place, turns))
             elif what == "zeno":
-                zeno = time
+                zeno = (place, turns)
             else:
-                release = time
+                release = (place, turns)
                 break
-        found.append(OrbitSequence(impacts=tuple(impacts), zeno=zeno, release=release))
+        found.append(PlacedSequence(impacts=tuple(impacts), zeno=zeno, release=release))
     return tuple(found)
+
+
+def orbit_sequences(orbit: EventOrbit, stop: str) -> tuple[OrbitSequence, ...]:
+    """Return the sequences of a stop in a period, in order of their first impacts.
+
+    Args:
+        orbit: The orbit.
+        stop: Name of the stop.
+    """
+    events = [(event.name, event.time) for event in orbit.events]
+
+    def time(at: tuple[int, int]) -> float:
+        return events[at[0]][1] + at[1] * orbit.period
+
+    return tuple(
+        OrbitSequence(
+            impacts=tuple(map(time, one.impacts)),
+            zeno=None if one.zeno is None else time(one.zeno),
+            release=None if one.release is None else time(one.release),
+        )
+        for one in placed_sequences(events, orbit.period, stop)
+    )
 
 
 def longest_flight(sequences: Sequence[OrbitSequence], period: float) -> float:
@@ -148,21 +188,13 @@ class EventTable:
         return (time - self.zero) % turn
 
 
-def event_signals(problem: Problem) -> dict[str, str]:
-    """Return the units of the signals of a machine with several stops: states and outputs."""
-    units = dict(zip(problem.state_names, problem.state_units, strict=True))
-    for output in problem.outputs:
-        units.setdefault(output.name, output.unit)
-    return units
-
-
 def shared_event_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
     """Return the names of the recorded states and outputs of a machine with several stops.
 
     Raises:
         InputError: If a signal has a unit of another kind, or no values.
     """
-    known = event_signals(problem)
+    known = measurable(problem)
     names = tuple(name for name in recording.names if name in known)
     for name in names:
         signal = recording.signal(name)

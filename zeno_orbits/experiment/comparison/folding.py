@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.alignment import Alignment
-from zeno_orbits.experiment.orbit_table import ROUGHLY, OrbitTable, beside_jumps, in_layers
+from zeno_orbits.experiment.orbit_table import ROUGHLY, PeriodTable, beside_jumps, in_layers
 
 MOST = 40_000
 """Largest number of samples that are kept. More samples are averaged in bins."""
@@ -68,7 +68,7 @@ class Folded:
         phases = (self.turns + self.phases) / factor - self.turns
         return replace(self, phases=np.mod(phases, 1.0))
 
-    def without_jumps(self, table: OrbitTable) -> Folded:
+    def without_jumps(self, table: PeriodTable) -> Folded:
         """Return the samples away from jumps and layers of an orbit with roughly equal phases."""
         steep = beside_jumps(table, self.phases, ROUGHLY) | in_layers(table, self.phases, ROUGHLY)
         return self.without(steep)
@@ -77,7 +77,7 @@ class Folded:
         """Return it without some of its values, ``(n, n_s)``."""
         return replace(self, seen=self.seen & ~left_out)
 
-    def predicted(self, table: OrbitTable, shift: float) -> Fold:
+    def predicted(self, table: PeriodTable, shift: float) -> Fold:
         """Return the predictions of an orbit for the samples, or for their means.
 
         Args:
@@ -91,14 +91,14 @@ class Folded:
             values = self._mean(table, phases, 1)
         return Fold(times=times, values=values, slopes=slopes)
 
-    def bends(self, table: OrbitTable, shift: float) -> Vector:
+    def bends(self, table: PeriodTable, shift: float) -> Vector:
         """Return the uncertainty of the predicted means of a signal that is curved within a bin."""
         if not self.span:
             return np.zeros_like(self.values)
         phases = self.phases - shift
         return np.abs(self._mean(table, phases, 2) - self._mean(table, phases, 1))
 
-    def _mean(self, table: OrbitTable, phases: Vector, parts: int) -> Vector:
+    def _mean(self, table: PeriodTable, phases: Vector, parts: int) -> Vector:
         """Return the mean of the signals over each stretch, cut into parts, ``(n, n_s)``."""
         total = np.zeros_like(self.values)
         for part in range(parts):

@@ -15,23 +15,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.experiment.comparison.comparison import Comparison, compare
-from zeno_orbits.experiment.comparison.folding import folded
-from zeno_orbits.experiment.comparison.overlay import Overlay
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.experiment.comparison.folding import Folded
+from zeno_orbits.experiment.identification.contact_rows import UNMATCHED
 from zeno_orbits.experiment.identification.least_squares import Fit
 from zeno_orbits.experiment.identification.optima import (
     global_fit,
     profile_interval,
     starts_of,
 )
-from zeno_orbits.experiment.identification.predictions import Predictions
+from zeno_orbits.experiment.identification.prepared import (
+    Prepared,
+    UnfittableError,
+    prepared_cycle,
+    prepared_events,
+    refusal,
+)
 from zeno_orbits.experiment.identification.stationarity import unsteady
 from zeno_orbits.experiment.identification.uncertainty import Unseen, unseen_combinations
 from zeno_orbits.experiment.identification.unknowns import (
@@ -40,16 +45,13 @@ from zeno_orbits.experiment.identification.unknowns import (
     begin_of,
     unknowns_of,
 )
-from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.search import close_orbit, orbit_of
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import ByValue, Progress, silent
 
 __all__ = ["Fitted", "Identification", "UnfittableError", "identify"]
 
-_LEAST_CYCLES = 2.0
 _MISFIT = 2.0
 """Ratio of the periodic part of the residuals to its expected size from noise, above which the
 model is reported as inadequate."""
@@ -100,10 +102,13 @@ class Identification(ByValue):
         correlation: Correlation matrix of the fitted values, ``(k, k)``.
         unseen: Combinations of parameters that the recording does not determine.
         orbit: The orbit at these parameter values.
-        before: Root mean square of the residuals at the start, in units of the noise.
+        before: Root mean square deviation of the signals at the start, in parts of their ranges.
         after: The same after the fit.
         misfit: Ratio of the periodic part of the residuals to its expected size from noise. It is
             about 1 for an adequate model.
+        edges: Number of edges of contact channels that were fitted.
+        edge_misfit: Root mean square of the residuals of the edges, in units of their errors, or
+            NaN without edges.
         converged: Whether the fit converged. Intervals exist only for a converged fit.
         optima: Parameter values of other optima that fit nearly as well.
         remarks: Further remarks.
@@ -114,13 +119,15 @@ class Identification(ByValue):
     fitted: tuple[Fitted, ...]
     correlation: Vector
     unseen: tuple[Unseen, ...]
-    orbit: ZenoOrbit
+    orbit: ZenoOrbit | EventOrbit
     before: float
     after: float
     misfit: float
     remarks: tuple[str, ...]
     converged: bool = True
     optima: tuple[Mapping[str, float], ...] = ()
+    edges: int = 0
+    edge_misfit: float = math.nan
 
     def __repr__(self) -> str:
         """Return one line: the fitted values with their errors."""
@@ -128,8 +135,8 @@ class Identification(ByValue):
             f"{one.unknown.label}={one.value:.7g} +- {one.error:.2g}" for one in self.fitted
         )
         return (
-            f"<Identification of {self.problem}: {found}, residuals of {self.after:.3g} times the "
-            f"noise, converged={self.converged}>"
+            f"<Identification of {self.problem}: {found}, residuals of {100 * self.after:.3g} % of "
+            f"the signals' ranges, converged={self.converged}>"
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -154,14 +161,12 @@ class Identification(ByValue):
             "residual_before": self.before,
             "residual_after": self.after,
             "misfit": self.misfit,
+            "edges": self.edges,
+            "edge_misfit": self.edge_misfit if self.edges else None,
             "converged": self.converged,
             "optima": [dict(one) for one in self.optima],
             "remarks": list(self.remarks),
         }
-
-
-class UnfittableError(ZenoOrbitsError):
-    """A recording gives no parameters: it shows no such orbit, or none comes near it."""
 
 
 def identify(
@@ -187,22 +192,11 @@ def identify(
         UnfittableError: If no orbit exists at the start, or the recording does not resemble any.
     """
     begin = begin_of(problem, values, sought)
-    on_progress("looking for the orbit at the start", None)
-    closing = close_orbit(problem, begin)
-    if closing.orbit is None:
-        raise _refusal(f"an orbit to fit is missing at the start: {closing.detail.rstrip('.')}")
-    on_progress("laying the recording over it", None)
-    first = compare(closing.orbit, problem, recording)
-    laid = first.overlay
-    if first.reasons or laid is None:
-        raise _refusal("; ".join(first.reasons))
-    if laid.found.n_cycles < _LEAST_CYCLES:
-        raise _refusal(f"{laid.found.n_cycles:.4g} periods were recorded, and two are needed")
     unknowns = unknowns_of(problem, begin, sought)
-    orbits = Predictions(problem, unknowns, measurement(problem, laid.names), laid.table.cycle)
-    found = replace(laid.found, period=laid.where.period, error=laid.where.period_error)
-    seen = _restitution_seen(unknowns, sought, first)
-    samples = folded(laid.time, laid.values, laid.where)
+    prepare = prepared_events if problem.has_graph else prepared_cycle
+    whole = prepare(problem, begin, unknowns, recording, on_progress)
+    labels = [one.label for one in sought]
+    seen = _restitution_seen(unknowns, sought, whole.restitution)
     try:
         likely = [unknowns.first]
         if seen:
@@ -210,14 +204,19 @@ def identify(
             likely.insert(0, unknowns.first.copy())
             likely[0][list(seen)] = list(seen.values())
         starts = starts_of(unknowns, likely, seen)
-        answer, orbits, optima = global_fit(orbits, samples, found, starts, on_progress)
+        answer, orbits, optima = global_fit(
+            whole.orbits, whole.samples, whole.found, starts, on_progress, whole.contacts
+        )
     except SimulationError as error:
-        raise _refusal("the orbit is lost on the way to the recording's") from error
-    remarks = [*first.remarks, *_unsettled(answer, laid)]
-    if answer.repeating > _ALIEN:
-        off = f"the nearest orbit is {100 * answer.repeating:.2g} % of the signals' ranges off"
-        raise _refusal(f"{off}, in every cycle")
-    labels = [one.label for one in sought]
+        raise refusal("the orbit is lost on the way to the recording's") from error
+    remarks = [*whole.remarks, *_unsettled(answer, whole)]
+    if answer.repeating > _ALIEN or _lost(whole.samples, answer):
+        size = answer.after if _lost(whole.samples, answer) else answer.repeating
+        off = f"the nearest orbit is {100 * size:.2g} % of the signals' ranges off"
+        raise refusal(f"{off}, in every cycle")
+    edges = _edge_residuals(answer)
+    if np.any(np.abs(edges) >= UNMATCHED):
+        raise refusal("the nearest orbit lacks contacts of the recording, or has others")
     unseen = unseen_combinations(labels, answer.spread.information, answer.spread.inflation)
     on_progress("computing the intervals", 0.97)
     fitted = _fitted(unknowns, sought, answer, unseen)
@@ -231,59 +230,67 @@ def identify(
     for one in fitted:
         parameters |= dict.fromkeys(one.unknown.names, one.value)
     at = problem.values(gains=begin.gains, parameters=parameters)
+    n_edges = whole.contacts.n_edges
     return Identification(
         problem=problem.name,
         values=at,
         fitted=fitted,
         correlation=answer.spread.correlation,
         unseen=unseen,
-        orbit=orbit_of(orbits.table(answer.x).cycle, problem, at),
+        orbit=whole.orbit_of(orbits.table(answer.x), at),
         before=answer.before,
         after=answer.after,
         misfit=answer.spread.misfit,
         converged=answer.converged,
         optima=others,
         remarks=(*remarks, *_remarks(fitted, answer), *rivals),
+        edges=n_edges,
+        edge_misfit=float(np.sqrt(np.mean(edges**2))) if n_edges else math.nan,
     )
 
 
+def _lost(samples: Folded, answer: Fit) -> bool:
+    """Return True if the prediction of no sample is straight: the orbit is another one."""
+    return bool(samples.seen.any()) and not answer.data.seen.any()
+
+
+def _edge_residuals(answer: Fit) -> Vector:
+    """Return the residuals of the contact channels, in units of their errors."""
+    return answer.residuals[answer.data.values.size : -1]
+
+
 def _restitution_seen(
-    unknowns: Unknowns, sought: Sequence[Unknown], first: Comparison
+    unknowns: Unknowns, sought: Sequence[Unknown], restitution: float
 ) -> dict[int, float]:
     """Return the unknown that is the restitution, with the value that the contacts show."""
-    contacts = first.contacts
-    if contacts is None or not contacts.restitution.known:
+    if not math.isfinite(restitution):
         return {}
     low, high = unknowns.bounds
     return {
-        k: float(np.clip(contacts.restitution.value / unknowns.scale[k], low[k], high[k]))
+        k: float(np.clip(restitution / unknowns.scale[k], low[k], high[k]))
         for k, one in enumerate(sought)
         if "restitution" in one.names
     }
 
 
-def _refusal(reason: str) -> UnfittableError:
-    return UnfittableError(f"No parameters were found: {reason}.")
-
-
-def _unsettled(answer: Fit, laid: Overlay) -> list[str]:
+def _unsettled(answer: Fit, whole: Prepared) -> list[str]:
     """Return remarks on differences between cycles that hardly change the fitted values.
 
     Raises:
         UnfittableError: If the differences change the fitted values. The message contains the
             reason and the time from which the cycles agree.
     """
-    found, where = unsteady(answer), laid.where
+    found, where = unsteady(answer), whole.where
     if found is None or found.size < _WORTH:
         return []
     hint = ""
     if found.first:
-        begun = np.floor(where.phases(laid.time[[0, -1]]))
+        begun = np.floor(where.phases(whole.time[[0, -1]]))
         in_group = max(float(begun[1] - begun[0] + 1) / answer.data.n_groups, 1.0)
         since = where.release + where.period * (begun[0] + found.skip * in_group)
         hint = f"; leave the beginning out with --from {since:.4g}"
     if found.size > _MOVED:
-        raise _refusal(f"{found.reason}{hint}")
+        raise refusal(f"{found.reason}{hint}")
     return [f"{found.reason}, by {100 * found.size:.1g} % of the numbers{hint}"]
 
 
@@ -329,6 +336,12 @@ def _remarks(fitted: Sequence[Fitted], found: Fit) -> list[str]:
             f"systematic misfit: the repeatable part of the residuals is "
             f"{math.sqrt(found.spread.misfit):.2g} times the noise, so the estimates may be biased "
             f"beyond their intervals"
+        )
+    if found.spread.edge_excess > 1.0:
+        remarks.append(
+            f"systematic misfit of the contacts: they are off by "
+            f"{math.sqrt(found.spread.edge_excess):.2g} times their errors, so the estimates may "
+            f"be biased beyond their intervals"
         )
     late = abs(float(found.residuals[-1]))
     if late > _LATE:

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.comparison.folding import Folded
-from zeno_orbits.experiment.identification.predictions import Predictions
+from zeno_orbits.experiment.identification.contact_rows import NO_CONTACTS, ContactRows
+from zeno_orbits.experiment.identification.predictions import OrbitPredictions
 from zeno_orbits.experiment.identification.uncertainty import Spread, spread_of
-from zeno_orbits.experiment.orbit_table import beside_jumps, jump_width
+from zeno_orbits.experiment.orbit_table import PeriodTable, beside_jumps, jump_width
 from zeno_orbits.experiment.recordings.delays import delays_of, period_error
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.work import Progress
@@ -56,9 +57,9 @@ class Fit:
     Attributes:
         x: The unknowns, ``(k + 1,)``.
         data: The samples that count.
-        jacobian: Derivatives of the residuals with respect to the unknowns, with the period's
-            residual in the last row, ``(n n_s + 1, k + 1)``.
-        residuals: Residuals in units of their noise, ``(n n_s + 1,)``.
+        jacobian: Derivatives of the residuals with respect to the unknowns, ``(n_r, k + 1)``. The
+            rows are those of the samples, of the contact channels, and of the period.
+        residuals: Residuals in units of their noise, ``(n_r,)``.
         spread: Uncertainty of the unknowns.
         before: Root mean square deviation at the start, in parts of the ranges.
         after: The same after the fit.
@@ -88,39 +89,50 @@ class Weighed:
         data: The samples that count.
         found: The period of the recording.
         weights: Inverse standard deviation of the noise, ``(n, n_s)``.
+        contacts: The edges of the contact channels.
     """
 
-    orbits: Predictions
+    orbits: OrbitPredictions[PeriodTable]
     data: Folded
     found: Periodicity
     weights: Vector
+    contacts: ContactRows = NO_CONTACTS
 
     def residuals(self, x: Vector) -> Vector:
-        """Return the residuals, ``(n n_s + 1,)``, or large values for unknowns without an orbit."""
+        """Return the residuals of samples, contact channels and period, ``(n_r,)``.
+
+        Unknowns without an orbit have large residuals.
+        """
         try:
             fold = self.orbits.fold(x, self.data)
-            period = self.orbits.table(x).period
+            events = self.orbits.events(x)
         except (SimulationError, InputError):
-            return np.full(self.data.values.size + 1, _FAR)
+            return np.full(self.data.values.size + self.contacts.n_rows + 1, _FAR)
         rest = np.where(self.data.seen, (self.data.values - fold.values) * self.weights, 0.0)
-        return np.append(rest.ravel(), (self.found.period - period) / self.found.error)
+        edges = self.contacts.residuals(events, float(x[-1]))
+        late = (self.found.period - events.period) / self.found.error
+        return np.concatenate([rest.ravel(), edges, [late]])
 
     def jacobian(self, x: Vector) -> Vector:
-        """Return their exact derivatives, ``(n n_s + 1, k + 1)``."""
+        """Return their exact derivatives, ``(n_r, k + 1)``."""
         # The next orbits are searched near the accepted unknowns.
         self.orbits.accept(x)
         slopes = self.orbits.slopes(x, self.data)
         whole = -slopes.signals * self.weights[:, :, None]
-        whole = np.where(self.data.seen[:, :, None], whole, 0.0)
-        return np.concatenate([whole.reshape(-1, len(x)), -slopes.period[None] / self.found.error])
+        whole = np.where(self.data.seen[:, :, None], whole, 0.0).reshape(-1, len(x))
+        edges = self.contacts.jacobian(
+            self.orbits.events(x), float(x[-1]), self.orbits.event_slopes(x), slopes.period
+        )
+        return np.concatenate([whole, edges, -slopes.period[None] / self.found.error])
 
 
 def fit(
-    orbits: Predictions,
+    orbits: OrbitPredictions[PeriodTable],
     samples: Folded,
     found: Periodicity,
     first: Vector,
     on_progress: Progress,
+    contacts: ContactRows = NO_CONTACTS,
 ) -> Fit:
     """Return the unknowns whose orbit fits samples best, near a start.
 
@@ -133,10 +145,11 @@ def fit(
         found: Period of the recording.
         first: Initial unknowns, ``(k + 1,)``.
         on_progress: Called with each stage and the part that is done.
+        contacts: The edges of the contact channels.
     """
     x, ends, answer = first, False, None
     for number in range(_REPEATS):
-        answer = _fitted_from(orbits, samples, found, x, on_progress)
+        answer = _fitted_from(orbits, samples, found, x, on_progress, contacts)
         step = np.abs(answer.x - x)[:-1]
         x, ends = answer.x, bool(np.all(step <= _STAYS * answer.spread.errors))
         if ends and number:
@@ -155,12 +168,17 @@ def fit(
 
 
 def _fitted_from(
-    orbits: Predictions, samples: Folded, found: Periodicity, first: Vector, on_progress: Progress
+    orbits: OrbitPredictions[PeriodTable],
+    samples: Folded,
+    found: Periodicity,
+    first: Vector,
+    on_progress: Progress,
+    contacts: ContactRows,
 ) -> Fit:
     """Return the result of fit rounds. The first round excludes samples near jumps of the start."""
     x, converged = first, True
     data = samples.without_jumps(orbits.table(first))
-    stage = weighed(orbits, data, found, first)
+    stage = weighed(orbits, data, found, first, contacts)
     # Each round uses weights from the residuals of the previous round.
     for number, change in enumerate(_SETTLED):
         on_progress("fitting", number / len(_SETTLED))
@@ -168,11 +186,11 @@ def _fitted_from(
         bent = _bent(stage, x, samples) if number == 0 else ~data.seen
         if number < len(_SETTLED) - 1:
             factor, error, width = _stretch(stage, x)
-            samples = samples.stretched(factor)
+            samples, contacts = samples.stretched(factor), contacts.stretched(factor)
             found = replace(found, period=found.period * factor, error=found.period * error)
             phases = samples.phases - float(x[-1])
             data = samples.without(bent | beside_jumps(orbits.table(x), phases, width))
-        stage = weighed(orbits, data, found, x)
+        stage = weighed(orbits, data, found, x, contacts)
     on_progress("computing the intervals", 0.95)
     jacobian, residuals = stage.jacobian(x), stage.residuals(x)
     return Fit(
@@ -190,14 +208,18 @@ def _fitted_from(
 
 
 def rough_fit(
-    orbits: Predictions, samples: Folded, found: Periodicity, first: Vector
+    orbits: OrbitPredictions[PeriodTable],
+    samples: Folded,
+    found: Periodicity,
+    first: Vector,
+    contacts: ContactRows = NO_CONTACTS,
 ) -> tuple[Vector, Weighed]:
     """Return unknowns of a fit of two short rounds, the samples chosen anew for the second one."""
     x = first
-    stage = weighed(orbits, samples.without_jumps(orbits.table(x)), found, x)
+    stage = weighed(orbits, samples.without_jumps(orbits.table(x)), found, x, contacts)
     for change in _ROUGH:
         x, _ = _nearest(stage, x, change, trials=_FEW)
-        stage = weighed(orbits, samples.without_jumps(orbits.table(x)), found, x)
+        stage = weighed(orbits, samples.without_jumps(orbits.table(x)), found, x, contacts)
     return x, stage
 
 
@@ -214,7 +236,12 @@ def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
         Factor of the period, its standard error, and a width in periods.
     """
     data = stage.data
-    jacobian, residuals = stage.jacobian(x)[:-1], stage.residuals(x)[:-1]
+    own = slice(data.values.size)
+    jacobian, residuals = stage.jacobian(x)[own], stage.residuals(x)[own]
+    if not data.seen.any():
+        relative = stage.found.error / stage.found.period
+        ends = relative * float(np.max(np.abs(data.turns), initial=0.0))
+        return 1.0, relative, jump_width(ends)
     since = np.repeat(data.turns + data.phases, data.seen.shape[1])
     late = jacobian[:, -1]
     columns = np.column_stack([jacobian, late * since])
@@ -230,7 +257,7 @@ def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
     return 1.0 + float(change[-1]), error, jump_width(ends)
 
 
-def deviation(orbits: Predictions, data: Folded, x: Vector) -> float:
+def deviation(orbits: OrbitPredictions[PeriodTable], data: Folded, x: Vector) -> float:
     """Return the root mean square deviation of all signals, in parts of their ranges.
 
     Args:
@@ -246,7 +273,13 @@ def deviation(orbits: Predictions, data: Folded, x: Vector) -> float:
     return math.sqrt(square / max(float(counts.sum()), 1.0))
 
 
-def weighed(orbits: Predictions, data: Folded, found: Periodicity, x: Vector) -> Weighed:
+def weighed(
+    orbits: OrbitPredictions[PeriodTable],
+    data: Folded,
+    found: Periodicity,
+    x: Vector,
+    contacts: ContactRows = NO_CONTACTS,
+) -> Weighed:
     """Return the residuals in units of their size at some unknowns, signal by signal.
 
     Args:
@@ -254,6 +287,7 @@ def weighed(orbits: Predictions, data: Folded, found: Periodicity, x: Vector) ->
         data: The samples that count.
         found: The period of the recording.
         x: The unknowns, ``(k + 1,)``.
+        contacts: The edges of the contact channels.
     """
     fold = orbits.fold(x, data)
     weights = np.empty_like(data.values)
@@ -264,7 +298,7 @@ def weighed(orbits: Predictions, data: Folded, found: Periodicity, x: Vector) ->
         extent = float(np.ptp(fold.values[:, k]))
         noise = max(size, _LEAST_NOISE * extent, np.finfo(float).tiny)
         weights[:, k] = np.sqrt(data.counts[:, k]) / noise
-    return Weighed(orbits=orbits, data=data, found=found, weights=weights)
+    return Weighed(orbits=orbits, data=data, found=found, weights=weights, contacts=contacts)
 
 
 def _nearest(
@@ -302,7 +336,7 @@ def _bent(stage: Weighed, x: Vector, samples: Folded) -> NDArray[np.bool_]:
     for step in _steps(jacobian, spread.inflation):
         there = np.clip(x + step, *stage.orbits.unknowns.bounds)
         off = whole.residuals(there) - here - slopes @ (there - x)
-        bend = np.maximum(bend, np.abs(off[:-1].reshape(shape)))
+        bend = np.maximum(bend, np.abs(off[: samples.values.size].reshape(shape)))
     return bend > _BENT
 
 

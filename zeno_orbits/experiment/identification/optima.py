@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.comparison.folding import Folded
+from zeno_orbits.experiment.identification.contact_rows import NO_CONTACTS, ContactRows
 from zeno_orbits.experiment.identification.least_squares import (
     Fit,
     Weighed,
@@ -23,8 +25,9 @@ from zeno_orbits.experiment.identification.least_squares import (
     fit,
     rough_fit,
 )
-from zeno_orbits.experiment.identification.predictions import Predictions
+from zeno_orbits.experiment.identification.predictions import OrbitPredictions
 from zeno_orbits.experiment.identification.unknowns import Unknowns
+from zeno_orbits.experiment.orbit_table import PeriodTable
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.work import Progress
 
@@ -73,13 +76,17 @@ def starts_of(
     return [*known, *spread]
 
 
+Orbits = TypeVar("Orbits", bound=OrbitPredictions[PeriodTable])
+
+
 def global_fit(
-    orbits: Predictions,
+    orbits: Orbits,
     samples: Folded,
     found: Periodicity,
     starts: Sequence[Vector],
     on_progress: Progress,
-) -> tuple[Fit, Predictions, tuple[Vector, ...]]:
+    contacts: ContactRows = NO_CONTACTS,
+) -> tuple[Fit, Orbits, tuple[Vector, ...]]:
     """Return the best fit, its orbits, and the unknowns of other optima that fit nearly as well.
 
     Args:
@@ -88,16 +95,17 @@ def global_fit(
         found: Period of the recording.
         starts: Initial unknowns, the user's first.
         on_progress: Called with each stage and the part that is done.
+        contacts: The edges of the contact channels.
 
     Raises:
         SimulationError: If no start leads to an orbit.
     """
-    tried: list[tuple[Vector, Predictions]] = []
+    tried: list[tuple[Vector, Orbits]] = []
     for number, start in enumerate(starts):
         on_progress("looking for optima", number / len(starts))
         try:
             own = orbits.starting_at(start)
-            x, _ = rough_fit(own, samples, found, start)
+            x, _ = rough_fit(own, samples, found, start, contacts)
             own.table(x)
         except (SimulationError, InputError):
             continue
@@ -105,18 +113,19 @@ def global_fit(
     if not tried:
         raise SimulationError("No start leads to an orbit", time=0.0, state=())
     noise = np.min([_noise(own, samples, x) for x, own in tried], axis=0)
-    measures = [_measure(own, samples, found, x, noise) for x, own in tried]
+    measures = [_measure(own, samples, found, x, noise, contacts) for x, own in tried]
     order: list[int] = [int(k) for k in np.argsort(measures)]
     best_x, best_orbits = tried[order[0]]
-    answer = fit(best_orbits, samples, found, best_x, on_progress)
-    least = _measure(best_orbits, samples, found, answer.x, noise)
+    answer = fit(best_orbits, samples, found, best_x, on_progress, contacts)
+    least = _measure(best_orbits, samples, found, answer.x, noise, contacts)
     rivals: list[tuple[Vector, float]] = []
     for k in order[1:]:
         x, own = tried[k]
         others = [answer.x, *(one for one, _ in rivals)]
         if measures[k] < (1.0 + _RIVAL) * least and _is_new(x, others, answer):
-            final = fit(own, samples, found, x, on_progress)
-            measure, rival = _measure(own, samples, found, final.x, noise), final.x
+            final = fit(own, samples, found, x, on_progress, contacts)
+            measure = _measure(own, samples, found, final.x, noise, contacts)
+            rival = final.x
             if measure < least:
                 rival, answer, best_orbits = answer.x, final, own
                 measure, least = least, measure
@@ -139,7 +148,7 @@ def _is_new(x: Vector, known: Sequence[Vector], answer: Fit) -> bool:
     return all(float(np.max(np.abs(x - one)[:-1] / errors)) > _SAME for one in known)
 
 
-def _noise(orbits: Predictions, samples: Folded, x: Vector) -> Vector:
+def _noise(orbits: OrbitPredictions[PeriodTable], samples: Folded, x: Vector) -> Vector:
     """Return the noise of each signal from the median of its residuals, ``(n_s,)``."""
     values = orbits.fold(x, samples).values
     rest = np.abs(samples.values - values) * np.sqrt(samples.counts)
@@ -148,14 +157,25 @@ def _noise(orbits: Predictions, samples: Folded, x: Vector) -> Vector:
 
 
 def _measure(
-    orbits: Predictions, samples: Folded, found: Periodicity, x: Vector, noise: Vector
+    orbits: OrbitPredictions[PeriodTable],
+    samples: Folded,
+    found: Periodicity,
+    x: Vector,
+    noise: Vector,
+    contacts: ContactRows,
 ) -> float:
-    """Return the sum of the clipped squares over all samples, and of the period's."""
+    """Return the sum of the clipped squares over all samples, and of the edges' and the period's.
+
+    One edge of a contact channel tells as much as many samples, so its square is limited only
+    where edges have no like.
+    """
     fold = orbits.fold(x, samples)
     square = samples.counts * ((samples.values - fold.values) / noise) ** 2
     clipped = np.minimum(square, _CLIP**2)
     period = (found.period - orbits.table(x).period) / found.error
-    return float(np.sum(np.where(samples.seen, clipped, 0.0))) + min(period**2, 1e4)
+    edges = contacts.residuals(orbits.events(x), float(x[-1]))
+    sample_sum = float(np.sum(np.where(samples.seen, clipped, 0.0)))
+    return sample_sum + float(edges @ edges) + min(period**2, 1e4)
 
 
 def profile_interval(answer: Fit, number: int) -> tuple[float, float]:

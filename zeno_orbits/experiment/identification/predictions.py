@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Generic, Self, TypeVar
 
 import numpy as np
 
@@ -12,7 +15,7 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.comparison.folding import Fold, Folded
 from zeno_orbits.experiment.identification.orbit_sensitivity import OrbitSlope, orbit_slope
 from zeno_orbits.experiment.identification.unknowns import Unknowns
-from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, tabulated
+from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, PeriodTable, tabulated
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Cycle
 from zeno_orbits.search import close_cycle
@@ -39,20 +42,34 @@ class Slopes:
     period: Vector
 
 
-class Predictions:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EventTimes:
+    """Times of the events of an orbit, since the start of its period.
+
+    Attributes:
+        names: Names of the events, such as ``impact closed``, in order of time.
+        times: Their times, the last one at the end of the period, ``(n,)`` [s].
+        period: The period [s].
+    """
+
+    names: tuple[str, ...]
+    times: Vector
+    period: float
+
+
+Table = TypeVar("Table", bound=PeriodTable, covariant=True)
+
+
+class OrbitPredictions(ABC, Generic[Table]):
     """Orbits at unknowns. The search for the next orbit starts from the last accepted orbit."""
 
-    def __init__(
-        self, problem: Problem, unknowns: Unknowns, measured: Measurement, near: Cycle
-    ) -> None:
-        self._problem, self._measured, self._near = problem, measured, near
-        self._settings = SimulationSettings()
-        self._most = _MORE * len(near.impacts) + _IMPACTS
-        self._tables = lru_cache(_KEPT)(self._tabulated)
-        self._slopes = lru_cache(_KEPT)(self._differentiated)
+    def __init__(self, unknowns: Unknowns, measured: Measurement) -> None:
         self.unknowns = unknowns
+        self._measured = measured
+        self._tables: Callable[[bytes], Table] = lru_cache(_KEPT)(self._tabulated)
+        self._slopes: Callable[[bytes], OrbitSlope] = lru_cache(_KEPT)(self._differentiated)
 
-    def table(self, x: Vector) -> OrbitTable:
+    def table(self, x: Vector) -> Table:
         """Return the orbit at unknowns.
 
         Raises:
@@ -60,17 +77,29 @@ class Predictions:
         """
         return self._tables(x[:-1].tobytes())
 
+    @abstractmethod
     def accept(self, x: Vector) -> None:
         """Start the next searches from the orbit at these unknowns."""
-        self._near = self.table(x).cycle
 
-    def starting_at(self, x: Vector) -> Predictions:
+    def events(self, x: Vector) -> EventTimes:
+        """Return the times of the events of the orbit at unknowns, none if they are not predicted.
+
+        Raises:
+            SimulationError: If no orbit is found near the last accepted orbit.
+        """
+        return EventTimes(names=(), times=np.zeros(0), period=self.table(x).period)
+
+    def event_slopes(self, x: Vector) -> Vector:
+        """Return the exact derivatives of the times of the events, ``(n, k + 1)`` [s]."""
+        return np.zeros((0, len(x)))
+
+    def starting_at(self, x: Vector) -> Self:
         """Return predictions that search for orbits near the orbit at these unknowns.
 
         Raises:
             SimulationError: If the orbit is lost on the way there.
         """
-        found = Predictions(self._problem, self.unknowns, self._measured, self._near)
+        found = self._copy()
         begin, done, step = self.unknowns.first, 0.0, 1.0
         while done < 1.0:
             try:
@@ -104,8 +133,43 @@ class Predictions:
             period=np.append(slope.period @ own, 0.0),
         )
 
+    @abstractmethod
+    def _copy(self) -> Self:
+        """Return the same predictions without remembered orbits."""
+
+    @abstractmethod
+    def _tabulated(self, key: bytes) -> Table:
+        """Return the orbit at unknowns without the shift in phase, given as bytes."""
+
+    @abstractmethod
+    def _differentiated(self, key: bytes) -> OrbitSlope:
+        """Return the derivatives of this orbit with respect to the parameters that vary."""
+
+    def _p_at(self, key: bytes) -> Vector:
+        """Return gains and parameters at unknowns without the shift in phase."""
+        return self.unknowns.p_at(np.append(np.frombuffer(key), 0.0))
+
+
+class Predictions(OrbitPredictions[OrbitTable]):
+    """Zeno orbits of a machine with one stop at unknowns."""
+
+    def __init__(
+        self, problem: Problem, unknowns: Unknowns, measured: Measurement, near: Cycle
+    ) -> None:
+        super().__init__(unknowns, measured)
+        self._problem, self._near = problem, near
+        self._settings = SimulationSettings()
+        self._most = _MORE * len(near.impacts) + _IMPACTS
+
+    def accept(self, x: Vector) -> None:
+        """Start the next searches from the orbit at these unknowns."""
+        self._near = self.table(x).cycle
+
+    def _copy(self) -> Self:
+        return type(self)(self._problem, self.unknowns, self._measured, self._near)
+
     def _tabulated(self, key: bytes) -> OrbitTable:
-        near, p = self._near, self.unknowns.p_at(np.append(np.frombuffer(key), 0.0))
+        near, p = self._near, self._p_at(key)
         dynamics = self._problem.dynamics(p)
         state, clock = near.start.state.copy(), list(self._problem.compiled().clock)
         if clock:

@@ -119,6 +119,8 @@ def unsteady(found: Fit) -> Unsteady | None:
     """Return the difference between the cycles of a recording, ``None`` if insignificant."""
     from scipy.stats import chi2
 
+    if not found.data.seen.any():
+        return None
     cycles = _cycles(found)
     n = len(cycles.numbers)
     if n < 2:
@@ -150,8 +152,8 @@ def unsteady(found: Fit) -> Unsteady | None:
 def _cycles(found: Fit) -> _Cycles:
     data, k = found.data, found.jacobian.shape[1]
     n, n_s = data.seen.shape
-    slopes = found.jacobian[:-1].reshape(n, n_s, k)
-    rest = found.residuals[:-1].reshape(n, n_s)
+    slopes = found.jacobian[: n * n_s].reshape(n, n_s, k)
+    rest = found.residuals[: n * n_s].reshape(n, n_s)
     count = np.array([data.seen[data.groups == g].sum() for g in range(data.n_groups)])
     numbers = np.flatnonzero(count > _WHOLE * np.median(count))
     parts = [data.groups == g for g in numbers]

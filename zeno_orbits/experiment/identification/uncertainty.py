@@ -39,6 +39,8 @@ _EXACT = 0.5
 """Mean square of the residuals below which they are smaller than the least noise."""
 _PART = 0.1
 _ROUND = 0.05
+_CHANCE = 0.01
+"""Chance below which the residuals of contact channels are larger than their errors explain."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,6 +56,8 @@ class Spread:
         misfit: Ratio of the variance of the periodic part of the residuals to its value from noise.
         common: Size of the periodic part without the contribution of noise, relative to the
             residuals.
+        edge_excess: Ratio of the variance of the residuals of contact channels to that of their
+            errors. It is 1 unless the ratio is significantly larger.
     """
 
     errors: Vector
@@ -63,6 +67,7 @@ class Spread:
     inflation: float
     misfit: float
     common: float
+    edge_excess: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,17 +88,24 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
 
     Args:
         jacobian: Derivatives of the residuals with respect to the parameters and then the phase
-            shift. The last row belongs to the period, ``(n n_s + 1, k + 1)``.
-        residuals: Residuals in units of their noise, ``(n n_s + 1,)``.
+            shift, ``(n_r, k + 1)``. The rows after the ``n n_s`` samples have independent errors:
+            those of contact channels, and the last one of the period.
+        residuals: Residuals in units of their noise, ``(n_r,)``.
         data: The samples of the residuals.
     """
     from scipy.stats import t as student
 
     n, n_s = data.seen.shape
     k = jacobian.shape[1] - 1
-    samples, rest = jacobian[:-1].reshape(n, n_s, k + 1), residuals[:-1].reshape(n, n_s)
-    information, own = jacobian.T @ jacobian, np.outer(jacobian[-1], jacobian[-1])
-    inverse = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
+    samples, rest = jacobian[: n * n_s].reshape(n, n_s, k + 1), residuals[: n * n_s]
+    rest = rest.reshape(n, n_s)
+    information = jacobian.T @ jacobian
+    inverse: Vector = np.asarray(
+        np.linalg.pinv(information, rcond=1e-14, hermitian=True), dtype=np.float64
+    )
+    edges = jacobian[n * n_s : -1]
+    edge_excess = _excess(edges, residuals[n * n_s : -1], inverse)
+    own = edge_excess * edges.T @ edges + np.outer(jacobian[-1], jacobian[-1])
     together, misfit, common = _along_phase(samples, rest, data)
     # The other two values are estimates and may be too small. Independent noise is the lower bound.
     scatters = [(together, _FREEDOM), (_along_time(samples, rest, data), _FREEDOM)]
@@ -119,7 +131,24 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
         inflation=float(np.max(errors / plain)),
         misfit=misfit,
         common=common,
+        edge_excess=edge_excess,
     )
+
+
+def _excess(edges: Vector, rest: Vector, inverse: Vector) -> float:
+    """Return the variance of residuals relative to their degrees of freedom, if it is significant.
+
+    Rows without a derivative are not observations. The leverage of the others is lost to the fit.
+    """
+    from scipy.stats import chi2
+
+    seen = np.any(edges != 0.0, axis=1)
+    edges, rest = edges[seen], rest[seen]
+    freedom = len(rest) - float(np.einsum("ij,jk,ik->", edges, inverse, edges))
+    square = float(rest @ rest)
+    if freedom < 0.5 or chi2.sf(square, freedom) > _CHANCE:
+        return 1.0
+    return square / freedom
 
 
 def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, float, float]:
@@ -141,6 +170,8 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
         root = np.sqrt(data.counts[seen, s])
         weight = np.bincount(here, weights=root**2, minlength=_BINS)
         known = weight > 0.0
+        if not known.any():
+            continue
         mean = np.bincount(here, weights=root * rest[seen, s], minlength=_BINS)
         mean = np.where(known, mean / np.maximum(weight, 1.0), 0.0)
         columns = (root[:, None] * samples[seen, s]).T

@@ -199,6 +199,21 @@ class GraphDynamics:
         self._resets = [Call(one, self.p) for one in compiled.resets]
         self.open_mode: GraphMode = ((), (True,) * len(graph.conditions))
 
+    def at(self, values: Sequence[float] | Vector) -> GraphDynamics:
+        """Return the graph at other parameter values nearby, with the scales of this graph.
+
+        Scales take a third of the time of a periodic return.
+
+        Args:
+            values: Parameter vector, gains then parameters.
+
+        Raises:
+            SwitchingTimesError: If the switching times of a piecewise input do not increase.
+        """
+        other = GraphDynamics(self.compiled, values)
+        other._scales.update((k, self._scale(k)) for k in range(len(self.stop_names)))
+        return other
+
     @property
     def n_q(self) -> int:
         """Number of coordinates."""

@@ -211,14 +211,31 @@ def print_identification(recording: Recording, found: Identification) -> None:
     print_table(columns, found.fitted)
     print_lines(
         [
-            f"Deviation of all signals relative to their ranges: {found.before:.2g} before, "
-            f"{found.after:.2g} after the fit. Period {found.orbit.period:.7g} s.",
+            f"{_deviation(found)}Period {found.orbit.period:.7g} s.",
+            *_edges(found),
             "Intervals contain noise and its correlation. They contain no error of the model, and "
             "none of the instruments: a gain, an offset or a clock rate that is off biases values.",
             *(f"Note: {remark}." for remark in (*recording.remarks, *found.remarks)),
             *(f"Warning: {one.text}." for one in found.unseen),
         ]
     )
+
+
+def _deviation(found: Identification) -> str:
+    """Return the deviation of the signals in words, empty without signals."""
+    if not found.before > 0.0:
+        return ""
+    return (
+        f"Deviation of all signals relative to their ranges: {found.before:.2g} before, "
+        f"{found.after:.2g} after the fit. "
+    )
+
+
+def _edges(found: Identification) -> list[str]:
+    """Return the deviation of the contacts in words, nothing without contact channels."""
+    if not found.edges:
+        return []
+    return [f"Deviation of {found.edges} edges of contacts: {found.edge_misfit:.2g} errors."]
 
 
 def _interval(one: Fitted) -> str:

@@ -1,0 +1,261 @@
+"""Coverage of the intervals of `identify` from contact channels and a current of a relay.
+
+Each recording is of a relay with random restitution, spring, resistance and turns, 5 to 15 % away
+from the start values of the fit. Its channels are closed for a random time after each impact of the
+orbit, so the model with hard stops is exact. The current has noise. With `--stiffness` the
+recordings are of the rig instead, whose compliant stops no interval contains.
+
+    python benchmarks/contact_fits.py                              # 100 recordings at 100 kHz
+    python benchmarks/contact_fits.py --stiffness 1e7 --recordings 10
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import binom, binomtest
+
+import zeno_orbits as zo
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment import RecordedSignal, Recording, Source
+from zeno_orbits.experiment.identification.event_predictions import EventPeriod, event_period
+from zeno_orbits.experiment.orbit_table import measurement
+from zeno_orbits.experiment.rig.run import contacts_at
+from zeno_orbits.orbits import orbit_event_name
+from zeno_orbits.search import settled_return
+
+PROBLEM, SECTION = "relay", "zeno open"
+SOUGHT = ("restitution", "ks", "R", "N")
+RATE, NOISE, PERIODS = 1e5, 0.01, 6
+NEAR, FAR = 0.05, 0.15
+"""Least and largest relative distance of a true value from the start of the fit."""
+CONTACTS = (2e-5, 6e-5)
+"""Least and largest duration of a contact that ends with a bounce [s]."""
+CHANCE = 0.01
+"""Chance below which too few intervals hold."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """A parameter of a fit.
+
+    Attributes:
+        off: Deviation of its value from the true value, relative.
+        error: Standard error, relative.
+        half: Half of the length of the interval, relative.
+        holds: Whether the interval holds the true value.
+    """
+
+    off: float
+    error: float
+    half: float
+    holds: bool
+
+
+def random_values(seed: int, names: Sequence[str] = SOUGHT) -> dict[str, float]:
+    """Return random true values of parameters.
+
+    Args:
+        seed: Random seed.
+        names: Names of the parameters.
+    """
+    random = np.random.default_rng([seed, 1])
+    known = zo.load_problem(PROBLEM).values().parameters
+    away = random.uniform(NEAR, FAR, len(names)) * random.choice([-1.0, 1.0], len(names))
+    return {name: known[name] * (1.0 + part) for name, part in zip(names, away, strict=True)}
+
+
+def settled_period(
+    parameters: dict[str, float], signals: Sequence[str] = ("current",)
+) -> EventPeriod:
+    """Return the orbit of the relay with its signals.
+
+    Args:
+        parameters: Parameters that differ from their defaults.
+        signals: Names of the signals.
+    """
+    problem = zo.load_problem(PROBLEM)
+    values = problem.values(parameters=parameters)
+    found = settled_return(problem, values, section=SECTION)
+    return event_period(problem.graph_dynamics(values), found, measurement(problem, signals))
+
+
+def recorded(
+    orbit: EventPeriod,
+    seed: int,
+    *,
+    rate: float = RATE,
+    noise: float = NOISE,
+    periods: float = PERIODS,
+) -> Recording:
+    """Return a recording of an orbit that begins at a random time.
+
+    Args:
+        orbit: The orbit.
+        seed: Random seed of the noise, of the durations of contacts, and of the begin.
+        rate: Samples per second [Hz].
+        noise: Noise on the signals, relative to their ranges.
+        periods: Number of periods.
+    """
+    random = np.random.default_rng([seed, 2])
+    n = int(periods * orbit.period * rate)
+    times = random.uniform(0.0, orbit.period) + np.arange(n) / rate
+    values = orbit.at(times / orbit.period)
+    values = values + noise * np.ptp(values, axis=0) * random.normal(size=values.shape)
+    measured = orbit.measured
+    signals = [
+        RecordedSignal(name=name, unit=unit, values=column)
+        for name, unit, column in zip(measured.names, measured.units, values.T, strict=True)
+    ]
+    lasts = random.uniform(*CONTACTS)
+    channels = [
+        RecordedSignal(name=f"contact.{stop}", unit="1", values=channel(orbit, stop, times, lasts))
+        for stop in orbit.graph.stop_names
+    ]
+    return Recording(
+        source=Source.SIMULATED, problem=PROBLEM, time=times, signals=(*signals, *channels)
+    )
+
+
+def channel(orbit: EventPeriod, stop: str, times: Vector, lasts: float) -> Vector:
+    """Return the contact channel of a stop, closed for a time after each impact, ``(n_t,)``.
+
+    Args:
+        orbit: The orbit.
+        stop: Name of the stop.
+        times: Times since the start of a period, ``(n_t,)`` [s].
+        lasts: Duration of a contact that ends with a bounce [s].
+    """
+    events = [(orbit_event_name(event), event.time) for event in orbit.found.events]
+    begins = [time for name, time in events if name == f"impact {stop}"]
+    (zeno,), (release,) = (
+        [time for name, time in events if name == f"{kind} {stop}"] for kind in ("zeno", "release")
+    )
+    spans = [*((begin, lasts) for begin in begins), (zeno, (release - zeno) % orbit.period)]
+    touched = [(times - begin) % orbit.period < last for begin, last in spans]
+    return np.any(touched, axis=0).astype(np.float64)
+
+
+def recorded_rig(
+    parameters: dict[str, float],
+    seed: int,
+    stiffness: float,
+    *,
+    rate: float = RATE,
+    noise: float = NOISE,
+    periods: int = PERIODS,
+) -> Recording:
+    """Return a recording of the rig that begins at a random time.
+
+    Args:
+        parameters: Parameters that differ from their defaults.
+        seed: Random seed of the noise and of the begin.
+        stiffness: Stiffness of its stops.
+        rate: Samples per second [Hz].
+        noise: Noise on the current, relative to its range.
+        periods: Number of periods.
+    """
+    random = np.random.default_rng([seed, 2])
+    orbit = zo.find_event_orbit(PROBLEM, parameters=parameters, section=SECTION)
+    rig = zo.Rig(contact=zo.Contact(stiffness=stiffness))
+    settings = zo.RigSettings(spacing=1e-5)
+    run = zo.simulate_periods(orbit, rig=rig, periods=periods + 1, settle=2, settings=settings)
+    n = int(periods * orbit.period * rate)
+    times = random.uniform(0.0, orbit.period) + np.arange(n) / rate
+    current = np.interp(times, run.record.times, run.record.outputs[:, 0])
+    current = current + noise * np.ptp(current) * random.normal(size=n)
+    touched = contacts_at(run.touches, run.stop_names, times).T
+    channels = [
+        RecordedSignal(name=f"contact.{stop}", unit="1", values=values)
+        for stop, values in zip(run.stop_names, touched, strict=True)
+    ]
+    return Recording(
+        source=Source.SIMULATED,
+        problem=PROBLEM,
+        time=times,
+        signals=(RecordedSignal(name="current", unit="A", values=current), *channels),
+    )
+
+
+def scores_of(found: zo.Identification, truth: dict[str, float]) -> dict[str, Score]:
+    """Return the scores of a fit, by the name of the parameter.
+
+    Args:
+        found: The fit.
+        truth: The true values.
+    """
+    return {
+        one.unknown.label: Score(
+            off=one.value / true - 1.0,
+            error=one.error / true,
+            half=(one.high - one.low) / 2 / true,
+            holds=one.low <= true <= one.high,
+        )
+        for one in found.fitted
+        for true in [truth[one.unknown.label]]
+    }
+
+
+def main() -> int:
+    """Print the table; 1 if the intervals of a parameter hold less often than chance explains."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--recordings", type=int, default=100)
+    parser.add_argument("--rate", type=float, default=RATE, help="samples per second [Hz]")
+    parser.add_argument("--noise", type=float, default=NOISE, help="on the current")
+    parser.add_argument("--periods", type=int, default=PERIODS)
+    parser.add_argument("--stiffness", type=float, help="record the rig with this stiffness")
+    parser.add_argument("--seed", type=int, default=0, help="of the first recording")
+    parser.add_argument("--quick", action="store_true", help="two recordings of three periods")
+    parser.add_argument("--verbose", action="store_true", help="print every fit")
+    options = parser.parse_args()
+    count, periods = (2, 3) if options.quick else (options.recordings, options.periods)
+    found: dict[str, list[Score]] = {name: [] for name in SOUGHT}
+    refused, begun = 0, time.process_time()
+    for seed in range(options.seed, options.seed + count):
+        truth = random_values(seed)
+        how = {"rate": options.rate, "noise": options.noise}
+        if options.stiffness is None:
+            recording = recorded(settled_period(truth), seed, periods=periods, **how)
+        else:
+            recording = recorded_rig(truth, seed, options.stiffness, periods=periods, **how)
+        try:
+            fitted = zo.identify(PROBLEM, recording, SOUGHT)
+        except zo.UnfittableError as error:
+            refused += 1
+            print(f"seed {seed}: {error}", flush=True)
+            continue
+        scores = scores_of(fitted, truth)
+        for name, score in scores.items():
+            found[name].append(score)
+        if options.verbose:
+            told = ", ".join(
+                f"{name} {one.off / one.error:+.2f}{'' if one.holds else ' (outside)'}"
+                for name, one in scores.items()
+            )
+            print(f"seed {seed}: {told} errors off, {fitted.edges} edges", flush=True)
+    worked = time.process_time() - begun
+    print("| Parameter | Inside | 95 % of the share | Half interval [%] | Root mean square |")
+    print("|---|---|---|---|---|")
+    few = False
+    for name, scored in found.items():
+        n, held = len(scored), sum(one.holds for one in scored)
+        if not n:
+            continue
+        low, high = binomtest(held, n).proportion_ci()
+        size = np.sqrt(np.mean([(one.off / one.error) ** 2 for one in scored]))
+        half = 100 * np.median([one.half for one in scored])
+        print(
+            f"| `{name}` | {held} of {n} | {low:.1%} to {high:.1%} | {half:.2g} | {size:.2f} |",
+            flush=True,
+        )
+        few = few or bool(binom.cdf(held, n, 0.95) < CHANCE)
+    print(f"refused: {refused} of {count}; {worked / count:.1f} s of processor time per recording")
+    return int(few)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
