@@ -567,8 +567,8 @@ def _needs_one_stop(problem: Problem) -> InputError:
     """Return the refusal of a machine with several stops or switches."""
     return InputError(
         f"Argument `problem`: `{problem.name}` has several stops or switches. Only `simulate`, "
-        "`search`, `verify`, `continue`, `rig`, `compare` and `identify` accept such a machine in this "
-        "version."
+        "`search`, `verify`, `continue`, `rig`, `compare` and `identify` accept such a machine in "
+        "this version."
     )
 
 
