@@ -47,13 +47,29 @@ def _channel(stop: str, time: Vector) -> Vector:
     return np.any(touched, axis=0).astype(np.float64)
 
 
+def _states(names: tuple[str, ...], time: Vector) -> tuple[RecordedSignal, ...]:
+    """Return states of the orbit at some times."""
+    period, problem = _orbit().period, zo.load_problem("relay")
+    run = zo.simulate("relay", until=1.001 * period, start=dict(_orbit().start_state))
+    states = run.states_at(time % period)
+    places = [problem.state_names.index(name) for name in names]
+    units = [problem.state_units[k] for k in places]
+    return tuple(
+        RecordedSignal(name=name, unit=unit, values=states[:, k])
+        for name, unit, k in zip(names, units, places, strict=True)
+    )
+
+
 @cache
-def _recording(rate: float = RATE, begin: float = 0.0123456) -> Recording:
+def _recording(
+    rate: float = RATE, begin: float = 0.0123456, signals: tuple[str, ...] = ()
+) -> Recording:
     time = begin + np.arange(int(PERIODS * _orbit().period * rate)) / rate
-    signals = tuple(
+    channels = tuple(
         RecordedSignal(name=f"contact.{stop}", unit="1", values=_channel(stop, time))
         for stop in ("closed", "open")
     )
+    signals = (*channels, *_states(signals, time))
     return Recording(source=Source.SIMULATED, problem="relay", time=time, signals=signals)
 
 
@@ -129,6 +145,53 @@ def test_a_signal_that_moves_otherwise_is_no_orbit() -> None:
     found = zo.compare(_orbit(), replace(recording, signals=(signal, *recording.signals)))
     assert found.verdict is Verdict.NO_ORBIT
     assert any("`current` moves differently" in why for why in found.reasons)
+
+
+@pytest.mark.parametrize(
+    ("scale", "offset", "words"),
+    [
+        (1e-3, 0.0, "times the orbit's range: check its unit"),
+        (1.0, 5e-3, "the contact `closed` is 1 at a mean gap of"),
+        (3.0, 1e-3, "channel and signals contradict each other"),
+    ],
+)
+def test_a_signal_of_another_size_is_no_orbit(scale: float, offset: float, words: str) -> None:
+    recording = _recording(signals=("z",))
+    z = recording.signal("z").values
+    assert zo.compare(_orbit(), recording).agrees
+    found = zo.compare(_orbit(), _with(recording, "z", scale * z + offset))
+    assert found.verdict is Verdict.NO_ORBIT
+    assert any(words in why for why in found.reasons), found.reasons
+
+
+def test_a_signal_twice_as_large_differs_though_it_moves_alike() -> None:
+    recording = _recording(signals=("flux",))
+    flux = recording.signal("flux").values
+    same = zo.compare(_orbit(), recording).differences
+    assert "highest of flux" not in [one.name for one in same]
+    found = zo.compare(_orbit(), _with(recording, "flux", 2 * flux))
+    assert found.verdict is Verdict.OTHER_VALUES
+    assert "highest of flux" in [one.name for one in found.differences]
+    assert found.metric("highest of flux").data == pytest.approx(2 * flux.max(), rel=2e-2)
+
+
+def test_exchanged_channels_contradict_the_gap() -> None:
+    recording = _recording(signals=("z",))
+    exchanged = {"contact.closed": "contact.open", "contact.open": "contact.closed"}
+    signals = tuple(
+        replace(one, name=exchanged.get(one.name, one.name)) for one in recording.signals
+    )
+    found = zo.compare(_orbit(), replace(recording, signals=signals))
+    assert found.verdict is Verdict.NO_ORBIT
+    contradicted = [why for why in found.reasons if "contradict each other" in why]
+    assert len(contradicted) == 2
+
+
+def test_a_sampling_without_any_bounce_cannot_decide() -> None:
+    # At 500 Hz all bounces, 0.47 ms and less, lie between two samples.
+    found = zo.compare(_orbit(), _recording(500.0))
+    assert found.verdict is Verdict.UNDECIDED
+    assert any("no bounce of `closed` is seen" in why for why in found.unresolved)
 
 
 def test_a_missing_channel_leaves_the_comparison_open() -> None:

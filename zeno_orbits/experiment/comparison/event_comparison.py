@@ -1,7 +1,8 @@
 """Comparison of a recording with an orbit of events, by the contact channels of its stops.
 
 The channels give the period, the times of first contacts and releases, and the lengths of bounces.
-States and outputs of the recording place the orbit in time, and must move like the orbit.
+States and outputs of the recording place the orbit in time, must move like the orbit, and must not
+contradict the channels.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from zeno_orbits.experiment.comparison.event_reference import (
     orbit_sequences,
     shared_event_signals,
 )
+from zeno_orbits.experiment.comparison.event_signals import contradictions, signal_fits
 from zeno_orbits.experiment.comparison.metrics import (
     Metric,
     metric,
@@ -94,6 +96,11 @@ class EventComparison(Displayed):
         return beyond_chance(self.metrics, self._size)
 
     def _size(self, one: Metric) -> float:
+        """Return the size of a quantity: of times the period, of signals their range."""
+        signal = one.name.partition(" of ")[2]
+        if signal:
+            ends = [other.orbit for other in self.metrics if other.name.endswith(f" of {signal}")]
+            return max(ends) - min(ends)
         return self.orbit.period if one.unit == "s" else max(abs(one.orbit), 1.0)
 
     @property
@@ -203,14 +210,19 @@ def compare_events(orbit: EventOrbit, problem: Problem, recording: Recording) ->
         listed = ", ".join(f"`{stop}`" for stop in missing)
         unresolved = (*unresolved, f"contacts cannot be seen on {listed}: no channel was recorded")
     quantities = not laid.against and not unresolved
+    begin = float(recording.time[0])
+    fits = signal_fits(laid.table, laid.found, begin, laid.place)
+    alien = [fit.objection for fit in fits if fit.objection]
+    open_gaps = contradictions(laid.table, recording, names, laid.seen, channels)
     return replace(
         begun,
         cycles=laid.found.n_cycles,
         metrics=(
             metric("period", "s", orbit.period, laid.period),
             *laid.seen.metrics(laid.table, laid.place.start, laid.period, quantities=quantities),
+            *(one for fit in fits for one in fit.metrics()),
         ),
-        reasons=(*laid.against, *laid.unlike),
+        reasons=(*laid.against, *laid.unlike, *alien, *open_gaps),
         unresolved=unresolved,
     )
 

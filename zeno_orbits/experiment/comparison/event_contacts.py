@@ -27,8 +27,6 @@ from zeno_orbits.experiment.comparison.metrics import Metric, metric
 
 _SHARE = 0.25
 """Part of the orbit's contact phase that a lasting contact lasts at least."""
-_EXPECTED = 2.0
-"""A flight of the orbit that lasts so many samples would be seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,10 +167,12 @@ class SeenEvents:
         if not all(one.is_resolved or (partly and one.n_sure > 1) for one in found):
             what = f"a contact or flight of `{label}` has {short} sample"
             return [], [f"bounces cannot be decided: {what}, and shorter ones may be missed"]
-        expected = float(sequence.flights[0]) if len(sequence.flights) else 0.0
-        if not any(one.contacts for one in found) and expected > _EXPECTED * self.step:
-            what = f"no bounce of `{label}` is seen"
-            return [], [f"bounces cannot be decided: {what}, and contacts may be missed"]
+        if len(sequence.flights) and not any(one.contacts for one in found):
+            lasts = f"the first of the orbit lasts {sequence.flights[0]:.3g} s"
+            what = (
+                f"no bounce of `{label}` is seen, {lasts}, and samples are {self.step:.3g} s apart"
+            )
+            return [], [f"bounces cannot be decided: {what}"]
         if sequence.release is not None:
             own = sequence.release - sequence.zeno
             lasts = float(np.median([one.release.middle - one.begins[-1].middle for one in found]))
