@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import casadi as ca
 import pytest
 
+import zeno_orbits as zo
 from tests.reference.two_sided_end import accumulates
 from zeno_orbits.continuation import ContinuationSettings, SpecialPointKind, continue_orbit
 from zeno_orbits.model.library import load_problem
@@ -44,3 +48,53 @@ def test_a_family_through_a_contact_phase_starts_at_its_release() -> None:
     force = 5.0 * point.state["cosine"]
     assert force == pytest.approx(point.state["place"], abs=1e-11)
     assert max(abs(mu) for mu in point.multipliers) < 1e-9
+
+
+def _unlike_stops(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    """Return an oscillator between two stops of unlike distance and restitution."""
+    x, v = ca.SX.sym("x"), ca.SX.sym("v")
+    clock = zo.Clock.at(p["omega"])
+    return zo.hybrid_system(
+        machine := zo.HybridLagrangian.from_energies(
+            q=x,
+            v=v,
+            kinetic=v**2 / 2,
+            potential=0.65 * x**2,
+            passive_force=-0.15 * v,
+            applied_force=4.0 * clock.cosine + 0.4,
+            clock=clock,
+            stops=(
+                zo.Stop(name="hi", gap=1.0 - x, restitution=p["restitution"]),
+                zo.Stop(name="lo", gap=0.7 + x, restitution=0.25),
+            ),
+        ),
+        zo.no_drive(machine),
+    )
+
+
+@pytest.mark.slow
+def test_a_family_without_switches_ends_openly_where_a_flight_has_no_duration() -> None:
+    """A flight on `lo` that ends at once has no derivative, and the machine has no switch."""
+    problem = zo.Problem(
+        name="unlike_stops",
+        title="Oscillator between unlike stops",
+        source="tests",
+        state_names=("x", "v", "cosine", "sine"),
+        state_units=("m", "m/s", "1", "1"),
+        parameters=(
+            zo.Quantity.positive("omega", 0.4, "rad/s", "frequency"),
+            zo.Quantity.restitution(0.77),
+        ),
+        gains=(),
+        model=_unlike_stops,
+        starts=({"cosine": 1.0},),
+        portraits=(("x", "v"),),
+        amplitude_of="x",
+    )
+    orbit = find_event_orbit(problem, problem.values())
+    box, once = (0.765, 0.8), ContinuationSettings(doublings=0)
+    (family,) = continue_orbit(problem, orbit, "restitution", box, settings=once).families
+    # Flights in closed form have a release of `hi` 0.10 s after its Zeno point at 0.78, none at
+    # 0.79.
+    assert 0.78 < family.last.at.value < 0.79
+    assert family.last.kind in (SpecialPointKind.LOCK_VANISHES, SpecialPointKind.GAVE_UP)

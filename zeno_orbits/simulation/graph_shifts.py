@@ -124,11 +124,7 @@ class GraphShifts:
                 yield arc, event, here if isinstance(event, ZenoPoint) else before, here
                 crossed = True
             if not crossed and arc.ending is not Ending.SWITCH:
-                raise SimulationError(
-                    "The derivative is undefined: a stop is touched without an impact",
-                    time=arc.end_time,
-                    state=tuple(arc.end_state.tolist()),
-                )
+                raise _touched(arc)
 
     def _start(self, arc: Arc) -> EventShift:
         start = self._of(arc, self._some_stop(arc)).at_start()
@@ -183,9 +179,15 @@ class GraphShifts:
         return self._crossed(arc, start, gradient)
 
     def _switch_of(self, arc: Arc, event: Event | None) -> int:
-        """Return the switch at the end of an arc: the event's, or one that is not armed."""
+        """Return the switch at the end of an arc: the event's, or one that is not armed.
+
+        Raises:
+            SimulationError: If the arc ends at no switch.
+        """
         if isinstance(event, SwitchEvent):
             return self.graph.switch_names.index(event.name)
+        if not self.graph.n_declared:
+            raise _touched(arc)
         guards, rounding, _ = self.graph.guards(arc.end_state)
         declared = slice(self.graph.n_declared)
         return int(np.argmin(np.abs(guards[declared]) / np.maximum(rounding[declared], 1e-300)))
@@ -302,3 +304,12 @@ class GraphShifts:
         n_x = here.state.shape[0]
         parameters = np.eye(len(self.chosen), here.state.shape[1], n_x)
         return np.asarray(gradient[..., :n_x] @ here.state + gradient[..., n_x:] @ parameters)
+
+
+def _touched(arc: Arc) -> SimulationError:
+    """Return the error of an arc that ends at a stop without an impact."""
+    return SimulationError(
+        "The derivative is undefined: a stop is touched without an impact",
+        time=arc.end_time,
+        state=tuple(arc.end_state.tolist()),
+    )

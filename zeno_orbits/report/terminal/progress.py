@@ -47,7 +47,9 @@ class _TimeLeft:
         passed = now - self._began
         if part > 0.0 and passed >= (_TELLING if part >= _TOLD else _LATE):
             self._end = min(self._end, now + passed * (1.0 - part) / part)
-        return self._end - now if self._end > now or part >= 1.0 else math.inf
+        if part >= 1.0:
+            return 0.0
+        return self._end - now if self._end > now else math.inf
 
 
 def _duration(seconds: float) -> str:
