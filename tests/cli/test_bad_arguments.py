@@ -127,6 +127,7 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "start inside the stop": (simulating("--initial", "theta2=-0.1"), ("gap >= 0", "-0.1")),
     "objective unknown": (searching("--objective", "speed"), ("--objective", "`speed`", "energy")),
     "objective empty": (searching("--objective", ""), ("--objective", "energy")),
+    "objective of no stop": (searching("--objective", "impacts="), ("--objective", "`impacts=`")),
     "objective twice": (
         searching("--objective", "energy", "--objective", "margin"),
         ("--objective", "once", "energy, margin"),

@@ -156,6 +156,20 @@ def test_two_stops_with_one_gap_are_refused() -> None:
         _problem(model).checked()
 
 
+def test_a_stop_without_a_name_is_named_as_the_fault_though_no_restitution_is_declared() -> None:
+    def model(p: Any) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        stops = (zo.Stop(name="", gap=q, restitution=p["e"]),)
+        ball = zo.HybridLagrangian.from_energies(
+            q=q, v=v, kinetic=v**2 / 2, potential=q, stops=stops
+        )
+        return zo.hybrid_system(ball, zo.no_drive(ball))
+
+    own = zo.Quantity(name="e", unit="1", meaning="restitution", default=0.5, lower=0.0, upper=1.0)
+    with pytest.raises(ValueError, match="must name the stop or switch, but it is empty"):
+        _problem(model, parameters=(own,)).checked()
+
+
 def _between(p: Any) -> zo.CompletedSystem:
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
     stops = (

@@ -297,7 +297,8 @@ def read_wish(text: str) -> Wish:
     objectives = api.objective_words()
     known = objectives.get(word)
     takes = "NOTHING" if known is None else known.operand.name
-    if known is None or (takes == "NOTHING" and rest) or (takes == "SIGNAL" and not rest):
+    lacks = not rest and (takes == "SIGNAL" or text != word)
+    if known is None or (takes == "NOTHING" and rest) or lacks:
         *most, last = (one.usage for one in objectives.values())
         message = f"must be {', '.join(most)} or {last}, but it is `{text}`."
         raise argparse.ArgumentTypeError(message + did_you_mean(word, objectives))

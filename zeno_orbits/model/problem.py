@@ -130,7 +130,7 @@ class Problem(Declared):
         require_names(self.state_names, self.state_units, (*self.gains, *self.parameters))
         require_coherent(self.units)
         require_ranges(self.gains, self.parameters, derives=self.derive is not None)
-        if "restitution" in self.names or not self._has_stops():
+        if "restitution" in self.names or self._has_one_stop():
             require_restitution(self.parameters)
         _require_states(self)
         for name in self.escapes:
@@ -159,11 +159,17 @@ class Problem(Declared):
         vector = values.vector if isinstance(values, ParameterValues) else values
         return bind(_compiled(self, transform), vector)
 
-    def _has_stops(self) -> bool:
-        """Return True if the model can be built and its stops have restitutions of their own."""
+    def _has_one_stop(self) -> bool:
+        """Return True if the model has one stop, whose restitution is a parameter.
+
+        A model that cannot be built for another reason than a missing parameter is reported where
+        it is used.
+        """
         try:
-            return self.model(self.symbols()).graph is not None
-        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError):
+            return self.model(self.symbols()).graph is None
+        except LookupError:
+            return True
+        except (ArithmeticError, RuntimeError, TypeError, ValueError):
             return False
 
     def one_stop_model(self, symbols: Mapping[str, ca.SX]) -> CompletedSystem:
@@ -566,9 +572,8 @@ _MOST = 16
 def _needs_one_stop(problem: Problem) -> InputError:
     """Return the refusal of a machine with several stops or switches."""
     return InputError(
-        f"Argument `problem`: `{problem.name}` has several stops or switches. Only `simulate`, "
-        "`search`, `verify`, `continue`, `rig`, `compare` and `identify` accept such a machine in "
-        "this version."
+        f"Argument `problem`: `{problem.name}` has several stops or switches, which this command "
+        "or function does not accept in this version."
     )
 
 
