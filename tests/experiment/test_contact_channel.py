@@ -124,3 +124,21 @@ def test_periods_near_an_orbit_repeat_its_first_impacts() -> None:
     assert run.times[-1] == pytest.approx(2 * orbit.period)
     with pytest.raises(zo.InputError, match="`periods` must be at least 1"):
         zo.simulate_periods(orbit, rig=rig, periods=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("stiffness", "truth"), [(1e5, 0.257), (1e6, 0.286), (1e7, 0.294)])
+def test_the_restitution_off_a_compliant_stop_has_its_whole_error(
+    stiffness: float, truth: float
+) -> None:
+    """The truth is the ratio of speeds of quadratic fits beside the contact, without noise."""
+    orbit = zo.find_orbit("vibrating_table").unwrap()
+    rig = zo.Rig(contact=zo.Contact(stiffness=stiffness))
+    settings = zo.RigSettings(spacing=5e-5)
+    run = zo.simulate_rig(
+        "vibrating_table", rig, until=8 * orbit.period, start=orbit.start_state, settings=settings
+    )
+    found = zo.compare(orbit, zo.rig_recording(run, noise=0.003, seed=1))
+    assert found.agrees
+    seen = found.metric("restitution seen")
+    assert abs(seen.data - truth) < 2.5 * seen.error

@@ -51,6 +51,11 @@ _TAIL = 0.15
 _SURE = 0.5
 """Relative standard error above which a number counts as not resolved."""
 _BINS = 120
+_SIGNIFICANT = 4.0
+"""Standard deviations from which a part of the residuals that repeats is no noise."""
+_ENDS = 4.0
+"""Slope of a parabola at its ends over its height and length. A rebound off a compliant stop is no
+parabola, and the slopes at its ends are as uncertain as its shape."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,6 +76,8 @@ class ContactFit:
         misfit: Root mean square of the periodic part of the residuals, relative to the range.
         rebound_share: Part of the mean squared gap in the first rebound that the fit does not
             explain. It is NaN without a rebound.
+        rebound_doubt: Further standard error of the restitution, from a first rebound that is no
+            flight off a hard stop.
         resting: Time in which the mean gap is at the level [s].
         resolved: Whether the samples resolve the contact, the flight, and a short rebound.
     """
@@ -86,6 +93,7 @@ class ContactFit:
     release: Estimate
     misfit: float
     rebound_share: float
+    rebound_doubt: float
     resting: float
     resolved: Resolved
 
@@ -321,7 +329,8 @@ def _repeating(samples: GapSamples, rest: Vector, noise: float) -> float:
     weight, mean = samples.by_phase(rest, _BINS)
     known = weight > 0.0
     ratio = float(np.mean(weight[known] * mean[known] ** 2)) / noise**2
-    return ratio if ratio > 1.0 + 4.0 * math.sqrt(2.0 / max(int(known.sum()), 1)) else 1.0
+    certain = _SIGNIFICANT * math.sqrt(2.0 / max(int(known.sum()), 1))
+    return ratio if ratio > 1.0 + certain else 1.0
 
 
 def _result(
@@ -356,6 +365,11 @@ def _result(
     chatter = estimate(lambda x: shape.edges(x)[0][-1] - shape.edges(x)[0][1], late)
     contact = estimate(lambda x: period - shape.edges(x)[0][-1], late)
     landed = begin + edges[1]
+    share, doubtful = math.nan, 0.0
+    if shape.n > STRETCH:
+        inside = (landed, landed + edges[2] - edges[1])
+        share, is_sure = _left(shape, samples, x, noise, inside)
+        doubtful = _ENDS * math.sqrt(share) * abs(bounce.value) if is_sure else 0.0
     return ContactFit(
         level=estimate(lambda x: x[LEVEL] * shape.height),
         noise=noise,
@@ -367,9 +381,8 @@ def _result(
         contact=contact.unsure(doubt) if ends else UNKNOWN,
         release=estimate(lambda x: (1.0 + x[RELEASE]) * period, late) if seen.contact else UNKNOWN,
         misfit=_misfit(shape, samples, x, noise),
-        rebound_share=_left(shape, samples, x, noise, (landed, landed + edges[2] - edges[1]))
-        if shape.n > STRETCH
-        else math.nan,
+        rebound_share=share,
+        rebound_doubt=doubtful,
         resting=_resting(samples, x[LEVEL] * shape.height, noise),
         resolved=seen,
     )
@@ -385,14 +398,19 @@ def _misfit(shape: _Deformed, samples: GapSamples, x: Vector, noise: float) -> f
 
 def _left(
     shape: _Deformed, samples: GapSamples, x: Vector, noise: float, between: tuple[float, float]
-) -> float:
-    """Return the part of the mean gap's square between two times that the fit leaves."""
+) -> tuple[float, bool]:
+    """Return the part of the mean gap's square between two times that the fit leaves.
+
+    The second value is True if the part is more than noise.
+    """
     mean = samples.averaged(_COARSE)
     inside = np.mod(mean.since - between[0], mean.period) < between[1] - between[0]
     gap = (mean.gap - x[LEVEL] * shape.height)[inside]
     rest = (mean.gap - shape.gap(x, mean.since))[inside]
-    white = float(np.sum(noise**2 / mean.counts[inside]))
-    return max(float(rest @ rest) - white, 0.0) / max(float(gap @ gap) - white, 1e-300)
+    each = noise**2 / mean.counts[inside]
+    white, spread = float(np.sum(each)), math.sqrt(2.0 * float(np.sum(each**2)))
+    left = float(rest @ rest) - white
+    return max(left, 0.0) / max(float(gap @ gap) - white, 1e-300), left > _SIGNIFICANT * spread
 
 
 def _resolved(shape: _Deformed, samples: GapSamples, noise: float) -> Resolved:
