@@ -26,6 +26,8 @@ _SEARCH = {
 
 _ABOUT_IMPACTS = ("impacts", "bounce")
 """Words of the objectives of orbits of events alone."""
+_OVER_RANGES = ("energy", "peak")
+"""Words of the objectives that orbits of events alone have over uncertain ranges."""
 
 _VERIFY = {
     "proof": "--proof",
@@ -36,12 +38,13 @@ _VERIFY = {
 
 
 def asks_for_events(options: argparse.Namespace) -> bool:
-    """Return True if an objective or a bound is about events, such as ``stop.impact_speed``.
+    """Return True if a wish needs an orbit of events: a bound such as ``stop.impact_speed``.
 
     Args:
         options: The command line.
     """
-    about = options.objective is not None and options.objective.word in _ABOUT_IMPACTS
+    words = (*_ABOUT_IMPACTS, *(_OVER_RANGES if options.uncertain else ()))
+    about = options.objective is not None and options.objective.word in words
     return about or any("." in name for name in options.keep)
 
 

@@ -247,7 +247,7 @@ class Wish(NamedTuple):
         return self.row.objective(problem, self.operand)
 
 
-_WITH_RANGES = ("robustness", "impacts", "bounce")
+_WITH_RANGES = ("robustness", "energy", "peak", "impacts", "bounce")
 """Objectives over uncertain ranges. The first of them needs a range."""
 
 

@@ -11,6 +11,10 @@ from .cycle import gone_round_twice as gone_round_twice
 from .cycle import round_again as round_again
 from .digest import digest_of as digest_of
 from .digest import same_equations as same_equations
+from .event_courses import ENERGY as ENERGY
+from .event_courses import EventCourse as EventCourse
+from .event_courses import course_signal_names as course_signal_names
+from .event_courses import is_electrical as is_electrical
 from .event_orbit import EventOrbit as EventOrbit
 from .event_orbit import OrbitEvent as OrbitEvent
 from .event_orbit_file import holds_events as holds_events

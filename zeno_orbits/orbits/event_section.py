@@ -22,6 +22,7 @@ from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.section import RELEASE_ROWS, projected
 from zeno_orbits.simulation import (
     Arc,
+    ArcPassage,
     Completion,
     Ending,
     Event,
@@ -120,22 +121,31 @@ class EventReturn:
         return self._derivatives[1]
 
     @cached_property
-    def _derivatives(self) -> tuple[EventShift, tuple[EventShift, ...]]:
-        """Derivatives of the end, and of every event with the state before it.
+    def passages(self) -> tuple[ArcPassage, ...]:
+        """The arcs of the return, with derivatives of their ends.
 
         Raises:
             SimulationError: If an event has no derivative.
         """
-        befores: list[EventShift] = []
-        for _, before, after in self.differentiation.along(self.execution):
-            befores.append(before)
-            if len(befores) == len(self.events):
-                return after, tuple(befores)
+        found: list[ArcPassage] = []
+        n_crossed = 0
+        for passage in self.differentiation.passages(self.execution):
+            found.append(passage)
+            n_crossed += len(passage.crossings)
+            if n_crossed >= len(self.events):
+                return tuple(found)
         raise SimulationError(
             "The last event of a return lacks a derivative",
             time=self.period,
             state=tuple(self.start.tolist()),
         )
+
+    @cached_property
+    def _derivatives(self) -> tuple[EventShift, tuple[EventShift, ...]]:
+        """Derivatives of the end, and of every event with the state before it."""
+        crossings = [one for passage in self.passages for one in passage.crossings]
+        crossings = crossings[: len(self.events)]
+        return crossings[-1][2], tuple(before for _, before, _ in crossings)
 
 
 def event_return(

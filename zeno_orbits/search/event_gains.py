@@ -1,4 +1,4 @@
-"""Gains by quantities of events: the best orbit of events in given ranges.
+"""Gains of orbits of events: the best orbit in given ranges.
 
 The orbit is closed anew at every choice of the free values, and the derivatives of objective and
 bounds along the orbits are exact. Uncertain parameters count with their worst corner.
@@ -15,28 +15,45 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, unknown
 from zeno_orbits.orbits import (
+    ENERGY,
     PERIOD,
     Bound,
     EventOrbit,
     StepError,
     asked_and_reached,
+    course_signal_names,
+    event_quantity_names,
+    is_electrical,
     objection_to,
     require_event_quantity,
 )
 from zeno_orbits.search.event_optimum import PRECISION, Optimum, Trial, along_edges, least_worst
-from zeno_orbits.search.event_points import EventPoint, NoEventError, OrbitsOverValues, Slope
+from zeno_orbits.search.event_points import (
+    RADIUS,
+    EventPoint,
+    NoEventError,
+    OrbitsOverValues,
+    Slope,
+    excesses,
+)
 from zeno_orbits.search.event_search import event_orbit_of, settled_return
 from zeno_orbits.search.objectives import (
     FastestContraction,
+    LeastEnergy,
+    LeastPeak,
     NearestGains,
     Objective,
     OfImpacts,
+    Target,
+    TargetAmplitude,
     TargetPeriod,
+    WorstCase,
     corners_of,
 )
 from zeno_orbits.search.search_problem import clipped
+from zeno_orbits.search.transcription.constraints import size_of
 from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.verification import OrbitCertificate
@@ -125,7 +142,8 @@ def search_event_gains(
         values: Values of its gains and parameters. Free values start there.
         free: Name to range of the free gains and parameters.
         objective: The objective, by default values near their start.
-        bounds: Bounds on the period and on quantities of events, at every corner.
+        bounds: Bounds on signals, on the period, the energy and the spectral radius, and on
+            quantities of events, at every corner.
         start: State name to initial value, by default each start of the problem in turn.
         section: Name of the event at which the period starts and ends. By default it is chosen.
         until: Longest time to settle [s].
@@ -147,7 +165,7 @@ def search_event_gains(
     values = clipped(values, free)
     ranges = np.array(list(free.values()), dtype=np.float64).reshape(-1, 2)
     uncertain: Mapping[str, tuple[float, float]] = {}
-    if isinstance(wish, OfImpacts):
+    if isinstance(wish, WorstCase):
         uncertain = wish.uncertain
     changing = (*free, *uncertain)
     trouble: SimulationError | None = None
@@ -198,6 +216,7 @@ class _Task:
         objective: The objective.
         bounds: The bounds.
         corners: The corners of uncertain parameters, the search's own parameters first.
+        sizes: Name to size of the bounded quantities.
         on_progress: Called with the stage.
     """
 
@@ -208,6 +227,7 @@ class _Task:
     objective: Objective
     bounds: tuple[Bound, ...]
     corners: tuple[dict[str, float], ...]
+    sizes: Mapping[str, float] = field(default_factory=dict[str, float])
     on_progress: Progress
 
     def numbers(self, u: Vector) -> Vector:
@@ -224,21 +244,33 @@ class _Task:
         self.on_progress("optimizing", None)
         numbers = self.numbers(u)
         points = tuple(self.orbits.at(numbers, corner) for corner in self.corners)
-        costs = tuple(self._in_box(self._cost(point, numbers)) for point in points)
+        costs = tuple(tuple(map(self._in_box, self._costs(point, numbers))) for point in points)
         rows: list[Slope] = []
         equal: list[Slope] = []
-        for point in points:
+        for point, corner in zip(points, self.corners, strict=True):
             for bound in self.bounds:
-                found = [self._in_box(one) for one in point.excesses(bound)]
-                if bound.lower == bound.upper:
+                found = [self._in_box(one) for one in self._rows(point, bound, numbers, corner)]
+                if bound.lower == bound.upper and not point.is_signal(bound.name):
                     equal.append(found[0])
                 else:
                     rows += found
-        if isinstance(self.objective, TargetPeriod):
+        if isinstance(self.objective, Target):
             target = self.objective.target
-            exact = Bound(name=PERIOD, lower=target, upper=target)
-            equal.append(self._in_box(points[0].excesses(exact)[0]))
+            equal.append(self._in_box(self._prescribed(points[0]).scaled(1 / target, target)))
         return Trial(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
+
+    def sized(self, numbers: Vector) -> _Task:
+        """Return the task with the sizes of the bounded quantities at free values.
+
+        Raises:
+            SimulationError: If there is no orbit.
+            StepError: If an event of a bound does not occur.
+        """
+        if not self.bounds:
+            return self
+        point = self.orbits.at(numbers, {})
+        sizes = {one.name: size_of(one, point.extent(one.name).largest) for one in self.bounds}
+        return replace(self, sizes=sizes)
 
     def near(self, first: Trial, *, precision: float = PRECISION) -> Optimum:
         """Return the optimum near a first trial, up to an edge of the objective.
@@ -256,7 +288,8 @@ class _Task:
             found: The optimum up to an edge.
             first: The first trial of the search.
         """
-        if not isinstance(self.objective, OfImpacts):
+        is_smooth = isinstance(self.objective, LeastEnergy) and found.converged
+        if is_smooth or not isinstance(self.objective, WorstCase):
             return found
         return along_edges(self.trial, found, abs(first.value) or 1.0)
 
@@ -264,11 +297,35 @@ class _Task:
         """Return a number with its derivative with respect to the free values in the unit box."""
         return Slope(value=slope.value, by=slope.by * (self.ranges[:, 1] - self.ranges[:, 0]))
 
-    def _cost(self, point: EventPoint, numbers: Vector) -> Slope:
+    def _rows(
+        self, point: EventPoint, bound: Bound, numbers: Vector, corner: dict[str, float]
+    ) -> list[Slope]:
+        """Return the distances of a quantity from its bounds, positive inside, in its size."""
+        size = self.sizes[bound.name]
+        if point.is_signal(bound.name):
+            return point.signal_rows(bound, size)
+        if bound.name == RADIUS:
+            slopes = [self.orbits.radius(point, numbers, self.ranges, corner)]
+        else:
+            slopes = point.slopes(bound.name)
+        return excesses(slopes, bound, size)
+
+    def _prescribed(self, point: EventPoint) -> Slope:
+        """Return the quantity whose value the objective prescribes."""
+        if isinstance(self.objective, TargetAmplitude):
+            return point.amplitude(self.objective.state)
+        return point.slopes(PERIOD)[0]
+
+    def _costs(self, point: EventPoint, numbers: Vector) -> tuple[Slope, ...]:
+        """Return the numbers whose largest is the objective."""
         if isinstance(self.objective, OfImpacts):
-            return point.impact_cost(self.objective)
+            return (point.impact_cost(self.objective),)
+        if isinstance(self.objective, LeastEnergy):
+            return tuple(point.slopes(ENERGY))
+        if isinstance(self.objective, LeastPeak):
+            return point.peak_costs(self.objective.signal)
         if isinstance(self.objective, FastestContraction):
-            return self.orbits.radius(point, numbers, self.ranges)
+            return (self.orbits.radius(point, numbers, self.ranges, {}),)
         first = {name: self.origin.number(name) for name in self.free}
         sizes = {
             name: max(abs(first[name]), _SMALLEST_SIZE * (high - low))
@@ -278,7 +335,7 @@ class _Task:
         wanted = {**first, **self.objective.goal}
         value = float(Nearness(first=first, sizes=sizes).distance(here, self.objective.goal))
         by = [(here[name] - wanted[name]) / sizes[name] ** 2 for name in self.free]
-        return Slope(value=value, by=np.array(by))
+        return (Slope(value=value, by=np.array(by)),)
 
 
 def _result(task: _Task, numbers: Vector) -> EventSearchResult:
@@ -291,6 +348,7 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
     low, high = task.ranges.T
     u = (numbers - low) / np.where(high > low, high - low, 1.0)
     try:
+        task = task.sized(numbers)
         first = task.trial(u)
     except NoEventError as error:
         wanted = "must be about events of the orbit"
@@ -328,7 +386,7 @@ def _told(task: _Task, first: Trial, best: Optimum) -> EventSearchResult:
     """Return the result of an optimum."""
     trial, objective = best.trial, task.objective
     point = trial.points[0]
-    corner_costs = [cost.value for cost in trial.costs]
+    corner_costs = [max(one.value for one in costs) for costs in trial.costs]
     place = int(np.argmax(corner_costs))
     extents = {bound.name: _extent(trial.points, bound.name) for bound in task.bounds}
     vanishing = _vanishing(task, first, trial)
@@ -362,7 +420,7 @@ def _told(task: _Task, first: Trial, best: Optimum) -> EventSearchResult:
 
 def _extent(points: Sequence[EventPoint], name: str) -> Extent:
     """Return the range of a quantity over all corners."""
-    found = [one for point in points if (one := point.quantities.extent(name)) is not None]
+    found = [point.extent(name) for point in points]
     return Extent(
         lowest=min(one.lowest for one in found), highest=max(one.highest for one in found)
     )
@@ -434,8 +492,9 @@ def _require_valid(
     Raises:
         InputError: If the search is not valid. The message names the invalid part.
     """
-    if not isinstance(objective, (NearestGains, OfImpacts, FastestContraction, TargetPeriod)):
-        wanted = "must be one of nearest, period, contraction, impacts or bounce"
+    if not isinstance(objective, _POSSIBLE):
+        words = "nearest, period, amplitude, energy, peak, contraction, impacts or bounce"
+        wanted = f"must be one of {words}"
         raise InputError(
             f"Argument `objective` {wanted} in a search by events, but it "
             f"asks for {objective.wish}."
@@ -444,15 +503,49 @@ def _require_valid(
         problem.require_range(name, box, argument="free")
     objective.check(problem, free)
     graph = problem.graph_dynamics(values)
+    if isinstance(objective, LeastEnergy):
+        _require_electrical(graph, "objective", objective.wish)
     for k, bound in enumerate(bounds):
-        require_event_quantity(bound.name, graph, "keep")
-        if ".impacts" in bound.name:
-            raise InputError(
-                f"Argument `keep` must not bound the number `{bound.name}`: bound a speed or a "
-                "time."
-            )
+        _require_quantity(bound.name, graph)
         if bound.name in [other.name for other in bounds[:k]]:
             raise InputError(f"Argument `keep` must bound `{bound.name}` once, not twice.")
+
+
+_POSSIBLE = (
+    NearestGains,
+    TargetPeriod,
+    TargetAmplitude,
+    LeastEnergy,
+    LeastPeak,
+    FastestContraction,
+    OfImpacts,
+)
+"""Objectives of a search by events."""
+
+
+def _require_quantity(name: str, graph: GraphDynamics) -> None:
+    """Refuse a bound on a quantity that an orbit of events does not have, or on a number."""
+    signals = course_signal_names(graph.compiled)
+    numbers = (PERIOD, ENERGY, RADIUS)
+    if "." not in name and name not in (*signals, *numbers):
+        known = (*signals, *numbers, *event_quantity_names(graph))
+        raise InputError(unknown("keep", name, known))
+    if name == ENERGY and name not in signals:
+        _require_electrical(graph, "keep", "the energy")
+    if "." in name:
+        require_event_quantity(name, graph, "keep")
+    if ".impacts" in name:
+        raise InputError(
+            f"Argument `keep` must not bound the number `{name}`: bound a speed or a time."
+        )
+
+
+def _require_electrical(graph: GraphDynamics, argument: str, what: str) -> None:
+    if not is_electrical(graph.compiled):
+        raise InputError(
+            f"Argument `{argument}` asks for {what}, but the machine has no source of electrical "
+            "energy: give its drive an `input_power`, or ask for another quantity."
+        )
 
 
 def _finite(value: float) -> float | None:

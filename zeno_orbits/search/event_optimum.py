@@ -2,10 +2,11 @@ r"""The least worst case of an objective over free values in the unit box, in bo
 
 Over corners `c` of uncertain parameters the program is the epigraph form
 
-.. math:: \min_{u, t} t \quad\text{subject to}\quad J_c(u) \le t,\quad g_c(u) \ge 0
+.. math:: \min_{u, t} t \quad\text{subject to}\quad J_{cj}(u) \le t,\quad g_c(u) \ge 0
 
-SciPy's SLSQP [Kraft1988]_ solves it with exact derivatives in a box around the best values so far.
-Where a motion cannot be followed, the method ends, and the next box is smaller.
+where `j` counts the peaks of a signal, and has one value for other objectives. SciPy's SLSQP
+[Kraft1988]_ solves it with exact derivatives in a box around the best values so far. Where a motion
+cannot be followed, the method ends, and the next box is smaller.
 
 Where an impact begins to exist by grazing, the objective has an edge, at which SLSQP stops. From
 there a bundle method goes on: it minimises the largest of all linear models of near trials, a
@@ -62,21 +63,27 @@ class Trial:
     Attributes:
         u: The free values in the unit box, ``(k,)``.
         points: The orbits, the first at the search's own parameters.
-        costs: The objective at each orbit, with derivatives with respect to `u`.
+        costs: For each orbit the numbers whose largest is the objective there, with derivatives
+            with respect to `u`. Every trial has as many.
         rows: Numbers that must not be negative.
         equal: Numbers that must be zero.
     """
 
     u: Vector
     points: tuple[EventPoint, ...]
-    costs: tuple[Slope, ...]
+    costs: tuple[tuple[Slope, ...], ...]
     rows: tuple[Slope, ...] = ()
     equal: tuple[Slope, ...] = ()
 
     @property
     def value(self) -> float:
         """The worst value of the objective."""
-        return max(cost.value for cost in self.costs)
+        return max(cost.value for cost in self.heights)
+
+    @property
+    def heights(self) -> tuple[Slope, ...]:
+        """The numbers of all orbits, whose largest is the objective."""
+        return tuple(cost for costs in self.costs for cost in costs)
 
     @property
     def violation(self) -> float:
@@ -156,7 +163,7 @@ def _least_of_models(best: Trial, near: Sequence[Trial], half: float) -> tuple[V
     left: list[Vector] = []
     right: list[float] = []
     for trial in {id(one): one for one in (best, *near)}.values():
-        for cost in trial.costs:
+        for cost in trial.heights:
             left.append(np.append(cost.by * half / size, [1.0]))
             # A model of another trial must not lie above the objective here.
             here = cost.value + float(cost.by @ (best.u - trial.u))
@@ -238,7 +245,7 @@ def _in_box(
     # SciPy's optimizers take a while to import.
     from scipy.optimize import minimize
 
-    k, several = len(first.u), len(first.costs) > 1
+    k, several = len(first.u), len(first.heights) > 1
     known: dict[bytes, Trial] = {first.u.tobytes(): first}
 
     def at(z: Vector) -> Trial:
@@ -257,19 +264,19 @@ def _in_box(
         return np.append(slope.by, [above]) if several else slope.by
 
     def value(z: Vector) -> float:
-        return _HEIGHT * float(z[k]) if several else at(z).costs[0].value / size
+        return _HEIGHT * float(z[k]) if several else at(z).heights[0].value / size
 
     def gradient(z: Vector) -> Vector:
-        return _HEIGHT * np.eye(k + 1)[k] if several else at(z).costs[0].by / size
+        return _HEIGHT * np.eye(k + 1)[k] if several else at(z).heights[0].by / size
 
     def rows(z: Vector) -> Vector:
         here = at(z)
-        under = [_HEIGHT * z[k] - cost.value / size for cost in here.costs] if several else []
+        under = [_HEIGHT * z[k] - cost.value / size for cost in here.heights] if several else []
         return np.array([*under, *(one.value for one in here.rows)])
 
     def rows_by(z: Vector) -> Vector:
         here = at(z)
-        under = [row(cost.scaled(-1 / size), _HEIGHT) for cost in here.costs] if several else []
+        under = [row(cost.scaled(-1 / size), _HEIGHT) for cost in here.heights] if several else []
         return np.array([*under, *(row(one, 0.0) for one in here.rows)])
 
     def equal(z: Vector) -> Vector:

@@ -5,7 +5,8 @@ At values `p` the start of the orbit solves :math:`x = P(x, p)`. So it moves by
 .. math:: \frac{dx}{dp} = (1 - P_x)^{-1} P_p,\qquad
     \frac{dQ}{dp} = Q_x \frac{dx}{dp} + Q_p
 
-for every quantity `Q` of an event. A direction in which a return has no effect does not count.
+for every quantity `Q` of an event, the energy and every peak of a signal. A direction in which a
+return has no effect does not count.
 """
 
 from __future__ import annotations
@@ -20,19 +21,27 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import (
+    ENERGY,
     Bound,
+    EventCourse,
     EventQuantities,
     EventReturn,
     Reading,
     StepError,
     closed_return,
+    course_signal_names,
     inverse_of_closing,
     multipliers_of_return,
     orbit_event_name,
 )
 from zeno_orbits.search.event_search import indices_of, settled_return
 from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts
-from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.simulation import Extent, SimulationSettings
+
+MOST_PEAKS = 6
+"""Number of extremes of a signal that are rows of a program: those nearest to the bound."""
+RADIUS = "spectral_radius"
+"""Name of the spectral radius among the quantities of an orbit."""
 
 _STEP = 1e-4
 """Difference of a free value for the derivative of a spectral radius, in units of its range."""
@@ -113,6 +122,97 @@ class EventPoint:
         n_x = len(self.found.start)
         return Slope(value=reading.value, by=reading.by[:n_x] @ self.moved + reading.by[n_x:])
 
+    @cached_property
+    def course(self) -> EventCourse:
+        """Work and signals along the orbit."""
+        return EventCourse(graph=self.graph, found=self.found, parameters=self.chosen)
+
+    def is_signal(self, name: str) -> bool:
+        """Return True for a signal, False for a number of the whole orbit or of an event."""
+        return name in course_signal_names(self.graph.compiled)
+
+    def slopes(self, name: str) -> list[Slope]:
+        """Return the values of a number of the orbit or of its events, in order of time.
+
+        Args:
+            name: The energy, the period or a quantity of an event.
+
+        Raises:
+            NoEventError: If the event of the quantity does not occur.
+        """
+        if name == ENERGY:
+            return [self.slope(self.course.work)]
+        slopes = [self.slope(one) for one in self.quantities.readings(name)]
+        if not slopes:
+            raise NoEventError("keep", f"`{name}` does not occur in the orbit")
+        return slopes
+
+    def extent(self, name: str) -> Extent:
+        """Return the range of a quantity.
+
+        Args:
+            name: Name of a signal, of a number of the orbit or of a quantity of an event.
+
+        Raises:
+            NoEventError: If the event of the quantity does not occur.
+        """
+        if self.is_signal(name):
+            return self.course.extent(name)
+        if name == RADIUS:
+            return Extent(lowest=self.radius, highest=self.radius)
+        values = [one.value for one in self.slopes(name)]
+        return Extent(lowest=min(values), highest=max(values))
+
+    def peaks(self, signal: str, sign: float, most: int = MOST_PEAKS) -> list[Slope]:
+        """Return the largest local extremes of a signal times a sign, in order of time.
+
+        Args:
+            signal: Name of the signal.
+            sign: 1 or -1.
+            most: Largest number of extremes.
+        """
+        found = self.course.peaks(signal, sign, most)
+        return [self.slope(one.reading).scaled(sign) for one in found]
+
+    def amplitude(self, state: str) -> Slope:
+        """Return half the range of a state over the period."""
+        (most,), (least,) = self.peaks(state, 1.0, 1), self.peaks(state, -1.0, 1)
+        return (most + least).scaled(0.5)
+
+    def peak_costs(self, signal: str) -> tuple[Slope, ...]:
+        """Return the largest absolute extremes of a signal, `MOST_PEAKS` of them.
+
+        Where there are fewer, the others are zero, which no absolute value is below.
+
+        Args:
+            signal: Name of the signal.
+        """
+        found = [*self.peaks(signal, 1.0), *self.peaks(signal, -1.0)]
+        floor = sorted((one.value for one in found), reverse=True)[:MOST_PEAKS][-1]
+        # The order stays that of time, so that a peak keeps its place.
+        kept = [one for one in found if one.value >= floor][:MOST_PEAKS]
+        return (*kept, *self._padding(len(kept), 0.0))
+
+    def signal_rows(self, bound: Bound, size: float) -> list[Slope]:
+        """Return the distances of a signal from its bounds, positive inside, in units of its size.
+
+        Every bound has `MOST_PEAKS` rows: the nearest extremes, and ones that it keeps.
+
+        Args:
+            bound: The bound.
+            size: Size of the signal.
+        """
+        rows: list[Slope] = []
+        for sign, end in ((-1.0, -bound.lower), (1.0, bound.upper)):
+            if np.isfinite(end):
+                near = [one.scaled(-1 / size, end) for one in self.peaks(bound.name, sign)]
+                rows += [*near, *self._padding(len(near), 1.0)]
+        return rows
+
+    def _padding(self, n: int, value: float) -> list[Slope]:
+        """Return constants that complete a list of a number of peaks."""
+        return [Slope(value=value, by=np.zeros(len(self.chosen)))] * (MOST_PEAKS - n)
+
     def stops(self, objective: OfImpacts) -> tuple[str, ...]:
         """Return the stops of an objective."""
         return (objective.stop,) if objective.stop else self.graph.stop_names
@@ -143,26 +243,21 @@ class EventPoint:
             total += self.slope(one)
         return total
 
-    def excesses(self, bound: Bound) -> list[Slope]:
-        """Return the distances of a quantity from its bounds, positive inside, in units of these.
 
-        Args:
-            bound: The bound.
+def excesses(slopes: Sequence[Slope], bound: Bound, size: float) -> list[Slope]:
+    """Return the distances of values from their bounds, positive inside, in units of a size.
 
-        Raises:
-            NoEventError: If the event of the quantity does not occur.
-        """
-        slopes = [self.slope(one) for one in self.quantities.readings(bound.name)]
-        if not slopes:
-            raise NoEventError("keep", f"`{bound.name}` does not occur in the orbit")
-        rows: list[Slope] = []
-        if np.isfinite(bound.lower):
-            least = min(slopes, key=lambda one: one.value)
-            rows.append(least.scaled(1 / (abs(bound.lower) or 1.0), bound.lower))
-        if np.isfinite(bound.upper):
-            most = max(slopes, key=lambda one: one.value)
-            rows.append(most.scaled(-1 / (abs(bound.upper) or 1.0), bound.upper))
-        return rows
+    Args:
+        slopes: The values, of which the least and the largest count.
+        bound: The bound.
+        size: The size.
+    """
+    rows: list[Slope] = []
+    if np.isfinite(bound.lower):
+        rows.append(min(slopes, key=lambda one: one.value).scaled(1 / size, bound.lower))
+    if np.isfinite(bound.upper):
+        rows.append(max(slopes, key=lambda one: one.value).scaled(-1 / size, bound.upper))
+    return rows
 
 
 @dataclass(kw_only=True)
@@ -233,13 +328,16 @@ class OrbitsOverValues:
             parameters=chosen,
         )
 
-    def radius(self, point: EventPoint, numbers: Vector, ranges: Vector) -> Slope:
+    def radius(
+        self, point: EventPoint, numbers: Vector, ranges: Vector, corner: dict[str, float]
+    ) -> Slope:
         """Return the spectral radius, with its derivative by central differences.
 
         Args:
             point: The orbit at the free values.
             numbers: The free values, ``(k,)``.
             ranges: Their ranges, ``(k, 2)``.
+            corner: Values of the uncertain parameters.
         """
         by = np.zeros(len(numbers))
         for k, (low, high) in enumerate(ranges):
@@ -247,7 +345,7 @@ class OrbitsOverValues:
                 min(max(numbers[k] + sign * _STEP * (high - low), low), high) for sign in (-1, 1)
             ]
             radii = [
-                self.at(np.where(np.arange(len(numbers)) == k, end, numbers), {}).radius
+                self.at(np.where(np.arange(len(numbers)) == k, end, numbers), corner).radius
                 for end in ends
             ]
             by[k] = (radii[1] - radii[0]) / (ends[1] - ends[0])

@@ -17,7 +17,7 @@ from enum import Enum
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits.errors import InputError, any_number, named_numbers, number_range
+from zeno_orbits.errors import InputError, any_number, did_you_mean, named_numbers, number_range
 from zeno_orbits.kinds import Checked, require_kinds
 
 if TYPE_CHECKING:
@@ -97,6 +97,47 @@ class Objective(ABC):
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Raise `InputError` if the objective is not valid for a problem."""
         del problem, free
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorstCase(Objective, Checked):
+    """Base of objectives that may hold over ranges of uncertain parameters.
+
+    Attributes:
+        uncertain: Name to range of uncertain parameters. The objective is then the worst value at
+            the search's own values and at all corners of the ranges. The orbit must exist at each
+            of them.
+    """
+
+    uncertain: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict[str, tuple[float, float]]
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse values of a wrong kind. `check` refuses values without a meaning."""
+        Checked.__post_init__(self)
+        for name, ends in named_numbers("uncertain", self.uncertain).items():
+            number_range("uncertain", ends, name)
+
+    @property
+    def corners(self) -> list[dict[str, float]]:
+        """The corners of the uncertain ranges, name to value. Empty without a range."""
+        return corners_of(self.uncertain)
+
+    @property
+    def ranges(self) -> str:
+        """The ranges in words, empty without a range."""
+        ranges = [f"{name} = {low:g} to {high:g}" for name, (low, high) in self.uncertain.items()]
+        return ", ".join(ranges)
+
+    @property
+    def in_worst_case(self) -> str:
+        """The ranges as the end of a wish, empty without a range."""
+        return f" in the worst case for {self.ranges}" if self.uncertain else ""
+
+    def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
+        """Reject ranges without a meaning."""
+        check_uncertain(self.uncertain, problem, free)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,13 +295,13 @@ class TowardTarget(Objective):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LeastEnergy(Objective):
-    """The least electrical work in a period."""
+class LeastEnergy(WorstCase):
+    """The least electrical work in a period. Uncertain ranges are for `search_event_gains`."""
 
     @property
     def wish(self) -> str:
         """The objective in words."""
-        return "the least electrical energy per period"
+        return f"the least electrical energy per period{self.in_worst_case}"
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -274,8 +315,10 @@ class LeastEnergy(Objective):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LeastPeak(Objective, Checked):
+class LeastPeak(WorstCase):
     """The least peak of a signal: its largest absolute value in a period.
+
+    Uncertain ranges are for `search_event_gains`.
 
     Attributes:
         signal: Name of the signal.
@@ -286,7 +329,7 @@ class LeastPeak(Objective, Checked):
     @property
     def wish(self) -> str:
         """The objective in words."""
-        return f"the least peak of {self.signal}"
+        return f"the least peak of {self.signal}{self.in_worst_case}"
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -307,11 +350,19 @@ class LeastPeak(Objective, Checked):
         return extent.largest
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
-        """Reject an unknown signal."""
-        from zeno_orbits.verification import require_quantities
+        """Reject an unknown signal, and ranges without a meaning."""
+        from zeno_orbits.orbits import course_signal_names
+        from zeno_orbits.simulation import signal_names
 
-        del free
-        require_quantities([self.signal], problem, "objective")
+        if problem.has_graph:
+            known = course_signal_names(problem.compiled_graph())
+        else:
+            known = signal_names(problem.compiled())
+        if self.signal not in known:
+            wanted = f"must name a signal of the problem ({', '.join(known)})"
+            near = did_you_mean(self.signal, known)
+            raise InputError(f"Argument `objective` {wanted}, but it names `{self.signal}`.{near}")
+        WorstCase.check(self, problem, free)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -397,45 +448,34 @@ class WidestMargin(Sampled):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MaxPush(Sampled, Checked):
+class MaxPush(Sampled, WorstCase):
     """The largest value of the smallest impulse after which the motion leaves the orbit.
+
+    With uncertain parameters it is the smallest one of all corners. The orbit must be stable at
+    each of them.
 
     Attributes:
         direction: Coordinate to entry of the generalized force of the impulse. The default is one
             unit along each coordinate. Its sense has no effect.
-        uncertain: Name to range of uncertain parameters. The least push is then the smallest one at
-            the search's own values and at all corners of the ranges. The orbit must exist and
-            be stable at each of them.
     """
 
     direction: Mapping[str, float] = field(default_factory=dict[str, float])
-    uncertain: Mapping[str, tuple[float, float]] = field(
-        default_factory=dict[str, tuple[float, float]]
-    )
 
     def __post_init__(self) -> None:
         """Refuse values of a wrong kind. `check` refuses values without a meaning."""
-        Checked.__post_init__(self)
+        WorstCase.__post_init__(self)
         for entry in named_numbers("direction", self.direction).values():
             any_number("direction", entry)
-        for name, ends in named_numbers("uncertain", self.uncertain).items():
-            number_range("uncertain", ends, name)
 
     @property
     def wish(self) -> str:
         """The objective in words."""
-        ranges = [f"{name} = {low:g} to {high:g}" for name, (low, high) in self.uncertain.items()]
-        return f"the largest push for {', '.join(ranges)}" if ranges else "the largest push"
+        return f"the largest push for {self.ranges}" if self.uncertain else "the largest push"
 
     @property
     def quantities(self) -> tuple[str, ...]:
         """The least push."""
         return (PUSH,)
-
-    @property
-    def corners(self) -> list[dict[str, float]]:
-        """The corners of the uncertain ranges, name to value. Empty without a range."""
-        return corners_of(self.uncertain)
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject impulses of different units, and ranges without a meaning."""
@@ -446,30 +486,19 @@ class MaxPush(Sampled, Checked):
             wanted = "must name a direction, such as push:NAME=1"
             said = f"the impulses along the coordinates have the units {', '.join(sorted(units))}"
             raise InputError(f"Argument `objective` {wanted}, as {said}.")
-        check_uncertain(self.uncertain, problem, free)
+        WorstCase.check(self, problem, free)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OfImpacts(Sampled, Checked):
+class OfImpacts(Sampled, WorstCase):
     """Base of objectives about impacts, for `search_event_gains`.
 
     Attributes:
         stop: Name of the stop, or an empty text for all stops. The one stop of a machine without
             ``stops`` is named `stop`.
-        uncertain: Name to range of uncertain parameters. The objective is then the largest value at
-            the search's own values and at all corners of the ranges.
     """
 
     stop: str = ""
-    uncertain: Mapping[str, tuple[float, float]] = field(
-        default_factory=dict[str, tuple[float, float]]
-    )
-
-    def __post_init__(self) -> None:
-        """Refuse values of a wrong kind. `check` refuses values without a meaning."""
-        Checked.__post_init__(self)
-        for name, ends in named_numbers("uncertain", self.uncertain).items():
-            number_range("uncertain", ends, name)
 
     @property
     @abstractmethod
@@ -485,9 +514,7 @@ class OfImpacts(Sampled, Checked):
     def wish(self) -> str:
         """The objective in words."""
         where = f" on {self.stop}" if self.stop else ""
-        ranges = [f"{name} = {low:g} to {high:g}" for name, (low, high) in self.uncertain.items()]
-        over = f" in the worst case for {', '.join(ranges)}" if ranges else ""
-        return f"the least {self.what}{where} in a period{over}"
+        return f"the least {self.what}{where} in a period{self.in_worst_case}"
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject an unknown stop, and ranges without a meaning."""
@@ -496,7 +523,7 @@ class OfImpacts(Sampled, Checked):
         stops = tuple(stop.name for stop in problem.compiled_graph().graph.stops)
         if self.stop and self.stop not in stops:
             raise InputError(unknown("objective", self.stop, stops))
-        check_uncertain(self.uncertain, problem, free)
+        WorstCase.check(self, problem, free)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -632,10 +659,14 @@ OBJECTIVES: Mapping[str, ObjectiveWord] = {
             state=problem.amplitude_of, target=target
         ),
     ),
-    "energy": ObjectiveWord(usage="energy", objective=lambda _, __: LeastEnergy()),
+    "energy": ObjectiveWord(
+        usage="energy",
+        meaning=" (least electrical energy per period; the worst case with --uncertain)",
+        objective=lambda _, __: LeastEnergy(),
+    ),
     "peak": ObjectiveWord(
         usage="peak=SIGNAL",
-        meaning=" (least peak of current, voltage or a state)",
+        meaning=" (least peak of current, voltage or a state, likewise)",
         operand=Operand.SIGNAL,
         objective=lambda _, signal: LeastPeak(signal=signal),
     ),
@@ -663,8 +694,7 @@ OBJECTIVES: Mapping[str, ObjectiveWord] = {
     ),
     "impacts": ObjectiveWord(
         usage="impacts",
-        meaning=" or impacts=STOP (least energy lost in impacts per period, on one stop; the worst "
-        "case with --uncertain)",
+        meaning=" or impacts=STOP (least energy lost in impacts per period, on one stop, likewise)",
         operand=Operand.STOP,
         objective=lambda _, stop: MinImpactLoss(stop=stop),
     ),

@@ -14,6 +14,8 @@ from zeno_orbits.search.guess import settle
 from zeno_orbits.search.objectives import (
     LEAST_RADIUS,
     FastestContraction,
+    LeastEnergy,
+    LeastPeak,
     OfImpacts,
     TargetPeriod,
 )
@@ -35,6 +37,11 @@ def check_search(search: SearchProblem) -> None:
     if isinstance(search.objective, OfImpacts):
         raise InputError(
             "Argument `objective` is about impacts: call `search_event_gains` in place of "
+            "`search_gains`."
+        )
+    if isinstance(search.objective, (LeastEnergy, LeastPeak)) and search.objective.uncertain:
+        raise InputError(
+            "Argument `objective` has uncertain ranges: call `search_event_gains` in place of "
             "`search_gains`."
         )
     search.objective.check(problem, search.free)

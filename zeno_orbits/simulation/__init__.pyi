@@ -45,6 +45,7 @@ from .signals import least_inside as least_inside
 from .signals import peaks as peaks
 from .signals import signal as signal
 from .signals import signal_names as signal_names
+from .graph_shifts import ArcPassage as ArcPassage
 from .graph_shifts import GraphShifts as GraphShifts
 from .legs import LegFollower as LegFollower
 from .legs import states_after_steps as states_after_steps

@@ -38,7 +38,26 @@ from zeno_orbits.simulation.execution import (
     ZenoPoint,
 )
 from zeno_orbits.simulation.sensitivity import Bounce, Carry, EventShift, Perturbations
-from zeno_orbits.simulation.tangent import carried_by_loop, course_along
+from zeno_orbits.simulation.state_transition import carried_within
+from zeno_orbits.simulation.tangent import carried_by_loop, course_of_arc
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArcPassage:
+    """An arc with the derivatives of its ends.
+
+    Attributes:
+        arc: The arc.
+        start: Derivatives of its start.
+        end: Derivatives of its end, before any reset.
+        crossings: The events at its end, each with the derivatives of its time and of the states
+            before and after it. The first arc also has the events at its start.
+    """
+
+    arc: Arc
+    start: EventShift
+    end: EventShift
+    crossings: tuple[tuple[Event, EventShift, EventShift], ...]
 
 
 @dataclass(kw_only=True)
@@ -72,9 +91,65 @@ class GraphShifts:
         Raises:
             SimulationError: If an event has no derivative: a stop is touched without an impact.
         """
-        for _, event, before, after in self._moments(execution):
-            if event is not None:
-                yield event, before, after
+        for passage in self.passages(execution):
+            yield from passage.crossings
+
+    def passages(self, execution: Execution, *, to_horizon: bool = False) -> Iterator[ArcPassage]:
+        """Yield every arc before the end of an execution, with derivatives as `along` has them.
+
+        Args:
+            execution: The execution. Its impacts must be resolved one by one.
+            to_horizon: Whether the last arc counts, which ends at no event.
+
+        Raises:
+            SimulationError: If an event has no derivative: a stop is touched without an impact.
+        """
+        events = list(execution.events)
+        arcs = execution.arcs
+        here = self._start(arcs[0])
+        bounces: list[Bounce] = []
+        crossings: list[tuple[Event, EventShift, EventShift]] = []
+        while events and events[0].time == arcs[0].start_time:
+            first = events.pop(0)
+            before = self._before(first, here, arcs[0], arcs[0])
+            here, bounces = self._after(first, before, arcs[0], arcs[0], bounces)
+            crossings.append((first, before, here))
+        for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
+            if arc.ending is Ending.HORIZON:
+                if to_horizon:
+                    yield ArcPassage(arc=arc, start=here, end=here, crossings=())
+                return
+            start = end = here
+            if arc.ending is not Ending.ZENO:
+                here = end = self._end(arc, here, events)
+            crossed = False
+            while events and events[0].time <= arc.end_time:
+                event = events.pop(0)
+                before = self._before(event, here, arc, following)
+                here, bounces = self._after(event, before, arc, following, bounces)
+                if isinstance(event, ZenoPoint):
+                    before = end = here
+                crossings.append((event, before, here))
+                crossed = True
+            if not crossed and arc.ending is not Ending.SWITCH:
+                raise _touched(arc)
+            yield ArcPassage(arc=arc, start=start, end=end, crossings=tuple(crossings))
+            crossings = []
+
+    def course(self, passage: ArcPassage, *, parts: int) -> tuple[Vector, Vector]:
+        """Return the derivatives of the state along an arc, at equal parts of every step.
+
+        Args:
+            passage: The arc, which has a flow.
+            parts: Number of outputs per step.
+
+        Returns:
+            The flow's own times since the start of the arc, ``(n,)``, and the derivatives of the
+            states at these times, ``(n, n_x, m)``. The start is the first of them.
+        """
+        perturbations, mode, v, q = self._flow(passage.arc, passage.start)
+        times, rows = course_of_arc(perturbations, passage.arc, mode, v, q, parts=parts)
+        return times, rows[:, : passage.arc.start_state.size]
 
     def courses(
         self, execution: Execution, parts: int
@@ -93,38 +168,60 @@ class GraphShifts:
         Raises:
             SimulationError: If an event has no derivative: a stop is touched without an impact.
         """
-        for arc, event, start, _ in self._moments(execution):
-            if event is None and arc.ending is not Ending.ZENO and arc.end_time > arc.start_time:
-                yield arc, *self._course(arc, start, parts)
+        for passage in self.passages(execution, to_horizon=True):
+            arc = passage.arc
+            if arc.ending is not Ending.ZENO and arc.end_time > arc.start_time:
+                yield arc, *self._at_equal_times(passage, parts)
 
-    def _moments(
-        self, execution: Execution
-    ) -> Iterator[tuple[Arc, Event | None, EventShift, EventShift]]:
-        """Yield every arc with the derivatives of its start, and every event as `along` does."""
-        events = list(execution.events)
-        arcs = execution.arcs
-        here = self._start(arcs[0])
-        bounces: list[Bounce] = []
-        while events and events[0].time == arcs[0].start_time:
-            first = events.pop(0)
-            before = self._before(first, here, arcs[0], arcs[0])
-            here, bounces = self._after(first, before, arcs[0], arcs[0], bounces)
-            yield arcs[0], first, before, here
-        for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
-            yield arc, None, here, here
-            if arc.ending is Ending.HORIZON:
-                return
-            if arc.ending is not Ending.ZENO:
-                here = self._end(arc, here, events)
-            crossed = False
-            while events and events[0].time <= arc.end_time:
-                event = events.pop(0)
-                before = self._before(event, here, arc, following)
-                here, bounces = self._after(event, before, arc, following, bounces)
-                yield arc, event, here if isinstance(event, ZenoPoint) else before, here
-                crossed = True
-            if not crossed and arc.ending is not Ending.SWITCH:
-                raise _touched(arc)
+    def _at_equal_times(self, passage: ArcPassage, parts: int) -> tuple[Vector, Vector, Vector]:
+        """Return times, derivatives of the state at equal times, and their rates along an arc."""
+        arc, start, n_x = passage.arc, passage.start, passage.arc.start_state.size
+        offsets, shifts = self.course(passage, parts=parts)
+        # An explicit flow has a last step that may reach beyond the end of the arc.
+        offsets = np.minimum(offsets, arc.duration)
+        states = arc.flow_states_at(offsets)[:, :n_x]
+        perturbations, mode, _, _ = self._flow(arc, start)
+        _, differential = perturbations.flow_of(arc, mode, n_x)
+        own = perturbations.dynamics
+        rates = (own.locked if mode is Mode.LOCKED else own.free).rates(states)
+        later = start.time + offsets[:, None] * (start.rate if arc.stop else 0.0)
+        moved = shifts - rates[:, :, None] * later[:, None]
+        every = np.broadcast_to(
+            perturbations.parameters, (len(states), *perturbations.parameters.shape)
+        )
+        slopes = differential.linear(states) @ np.concatenate([moved, every], axis=1)
+        return arc.start_time + offsets * arc.time_unit, moved, slopes
+
+    def within(self, passage: ArcPassage, offsets: Vector) -> Vector:
+        """Return the derivatives of the states inside an arc, ``(n, n_x, m)``.
+
+        Args:
+            passage: The arc, which has a flow.
+            offsets: The flow's own times since the start of the arc, ``(n,)``.
+        """
+        arc = passage.arc
+        perturbations, mode, v, q = self._flow(arc, passage.start)
+        _, before = course_of_arc(perturbations, arc, mode, v, q)
+        flow, differential = perturbations.flow_of(arc, mode, len(v))
+        tolerance = perturbations.tolerance
+        rows = carried_within(flow, differential, arc, tolerance, before, q, offsets)
+        return rows[:, : arc.start_state.size]
+
+    def rested(self, passage: ArcPassage, stop: str) -> tuple[Vector, Vector]:
+        """Return the start of an arc moved onto a stop at rest, and its derivatives.
+
+        Args:
+            passage: The arc.
+            stop: Name of the stop, which is open along the arc.
+
+        Returns:
+            The state, ``(n_x,)``, and its derivatives, ``(n_x, m)``.
+        """
+        arc = passage.arc
+        perturbations = self._of(arc, self.graph.stop_names.index(stop))
+        by_state = perturbations.differentials.resting(arc.start_state)[: arc.start_state.size]
+        resting = perturbations.dynamics.resting(arc.start_state)
+        return resting.state, self._total(by_state, passage.start)
 
     def _start(self, arc: Arc) -> EventShift:
         start = self._of(arc, self._some_stop(arc)).at_start()
@@ -192,43 +289,10 @@ class GraphShifts:
         declared = slice(self.graph.n_declared)
         return int(np.argmin(np.abs(guards[declared]) / np.maximum(rounding[declared], 1e-300)))
 
-    def _launch(self, arc: Arc, start: EventShift) -> tuple[Perturbations, Mode, Vector, Vector]:
-        """Return the equations of perturbations of an arc, its mode, and its perturbations."""
-        some = self._some_stop(arc)
-        perturbations, mode = self._of(arc, some), Mode.FREE
-        v, q = start.state, perturbations.parameters
-        if arc.stop:
-            perturbations = self._of(arc, self.graph.stop_names.index(arc.stop))
-            v = np.concatenate([v, np.zeros((2, v.shape[1]))])
-            q = np.concatenate([q, start.rate[None, :]])
-        elif self.graph.stop_names[some] in arc.closed:
-            mode = Mode.LOCKED
-        return perturbations, mode, v, q
-
-    def _course(self, arc: Arc, start: EventShift, parts: int) -> tuple[Vector, Vector, Vector]:
-        """Return times, derivatives of the state at equal times, and their rates along an arc."""
-        n_x = arc.start_state.size
-        perturbations, mode, v, q = self._launch(arc, start)
-        offsets, shifts = course_along(perturbations, arc, mode, v, q, parts)
-        # An explicit flow has a last step that may reach beyond the end of the arc.
-        offsets = np.minimum(offsets, arc.duration)
-        states = arc.flow_states_at(offsets)[:, :n_x]
-        _, differential = perturbations.flow_of(arc, mode, n_x)
-        own = perturbations.dynamics
-        rates = (own.locked if mode is Mode.LOCKED else own.free).rates(states)
-        later = start.time + offsets[:, None] * (start.rate if arc.stop else 0.0)
-        moved = shifts[:, :n_x] - rates[:, :, None] * later[:, None]
-        every = np.broadcast_to(
-            perturbations.parameters, (len(states), *perturbations.parameters.shape)
-        )
-        slopes = differential.linear(states) @ np.concatenate([moved, every], axis=1)
-        return arc.start_time + offsets * arc.time_unit, moved, slopes
-
     def _crossed(self, arc: Arc, start: EventShift, gradient: Vector) -> EventShift:
         """Return the derivatives of the zero of a guard at the end of an arc."""
-        n_x = arc.start_state.size
-        perturbations, mode, v, q = self._launch(arc, start)
-        unit = arc.time_unit if arc.stop else 1.0
+        n_x, unit = arc.start_state.size, arc.time_unit if arc.stop else 1.0
+        perturbations, mode, v, q = self._flow(arc, start)
         v = self.carry(perturbations, arc, mode, v, q)
         flow, _ = perturbations.flow_of(arc, mode, len(v))
         rate = flow.rate(arc.flow_state_at(arc.duration))
@@ -240,6 +304,19 @@ class GraphShifts:
             state=(v + rate[:, None] * delay)[:n_x],
             rate=np.zeros_like(start.rate),
         )
+
+    def _flow(self, arc: Arc, start: EventShift) -> tuple[Perturbations, Mode, Vector, Vector]:
+        """Return the flow of an arc, with the perturbations of its start and its parameters."""
+        if arc.stop:
+            perturbations = self._of(arc, self.graph.stop_names.index(arc.stop))
+            v = np.concatenate([start.state, np.zeros((2, start.state.shape[1]))])
+            q = np.concatenate([perturbations.parameters, start.rate[None, :]])
+            return perturbations, Mode.FREE, v, q
+        some = self._some_stop(arc)
+        perturbations = self._of(arc, some)
+        is_locked = self.graph.stop_names[some] in arc.closed
+        mode = Mode.LOCKED if is_locked else Mode.FREE
+        return perturbations, mode, start.state, perturbations.parameters
 
     # Events.
 

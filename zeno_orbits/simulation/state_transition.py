@@ -90,6 +90,39 @@ def courses(
             yield step.start + size, v
 
 
+def carried_within(
+    flow: GuardedFlow,
+    differential: FlowDifferential,
+    arc: Arc,
+    tolerance: Tolerance,
+    before: Vector,
+    q: Vector,
+    offsets: Vector,
+) -> Vector:
+    """Return the perturbations inside the steps of an arc, ``(n, n_y, m)``.
+
+    Args:
+        flow: The flow of the arc.
+        differential: Its variational equation.
+        arc: The arc.
+        tolerance: Local error of repeated steps.
+        before: Perturbations at the start of every step, ``(n_steps, n_y, m)``.
+        q: Perturbations of the flow's parameters, ``(n_q, m)``.
+        offsets: The flow's own times since the start of the arc, ``(n,)``.
+    """
+    steps = list(_steps(flow, arc, tolerance))
+    starts = np.array([step.start for step in steps])
+    found: list[Vector] = []
+    for offset in map(float, offsets):
+        k = max(int(np.searchsorted(starts, offset, side="right")) - 1, 0)
+        size = offset - steps[k].start
+        v = before[k]
+        if size > 0.0:
+            v = _after(flow, differential, steps[k], size, v, q, trusted(tolerance))
+        found.append(v)
+    return np.array(found)
+
+
 _GROWS = 1e-8
 _SHARE = 1e3
 

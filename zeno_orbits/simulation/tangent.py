@@ -19,7 +19,6 @@ from zeno_orbits.simulation.sensitivity import (
     ArcShifts,
     EventShift,
     Perturbations,
-    carried_in_python,
 )
 from zeno_orbits.simulation.state_transition import courses, trusted
 
@@ -104,9 +103,10 @@ def course_of(
         q = np.concatenate([q, start.rate[None, :]])
     compiled = _compiled(perturbations, execution)
     if compiled is None:
-        return _course_in_python(perturbations, arc, arc.mode, v, q, parts)
+        return course_of_arc(perturbations, arc, arc.mode, v, q, parts=parts)
     program, track = compiled
-    return _from_start(v, *program.course(track, place, v, q, parts))
+    times, rows = program.course(track, place, v, q, parts)
+    return np.append(0.0, times), np.concatenate([v[None], rows])
 
 
 def carried_by_loop(
@@ -121,17 +121,13 @@ def carried_by_loop(
         v: Perturbations at its start, ``(n_y, m)``.
         q: Perturbations of the flow's parameters, ``(n_q, m)``.
     """
-    compiled = _recorded(perturbations, arc, mode, len(v))
-    if compiled is None:
-        return carried_in_python(perturbations, arc, mode, v, q)
-    program, track = compiled
-    return program.course(track, 0, v, q, 1)[1][-1]
+    return course_of_arc(perturbations, arc, mode, v, q)[1][-1]
 
 
-def course_along(
-    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector, parts: int
+def course_of_arc(
+    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector, *, parts: int = 1
 ) -> tuple[Vector, Vector]:
-    """Return the perturbations along an arc, by the loop if it recorded the steps of the arc.
+    """Return the perturbations along an arc at equal parts of every step.
 
     Args:
         perturbations: The equations of perturbations.
@@ -139,44 +135,25 @@ def course_along(
         mode: Mode of its flow.
         v: Perturbations at its start, ``(n_y, m)``.
         q: Perturbations of the flow's parameters, ``(n_q, m)``.
-        parts: Number of evenly spaced points per step.
+        parts: Number of outputs per step.
 
     Returns:
         Times since the start of the arc in the flow's own time, ``(n,)``, and the perturbations
-        there, ``(n, n_y, m)``.
+        there, ``(n, n_y, m)``. The start is the first of them.
     """
-    compiled = _recorded(perturbations, arc, mode, len(v))
-    if compiled is None:
-        return _course_in_python(perturbations, arc, mode, v, q, parts)
-    program, track = compiled
-    return _from_start(v, *program.course(track, 0, v, q, parts))
-
-
-def _course_in_python(
-    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector, parts: int
-) -> tuple[Vector, Vector]:
+    way = arc.trajectory
+    if isinstance(way, LoopTrajectory):
+        kind = binding.LOCKED if mode is Mode.LOCKED else binding.FREE
+        if len(v) > perturbations.n_x:
+            kind = binding.FLIGHT
+        compiled = _tracked(perturbations, way.record(kind, arc.time_unit, perturbations.n_x))
+        if compiled is not None:
+            program, track = compiled
+            times, rows = program.course(track, 0, v, q, parts)
+            return np.append(0.0, times), np.concatenate([v[None], rows])
     flow, differential = perturbations.flow_of(arc, mode, len(v))
     steps = list(courses(flow, differential, arc, perturbations.tolerance, v, q, parts=parts))
-    times, rows = zip(*steps, strict=True)
-    return _from_start(v, np.array(times), np.array(rows))
-
-
-def _from_start(v: Vector, times: Vector, rows: Vector) -> tuple[Vector, Vector]:
-    """Return times and perturbations along an arc with those at its start."""
-    return np.append(0.0, times), np.concatenate([v[None], rows])
-
-
-def _recorded(
-    perturbations: Perturbations, arc: Arc, mode: Mode, n_y: int
-) -> tuple[TangentProgram, Track] | None:
-    """Return the derivatives of an arc that the loop recorded, if it has them."""
-    way = arc.trajectory
-    if not isinstance(way, LoopTrajectory):
-        return None
-    kind = binding.LOCKED if mode is Mode.LOCKED else binding.FREE
-    if n_y > perturbations.n_x:
-        kind = binding.FLIGHT
-    return _tracked(perturbations, way.record(kind, arc.time_unit, perturbations.n_x))
+    return np.array([0.0, *(time for time, _ in steps)]), np.array([v, *(row for _, row in steps)])
 
 
 def _compiled(

@@ -98,7 +98,8 @@ def print_event_search(result: EventSearchResult) -> None:
     for bound in result.least_speeds:
         print_lines([f'--bound "{bound.name}={bound.text}" keeps a least speed.'])
     numbers = _listed(result.free, 10)
-    reached = "" if not result.objective.is_sampled else f": {result.value:.8g}"
+    is_measured = result.objective.is_sampled or result.objective.quantities
+    reached = f": {result.value:.8g}" if is_measured else ""
     print_lines([f"Asked for {result.objective.wish}{reached}.", f"  {numbers}"])
     if result.mean is not None:
         where = _listed(result.worst_at, 6) or "the search's own values"
