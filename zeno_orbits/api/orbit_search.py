@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from zeno_orbits.api.inputs import (
     Named,
     Numbers,
+    any_orbit,
     as_orbit,
     file_of,
     front_door,
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     )
     from zeno_orbits.simulation import SimulationSettings
     from zeno_orbits.verification import VerificationSettings
+
+_Orbit = TypeVar("_Orbit", ZenoOrbit, EventOrbit)
 
 
 @front_door
@@ -176,6 +179,7 @@ def find_event_orbit(
     *,
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
+    near: EventOrbit | str | Path | None = None,
     start: Numbers | None = None,
     section: str | None = None,
     until: float | None = None,
@@ -191,6 +195,8 @@ def find_event_orbit(
         problem: The problem, its name or its file.
         gains: Gains that differ from their defaults.
         parameters: Parameters that differ from their defaults.
+        near: A known orbit of events to start from, or its file. Its gains and parameters replace
+            the defaults, and no motion has to settle.
         start: State name to initial value of the simulation. The default is each of the problem's
             starts.
         section: Name of the event at which the period starts and ends, such as ``zeno knee`` or
@@ -210,9 +216,11 @@ def find_event_orbit(
     from zeno_orbits.verification import certified, verify_events
 
     known = known_problem(problem)
+    begin = None if near is None else _near_events(near, known)
     orbit = find(
         known,
-        known.values(gains=gains, parameters=parameters),
+        start_values(known, near=begin, gains=gains, parameters=parameters),
+        near=begin,
         start=start,
         section=section,
         until=until,
@@ -230,6 +238,7 @@ def search_event_gains(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
+    near: EventOrbit | str | Path | None = None,
     objective: Objective | None = None,
     bounds: Sequence[Bound] = (),
     section: str | None = None,
@@ -239,9 +248,10 @@ def search_event_gains(
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> EventSearchResult:
-    """Find gains by quantities of events, and verify the orbit.
+    """Find gains of an orbit of events, and verify the orbit.
 
-    It is for machines with several stops or switches, and for objectives and bounds about impacts.
+    It is for machines with several stops or switches, for objectives and bounds about impacts, and
+    for the energy and peaks over uncertain ranges.
     The stop of a machine with one stop is named `stop`.
 
     Args:
@@ -253,10 +263,13 @@ def search_event_gains(
         parameters: Parameters that differ from their defaults, free or fixed in the same way.
         start: State name to initial value of the simulation. The default is each of the problem's
             starts.
-        objective: `NearestGains` (the default), `TargetPeriod`, `MinSpectralRadius`,
-            `MinImpactLoss` or `MinBounceTime`.
-        bounds: Bounds on the period and on quantities of events, such as ``closed.impact_speed``.
-            With uncertain parameters they hold at every corner.
+        near: A known orbit of events to start from, or its file. Its gains and parameters replace
+            the defaults, and no motion has to settle.
+        objective: `NearestGains` (the default), `TargetPeriod`, `TargetAmplitude`, `MinEnergy`,
+            `MinPeak`, `MinSpectralRadius`, `MinImpactLoss` or `MinBounceTime`.
+        bounds: Bounds on signals, on the period, the energy and the spectral radius, and on
+            quantities of events, such as ``closed.impact_speed``. With uncertain parameters they
+            hold at every corner.
         section: Name of the event at which the period starts and ends. The default is chosen by the
             program.
         until: Longest time to settle [s].
@@ -278,9 +291,11 @@ def search_event_gains(
     from zeno_orbits.verification import certified, verify_events
 
     known = known_problem(problem)
+    begin = None if near is None else _near_events(near, known)
     result = search(
         known,
-        known.values(gains=gains, parameters=parameters),
+        start_values(known, near=begin, gains=gains, parameters=parameters),
+        near=begin,
         free=_boxes(known, gains, free),
         objective=objective,
         bounds=bounds,
@@ -381,7 +396,7 @@ class Verified:
 def start_values(
     problem: Problem,
     *,
-    near: ZenoOrbit | None = None,
+    near: ZenoOrbit | EventOrbit | None = None,
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
 ) -> ParameterValues:
@@ -410,7 +425,26 @@ def _near(near: ZenoOrbit | str | Path, problem: Problem) -> ZenoOrbit:
     Raises:
         InputError: If the orbit belongs to another problem.
     """
-    orbit = as_orbit(near)
+    return _of_problem(as_orbit(near), problem)
+
+
+def _near_events(near: EventOrbit | str | Path, problem: Problem) -> EventOrbit:
+    """Return the known orbit of a search for an orbit of events.
+
+    Raises:
+        InputError: If the orbit belongs to another problem, or lists phases in place of events.
+    """
+    orbit = any_orbit(near)
+    if isinstance(orbit, ZenoOrbit):
+        raise InputError(
+            f"Argument `near` must be an orbit that lists its events, but `{near}` lists phases: "
+            "leave it out."
+        )
+    return _of_problem(orbit, problem)
+
+
+def _of_problem(orbit: _Orbit, problem: Problem) -> _Orbit:
+    """Refuse an orbit of another problem, and return the orbit."""
     if orbit.problem != problem.name:
         message = f"must be an orbit of `{problem.name}`, but it is of `{orbit.problem}`"
         raise InputError(f"Argument `near` {message}.")

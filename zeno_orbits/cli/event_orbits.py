@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     import zeno_orbits as zo
 
 _SEARCH = {
-    "near": "--from",
     "shape": "--shape",
     "scheduler": "--scheduler",
     "checkpoint": "--checkpoint",
@@ -74,6 +73,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
         orbit = api.find_event_orbit(
             problem,
             **numbers_of(problem, options),
+            near=options.near,
             start=options.start or None,
             section=options.section,
             until=options.until,
@@ -111,6 +111,7 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem) -> int:
             problem,
             free=free,
             **numbers,
+            near=options.near,
             start=options.start or None,
             objective=objective,
             bounds=tuple(options.keep.values()),

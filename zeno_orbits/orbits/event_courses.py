@@ -59,13 +59,11 @@ class _Place:
 
     Attributes:
         passage: The arc.
-        index: Index of the sample.
         around: The flow's own times of the sample and of its neighbours.
         value: The signal there.
     """
 
     passage: ArcPassage
-    index: int
     around: tuple[float, float, float]
     value: float
 
@@ -176,7 +174,7 @@ class EventCourse:
                     # A constant signal has its ends.
                     continue
                 around = (float(times[low]), float(times[k]), float(times[high]))
-                yield _Place(passage=passage, index=k, around=around, value=sign * signed[k])
+                yield _Place(passage=passage, around=around, value=sign * float(signed[k]))
 
     def _refined(self, name: str, sign: float, place: _Place) -> PeakReading:
         # SciPy's optimizers take a while to import.

@@ -38,7 +38,12 @@ from zeno_orbits.search.event_points import (
     Slope,
     excesses,
 )
-from zeno_orbits.search.event_search import event_orbit_of, settled_return
+from zeno_orbits.search.event_search import (
+    event_orbit_of,
+    require_no_other_start,
+    return_near,
+    settled_return,
+)
 from zeno_orbits.search.objectives import (
     FastestContraction,
     LeastEnergy,
@@ -127,6 +132,7 @@ def search_event_gains(
     free: Mapping[str, tuple[float, float]],
     objective: Objective | None = None,
     bounds: Sequence[Bound] = (),
+    near: EventOrbit | None = None,
     start: Mapping[str, float] | None = None,
     section: str | None = None,
     until: float | None = None,
@@ -144,6 +150,7 @@ def search_event_gains(
         objective: The objective, by default values near their start.
         bounds: Bounds on signals, on the period, the energy and the spectral radius, and on
             quantities of events, at every corner.
+        near: A known orbit at which the search starts, in place of a motion that settles.
         start: State name to initial value, by default each start of the problem in turn.
         section: Name of the event at which the period starts and ends. By default it is chosen.
         until: Longest time to settle [s].
@@ -168,19 +175,27 @@ def search_event_gains(
     if isinstance(wish, WorstCase):
         uncertain = wish.uncertain
     changing = (*free, *uncertain)
+    if near is not None:
+        require_no_other_start(start, section)
+        n_starts = 0
     trouble: SimulationError | None = None
     for place in _places(values, free, n_starts, seed):
         try:
-            found = settled_return(
-                problem,
-                place,
-                start=start,
-                section=section,
-                until=until,
-                simulation=settings,
-                changing=changing,
-                on_progress=on_progress,
-            )
+            if near is None:
+                found = settled_return(
+                    problem,
+                    place,
+                    start=start,
+                    section=section,
+                    until=until,
+                    simulation=settings,
+                    changing=changing,
+                    on_progress=on_progress,
+                )
+            else:
+                found = return_near(
+                    problem, place, near, simulation=settings, on_progress=on_progress
+                )
         except SimulationError as error:
             trouble = error
             continue

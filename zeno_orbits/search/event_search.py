@@ -1,7 +1,8 @@
 """Orbits of events: a simulation settles, and Newton's method closes.
 
 The values of gains and parameters are fixed. The motion is simulated until it nearly repeats at
-an event, and the return to this event is solved for its fixed point. `event_gains` varies values.
+an event, and the return to this event is solved for its fixed point. A known orbit needs no
+simulation. `event_gains` varies values.
 """
 
 from __future__ import annotations
@@ -10,13 +11,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from zeno_orbits.errors import SimulationError
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, own_time
 from zeno_orbits.orbits import (
     EventOrbit,
     EventReturn,
     OrbitEvent,
+    PathStep,
+    StepControl,
     closed_return,
+    follow_path,
     multipliers_of_return,
     near_return,
     orbit_event_name,
@@ -29,21 +34,29 @@ _TIMES = (25.0, 100.0, 400.0)
 """Simulated times in units of the problem's slowest time, until the motion nearly repeats."""
 
 
+_FROM_ORBIT = StepControl(
+    first=1.0, longest=1.0, shortest=1e-3, most=200, growth=2.0, shrinkage=0.5
+)
+"""Parts of the way from the values of a known orbit to other values."""
+
+
 def find_event_orbit(
     problem: Problem,
     values: ParameterValues,
     *,
+    near: EventOrbit | None = None,
     start: Mapping[str, float] | None = None,
     section: str | None = None,
     until: float | None = None,
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> EventOrbit:
-    """Return the orbit to which a motion settles, not verified.
+    """Return the orbit to which a motion settles, or that a known orbit becomes, not verified.
 
     Args:
         problem: The problem. The stop of a machine with one stop is named `stop`.
         values: Its parameter values.
+        near: A known orbit. It is followed to the values, and no motion is simulated.
         start: State name to initial value, by default each start of the problem in turn.
         section: Name of the event at which the period starts and ends, such as ``zeno knee``. By
             default it is chosen.
@@ -55,6 +68,10 @@ def find_event_orbit(
         SimulationError: If no motion settles, or Newton's method does not converge.
         InputError: If the section does not occur.
     """
+    if near is not None:
+        require_no_other_start(start, section)
+        found = return_near(problem, values, near, simulation=simulation, on_progress=on_progress)
+        return event_orbit_of(problem, values, found)
     found = settled_return(
         problem,
         values,
@@ -65,6 +82,93 @@ def find_event_orbit(
         on_progress=on_progress,
     )
     return event_orbit_of(problem, values, found)
+
+
+def require_no_other_start(start: Mapping[str, float] | None, section: str | None) -> None:
+    """Refuse a start or a section beside a known orbit, which has its own.
+
+    Args:
+        start: State name to initial value, or ``None``.
+        section: Name of the event of the section, or ``None``.
+
+    Raises:
+        InputError: If one of them is given.
+    """
+    for argument, given in (("start", start), ("section", section)):
+        if given is not None:
+            raise InputError(
+                f"Argument `{argument}` must be left out of a search from a known orbit, which has "
+                "its own."
+            )
+
+
+def return_near(
+    problem: Problem,
+    values: ParameterValues,
+    near: EventOrbit,
+    *,
+    simulation: SimulationSettings | None = None,
+    on_progress: Progress = silent,
+) -> EventReturn:
+    """Return the periodic return that a known orbit becomes at other values.
+
+    The values change along a straight line, in steps in which Newton's method converges.
+
+    Args:
+        problem: The problem.
+        values: The values.
+        near: The orbit.
+        simulation: Accuracy.
+        on_progress: Called with the stage.
+
+    Raises:
+        InputError: If the orbit does not fit the problem.
+        SimulationError: If the orbit does not close, or is lost on the way.
+    """
+    settings, own = simulation or SimulationSettings(), near.values(problem)
+    on_progress("closing the known orbit", None)
+
+    def closed(part: float, x: Vector, guess: float) -> EventReturn:
+        numbers = {
+            name: (1 - part) * number + part * values.number(name)
+            for name, number in own.numbers.items()
+        }
+        return closed_return(
+            problem.graph_dynamics(own.replaced(numbers)),
+            x,
+            section=near.section,
+            n_returns=near.n_returns,
+            guess=guess,
+            settings=settings,
+        )
+
+    def advance(
+        points: Sequence[tuple[float, EventReturn]], step: float
+    ) -> PathStep[tuple[float, EventReturn], str]:
+        part, last = points[-1]
+        after = min(part + step, 1.0)
+        there = after, closed(after, last.start, last.period)
+        return PathStep(points=(there,), easy=True, end="" if after == 1.0 else None)
+
+    def give_up(
+        _: Sequence[tuple[float, EventReturn]], reason: str
+    ) -> PathStep[tuple[float, EventReturn], str]:
+        return PathStep(end=reason)
+
+    x = np.array(problem.state_vector(near.start_state))
+    first = 0.0, closed(0.0, x, near.period)
+    if own.numbers == values.numbers:
+        return first[1]
+    path = follow_path(first, _FROM_ORBIT, advance, give_up=give_up)
+    part, last = path.points[-1]
+    if part < 1.0:
+        raise SimulationError(
+            f"The known orbit is lost after {100 * part:.3g} % of the way to the values "
+            f"({path.end or 'too many steps'})",
+            time=last.period,
+            state=tuple(last.start.tolist()),
+        )
+    return last
 
 
 def settled_return(
