@@ -36,7 +36,6 @@ from zeno_orbits.search.event_points import (
     NoEventError,
     OrbitsOverValues,
     Slope,
-    excesses,
 )
 from zeno_orbits.search.event_search import (
     event_orbit_of,
@@ -266,7 +265,7 @@ class _Task:
             for bound in self.bounds:
                 found = [self._in_box(one) for one in self._rows(point, bound, numbers, corner)]
                 if bound.lower == bound.upper and not point.is_signal(bound.name):
-                    equal.append(found[0])
+                    equal.append(min(found[: len(found) // 2], key=lambda one: one.value))
                 else:
                     rows += found
         if isinstance(self.objective, Target):
@@ -303,8 +302,7 @@ class _Task:
             found: The optimum up to an edge.
             first: The first trial of the search.
         """
-        is_smooth = isinstance(self.objective, LeastEnergy) and found.converged
-        if is_smooth or not isinstance(self.objective, WorstCase):
+        if not isinstance(self.objective, WorstCase):
             return found
         return along_edges(self.trial, found, abs(first.value) or 1.0)
 
@@ -317,13 +315,13 @@ class _Task:
     ) -> list[Slope]:
         """Return the distances of a quantity from its bounds, positive inside, in its size."""
         size = self.sizes[bound.name]
-        if point.is_signal(bound.name):
-            return point.signal_rows(bound, size)
-        if bound.name == RADIUS:
-            slopes = [self.orbits.radius(point, numbers, self.ranges, corner)]
-        else:
-            slopes = point.slopes(bound.name)
-        return excesses(slopes, bound, size)
+        if bound.name != RADIUS:
+            return point.rows(bound, size)
+        radius = self.orbits.radius(point, numbers, self.ranges, corner)
+        ends = ((-1.0, -bound.lower), (1.0, bound.upper))
+        return [
+            radius.scaled(sign).scaled(-1 / size, end) for sign, end in ends if math.isfinite(end)
+        ]
 
     def _prescribed(self, point: EventPoint) -> Slope:
         """Return the quantity whose value the objective prescribes."""
@@ -373,6 +371,8 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
     found = [task.near(first)]
     if len(task.corners) > 1:
         found += _by_nominal(task, first)
+    if min(one.trial.violation for one in found):
+        found += _by_feasible(task, first)
     best = min(found, key=lambda one: one.trial.rank)
     return _told(task, first, task.finished(best, first))
 
@@ -395,6 +395,18 @@ def _by_nominal(task: _Task, first: Trial) -> list[Optimum]:
     except (SimulationError, StepError):
         return []
     return [task.near(begin)]
+
+
+def _by_feasible(task: _Task, first: Trial) -> list[Optimum]:
+    """Return the optimum near the values that keep the bounds and are nearest to the start."""
+    if isinstance(task.objective, NearestGains | Target):
+        return []
+    try:
+        nearest = replace(task, objective=NearestGains(target={}))
+        kept = nearest.near(nearest.trial(first.u))
+        return [] if kept.trial.violation else [task.near(task.trial(kept.trial.u))]
+    except (SimulationError, StepError):
+        return []
 
 
 def _told(task: _Task, first: Trial, best: Optimum) -> EventSearchResult:

@@ -22,6 +22,7 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import (
     ENERGY,
+    PERIOD,
     Bound,
     EventCourse,
     EventQuantities,
@@ -188,29 +189,39 @@ class EventPoint:
             signal: Name of the signal.
         """
         found = [*self.peaks(signal, 1.0), *self.peaks(signal, -1.0)]
-        floor = sorted((one.value for one in found), reverse=True)[:MOST_PEAKS][-1]
-        # The order stays that of time, so that a peak keeps its place.
-        kept = [one for one in found if one.value >= floor][:MOST_PEAKS]
+        kept = largest_of(found)
         return (*kept, *self._padding(len(kept), 0.0))
 
-    def signal_rows(self, bound: Bound, size: float) -> list[Slope]:
-        """Return the distances of a signal from its bounds, positive inside, in units of its size.
+    def rows(self, bound: Bound, size: float) -> list[Slope]:
+        """Return the distances of a quantity from its bounds, positive inside, in units of a size.
 
-        Every bound has `MOST_PEAKS` rows: the nearest extremes, and ones that it keeps.
+        Every bound has `MOST_PEAKS` rows: of the values nearest to it, in order of time, and of
+        constants that it keeps. The period and the energy have one row.
 
         Args:
-            bound: The bound.
-            size: Size of the signal.
+            bound: The bound on anything but the spectral radius.
+            size: The size.
+
+        Raises:
+            NoEventError: If the event of a quantity does not occur.
         """
+        is_signal = self.is_signal(bound.name)
+        slopes = [] if is_signal else self.slopes(bound.name)
         rows: list[Slope] = []
         for sign, end in ((-1.0, -bound.lower), (1.0, bound.upper)):
-            if np.isfinite(end):
-                near = [one.scaled(-1 / size, end) for one in self.peaks(bound.name, sign)]
-                rows += [*near, *self._padding(len(near), 1.0)]
+            if not np.isfinite(end):
+                continue
+            if is_signal:
+                signed = self.peaks(bound.name, sign)
+            else:
+                signed = largest_of([one.scaled(sign) for one in slopes])
+            rows += [one.scaled(-1 / size, end) for one in signed]
+            if bound.name not in (PERIOD, ENERGY):
+                rows += self._padding(len(signed), 1.0)
         return rows
 
     def _padding(self, n: int, value: float) -> list[Slope]:
-        """Return constants that complete a list of a number of peaks."""
+        """Return constants that complete a list of a number of values."""
         return [Slope(value=value, by=np.zeros(len(self.chosen)))] * (MOST_PEAKS - n)
 
     def stops(self, objective: OfImpacts) -> tuple[str, ...]:
@@ -244,20 +255,15 @@ class EventPoint:
         return total
 
 
-def excesses(slopes: Sequence[Slope], bound: Bound, size: float) -> list[Slope]:
-    """Return the distances of values from their bounds, positive inside, in units of a size.
+def largest_of(slopes: Sequence[Slope]) -> list[Slope]:
+    """Return the `MOST_PEAKS` largest values, in their order.
 
     Args:
-        slopes: The values, of which the least and the largest count.
-        bound: The bound.
-        size: The size.
+        slopes: The values.
     """
-    rows: list[Slope] = []
-    if np.isfinite(bound.lower):
-        rows.append(min(slopes, key=lambda one: one.value).scaled(1 / size, bound.lower))
-    if np.isfinite(bound.upper):
-        rows.append(max(slopes, key=lambda one: one.value).scaled(-1 / size, bound.upper))
-    return rows
+    places = sorted(range(len(slopes)), key=lambda k: -slopes[k].value)[:MOST_PEAKS]
+    # The order stays that of time, so that a value keeps its place.
+    return [slopes[k] for k in sorted(places)]
 
 
 @dataclass(kw_only=True)
