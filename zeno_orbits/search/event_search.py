@@ -238,9 +238,11 @@ def _fixed_event(graph: GraphDynamics, motion: Execution, chosen: Sequence[int])
     """Return a switch whose guard depends on the clock alone, and on no chosen parameter."""
     clock = graph.first.clock
     for event in motion.switches:
-        gradient = graph.guard_gradient(
-            graph.switch_names.index(event.name), np.asarray(event.state_minus), chosen
-        )
+        switch = graph.switch_names.index(event.name)
+        if switch < graph.n_declared and graph.guards(event.state_plus)[2][switch] > 0.0:
+            # A motion cannot start where a declared switch is still armed.
+            continue
+        gradient = graph.guard_gradient(switch, np.asarray(event.state_minus), chosen)
         rest = np.delete(gradient, list(clock))
         if clock and gradient.any() and not rest.any():
             return orbit_event_name(event)
