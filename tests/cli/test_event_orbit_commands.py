@@ -101,7 +101,6 @@ def test_continue_follows_an_event_sequence() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        ["--from", "hopper.json"],
         ["--shape", "zeno"],
         ["--candidates", "2"],
     ],
@@ -125,6 +124,32 @@ def test_search_finds_gains_that_keep_a_bound_and_writes_their_orbit() -> None:
     assert orbit.certificate["asked"][0]["kept"]
 
 
+def test_search_finds_the_least_energy_from_a_known_orbit() -> None:
+    assert ask("search", "limited_pendulum", "--set", "Kp=2.4", "-o", "known.json").code == YES
+    words = ("search", "limited_pendulum", "--from", "known.json", "--set", "Kp=2.4")
+    words = (*words, "--vary", "Kd=-1.1:-0.9")
+    answer = ask(*words, "--objective", "energy", "--bound", "theta2=:1.9", "-o", "best.json")
+    assert answer.code == YES
+    assert "Asked for the least electrical energy per period: " in answer.out
+    best = zo.read_event_orbit("best.json")
+    assert best.gains["Kp"] == 2.4
+    assert best.certificate["asked"][0]["quantity"] == "theta2"
+    again = ask("search", "limited_pendulum", "--from", "best.json", "--json").data
+    assert again["period"] == pytest.approx(best.period, rel=1e-12)
+    refused = ask("search", "hopper", "--from", "best.json")
+    assert_refused(refused, "--from best.json", "must be an orbit of `hopper`")
+    refused = ask(*words, "--initial", "theta1=1")
+    assert_refused(refused, "--initial", "known orbit")
+
+
+def test_search_of_one_stop_takes_the_worst_case_of_the_energy() -> None:
+    words = ("search", "motor_pendulum", "--set", "Kp=2.5", "--vary", "Kd=-1.1:-0.9")
+    answer = ask(*words, "--objective", "energy", "--uncertain", "R=2.95:3.05")
+    assert answer.code == YES
+    assert "in the worst case for R = 2.95 to 3.05" in answer.out
+    assert "Worst case: " in answer.out
+
+
 def test_search_says_no_if_no_orbit_keeps_a_bound() -> None:
     words = ("search", "hopper", "--vary", "a=5:40", "--bound", "stop.impact_speed=9:")
     told = ask(*words, "--json")
@@ -138,10 +163,13 @@ def test_search_says_no_if_no_orbit_keeps_a_bound() -> None:
     "options",
     [
         (["--objective", "impacts=roof"], "--objective", "`roof`"),
-        (["--objective", "energy"], "--objective", "impacts or bounce"),
+        (["--objective", "energy"], "--objective", "no source of electrical energy"),
+        (["--objective", "margin"], "--objective", "impacts or bounce"),
+        (["--objective", "peak=hight"], "--objective", "Did you mean `height`"),
+        (["--bound", "hight=:1"], "--bound", "Did you mean `height`"),
         (["--bound", "roof.impact_speed=1:"], "--bound", "stop.impact_speed"),
         (["--bound", "stop.impacts=:1"], "--bound", "bound a speed"),
-        (["--uncertain", "s=0.1:0.2"], "--uncertain", "robustness, impacts or bounce"),
+        (["--uncertain", "s=0.1:0.2"], "--uncertain", "energy, peak, impacts or bounce"),
         (["--objective", "impacts", "--uncertain", "w=1:2"], "--uncertain", "`w`"),
         (["--objective", "bounce"], "--objective", "`bounce_time` does not occur"),
         (["--set", "a=50"], "--set", "[5, 40]"),
