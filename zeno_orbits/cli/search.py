@@ -83,8 +83,8 @@ def add_search(commands: Any) -> None:
         action=Named,
         type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="range of an uncertain parameter: --objective robustness, impacts and bounce take the "
-        "worst corner of these ranges (repeatable)",
+        help="range of an uncertain parameter: --objective robustness, energy, peak, impacts and "
+        "bounce take the worst corner of these ranges (repeatable)",
     )
     parser.add_argument(
         "--bound",
@@ -94,8 +94,8 @@ def add_search(commands: Any) -> None:
         metavar="NAME=LOWER:UPPER",
         help="bounds on the orbit, with an open end left empty (NAME=:1.2): a state, "
         "current or voltage at all times; period, energy, spectral_radius, or a margin of the "
-        "certificate; with several stops the period or a quantity of an event, such as "
-        "STOP.impact_speed (repeatable)",
+        "certificate; with several stops also a quantity of an event, such as "
+        "STOP.impact_speed, but no margin (repeatable)",
     )
     parser.add_argument(
         "--initial",
