@@ -314,6 +314,43 @@ def test_no_orbit_of_a_line_of_equal_periods_takes_less_energy() -> None:
         assert worked >= found.value * (1 - 1e-8)
 
 
+# Pushes. Just after the impact of a hopper the impulse m e v stops it, and it stays at rest.
+
+
+@pytest.mark.slow
+def test_the_largest_push_keeps_a_bound_and_has_its_closed_form() -> None:
+    found = zo.search_event_gains(
+        "hopper",
+        free={"a": (15.0, 25.0)},
+        objective=zo.MaxPush(),
+        bounds=[zo.Bound(name="stop.impact_speed", upper=2.4)],
+    )
+    assert found.orbit is not None
+    assert found.orbit.certificate["passed"]
+    (asked,) = found.asked
+    assert asked["kept"]
+    # An impulse is located to 1e-3, and the search ends in a region of 2e-3 of the range.
+    assert found.value == pytest.approx(0.5 * asked["highest"], rel=1.5e-3)
+    assert asked["highest"] == pytest.approx(2.4, rel=2e-3)
+    assert found.push is not None
+    assert found.push.direction == {"height": -1.0}
+    assert found.push.phase == 0.0
+    assert "The least push is 1." in found.told_push
+
+
+@pytest.mark.slow
+def test_the_least_push_over_a_range_is_that_of_the_weakest_corner() -> None:
+    found = zo.search_event_gains(
+        "hopper",
+        free={"a": (24.0, 25.0)},
+        objective=zo.MaxPush(direction={"height": 1.0}, uncertain={"s": (0.08, 0.12)}),
+    )
+    assert found.worst_at == {"s": 0.08}
+    speed = math.sqrt(2 * found.free["a"] * 0.08 / (1 - 0.5**2))
+    assert found.worst == pytest.approx(0.5 * speed, rel=1.5e-3)
+    assert found.free["a"] == pytest.approx(25.0, abs=0.02)
+
+
 # Starts and refusals.
 
 
@@ -346,6 +383,7 @@ def test_a_known_orbit_that_is_lost_on_the_way_is_named() -> None:
         ({"objective": zo.MinPeak(signal="period")}, "must name a signal"),
         ({"objective": zo.TargetAmplitude(state="x", target=1.0)}, "names `x`"),
         ({"objective": zo.MaxMargin()}, "asks for the widest margin"),
+        ({"objective": zo.MaxPush(direction={"hight": 1.0})}, "`hight`. Did you mean `height`"),
         ({"objective": zo.MinEnergy(uncertain={"U": (7.0, 8.0)})}, "`U`"),
         ({"bounds": [zo.Bound(name="hight", upper=1.0)]}, "`hight`. Did you mean `height`"),
         ({"start": {"height": 0.1}, "near": True}, "`start` must be left out"),

@@ -289,7 +289,9 @@ def test_help_names_every_word_with_its_operand() -> None:
     assert {one.usage: one.operand for one in OBJECTIVES.values()} == words
     told = objective_help()
     assert told.startswith("nearest (to the problem's gains), nearest:NAME=VALUE,..., period=")
-    assert ", peak=SIGNAL (least peak of current, voltage or a state), contraction (" in told
+    assert (
+        ", peak=SIGNAL (least peak of current, voltage or a state, likewise), contraction (" in told
+    )
     assert ", margin (widest range of the free values before the orbit is lost), push or " in told
     assert told.endswith(
         ", or bounce or bounce=STOP (least time from first impacts to Zeno points, likewise)"

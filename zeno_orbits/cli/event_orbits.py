@@ -104,7 +104,7 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem) -> int:
     require_starts_inside(options.set, free)
     wish = options.objective or read_wish("nearest")
     objective = wish.objective(problem, free)
-    if options.uncertain:
+    if options.uncertain or wish.word == "robustness":
         objective = over_ranges(wish, objective, options.uncertain)
     with report.ProgressLine(options.interrupts.check) as progress:
         result = api.search_event_gains(

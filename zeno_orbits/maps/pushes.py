@@ -424,7 +424,7 @@ def largest_pushes(
 
 def least_push(
     problem: Problem,
-    orbit: ZenoOrbit,
+    orbit: ZenoOrbit | EventOrbit,
     *,
     directions: Sequence[Mapping[str, float]] = (),
     settings: PushSettings | None = None,
@@ -483,7 +483,11 @@ def push_units(
     Raises:
         InputError: If a coordinate is unknown, or the force is zero or infinite.
     """
-    names = problem.state_names[: problem.compiled().n_q]
+    if problem.has_graph:
+        n_q = problem.compiled_graph().graph.mechanism.q.numel()
+    else:
+        n_q = problem.compiled().n_q
+    names = problem.state_names[:n_q]
     if not direction:
         return {unit_of_push(problem, {name: 1.0}) for name in names}
     _require_direction(direction, names, argument)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.maps import Push
 from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, unknown
 from zeno_orbits.orbits import (
     ENERGY,
@@ -47,6 +49,7 @@ from zeno_orbits.search.objectives import (
     FastestContraction,
     LeastEnergy,
     LeastPeak,
+    MaxPush,
     NearestGains,
     Objective,
     OfImpacts,
@@ -56,7 +59,8 @@ from zeno_orbits.search.objectives import (
     WorstCase,
     corners_of,
 )
-from zeno_orbits.search.search_problem import clipped
+from zeno_orbits.search.search_problem import clipped, listed
+from zeno_orbits.search.strength import NothingLostError, highest, push_of, said_of
 from zeno_orbits.search.transcription.constraints import size_of
 from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.simulation import Extent, SimulationSettings
@@ -90,6 +94,7 @@ class EventSearchResult:
         vanishing: Speed of each impact that vanishes at the end of the search, by its stop.
         least_speeds: Bounds that keep a tenth of the first speeds of these impacts.
         n_orbits: Number of orbits that were closed.
+        push: The least push at the worst corner, if the objective is the largest one.
         certificate: Certificate of the orbit, ``None`` before a verification.
         detail: Reason why there is no orbit, or why the search ended early.
     """
@@ -105,8 +110,16 @@ class EventSearchResult:
     vanishing: Mapping[str, float] = field(default_factory=dict[str, float])
     least_speeds: tuple[Bound, ...] = ()
     n_orbits: int = 0
+    push: Push | None = None
     certificate: OrbitCertificate | None = None
     detail: str = ""
+
+    @property
+    def told_push(self) -> str:
+        """The least push, where it occurs and the motion beyond it. Empty for other objectives."""
+        if self.push is None:
+            return ""
+        return said_of(self.push, f" (at {listed(self.worst_at)})" if self.worst_at else "")
 
     def as_json(self) -> dict[str, Any]:
         """Return the outcome without the orbit, as plain data."""
@@ -120,6 +133,7 @@ class EventSearchResult:
             "asked": [dict(one) for one in self.asked],
             "vanishing": dict(self.vanishing),
             "n_orbits": self.n_orbits,
+            "push": None if self.push is None else self.push.as_json(),
             "detail": self.detail,
         }
 
@@ -350,6 +364,21 @@ class _Task:
         by = [(here[name] - wanted[name]) / sizes[name] ** 2 for name in self.free]
         return (Slope(value=value, by=np.array(by)),)
 
+    def pushes(self, trial: Trial) -> list[tuple[float, Push | None]]:
+        """Return the least impulse at every corner of a trial, zero where the orbit is unstable."""
+        problem, objective = self.orbits.problem, self.objective
+        if not isinstance(objective, MaxPush):
+            raise TypeError("Argument `self` must have the objective `MaxPush`.")
+        found: list[tuple[float, Push | None]] = []
+        for point in trial.points:
+            orbit = event_orbit_of(problem, point.values, point.found)
+            push, _ = push_of(problem, orbit, objective)
+            impulse = math.inf if push is not None else 0.0
+            if push is not None and math.isfinite(push.largest):
+                impulse = push.largest
+            found.append((impulse, push))
+        return found
+
 
 def _result(task: _Task, numbers: Vector) -> EventSearchResult:
     """Return the result of a search from free values at which there is an orbit.
@@ -366,6 +395,8 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
     except NoEventError as error:
         wanted = "must be about events of the orbit"
         raise InputError(f"Argument `{error.argument}` {wanted}, but {error}.") from error
+    if isinstance(task.objective, MaxPush):
+        return _strongest(task, first)
     if not task.free:
         return _told(task, first, Optimum(trial=first, converged=True))
     found = [task.near(first)]
@@ -375,6 +406,65 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
         found += _by_feasible(task, first)
     best = min(found, key=lambda one: one.trial.rank)
     return _told(task, first, task.finished(best, first))
+
+
+def _strongest(task: _Task, first: Trial) -> EventSearchResult:
+    """Return the orbit with the largest least push, by a search without derivatives."""
+    start = first
+    if first.violation:
+        start = task.near(first).trial
+    pushed = task.pushes(start)
+    best, best_pushes = start, pushed
+    known = {start.u.tobytes(): (_least_impulse(pushed), start)}
+    size = _least_impulse(pushed) or 1.0
+
+    def evaluated(u: Vector) -> tuple[float, Trial | None]:
+        nonlocal best, best_pushes
+        u = np.clip(np.array(u), 0.0, 1.0)
+        key = u.tobytes()
+        if key in known:
+            return known[key]
+        try:
+            there = task.trial(u)
+        except (SimulationError, StepError):
+            # Without an orbit there is no push.
+            return 0.0, None
+        found = task.pushes(there)
+        impulse = _least_impulse(found)
+        if there.violation <= best.violation and impulse > _least_impulse(best_pushes):
+            best, best_pushes = there, found
+        if math.isinf(impulse):
+            raise NothingLostError
+        known[key] = impulse, there
+        return known[key]
+
+    def inside(u: Vector) -> Vector:
+        there = evaluated(u)[1]
+        if there is None:
+            return np.full(n_rows, -1.0)
+        equal = [sign * row.value for row in there.equal for sign in (1.0, -1.0)]
+        return np.array([*(row.value for row in there.rows), *equal])
+
+    n_rows = len(first.rows) + 2 * len(first.equal)
+    if task.free and math.isfinite(_least_impulse(pushed)):
+        with suppress(NothingLostError):
+            highest(lambda u: evaluated(u)[0] / size, start.u, inside if n_rows else None)
+    impulses = [impulse for impulse, _ in best_pushes]
+    place = int(np.argmin(impulses))
+    told = _told(task, first, Optimum(trial=best, converged=True))
+    return replace(
+        told,
+        value=impulses[0],
+        worst=impulses[place],
+        worst_at=task.corners[place],
+        mean=float(np.mean(impulses[1:])) if len(impulses) > 1 else None,
+        push=best_pushes[place][1],
+    )
+
+
+def _least_impulse(pushes: Sequence[tuple[float, Push | None]]) -> float:
+    """Return the least impulse of all corners."""
+    return min(impulse for impulse, _ in pushes)
 
 
 def _by_nominal(task: _Task, first: Trial) -> list[Optimum]:
@@ -519,8 +609,11 @@ def _require_valid(
     Raises:
         InputError: If the search is not valid. The message names the invalid part.
     """
-    if not isinstance(objective, _POSSIBLE):
-        words = "nearest, period, amplitude, energy, peak, contraction, impacts or bounce"
+    # A push needs the graph of a machine with several stops or switches.
+    if not isinstance(objective, _POSSIBLE) and not (
+        isinstance(objective, MaxPush) and problem.has_graph
+    ):
+        words = "nearest, period, amplitude, energy, peak, contraction, push, impacts or bounce"
         wanted = f"must be one of {words}"
         raise InputError(
             f"Argument `objective` {wanted} in a search by events, but it "

@@ -13,18 +13,17 @@ optimum is local.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.maps import Push, PushSettings, least_push
-from zeno_orbits.model import ParameterValues
-from zeno_orbits.orbits import Cycle, ZenoOrbit, excess
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import Cycle, EventOrbit, ZenoOrbit, excess
 from zeno_orbits.search.closing import orbit_of
 from zeno_orbits.search.homotopy import follow
 from zeno_orbits.search.objectives import MaxPush
@@ -85,11 +84,40 @@ class Strength:
         at = f" (at {listed(changed)})" if changed else ""
         if self.push is None:
             return f"The orbit is not kept{at}: {self.reason}."
-        if math.isinf(self.impulse):
-            return f"No push up to {self.push.searched:.4g} {self.push.unit} is lost."
-        said = f"{self.impulse:.4g} {self.push.unit} along {self.push.name}"
-        phase = f"phase {self.push.phase:.4g}"
-        return f"The least push is {said} at {phase}{at}. Beyond it: {self.push.beyond}."
+        return said_of(self.push, at)
+
+
+def said_of(push: Push, at: str = "") -> str:
+    """Return a least push and the motion beyond it, as sentences.
+
+    Args:
+        push: The push.
+        at: Where it occurs, in words that begin with a blank.
+    """
+    if not math.isfinite(push.largest):
+        return f"No push up to {push.searched:.4g} {push.unit} is lost."
+    said = f"{push.largest:.4g} {push.unit} along {push.name}"
+    return f"The least push is {said} at phase {push.phase:.4g}{at}. Beyond it: {push.beyond}."
+
+
+def push_of(
+    problem: Problem, orbit: ZenoOrbit | EventOrbit, objective: MaxPush
+) -> tuple[Push | None, str]:
+    """Return the least push of an orbit, or ``None`` and the reason why it has none.
+
+    Args:
+        problem: The problem.
+        orbit: The orbit.
+        objective: The objective.
+    """
+    directions = (objective.direction,) if objective.direction else ()
+    try:
+        return least_push(problem, orbit, directions=directions, settings=_PUSHES), ""
+    except InputError as error:
+        # The orbit may cease to attract. A direction that moves nothing is the user's.
+        if not str(error).startswith("Argument `orbit`"):
+            raise
+        return None, str(error).removesuffix(".")
 
 
 def strength(search: SearchProblem, values: ParameterValues, near: Cycle | ZenoOrbit) -> Strength:
@@ -101,18 +129,11 @@ def strength(search: SearchProblem, values: ParameterValues, near: Cycle | ZenoO
         near: The orbit.
     """
     objective = _objective(search)
-    directions = (objective.direction,) if objective.direction else ()
     least: Strength | None = None
     for place, orbit, reason in orbits_at_corners(search, values, near):
         push: Push | None = None
         if orbit is not None:
-            try:
-                push = least_push(search.problem, orbit, directions=directions, settings=_PUSHES)
-            except InputError as error:
-                # The orbit may cease to attract. A direction that moves nothing is the user's.
-                if not str(error).startswith("Argument `orbit`"):
-                    raise
-                reason = str(error).removesuffix(".")
+            push, reason = push_of(search.problem, orbit, objective)
         here = Strength(values=values, cycle=near, place=place, push=push, reason=reason)
         if least is None or here.impulse < least.impulse:
             least = here
@@ -156,9 +177,6 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
         values: Values of an orbit that satisfies the bounds.
         cycle: One simulated period of the orbit.
     """
-    # The import of SciPy's optimizers is slow, and few searches need them.
-    from scipy.optimize import Bounds, NonlinearConstraint, minimize
-
     low, high = np.array(list(search.free.values())).T
     best, slack = _measured(search, values, cycle)
     if math.isinf(best.impulse):
@@ -182,30 +200,46 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
                 best = found
             search.tell(f"{len(kept)} gains tried: least push {best.extent.lowest:.4g}")
             if math.isinf(best.impulse):
-                raise _NothingLostError
+                raise NothingLostError
         return kept[key]
 
-    constraints: list[Any] = []
-    if search.bounds:
-        inside = NonlinearConstraint(lambda z: evaluated(z)[1], 0.0, np.inf)
-        constraints.append(inside)
-    with suppress(_NothingLostError):
-        minimize(
-            lambda z: -evaluated(z)[0] / size,
+    with suppress(NothingLostError):
+        highest(
+            lambda z: evaluated(z)[0] / size,
             start,
-            method="COBYQA",
-            bounds=Bounds(np.zeros(low.size), np.ones(low.size)),
-            constraints=constraints,
-            options={
-                "initial_tr_radius": _REGION,
-                "final_tr_radius": _SMALLEST_REGION,
-                "maxfev": _EVALUATIONS * low.size,
-            },
+            (lambda z: evaluated(z)[1]) if search.bounds else None,
         )
     return best
 
 
-class _NothingLostError(Exception):
+def highest(
+    value: Callable[[Vector], float], start: Vector, inside: Callable[[Vector], Vector] | None
+) -> None:
+    """Evaluate a function near its largest value in the unit box, without derivatives.
+
+    Args:
+        value: The function, about one at the start. It keeps its best value itself.
+        start: The start, ``(k,)``.
+        inside: Numbers that must not be negative, ``(m,)``, or ``None``.
+    """
+    # The import of SciPy's optimizers is slow, and few searches need them.
+    from scipy.optimize import Bounds, NonlinearConstraint, minimize
+
+    minimize(
+        lambda z: -value(z),
+        start,
+        method="COBYQA",
+        bounds=Bounds(np.zeros(start.size), np.ones(start.size)),
+        constraints=[] if inside is None else [NonlinearConstraint(inside, 0.0, np.inf)],
+        options={
+            "initial_tr_radius": _REGION,
+            "final_tr_radius": _SMALLEST_REGION,
+            "maxfev": _EVALUATIONS * start.size,
+        },
+    )
+
+
+class NothingLostError(Exception):
     """An orbit was found of which no scanned push is lost."""
 
 

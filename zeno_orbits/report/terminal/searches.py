@@ -101,6 +101,8 @@ def print_event_search(result: EventSearchResult) -> None:
     is_measured = result.objective.is_sampled or result.objective.quantities
     reached = f": {result.value:.8g}" if is_measured else ""
     print_lines([f"Asked for {result.objective.wish}{reached}.", f"  {numbers}"])
+    if result.told_push:
+        print_lines([result.told_push])
     if result.mean is not None:
         where = _listed(result.worst_at, 6) or "the search's own values"
         print_lines(
