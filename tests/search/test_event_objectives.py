@@ -104,6 +104,12 @@ def test_a_prescribed_amplitude_is_reached() -> None:
     assert found.free["U"] == pytest.approx(_voltage(lambda hop: hop.highest / 2, 0.2), rel=1e-9)
 
 
+def test_an_amplitude_that_no_orbit_has_is_missed_by_a_printed_distance() -> None:
+    found = _search(zo.TargetAmplitude(state="height", target=1.0), free={"U": (8.0, 12.0)})
+    assert found.orbit is None
+    assert f"The nearest has {CoilHop(voltage=12.0).highest / 2:.8g}." in found.detail
+
+
 @pytest.mark.slow
 def test_the_worst_case_over_a_range_has_its_closed_form() -> None:
     ends = (2.5, 3.5)

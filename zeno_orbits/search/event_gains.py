@@ -284,7 +284,7 @@ class _Task:
                     rows += found
         if isinstance(self.objective, Target):
             target = self.objective.target
-            equal.append(self._in_box(self._prescribed(points[0]).scaled(1 / target, target)))
+            equal.append(self._in_box(self.prescribed(points[0]).scaled(1 / target, target)))
         return Trial(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
 
     def sized(self, numbers: Vector) -> _Task:
@@ -337,7 +337,7 @@ class _Task:
             radius.scaled(sign).scaled(-1 / size, end) for sign, end in ends if math.isfinite(end)
         ]
 
-    def _prescribed(self, point: EventPoint) -> Slope:
+    def prescribed(self, point: EventPoint) -> Slope:
         """Return the quantity whose value the objective prescribes."""
         if isinstance(self.objective, TargetAmplitude):
             return point.amplitude(self.objective.state)
@@ -513,6 +513,8 @@ def _told(task: _Task, first: Trial, best: Optimum) -> EventSearchResult:
         detail = f"No orbit that keeps the bounds was found: {detail}"
     elif trial.violation:
         detail = f"No orbit with {objective.wish} was found in the ranges."
+        if isinstance(objective, Target):
+            detail += f" The nearest has {task.prescribed(point).value:.8g}."
     elif vanishing:
         detail = _end_of_family(task, trial, vanishing)
     else:
