@@ -50,10 +50,12 @@ def test_a_lost_interval_between_two_impulses_of_the_scan_is_found(
     assert found.gone - found.kept <= 1e-4 * found.gone
 
 
-def test_the_first_of_several_losses_in_the_last_step_is_found() -> None:
-    found = first_loss(ray((0.52, 0.54), (0.57, 2.0)), 1.0, 10, 1e-4)
+@pytest.mark.parametrize("width", [2e-2, 1e-3])
+def test_the_first_of_several_losses_in_the_last_step_is_found(width: float) -> None:
+    # The last step is divided into parts of 0.0125. A narrow loss lies between two of its ends.
+    found = first_loss(ray((0.53, 0.53 + width), (0.575, 2.0)), 1.0, 10, 1e-4)
     assert found is not None
-    assert found.gone == pytest.approx(0.52, rel=2e-4)
+    assert found.gone == pytest.approx(0.53, rel=2e-4)
 
 
 def test_a_ray_without_a_loss_has_none() -> None:

@@ -65,17 +65,13 @@ def first_loss(tried: Try, reach: float, steps: int, error: float) -> Loss | Non
         error: Largest relative error of the impulse.
     """
     scan = [Trial(impulse=0.0, beyond=None, delay=0.0)]
-    lost: Trial | None = None
     for k in range(1, steps + 1):
         trial = tried(k * reach / steps)
         if trial.beyond is not None:
-            lost = trial
-            break
+            return _located(tried, scan, trial, error)
         scan.append(trial)
     hidden = _hidden_loss(tried, scan)
-    if hidden is not None:
-        return located(tried, *hidden, error)
-    return None if lost is None else located(tried, scan[-1].impulse, lost, error)
+    return None if hidden is None else _located(tried, *hidden, error)
 
 
 def located(tried: Try, kept: float, lost: Trial, error: float) -> Loss:
@@ -87,25 +83,36 @@ def located(tried: Try, kept: float, lost: Trial, error: float) -> Loss:
         lost: A larger impulse with a loss.
         error: Largest relative error of the impulse.
     """
-    while lost.impulse - kept > error * lost.impulse:
+    return _located(tried, [Trial(impulse=kept, beyond=None, delay=0.0)], lost, error)
+
+
+def _located(tried: Try, scan: Sequence[Trial], lost: Trial, error: float) -> Loss:
+    """Locate the smallest impulse with a loss above the returns of a scan, and between them."""
+    returns = list(scan)
+    while True:
+        hidden = _hidden_loss(tried, returns)
+        if hidden is not None:
+            returns, lost = hidden
+        kept = returns[-1].impulse
         part = (lost.impulse - kept) / _PARTS
         inside = [kept + k * part for k in range(1, _PARTS)]
-        if not kept < inside[0] <= inside[-1] < lost.impulse:
-            # Doubles do not resolve the interval.
-            break
+        # Doubles may not resolve the interval.
+        resolved = kept < inside[0] <= inside[-1] < lost.impulse
+        if lost.impulse - kept <= error * lost.impulse or not resolved:
+            if lost.beyond is None:
+                raise ValueError("Argument `lost` must be a loss.")
+            return Loss(kept=kept, gone=lost.impulse, beyond=lost.beyond)
+        returns = returns[-2:]
         for impulse in inside:
             trial = tried(impulse)
             if trial.beyond is not None:
                 lost = trial
                 break
-            kept = impulse
-    if lost.beyond is None:
-        raise ValueError("Argument `lost` must be a loss.")
-    return Loss(kept=kept, gone=lost.impulse, beyond=lost.beyond)
+            returns.append(trial)
 
 
-def _hidden_loss(tried: Try, scan: Sequence[Trial]) -> tuple[float, Trial] | None:
-    """Return a loss between the returns of a scan, and the largest impulse tried below it."""
+def _hidden_loss(tried: Try, scan: Sequence[Trial]) -> tuple[list[Trial], Trial] | None:
+    """Return a loss between the returns of a scan, and the returns around the gap below it."""
     for place in range(1, len(scan) - 1):
         around = list(scan[place - 1 : place + 2])
         if not around[0].delay < around[1].delay > around[2].delay:
@@ -115,7 +122,7 @@ def _hidden_loss(tried: Try, scan: Sequence[Trial]) -> tuple[float, Trial] | Non
             for low, high in pairwise(around):
                 trial = tried((low.impulse + high.impulse) / 2)
                 if trial.beyond is not None:
-                    return low.impulse, trial
+                    return finer, trial
                 finer += [trial, high]
             top = max(range(1, len(finer) - 1), key=lambda k: finer[k].delay)
             around = finer[top - 1 : top + 2]
