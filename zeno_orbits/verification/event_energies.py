@@ -39,9 +39,9 @@ def event_energies(
     Returns:
         Energy by name, as in the certificate. ``switch_loss`` exists if there are switches.
     """
-    worked = np.sum([_work(graph, arc) for arc in arcs], axis=0)
     impacts = [event for event in events if isinstance(event, Impact)]
     zenos = [event for event in events if isinstance(event, ZenoPoint)]
+    worked = np.sum([_work(graph, arc, zenos) for arc in arcs], axis=0)
     switches = [event for event in events if isinstance(event, SwitchEvent)]
     lost = sum(_impact_loss(graph, arcs, impact) for impact in impacts)
     lost += sum(_tail_loss(graph, arcs, zeno) for zeno in zenos)
@@ -69,11 +69,14 @@ def is_balanced(graph: GraphDynamics) -> bool:
     return graph.compiled.system(graph.open_mode, 0).is_balanced
 
 
-def _work(graph: GraphDynamics, arc: Arc) -> Vector:
+def _work(graph: GraphDynamics, arc: Arc, zenos: Sequence[ZenoPoint]) -> Vector:
     """Return the input work and both losses along an arc, ``(3,)`` [J]."""
     closed, sides = graph.mode_of(arc.closed, arc.sides)
     opened = next((k for k in range(len(graph.stop_names)) if k not in closed), None)
     stop = closed[-1] if opened is None else opened
+    if arc.trajectory is None:
+        struck = min(zenos, key=lambda zeno: abs(zeno.time - arc.end_time)).stop
+        stop = graph.stop_names.index(struck)
     mode: GraphMode = tuple(k for k in closed if k != stop), sides
     powers = graph.compiled.system(mode, stop).powers
 
