@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import casadi as ca
+import numpy as np
 import pytest
+from scipy.linalg import expm
+from scipy.optimize import brentq
 
 import zeno_orbits as zo
 from tests.reference.two_sided_end import accumulates
+from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation import ContinuationSettings, SpecialPointKind, continue_orbit
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.search import find_event_orbit
@@ -61,29 +65,29 @@ def _unlike_stops(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
             kinetic=v**2 / 2,
             potential=0.65 * x**2,
             passive_force=-0.15 * v,
-            applied_force=4.0 * clock.cosine + 0.4,
+            applied_force=4.0 * clock.cosine + p["F0"],
             clock=clock,
             stops=(
                 zo.Stop(name="hi", gap=1.0 - x, restitution=p["restitution"]),
-                zo.Stop(name="lo", gap=0.7 + x, restitution=0.25),
+                zo.Stop(name="lo", gap=0.7 + x, restitution=p["e_lo"]),
             ),
         ),
         zo.no_drive(machine),
     )
 
 
-@pytest.mark.slow
-def test_a_family_without_switches_ends_openly_where_a_flight_has_no_duration() -> None:
-    """A flight on `lo` that ends at once has no derivative, and the machine has no switch."""
-    problem = zo.Problem(
+def _unlike(*, omega: float, restitution: float, e_lo: float, F0: float) -> zo.Problem:
+    return zo.Problem(
         name="unlike_stops",
         title="Oscillator between unlike stops",
         source="tests",
         state_names=("x", "v", "cosine", "sine"),
         state_units=("m", "m/s", "1", "1"),
         parameters=(
-            zo.Quantity.positive("omega", 0.4, "rad/s", "frequency"),
-            zo.Quantity.restitution(0.77),
+            zo.Quantity.positive("omega", omega, "rad/s", "frequency"),
+            zo.Quantity.restitution(restitution),
+            zo.Quantity(name="e_lo", unit="1", meaning="e of lo", default=e_lo, lower=0.0),
+            zo.Quantity(name="F0", unit="N", meaning="constant force", default=F0),
         ),
         gains=(),
         model=_unlike_stops,
@@ -91,6 +95,39 @@ def test_a_family_without_switches_ends_openly_where_a_flight_has_no_duration() 
         portraits=(("x", "v"),),
         amplitude_of="x",
     )
+
+
+def _least_gap_after_lo(state: Mapping[str, float], omega: float) -> float:
+    """Return the least gap of `lo` on the flight after its impact, by exact flights from `hi`."""
+    free, period = np.array([[0.0, 1.0], [-1.3, -0.15]]), 2 * np.pi / omega
+    response = 4.0 / complex(1.3 - omega**2, 0.15 * omega)
+    phase = np.arctan2(state["sine"], state["cosine"])
+
+    def forced(t: float) -> Vector:
+        wave = response * np.exp(1j * (phase + omega * t))
+        return np.array([wave.real, (1j * omega * wave).real])
+
+    def flight(begin: float, x: Vector) -> Callable[[float], Vector]:
+        left = x - forced(begin)
+        return lambda t: forced(t) + expm(free * (t - begin)) @ left
+
+    first = flight(0.0, np.array([state["x"], state["v"]]))
+    times = np.linspace(1e-3, period, 2000)
+    k = next(k for k, t in enumerate(times) if first(t)[0] < -0.7)
+    struck = brentq(lambda t: float(first(t)[0]) + 0.7, times[k - 1], times[k], xtol=1e-15)
+    second = flight(struck, np.array([-0.7, -0.7 * first(struck)[1]]))
+    times = np.linspace(struck, period, 4000)[1:-1]
+    speeds = [float(second(t)[1]) for t in times]
+    # The mass rises from the stop, falls towards it again, and turns.
+    k = next(k for k in range(1, len(times)) if speeds[k - 1] < 0.0 <= speeds[k])
+    turn = brentq(lambda t: float(second(t)[1]), times[k - 1], times[k], xtol=1e-15)
+    return float(second(turn)[0]) + 0.7
+
+
+@pytest.mark.slow
+def test_a_family_without_switches_ends_openly_where_a_flight_has_no_duration() -> None:
+    """A flight on `lo` that ends at once has no derivative, and the machine has no switch."""
+    problem = _unlike(omega=0.4, restitution=0.77, e_lo=0.25, F0=0.4)
     orbit = find_event_orbit(problem, problem.values())
     box, once = (0.765, 0.8), ContinuationSettings(doublings=0)
     (family,) = continue_orbit(problem, orbit, "restitution", box, settings=once).families
@@ -98,3 +135,23 @@ def test_a_family_without_switches_ends_openly_where_a_flight_has_no_duration() 
     # 0.79.
     assert 0.78 < family.last.at.value < 0.79
     assert family.last.kind in (SpecialPointKind.LOCK_VANISHES, SpecialPointKind.GAVE_UP)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("box", [(1.9, 2.3), (1.2, 2.6)])
+def test_a_family_ends_where_a_flight_grazes_the_stop_that_it_left(
+    box: tuple[float, float],
+) -> None:
+    problem = _unlike(omega=2.2, restitution=0.9, e_lo=0.7, F0=0.0)
+    orbit = find_event_orbit(problem, problem.values())
+    once = ContinuationSettings(doublings=0)
+    (family,) = continue_orbit(problem, orbit, "omega", box, settings=once).families
+    assert family.first.kind is SpecialPointKind.EARLIER_GRAZING
+    at, error = family.first.at.value, family.first.error
+    assert error < 1e-10
+    # The least gap by exact flights falls to zero on a line.
+    gaps = [_least_gap_after_lo(one.state, one.value) for one in family.points[:2]]
+    first, second = (one.value for one in family.points[:2])
+    zero = first - gaps[0] * (second - first) / (gaps[1] - gaps[0])
+    assert 0.0 < gaps[0] < gaps[1]
+    assert at == pytest.approx(zero, abs=1e-5)

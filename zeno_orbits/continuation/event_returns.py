@@ -301,9 +301,7 @@ def _least_guards(graph: GraphDynamics, arc: Arc) -> list[tuple[Loss, float]]:
         return []
     closed, sides = graph.mode_of(arc.closed, arc.sides)
     found: list[tuple[Loss, float]] = []
-    for k, name in enumerate(graph.stop_names):
-        if name == arc.stop:
-            continue
+    for k in range(len(graph.stop_names)):
         if k in closed:
             view = graph.holding((closed, sides), k)
             least = least_inside(arc, view.multiplier, view.multiplier_rate)
