@@ -65,7 +65,7 @@ def add_new(commands: Any) -> None:
         commands,
         "new",
         _run_new,
-        "write a working problem file, to change into your own",
+        "write a working problem file as a template",
         [
             "zeno-orbits new my_problem",
             "zeno-orbits new my_problem --with-motor",

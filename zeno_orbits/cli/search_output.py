@@ -161,7 +161,7 @@ def _levers(
         ranges = ", ".join(f"{name}={low:g}:{high:g}" for name, (low, high) in notes.free.items())
         found.append(f"wider ranges than {ranges} (--vary).")
     if not notes.free and problem.gains:
-        found.append("fewer --set, so that gains are searched.")
+        found.append("no --set for a gain, so that the search varies it.")
     return found
 
 

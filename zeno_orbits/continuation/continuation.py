@@ -141,7 +141,7 @@ def continue_from(
     Raises:
         InputError: If the second parameter does not fit, the crew has another problem, or its
             checkpoint belongs to other work.
-        SimulationError: If there is no fixed point nearby.
+        SimulationError: If no fixed point lies near the start.
         WorkError: If the work cannot be finished.
     """
     identity = _identity(start, dispatch)

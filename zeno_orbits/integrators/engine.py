@@ -135,7 +135,7 @@ class Step(Protocol):
 
     @property
     def start(self) -> float:
-        """Time at its start, from the start of the flow."""
+        """Start time of the step, counted from the start of the flow."""
         ...
 
     @property

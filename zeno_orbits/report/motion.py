@@ -78,8 +78,8 @@ def machine_motion(
     """Return a mechanism at evenly spaced times of a motion.
 
     A reset that renames coordinates, such as the heel strike of a walker, leaves the machine in its
-    place. If the corners after a reset are those before it up to a translation, the drawing is
-    moved by this translation, and each line continues the line with the same corners.
+    place. If a reset only translates the corners, the drawing is moved by this translation, and
+    each line continues the line with the same corners.
 
     Args:
         problem: The problem, which must have a drawing.

@@ -189,7 +189,7 @@ def _by_an_easier_way(
 
 
 def _along(search: SearchProblem, start: SearchStart, path: Followed, origin: str) -> StartOutcome:
-    """Search from the end of a path, which may end before the values of the start."""
+    """Search from the last orbit of a path, which may end before the values of the start."""
     if path.cycle is None:
         detail = f"From {origin} no orbit could be followed."
         return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)

@@ -33,7 +33,7 @@ _WORTH = 1e-2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CycleNumbers:
-    """Characteristic values of a cycle, of a machine or of the orbit of its model.
+    """Characteristic values of one cycle, either of a machine or of the orbit of its model.
 
     Attributes:
         impact_time: First contact, or first impact, from release [s].

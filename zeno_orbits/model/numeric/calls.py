@@ -105,7 +105,7 @@ class LandingCall:
         self._evaluate = caller(function, (self._x, p, self._rate), results)
 
     def __call__(self, x: Vector, approach_rate: float) -> Landed:
-        """Return it, from the state before an impact and its gap rate."""
+        """Return the landing of an impact from the state and the gap rate before it."""
         self._x[:] = x
         self._rate[0] = approach_rate
         self._evaluate()

@@ -95,7 +95,7 @@ LAWS: tuple[tuple[int, str, str], ...] = (
     (
         13,
         "<i>E</i>(<i>T</i>) = <i>E</i>(0)",
-        "The energy balance: over a period as much is lost as is put in.",
+        "The energy balance: over one period the losses equal the input work.",
     ),
     (
         15,
