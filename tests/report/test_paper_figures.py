@@ -112,7 +112,7 @@ def parts(
         assert cycles == 3
         return SimpleNamespace(run=run, cycles=(cycle, cycle, cycle))
 
-    def read_recording(path: Path, *, only: Any) -> Any:
+    def read_recording(path: Path, *, only: Any, families: Any = ()) -> Any:
         if not path.exists():
             raise InputError(f"Data file `{path}` must hold a recording, but it is missing.")
         assert set(only) > set(problem.state_names)
