@@ -26,7 +26,7 @@ from scipy.stats import binom, binomtest
 
 import zeno_orbits as zo
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment import RecordedSignal, Recording, Source, Unknown
+from zeno_orbits.experiment import RecordedSignal, Recording, Source, Unknown, contact_names
 from zeno_orbits.experiment.identification.event_predictions import EventPeriod, event_period
 from zeno_orbits.experiment.identification.least_squares import weighed
 from zeno_orbits.experiment.identification.prepared import Prepared, prepared_events
@@ -80,17 +80,23 @@ def random_values(seed: int, names: Sequence[str] = SOUGHT) -> dict[str, float]:
 
 
 def settled_period(
-    parameters: dict[str, float], signals: Sequence[str] = ("current",)
+    parameters: dict[str, float],
+    signals: Sequence[str] = ("current",),
+    *,
+    name: str = PROBLEM,
+    section: str | None = SECTION,
 ) -> EventPeriod:
-    """Return the orbit of the relay with its signals.
+    """Return an orbit with its signals.
 
     Args:
         parameters: Parameters that differ from their defaults.
         signals: Names of the signals.
+        name: Name of the problem.
+        section: Name of the event at which the period starts and ends. By default it is chosen.
     """
-    problem = zo.load_problem(PROBLEM)
+    problem = zo.load_problem(name)
     values = problem.values(parameters=parameters)
-    found = settled_return(problem, values, section=SECTION)
+    found = settled_return(problem, values, section=section)
     return event_period(problem.graph_dynamics(values), found, measurement(problem, signals))
 
 
@@ -101,6 +107,7 @@ def recorded(
     rate: float = RATE,
     noise: float = NOISE,
     periods: float = PERIODS,
+    contacts: tuple[float, float] = CONTACTS,
 ) -> Recording:
     """Return a recording of an orbit that begins at a random time.
 
@@ -110,29 +117,30 @@ def recorded(
         rate: Samples per second [Hz].
         noise: Noise on the signals, relative to their ranges.
         periods: Number of periods.
+        contacts: Least and largest duration of a contact that ends with a bounce [s].
     """
     random = np.random.default_rng([seed, 2])
     n = int(periods * orbit.period * rate)
     times = random.uniform(0.0, orbit.period) + np.arange(n) / rate
     values = orbit.at(times / orbit.period)
     values = values + noise * np.ptp(values, axis=0) * random.normal(size=values.shape)
-    measured = orbit.measured
+    measured, stops = orbit.measured, orbit.graph.stop_names
     signals = [
         RecordedSignal(name=name, unit=unit, values=column)
         for name, unit, column in zip(measured.names, measured.units, values.T, strict=True)
     ]
-    lasts = random.uniform(*CONTACTS)
+    lasts = random.uniform(*contacts)
     channels = [
-        RecordedSignal(name=f"contact.{stop}", unit="1", values=channel(orbit, stop, times, lasts))
-        for stop in orbit.graph.stop_names
+        RecordedSignal(name=title, unit="1", values=channel(orbit, stop, times, lasts))
+        for stop, title in zip(stops, contact_names(stops), strict=True)
     ]
-    return Recording(
-        source=Source.SIMULATED, problem=PROBLEM, time=times, signals=(*signals, *channels)
-    )
+    return Recording(source=Source.SIMULATED, problem="", time=times, signals=(*signals, *channels))
 
 
 def channel(orbit: EventPeriod, stop: str, times: Vector, lasts: float) -> Vector:
     """Return the contact channel of a stop, closed for a time after each impact, ``(n_t,)``.
+
+    From a Zeno point on it is closed until the release, or until the end of the period.
 
     Args:
         orbit: The orbit.
@@ -141,11 +149,13 @@ def channel(orbit: EventPeriod, stop: str, times: Vector, lasts: float) -> Vecto
         lasts: Duration of a contact that ends with a bounce [s].
     """
     events = [(orbit_event_name(event), event.time) for event in orbit.found.events]
-    begins = [time for name, time in events if name == f"impact {stop}"]
-    (zeno,), (release,) = (
-        [time for name, time in events if name == f"{kind} {stop}"] for kind in ("zeno", "release")
-    )
-    spans = [*((begin, lasts) for begin in begins), (zeno, (release - zeno) % orbit.period)]
+    spans = [(time, lasts) for name, time in events if name == f"impact {stop}"]
+    releases = [time for name, time in events if name == f"release {stop}"]
+    spans += [
+        (zeno, min((end - zeno) % orbit.period for end in releases or [orbit.period]))
+        for name, zeno in events
+        if name == f"zeno {stop}"
+    ]
     touched = [(times - begin) % orbit.period < last for begin, last in spans]
     return np.any(touched, axis=0).astype(np.float64)
 

@@ -157,6 +157,26 @@ def test_a_wrong_model_is_reported_by_its_contacts() -> None:
     assert found.edge_misfit > 3.0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "truth", "signals", "most"),
+    [
+        # Two stops; one stop with resets, whose period is not that of a drive; and one impact.
+        ("clapper", {"restitution": 0.33, "c": 0.11}, ("place",), 0.05),
+        ("kneed_walker", {"restitution": 0.22, "slope": 0.049}, ("q1", "q2", "q3"), 1e-3),
+        ("hopper", {"restitution": 0.53, "a": 21.0}, ("height",), 3e-3),
+    ],
+)
+def test_intervals_of_other_machines_hold(
+    name: str, truth: dict[str, float], signals: tuple[str, ...], most: float
+) -> None:
+    orbit = settled_period(truth, signals, name=name, section=None)
+    step = orbit.period / 4000
+    recording = recorded(orbit, 3, rate=1.00137 / step, periods=5, contacts=(4 * step, 4 * step))
+    scores = scores_of(zo.identify(name, recording, list(truth)), truth)
+    assert all(one.holds and one.half < most for one in scores.values())
+
+
 # Edges that do not match.
 
 

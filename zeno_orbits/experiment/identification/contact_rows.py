@@ -27,7 +27,11 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.contact_edges import Edge, SeenSequence, mean_of
 from zeno_orbits.experiment.comparison.event_contacts import SeenEvents
-from zeno_orbits.experiment.comparison.event_reference import PlacedSequence, placed_sequences
+from zeno_orbits.experiment.comparison.event_reference import (
+    OrbitSequence,
+    PlacedSequence,
+    placed_sequences,
+)
 from zeno_orbits.experiment.identification.predictions import EventTimes
 
 UNMATCHED = 1e3
@@ -248,7 +252,7 @@ def contact_rows(seen: SeenEvents, start: float, period: float, period_error: fl
     clock = _Clock(start=start, period=period, period_error=period_error, step=seen.step)
     return ContactRows(
         sequences=tuple(
-            _rows_of(stop.name, label, orbit.zeno is not None, found, clock)
+            _rows_of(stop.name, label, orbit, found, clock)
             for stop in seen.stops
             for label, orbit, found in zip(stop.labels(), stop.orbit, stop.seen, strict=True)
             if found
@@ -285,18 +289,19 @@ class _Clock:
 
 
 def _rows_of(
-    stop: str, label: str, accumulates: bool, found: Sequence[SeenSequence], clock: _Clock
+    stop: str, label: str, orbit: OrbitSequence, found: Sequence[SeenSequence], clock: _Clock
 ) -> SeenRows:
     """Return the edges of a sequence that is in several cycles.
 
     Without a Zeno point the first impact alone counts: contacts end after an impact at a time that
-    the model with hard stops does not have.
+    the model with hard stops does not have. A contact that a reset ends has no release.
     """
+    accumulates = orbit.zeno is not None
     n = min(one.n_sure for one in found) if accumulates else 1
     edges = [
         clock.edge(f"{label}.impact {k + 1}", k, [one.begins[k] for one in found]) for k in range(n)
     ]
-    if accumulates:
+    if accumulates and orbit.release is not None:
         edges.append(clock.edge(f"{label}.release", None, [one.release for one in found]))
     lasting = [length for one in found for length in one.contacts]
     contact = float(np.median(lasting)) if lasting else 0.0
