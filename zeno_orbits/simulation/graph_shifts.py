@@ -177,7 +177,7 @@ class GraphShifts:
         """Return times, derivatives of the state at equal times, and their rates along an arc."""
         arc, start, n_x = passage.arc, passage.start, passage.arc.start_state.size
         offsets, shifts = self.course(passage, parts=parts)
-        # An explicit flow has a last step that may reach beyond the end of the arc.
+        # Rounding may put the last time beyond the end of the arc.
         offsets = np.minimum(offsets, arc.duration)
         states = arc.flow_states_at(offsets)[:, :n_x]
         perturbations, mode, _, _ = self._flow(arc, start)

@@ -9,10 +9,10 @@ periods:
 
 The difference of phases is between -1/2 and 1/2. Bounces are counted from the first impact, up to
 the first one that is too short for the sampling. The recording decides how many there are, so the
-number of residuals does not change. Bounces that the
-orbit lacks are at its Zeno point, which is their limit. A further bounce of the orbit that is
-longer than contacts would hide costs the excess. A sequence of contacts without one of the orbit,
-and a sequence of the orbit without contacts, costs as much as no orbit.
+number of residuals does not change. Bounces that the orbit lacks are at its Zeno point, which is
+their limit. A further bounce of the orbit that is longer than contacts would hide costs the excess.
+A sequence of contacts without one of the orbit, and a sequence of the orbit without contacts, cost
+as much as no orbit.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from zeno_orbits.experiment.comparison.event_reference import (
 from zeno_orbits.experiment.identification.predictions import EventTimes
 
 UNMATCHED = 1e3
-"""Residual of an edge or a sequence without its like."""
+"""Residual of an edge or a sequence without its counterpart."""
 _HIDDEN = 2.0
 """A bounce of so many samples more than a contact is not hidden."""
 

@@ -167,7 +167,7 @@ def _measure(
     """Return the sum of the clipped squares over all samples, and of the edges' and the period's.
 
     One edge of a contact channel tells as much as many samples, so its square is limited only
-    where edges have no like.
+    where edges lack a counterpart.
     """
     fold = orbits.fold(x, samples)
     square = samples.counts * ((samples.values - fold.values) / noise) ** 2
