@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 
 from zeno_orbits.maps import Attractor, Fate
-from zeno_orbits.maps.rays import Trial, Try, first_loss
+from zeno_orbits.maps.rays import Loss, Ray, Trial
 
 REST = Attractor(fate=Fate.REST)
 
 
-def ray(*lost: tuple[float, float], tried: list[float] | None = None) -> Try:
+def ray(*lost: tuple[float, float], tried: list[float] | None = None) -> Callable[[float], Trial]:
     """Return trials of a ray with lost intervals, with late returns next to them."""
 
     def trial(impulse: float) -> Trial:
@@ -25,6 +26,12 @@ def ray(*lost: tuple[float, float], tried: list[float] | None = None) -> Try:
         return Trial(impulse=impulse, beyond=None, delay=5.0 - math.log(away))
 
     return trial
+
+
+def first_loss(
+    tried: Callable[[float], Trial], reach: float, steps: int, error: float
+) -> Loss | None:
+    return Ray(tried=tried, period=1.0, error=error).first_loss(reach, steps)
 
 
 @pytest.mark.parametrize("place", [0.137, 0.5, 0.77])
@@ -58,10 +65,20 @@ def test_the_first_of_several_losses_in_the_last_step_is_found(width: float) -> 
     assert found.gone == pytest.approx(0.53, rel=2e-4)
 
 
+def test_a_return_inside_a_loss_does_not_hide_the_loss() -> None:
+    # The scan meets the one return between 0.642 and 2, and it comes late.
+    found = first_loss(ray((0.642, 0.699), (0.701, 2.0)), 1.0, 10, 1e-4)
+    assert found is not None
+    assert found.gone == pytest.approx(0.642, rel=2e-4)
+
+
 def test_a_ray_without_a_loss_has_none() -> None:
     tried = list[float]()
     assert first_loss(ray(tried=tried), 1.0, 8, 1e-3) is None
-    assert tried == [k / 8 for k in range(1, 9)]
+    # Between the orbit itself and the first impulse the return gets later by five periods.
+    assert tried[:8] == [k / 8 for k in range(1, 9)]
+    assert len(tried) == 15
+    assert max(tried[8:]) < 1 / 8
 
 
 def test_a_loss_at_every_impulse_ends_at_the_smallest_double() -> None:

@@ -50,6 +50,11 @@ class KnownOrbit:
     section: str = ""
 
     @property
+    def period(self) -> float:
+        """Period of the orbit [s]."""
+        return self.attractor.period
+
+    @property
     def near(self) -> float:
         """Relative distance below which a motion may converge to the orbit."""
         return _NEAR * (1.0 - self.rate)

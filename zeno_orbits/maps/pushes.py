@@ -39,7 +39,7 @@ from zeno_orbits.maps.classify import (
 )
 from zeno_orbits.maps.known import KnownOrbit, returns_to
 from zeno_orbits.maps.plane import OF_BASINS
-from zeno_orbits.maps.rays import Loss, Trial, first_loss, located
+from zeno_orbits.maps.rays import UNPUSHED, Loss, Ray, Trial
 from zeno_orbits.model import (
     GraphDynamics,
     HybridDynamics,
@@ -276,8 +276,8 @@ class _Rays:
         tried = _trials(problem, values, self.orbit, self.until)
         found: list[dict[str, Any]] = []
         for ray in rays:
-            loss = first_loss(partial(tried, ray), ray["reach"], self.steps, self.error)
-            found.append(_as_found(loss))
+            along = Ray(tried=partial(tried, ray), period=self.orbit.period, error=self.error)
+            found.append(_as_found(along.first_loss(ray["reach"], self.steps)))
             tell_part(len(found) / len(rays))
         return found
 
@@ -451,22 +451,22 @@ def least_push(
     values = orbit.values(problem)
     known, until, asked = _prepared(problem, values, orbit, directions, settings)
     trial_of = _trials(problem, values, known, until)
-    kept = [0.0] * len(asked)
+    kept = [UNPUSHED] * len(asked)
     least: Push | None = None
     parts = [k / settings.steps for k in range(1, settings.steps + 1)]
     scan = [(part * push.searched, n) for n, (push, _) in enumerate(asked) for part in parts]
     for impulse, n in sorted(scan):
         tried = impulse if least is None else min(impulse, least.largest)
         push, ray = asked[n]
-        if tried <= kept[n]:
+        if tried <= kept[n].impulse:
             continue
         trial = trial_of(ray, tried)
         if trial.beyond is None:
-            kept[n] = tried
+            kept[n] = trial
             continue
-        found = _as_found(located(partial(trial_of, ray), kept[n], trial, settings.error))
-        kept[n] = math.inf
-        least = replace(push, **found)
+        along = Ray(tried=partial(trial_of, ray), period=known.period, error=settings.error)
+        least = replace(push, **_as_found(along.located([kept[n]], trial)))
+        kept[n] = replace(trial, impulse=math.inf)
     return least or min((push for push, _ in asked), key=lambda push: push.searched)
 
 
