@@ -113,6 +113,7 @@ def parts(
         return SimpleNamespace(run=run, cycles=(cycle, cycle, cycle))
 
     def read_recording(path: Path, *, only: Any, families: Any = ()) -> Any:
+        assert tuple(families) in ((), ("contact",))
         if not path.exists():
             raise InputError(f"Data file `{path}` must hold a recording, but it is missing.")
         assert set(only) > set(problem.state_names)
