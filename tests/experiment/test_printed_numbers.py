@@ -89,6 +89,8 @@ def test_fitted_numbers_stand_with_their_errors_and_intervals(
         after=0.004,
         orbit=SimpleNamespace(period=1.8125),
         remarks=(),
+        edges=6,
+        edge_misfit=1.25,
         unseen=(SimpleNamespace(text="`K+k` is not seen"),),
     )
     terminal.print_identification(recording(), found)
@@ -99,6 +101,7 @@ def test_fitted_numbers_stand_with_their_errors_and_intervals(
         ["K+k", "2", "2.5", "not determined", "-"],
     ]
     assert "0.02 before, 0.004 after the fit. Period 1.8125 s." in printed
+    assert "Deviation of 6 edges of contacts: 1.2 errors." in printed
     assert "Warning: `K+k` is not seen." in printed
 
 

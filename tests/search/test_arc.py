@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -51,6 +52,11 @@ def _rescaled(t: float) -> Vector:
     return np.array([K * slow, K * slow**2 / 2, t - t**2, 1 - 2 * t])
 
 
+def _many(at: Callable[[float], Vector]) -> Callable[[Vector], Vector]:
+    """Return the states at many times."""
+    return lambda times: np.array([at(float(t)) for t in times])
+
+
 def _written(flight: bool = False) -> tuple[CollocatedArc, ArcWriter, Program]:
     """Return an arc on its mesh, its writer, and the program with its work and duration told."""
     compiled, program = _compiled(), ProgramBuilder()
@@ -58,7 +64,7 @@ def _written(flight: bool = False) -> tuple[CollocatedArc, ArcWriter, Program]:
     at = _rescaled if flight else _flown
     length = 1.0 if flight else LENGTH
     steps = np.array([0.0, length])
-    guess: Any = SimpleNamespace(duration=length, flow_state_at=at, flow_times=steps)
+    guess: Any = SimpleNamespace(duration=length, flow_states_at=_many(at), flow_times=steps)
     mode = compiled.flight if flight else compiled.free
     p = ca.MX([K, SPEED]) if flight else writer.p
     arc = writer.collocate("arc", guess, mode, p, ca.MX(ca.DM(at(0.0))))
@@ -131,7 +137,7 @@ def test_intervals_follow_each_other_from_the_start_of_the_arc() -> None:
     writer = ArcWriter(program, compiled, fine, ca.MX([K]), np.array([1.0, 2.5]))
     start = program.variable("start", _flown(0.0))[:, 0]
     guess: Any = SimpleNamespace(
-        duration=1.0, flow_state_at=_flown, flow_times=np.array([0.0, 1.0])
+        duration=1.0, flow_states_at=_many(_flown), flow_times=np.array([0.0, 1.0])
     )
     arc = writer.collocate("arc", guess, compiled.free, writer.p, start)
     # A chord of k t^2 / 2 over h misses it by k h^2 / 8 half way.
@@ -163,14 +169,14 @@ def test_a_step_is_made_once_for_all_arcs_of_a_flow() -> None:
 
 
 def test_gap_and_rate_of_a_flight_have_the_size_that_they_reach() -> None:
-    arc: Any = SimpleNamespace(duration=1.0, flow_state_at=_rescaled)
+    arc: Any = SimpleNamespace(duration=1.0, flow_states_at=_many(_rescaled))
     # The rate falls from 1 to -1, and the gap is largest half way.
     assert flow_scale(arc, SCALE).tolist() == [*SCALE, 0.25, 1.0]
     falling: Any = SimpleNamespace(
-        duration=2.0, flow_state_at=lambda t: np.array([9.0, 9.0, -3.0 * t, 1.0])
+        duration=2.0, flow_states_at=_many(lambda t: np.array([9.0, 9.0, -3.0 * t, 1.0]))
     )
     assert flow_scale(falling, SCALE).tolist() == [*SCALE, 6.0, 1.0]
-    plain: Any = SimpleNamespace(duration=LENGTH, flow_state_at=_flown)
+    plain: Any = SimpleNamespace(duration=LENGTH, flow_states_at=_many(_flown))
     assert flow_scale(plain, SCALE).tolist() == SCALE.tolist()
 
 

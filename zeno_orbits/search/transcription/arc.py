@@ -162,6 +162,6 @@ class ArcWriter:
 
 def flow_scale(arc: Arc, scale: Vector) -> Vector:
     """Return the size of each state of an arc's flow, with gap and rate in a rescaled flight."""
-    states = [arc.flow_state_at(float(s)) for s in np.linspace(0.0, arc.duration, 9)]
-    scaled = np.max(np.abs(np.array(states)), axis=0)[len(scale) :]
+    states = arc.flow_states_at(np.linspace(0.0, arc.duration, 9))
+    scaled = np.max(np.abs(states), axis=0)[len(scale) :]
     return np.concatenate([scale, scaled])
