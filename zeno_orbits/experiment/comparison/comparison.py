@@ -272,4 +272,4 @@ def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
         return []
     begin = where.release + where.period * math.floor((time[0] - where.release) / where.period)
     until = begin + (int(strange[-1]) + 1) * where.period
-    return [f"the motion is still settling at first: skip that part with --from {until:.4g}"]
+    return [f"the motion is still settling at first: skip that part with --t-start {until:.4g}"]

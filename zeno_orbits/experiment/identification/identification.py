@@ -288,7 +288,7 @@ def _unsettled(answer: Fit, whole: Prepared) -> list[str]:
         begun = np.floor(where.phases(whole.time[[0, -1]]))
         in_group = max(float(begun[1] - begun[0] + 1) / answer.data.n_groups, 1.0)
         since = where.release + where.period * (begun[0] + found.skip * in_group)
-        hint = f"; leave the beginning out with --from {since:.4g}"
+        hint = f"; leave the beginning out with --t-start {since:.4g}"
     if found.size > _MOVED:
         raise refusal(f"{found.reason}{hint}")
     return [f"{found.reason}, by {100 * found.size:.1g} % of the numbers{hint}"]
