@@ -294,7 +294,7 @@ def test_a_start_that_still_settles_is_named(
     states = np.array([execution.state_at(t) for t in time])
     recording = recording_of(problem, problem.state_names, time, states.T)
     found = compare(orbit, problem, recording)
-    assert any("still settling" in remark and "--from" in remark for remark in found.remarks)
+    assert any("still settling" in remark and "--t-start" in remark for remark in found.remarks)
 
 
 def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, problem: Problem) -> None:

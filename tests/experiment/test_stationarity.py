@@ -55,7 +55,7 @@ def other(problem: Problem) -> ZenoOrbit:
 def test_a_transient_is_told_and_where_it_ends(
     settling: Recording, problem: Problem, since: float, until: float
 ) -> None:
-    with pytest.raises(UnfittableError, match=r"first cycle .* still settling; .* --from \d"):
+    with pytest.raises(UnfittableError, match=r"first cycle .* still settling; .* --t-start \d"):
         identify(problem, problem.values(), cut(settling, since, until), SOUGHT)
 
 
