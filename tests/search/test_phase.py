@@ -65,7 +65,12 @@ class _Arcs:
 
 def _flight(gap: float, rate: float = 1.0) -> Any:
     """Return a simulated rescaled flight whose gap reaches a size."""
-    return SimpleNamespace(duration=1.0, flow_state_at=lambda _: np.array([1.0, 1.0, -gap, rate]))
+    state = np.array([1.0, 1.0, -gap, rate])
+    return SimpleNamespace(
+        duration=1.0,
+        flow_state_at=lambda _: state,
+        flow_states_at=lambda times: np.tile(state, (len(times), 1)),
+    )
 
 
 def _plain(x: float = 1.0, v: float = 1.0) -> Any:
