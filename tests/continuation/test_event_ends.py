@@ -11,6 +11,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import zeno_orbits as zo
+from tests.reference.relay_by_hand import period_by_hand, relay_by_hand
 from tests.reference.two_sided_end import accumulates
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation import ContinuationSettings, SpecialPointKind, continue_orbit
@@ -155,3 +156,41 @@ def test_a_family_ends_where_a_flight_grazes_the_stop_that_it_left(
     zero = first - gaps[0] * (second - first) / (gaps[1] - gaps[0])
     assert 0.0 < gaps[0] < gaps[1]
     assert at == pytest.approx(zero, abs=1e-5)
+
+
+def _zeno_in_time(stop: str, switching: float, **changed: float) -> bool:
+    """Return whether impacts of the relay accumulate before a time [ms], by an event loop."""
+    period = changed.get("period", 40.0)
+    events = period_by_hand(relay_by_hand(55.0, 50.0, (), **changed), period)
+    zenos = [float(one.time) for one in events if (one.kind, one.name) == ("zeno", stop)]
+    return any(time < switching for time in zenos)
+
+
+@pytest.mark.slow
+def test_the_relay_closes_down_to_the_voltage_of_an_independent_loop() -> None:
+    relay = load_problem("relay")
+    orbit = find_event_orbit(relay, relay.values())
+    once = ContinuationSettings(doublings=0)
+    (family,) = continue_orbit(relay, orbit, "U", (9.0, 24.5), settings=once).families
+    end = family.first
+    assert end.kind is SpecialPointKind.EVENTS_MEET
+    assert "zeno closed" in end.detail
+    assert end.error < 1e-9
+    at = end.at.value
+    assert _zeno_in_time("closed", 20.0, supply=at + 1e-5)
+    assert not _zeno_in_time("closed", 20.0, supply=at - 1e-5)
+
+
+@pytest.mark.slow
+def test_the_next_switching_cuts_a_bounce_at_the_frequency_of_an_independent_loop() -> None:
+    relay = load_problem("relay")
+    orbit = find_event_orbit(relay, relay.values())
+    once = ContinuationSettings(doublings=0)
+    (family,) = continue_orbit(relay, orbit, "omega", (150.0, 400.0), settings=once).families
+    end = family.last
+    assert end.kind is SpecialPointKind.EVENTS_MEET
+    assert "zeno open" in end.detail
+    assert end.error < 1e-7
+    slower, faster = (2e3 * np.pi / (end.at.value + off) for off in (-1e-4, 1e-4))
+    assert _zeno_in_time("open", slower, period=slower)
+    assert not _zeno_in_time("open", faster, period=faster)

@@ -16,17 +16,25 @@ T, M, D, E = 40.0, 1.6e-3, 0.9, 0.3
 """Period [ms], mass [kg], opening at the open stop [mm], restitution."""
 
 
-def relay_by_hand(ks: float, resistance: float, times: Sequence[float]) -> Machine:
+def relay_by_hand(
+    ks: float,
+    resistance: float,
+    times: Sequence[float],
+    supply: float = 24.0,
+    period: float = T,
+) -> Machine:
     """Return the relay, whose voltage is on and changes at times and at half the period.
 
     Args:
         ks: Stiffness of the spring [N/m].
         resistance: Resistance of the coil [ohm].
         times: An even number of switching times [ms].
+        supply: Voltage that is applied [V].
+        period: Period [ms].
     """
 
     def voltage(branches: tuple[bool, ...]) -> float:
-        return 0.0 if sum(branches) % 2 else 24.0
+        return 0.0 if sum(branches) % 2 else supply
 
     def current(z: float, flux: float) -> float:
         flux = 1e-5 * flux
@@ -51,14 +59,14 @@ def relay_by_hand(ks: float, resistance: float, times: Sequence[float]) -> Machi
                 name="open", gap=lambda q: D - q[0], normal=lambda _: -np.ones(1), restitution=E
             ),
         ),
-        kinks=tuple(lambda t, _q, _v, _x, at=at: t - at for at in (*times, T / 2)),
+        kinks=tuple(lambda t, _q, _v, _x, at=at: t - at for at in (*times, period / 2)),
     )
 
 
-def period_by_hand(machine: Machine) -> list[Event]:
+def period_by_hand(machine: Machine, period: float = T) -> list[Event]:
     """Return the events of a period that begins as the voltage is applied, at rest when open."""
-    before = simulated(machine, [D, 0.0, 0.0], T, closed=("open",))
-    run = simulated(machine, [D, 0.0, float(before.end_state[2])], T, closed=("open",))
+    before = simulated(machine, [D, 0.0, 0.0], period, closed=("open",))
+    run = simulated(machine, [D, 0.0, float(before.end_state[2])], period, closed=("open",))
     assert run.refused is None
     assert run.unsure is None
     return run.events
