@@ -398,11 +398,10 @@ def graph_nodes(graph: GraphDynamics, arcs: Sequence[Arc]) -> CubicColumns:
 
 def _flow_of(graph: GraphDynamics, arc: Arc) -> GuardedFlow:
     """Return the flow of the mode of an arc."""
-    closed, sides = graph.mode_of(arc.closed, arc.sides)
-    others = [k for k in range(len(graph.stop_names)) if k not in closed]
-    if others:
-        return graph.view((closed, sides), others[0]).free
-    return graph.holding((closed, sides), closed[0]).locked
+    mode = graph.mode_of(arc.closed, arc.sides)
+    beside, stop = graph.some_stop(mode)
+    view = graph.view(beside, stop)
+    return view.free if beside == mode else view.locked
 
 
 _Nodes = tuple[Vector, Vector, Vector]

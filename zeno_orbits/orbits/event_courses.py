@@ -256,10 +256,7 @@ class EventCourse:
 
     def _formulas(self, name: str, passage: ArcPassage) -> tuple[ca.Function, ca.Function]:
         arc = passage.arc
-        closed, sides = self.graph.mode_of(arc.closed, arc.sides)
-        opened = next((k for k in range(len(self.graph.stop_names)) if k not in closed), None)
-        stop = closed[-1] if opened is None else opened
-        mode: GraphMode = tuple(k for k in closed if k != stop), sides
+        mode, stop = self.graph.some_stop(self.graph.mode_of(arc.closed, arc.sides))
         return _formulas_of(self.graph.compiled, mode, stop, name)
 
 

@@ -251,8 +251,7 @@ class GraphShifts:
 
     def _some_stop(self, arc: Arc) -> int:
         """Return a stop that is open along an arc, or a closed stop if all are closed."""
-        names = [k for k, name in enumerate(self.graph.stop_names) if name not in arc.closed]
-        return names[0] if names else 0
+        return self.graph.some_stop(self.graph.mode_of(arc.closed, arc.sides))[1]
 
     # Ends of arcs.
 

@@ -71,13 +71,10 @@ def is_balanced(graph: GraphDynamics) -> bool:
 
 def _work(graph: GraphDynamics, arc: Arc, zenos: Sequence[ZenoPoint]) -> Vector:
     """Return the input work and both losses along an arc, ``(3,)`` [J]."""
-    closed, sides = graph.mode_of(arc.closed, arc.sides)
-    opened = next((k for k in range(len(graph.stop_names)) if k not in closed), None)
-    stop = closed[-1] if opened is None else opened
+    mode, stop = graph.some_stop(graph.mode_of(arc.closed, arc.sides))
     if arc.trajectory is None:
         struck = min(zenos, key=lambda zeno: abs(zeno.time - arc.end_time)).stop
         stop = graph.stop_names.index(struck)
-    mode: GraphMode = tuple(k for k in closed if k != stop), sides
     powers = graph.compiled.system(mode, stop).powers
 
     def power(x: Vector) -> Vector:

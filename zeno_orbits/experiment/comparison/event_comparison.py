@@ -26,7 +26,7 @@ from zeno_orbits.experiment.comparison.event_reference import (
     orbit_sequences,
     shared_event_signals,
 )
-from zeno_orbits.experiment.comparison.event_signals import contradictions, signal_fits
+from zeno_orbits.experiment.comparison.event_signals import SignalFit, contradictions, signal_fits
 from zeno_orbits.experiment.comparison.metrics import (
     Metric,
     metric,
@@ -145,6 +145,7 @@ class LaidEvents:
         table: The orbit by phase.
         period: The period, from the edges of the channels if they show it.
         place: Position of the orbit.
+        fits: The signals as multiples of the orbit's.
         against: Reasons of the contacts why the recording does not show such an orbit.
         unlike: Reasons of the signals.
         unresolved: Reasons why the contacts are inconclusive.
@@ -156,6 +157,7 @@ class LaidEvents:
     table: EventTable
     period: Estimate
     place: EventPlace
+    fits: tuple[SignalFit, ...]
     against: tuple[str, ...]
     unlike: tuple[str, ...]
     unresolved: tuple[str, ...]
@@ -210,19 +212,15 @@ def compare_events(orbit: EventOrbit, problem: Problem, recording: Recording) ->
         listed = ", ".join(f"`{stop}`" for stop in missing)
         unresolved = (*unresolved, f"contacts cannot be seen on {listed}: no channel was recorded")
     quantities = not laid.against and not unresolved
-    begin = float(recording.time[0])
-    fits = signal_fits(laid.table, laid.found, begin, laid.place)
-    alien = [fit.objection for fit in fits if fit.objection]
-    open_gaps = contradictions(laid.table, recording, names, laid.seen, channels)
     return replace(
         begun,
         cycles=laid.found.n_cycles,
         metrics=(
             metric("period", "s", orbit.period, laid.period),
             *laid.seen.metrics(laid.table, laid.place.start, laid.period, quantities=quantities),
-            *(one for fit in fits for one in fit.metrics()),
+            *(one for fit in laid.fits for one in fit.metrics()),
         ),
-        reasons=(*laid.against, *laid.unlike, *alien, *open_gaps),
+        reasons=(*laid.against, *laid.unlike),
         unresolved=unresolved,
     )
 
@@ -269,10 +267,15 @@ def lay_events(
     place = placed_events(
         table, recording, names, tuple(channels), seen, period.value, found.average
     )
-    unlike = tuple(
-        f"`{name}` moves differently: its correlation with the orbit is {likeness:.2f}"
-        for name, likeness in place.likeness.items()
-        if likeness < LIKE
+    fits = signal_fits(table, found, float(recording.time[0]), place)
+    unlike = (
+        *(
+            f"`{name}` moves differently: its correlation with the orbit is {likeness:.2f}"
+            for name, likeness in place.likeness.items()
+            if likeness < LIKE
+        ),
+        *(fit.objection for fit in fits if fit.objection),
+        *contradictions(table, recording, names, seen, channels),
     )
     return LaidEvents(
         names=tuple(names),
@@ -281,6 +284,7 @@ def lay_events(
         table=table,
         period=period,
         place=place,
+        fits=fits,
         against=against,
         unlike=unlike,
         unresolved=unresolved,

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.comparison.contact_edges import SeenContact, seen_contacts
 from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.comparison.event_alignment import EventPlace
 from zeno_orbits.experiment.comparison.event_contacts import SeenEvents
@@ -26,7 +26,6 @@ from zeno_orbits.experiment.comparison.metrics import Metric, metric
 from zeno_orbits.experiment.orbit_table import measurable
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model import HybridDynamics
 
 _ALIEN = 10.0
 """Ratio of ranges from which a signal has another unit, or belongs to another machine."""
@@ -137,9 +136,12 @@ def contradictions(
     states = np.column_stack([columns.get(name, missing) for name in problem.state_names])
     found: list[str] = []
     for stop in seen.stops:
-        view = graph.view(graph.open_mode, graph.stop_names.index(stop.name))
-        size = float(np.max(_gaps(view, states, range(len(states))), initial=0.0))
-        parts = [_gaps(view, states, part) for part in _parts_of_contacts(channels[stop.name])]
+        # The guard of the free flow is the gap.
+        gap = graph.view(graph.open_mode, graph.stop_names.index(stop.name)).free.guards
+        size = float(np.nanmax(gap(_chosen(states)), initial=0.0))
+        contacts = seen_contacts(recording.time, channels[stop.name])
+        parts = [gap(_chosen(states[places])) for places in _parts_of(contacts, recording.time)]
+        parts = [part[np.isfinite(part)] for part in parts]
         open_by = max((float(np.mean(part)) for part in parts if len(part)), key=abs, default=0.0)
         if abs(open_by) > _OPEN * size:
             found.append(
@@ -149,23 +151,21 @@ def contradictions(
     return tuple(found)
 
 
-def _parts_of_contacts(channel: Vector) -> list[list[int]]:
+def _parts_of(contacts: Sequence[SeenContact], time: Vector) -> list[list[int]]:
     """Return the samples in the first, the middle and the last tenth of the longest contacts."""
-    on = channel == 1.0
-    turns = [0, *(np.flatnonzero(on[1:] != on[:-1]) + 1).tolist(), len(on)]
-    spans = [(a, b) for a, b in pairwise(turns) if on[a]]
-    longest = max((b - a for a, b in spans), default=0)
+    longest = max((one.samples for one in contacts), default=0)
     parts: list[list[int]] = [[], [], []]
-    for a, b in spans:
-        tenth = (b - a) // 10
-        if b - a > longest / 2 and tenth:
-            for part, first in zip(parts, (a, (a + b - tenth) // 2, b - tenth), strict=True):
-                part += range(first, first + tenth)
+    for one in contacts:
+        first = 0 if one.begin is None else int(np.searchsorted(time, one.begin.high))
+        end = len(time) if one.end is None else int(np.searchsorted(time, one.end.high))
+        tenth = (end - first) // 10
+        if one.samples > longest / 2 and tenth:
+            middle = (first + end - tenth) // 2
+            for part, begin in zip(parts, (first, middle, end - tenth), strict=True):
+                part += range(begin, begin + tenth)
     return parts
 
 
-def _gaps(view: HybridDynamics, states: Vector, places: Sequence[int]) -> Vector:
-    """Return the known gaps at evenly spaced places, at most twice as many as a mean gap needs."""
-    chosen = places[:: max(len(places) // _SAMPLES, 1)]
-    values = np.array([view.gap(states[k]) for k in chosen])
-    return values[np.isfinite(values)]
+def _chosen(states: Vector) -> Vector:
+    """Return evenly spaced rows, at most twice as many as a mean gap needs."""
+    return states[:: max(len(states) // _SAMPLES, 1)]

@@ -96,9 +96,7 @@ def contact_metrics(
     own_speed, e = table.cycle.impacts[0].approach_rate, _restitution(table)
     yield metric("first impact time", "s", first, found.landing.unsure(where.error))
     yield metric("first impact speed", f"{unit}/s", own_speed, found.speed)
-    bounce = found.restitution
-    seen = bounce.unsure(found.rebound_doubt) if bounce.known else bounce
-    yield metric("restitution seen", "1", e, seen)
+    yield metric("restitution seen", "1", e, found.restitution.unsure(found.rebound_doubt))
     yield metric("end of chatter", "s", zeno, found.chatter_end.unsure(where.error))
     yield metric("chatter duration", "s", zeno - first, found.chatter)
     yield metric("locked duration", "s", period - zeno, found.contact)

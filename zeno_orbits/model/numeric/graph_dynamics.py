@@ -242,6 +242,19 @@ class GraphDynamics:
             self._views[key] = bind(system, self.p, partial(self._scale, stop))
         return self._views[key]
 
+    def some_stop(self, mode: GraphMode) -> tuple[GraphMode, int]:
+        """Return the mode of a view with the formulas of a mode, and the stop of the view.
+
+        An open stop leaves the mode as it is. If all stops are closed, it is the first one, which
+        is open in the mode that is returned. The locked flow of its view is the flow of the mode.
+
+        Args:
+            mode: The mode.
+        """
+        closed, sides = mode
+        opened = [k for k in range(len(self.stop_names)) if k not in closed]
+        return (mode, opened[0]) if opened else ((closed[1:], sides), closed[0])
+
     def holding(self, mode: GraphMode, stop: int) -> HybridDynamics:
         """Return the system of a closed stop, whose locked flow is the flow of the mode.
 
