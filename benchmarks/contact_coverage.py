@@ -52,9 +52,7 @@ def settled(periods: int = PERIODS, stiffness: float = STIFFNESS) -> Settled:
         stiffness: Stiffness of its stops.
     """
     orbit = zo.find_event_orbit(PROBLEM, section=SECTION)
-    rig = zo.Rig(contact=zo.Contact(stiffness=stiffness))
-    settings = zo.RigSettings(spacing=_FINE)
-    run = zo.simulate_periods(orbit, rig=rig, periods=periods + 1, settle=2, settings=settings)
+    run = rig_run(orbit, periods, stiffness)
     truth: dict[str, float] = {"period": orbit.period}
     for stop in run.stop_names:
         begins = np.array([touch.start for touch in run.touches if touch.stop == stop])
@@ -67,17 +65,31 @@ def settled(periods: int = PERIODS, stiffness: float = STIFFNESS) -> Settled:
     return Settled(orbit=orbit, run=run, truth=truth)
 
 
-def recorded(one: Settled, rate: float, noise: float, seed: int) -> Recording:
+def rig_run(orbit: zo.EventOrbit, periods: int, stiffness: float) -> zo.RigRun:
+    """Return settled periods of the rig near an orbit, and one more.
+
+    Args:
+        orbit: The orbit.
+        periods: Number of periods.
+        stiffness: Stiffness of its stops.
+    """
+    rig = zo.Rig(contact=zo.Contact(stiffness=stiffness))
+    settings = zo.RigSettings(spacing=_FINE)
+    return zo.simulate_periods(orbit, rig=rig, periods=periods + 1, settle=2, settings=settings)
+
+
+def recorded(
+    run: zo.RigRun, period: float, rate: float, noise: float, random: np.random.Generator
+) -> Recording:
     """Return a recording of current and contacts that begins at a random time.
 
     Args:
-        one: The relay.
+        run: Periods of the rig, and one more.
+        period: The period [s].
         rate: Samples per second [Hz].
         noise: Noise on the current, relative to its range.
-        seed: Random seed of the noise and of the begin.
+        random: Source of the noise and of the begin.
     """
-    random = np.random.default_rng(seed)
-    period, run = one.orbit.period, one.run
     begin = float(random.uniform(0.0, period))
     n = int((run.times[-1] - period) * rate)
     time = begin + np.arange(n) / rate
@@ -107,7 +119,9 @@ def scores(one: Settled, rate: float, noise: float, seeds: Sequence[int]) -> dic
     """
     found: dict[str, list[float]] = {name: [] for name in one.truth}
     for seed in seeds:
-        comparison = zo.compare(one.orbit, recorded(one, rate, noise, seed))
+        random = np.random.default_rng(seed)
+        recording = recorded(one.run, one.orbit.period, rate, noise, random)
+        comparison = zo.compare(one.orbit, recording)
         if comparison.unresolved or comparison.reasons:
             raise SystemExit(f"seed {seed}: {comparison!r}")
         for metric in comparison.metrics:

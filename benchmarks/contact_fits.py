@@ -17,12 +17,19 @@ those of `identify`, and the search is left out.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import binom, binomtest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from contact_coverage import NOISE, PERIODS, PROBLEM, RATE, SECTION, rig_run
+from contact_coverage import recorded as recorded_run
 
 import zeno_orbits as zo
 from zeno_orbits.arrays import Vector
@@ -33,14 +40,11 @@ from zeno_orbits.experiment.identification.prepared import Prepared, prepared_ev
 from zeno_orbits.experiment.identification.uncertainty import spread_of
 from zeno_orbits.experiment.identification.unknowns import unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement
-from zeno_orbits.experiment.rig.run import contacts_at
 from zeno_orbits.orbits import orbit_event_name
 from zeno_orbits.search import settled_return
 from zeno_orbits.work import silent
 
-PROBLEM, SECTION = "relay", "zeno open"
 SOUGHT = ("restitution", "ks", "R", "N")
-RATE, NOISE, PERIODS = 1e5, 0.01, 6
 NEAR, FAR = 0.05, 0.15
 """Least and largest relative distance of a true value from the start of the fit."""
 CONTACTS = (2e-5, 6e-5)
@@ -179,26 +183,10 @@ def recorded_rig(
         noise: Noise on the current, relative to its range.
         periods: Number of periods.
     """
-    random = np.random.default_rng([seed, 2])
     orbit = zo.find_event_orbit(PROBLEM, parameters=parameters, section=SECTION)
-    rig = zo.Rig(contact=zo.Contact(stiffness=stiffness))
-    settings = zo.RigSettings(spacing=1e-5)
-    run = zo.simulate_periods(orbit, rig=rig, periods=periods + 1, settle=2, settings=settings)
-    n = int(periods * orbit.period * rate)
-    times = random.uniform(0.0, orbit.period) + np.arange(n) / rate
-    current = np.interp(times, run.record.times, run.record.outputs[:, 0])
-    current = current + noise * np.ptp(current) * random.normal(size=n)
-    touched = contacts_at(run.touches, run.stop_names, times).T
-    channels = [
-        RecordedSignal(name=f"contact.{stop}", unit="1", values=values)
-        for stop, values in zip(run.stop_names, touched, strict=True)
-    ]
-    return Recording(
-        source=Source.SIMULATED,
-        problem=PROBLEM,
-        time=times,
-        signals=(RecordedSignal(name="current", unit="A", values=current), *channels),
-    )
+    run = rig_run(orbit, periods, stiffness)
+    random = np.random.default_rng([seed, 2])
+    return recorded_run(run, orbit.period, rate, noise, random)
 
 
 def scores_of(found: zo.Identification, truth: dict[str, float]) -> dict[str, Score]:

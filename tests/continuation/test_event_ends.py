@@ -14,7 +14,7 @@ import zeno_orbits as zo
 from tests.reference.relay_by_hand import period_by_hand, relay_by_hand
 from tests.reference.two_sided_end import accumulates
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation import ContinuationSettings, SpecialPointKind, continue_orbit
+from zeno_orbits.continuation import ContinuationSettings, Family, SpecialPointKind, continue_orbit
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.search import find_event_orbit
 
@@ -22,11 +22,19 @@ CLAPPER = load_problem("clapper")
 FORCE = {"amplitude": 5.0, "omega": 0.3, "damping": 0.1}
 
 
+def _family(
+    problem: zo.Problem, parameter: str, box: tuple[float, float], **parameters: float
+) -> Family:
+    """Return the family of the orbit of a problem at its defaults, or at other parameters."""
+    orbit = find_event_orbit(problem, problem.values(parameters=parameters))
+    once = ContinuationSettings(doublings=0)
+    (family,) = continue_orbit(problem, orbit, parameter, box, settings=once).families
+    return family
+
+
 @pytest.mark.slow
 def test_the_contact_phases_of_the_clapper_vanish_where_exact_flights_say() -> None:
-    orbit = find_event_orbit(CLAPPER, CLAPPER.values(parameters={"restitution": 0.8345}))
-    once = ContinuationSettings(doublings=0)
-    (family,) = continue_orbit(CLAPPER, orbit, "restitution", (0.8344, 0.9), settings=once).families
+    family = _family(CLAPPER, "restitution", (0.8344, 0.9), restitution=0.8345)
     end = family.last
     assert end.kind is SpecialPointKind.LOCK_VANISHES
     assert end.detail in ("zeno upper and release upper", "zeno lower and release lower")
@@ -129,9 +137,7 @@ def _least_gap_after_lo(state: Mapping[str, float], omega: float) -> float:
 def test_a_family_without_switches_ends_openly_where_a_flight_has_no_duration() -> None:
     """A flight on `lo` that ends at once has no derivative, and the machine has no switch."""
     problem = _unlike(omega=0.4, restitution=0.77, e_lo=0.25, F0=0.4)
-    orbit = find_event_orbit(problem, problem.values())
-    box, once = (0.765, 0.8), ContinuationSettings(doublings=0)
-    (family,) = continue_orbit(problem, orbit, "restitution", box, settings=once).families
+    family = _family(problem, "restitution", (0.765, 0.8))
     # Flights in closed form have a release of `hi` 0.10 s after its Zeno point at 0.78, none at
     # 0.79.
     assert 0.78 < family.last.at.value < 0.79
@@ -144,9 +150,7 @@ def test_a_family_ends_where_a_flight_grazes_the_stop_that_it_left(
     box: tuple[float, float],
 ) -> None:
     problem = _unlike(omega=2.2, restitution=0.9, e_lo=0.7, F0=0.0)
-    orbit = find_event_orbit(problem, problem.values())
-    once = ContinuationSettings(doublings=0)
-    (family,) = continue_orbit(problem, orbit, "omega", box, settings=once).families
+    family = _family(problem, "omega", box)
     assert family.first.kind is SpecialPointKind.EARLIER_GRAZING
     at, error = family.first.at.value, family.first.error
     assert error < 1e-10
@@ -168,11 +172,7 @@ def _zeno_in_time(stop: str, switching: float, **changed: float) -> bool:
 
 @pytest.mark.slow
 def test_the_relay_closes_down_to_the_voltage_of_an_independent_loop() -> None:
-    relay = load_problem("relay")
-    orbit = find_event_orbit(relay, relay.values())
-    once = ContinuationSettings(doublings=0)
-    (family,) = continue_orbit(relay, orbit, "U", (9.0, 24.5), settings=once).families
-    end = family.first
+    end = _family(load_problem("relay"), "U", (9.0, 24.5)).first
     assert end.kind is SpecialPointKind.EVENTS_MEET
     assert "zeno closed" in end.detail
     assert end.error < 1e-9
@@ -183,11 +183,7 @@ def test_the_relay_closes_down_to_the_voltage_of_an_independent_loop() -> None:
 
 @pytest.mark.slow
 def test_the_next_switching_cuts_a_bounce_at_the_frequency_of_an_independent_loop() -> None:
-    relay = load_problem("relay")
-    orbit = find_event_orbit(relay, relay.values())
-    once = ContinuationSettings(doublings=0)
-    (family,) = continue_orbit(relay, orbit, "omega", (150.0, 400.0), settings=once).families
-    end = family.last
+    end = _family(load_problem("relay"), "omega", (150.0, 400.0)).last
     assert end.kind is SpecialPointKind.EVENTS_MEET
     assert "zeno open" in end.detail
     assert end.error < 1e-7
