@@ -8,7 +8,8 @@
 Fits: every recording has its own truth, some per cent from the problem's numbers, its own phase and
 its own noise; the fit begins at the problem's numbers. A parameter is held if its 95 % interval
 contains the truth. With ``--correlated`` the noise is that of a filtered sensor. With ``--noise 0``
-only the tables of the orbits limit the numbers.
+only the tables of the orbits limit the numbers. With ``--instruments`` one channel has a gain and
+an offset, the clock has a rate, and the fit determines them too.
 
 Comparisons: recordings of the problem's orbit, simulated, at a random phase with 0.1 % of noise. A
 value is held if it is within two standard errors of the orbit's, 95 % of the time at least.
@@ -150,10 +151,13 @@ FITTED_SAMPLES, COMPARED_SAMPLES = 200.37, 150.37
 """Samples a period, not whole numbers: phases differ from cycle to cycle."""
 COMPARED_NOISE, WITHIN, MOST = 1e-3, 2.0, 1e6
 """Noise, standard errors within which a value is held, and the most that a table shows."""
+CLOCK = "clock_rate"
 MEMORY = 8
 """Samples over which a filtered sensor forgets."""
 SHARE, CHANCE, ALWAYS = 0.95, 0.05, 500
 """Share of truths that are held, chance of one false alarm, and values of which one is missed."""
+GAIN, OFFSET, RATE = 0.03, 0.05, 3e-4
+"""Standard deviations of errors of instruments: relative, in parts of the range, and relative."""
 
 
 def noise_of(
@@ -178,12 +182,14 @@ class Judge:
     Attributes:
         noise: Standard deviation for fits in parts of each signal's range.
         correlated: Whether it is that of a filtered sensor.
+        instruments: Whether the last channel and the clock have errors.
         cycles: Length of a fitted recording in periods.
         spread: Factor of how far the truth is from the problem's numbers.
     """
 
     noise: float
     correlated: bool = False
+    instruments: bool = False
     cycles: int = FITTED_CYCLES
     spread: float = 1.0
 
@@ -208,7 +214,14 @@ class Judge:
         times = np.arange(int(self.cycles * orbit.period * rate)) / rate
         values = table.at(times / orbit.period + rng.random())
         noise = noise_of(rng, values.shape, correlated=self.correlated)
-        values += self.noise * np.ptp(values, axis=0) * noise
+        extent = np.ptp(values, axis=0)
+        values += self.noise * extent * noise
+        if self.instruments:
+            at, channel = len(case.signals) - 1, case.signals[-1]
+            gain, offset, rate = rng.normal(size=3) * (GAIN, OFFSET * extent[at], RATE)
+            values[:, at] = (1.0 + gain) * values[:, at] + offset
+            times *= 1.0 + rate
+            truth |= {f"{channel}.gain": 1.0 + gain, f"{channel}.offset": offset, CLOCK: rate}
         units = dict(zip(problem.state_names, problem.state_units, strict=True))
         signals = tuple(
             RecordedSignal(name=name, unit=units[name], values=values[:, k].copy())
@@ -217,12 +230,25 @@ class Judge:
         source = Source.SIMULATED
         return Recording(source=source, problem=problem.name, time=times, signals=signals), truth
 
+    def sought(self, name: str) -> tuple[Unknown, ...]:
+        """Return what is found in recordings of a problem."""
+        case = CASES[name]
+        if not self.instruments:
+            return case.unknowns
+        channel = case.signals[-1]
+        return (
+            *case.unknowns,
+            unknown(f"{channel}.gain", 0.5, 2.0),
+            unknown(f"{channel}.offset", -math.inf, math.inf),
+            unknown(CLOCK, -0.05, 0.05),
+        )
+
     def _fitted(self, point: dict[str, Any]) -> dict[str, Any]:
         made = self.recorded(point)
         if made is None:
             return {"refused": "no orbit at this truth"}
         recording, truth = made
-        problem, sought = load_problem(point["problem"]), CASES[point["problem"]].unknowns
+        problem, sought = load_problem(point["problem"]), self.sought(point["problem"])
         began = time.process_time()
         try:
             found = identify(problem, problem.values(), recording, sought)
@@ -235,7 +261,7 @@ class Judge:
             true = truth[one.unknown.names[0]]
             held = bool(one.low <= true <= one.high)
             score = float((one.value - true) / one.error)
-            rows.append([one.unknown.label, held, score, float(one.error / true)])
+            rows.append([one.unknown.label, held, score, float(one.error / abs(true))])
         return {"rows": rows, "seconds": time.process_time() - began}
 
     def _compared(self, point: dict[str, Any]) -> dict[str, Any]:
@@ -308,7 +334,7 @@ def rows_of(points: Sequence[dict[str, Any]], results: Sequence[Any]) -> list[Ro
     for point, result in zip(points, results, strict=True):
         for name, held, score, error in result.get("rows", []):
             # A quantity of several signals or problems is one quantity: "highest of lift" too.
-            keys = (point["kind"], name), (ALL, re.sub(" of (?!chatter).*", "", name))
+            keys = (point["kind"], name), (ALL, re.sub(r" of (?!chatter).*|.*\.(?=gain|offset)", "", name))
             for rows, (kind, of) in zip((found, shared), keys, strict=True):
                 new = Row(kind=kind, name=of, held=[], scores=[], errors=[])
                 row = rows.setdefault((kind, of), new)
@@ -375,6 +401,7 @@ def main() -> int:
     parser.add_argument("--comparisons", type=int, default=50, help="of each problem")
     parser.add_argument("--noise", type=float, default=0.01, help="of fits")
     parser.add_argument("--correlated", action="store_true", help="noise of a filtered sensor")
+    parser.add_argument("--instruments", action="store_true", help="errors of channel and clock")
     parser.add_argument("--rates", nargs="+", type=float, help="samples a second, of fits [Hz]")
     parser.add_argument("--cycles", type=int, default=FITTED_CYCLES, help="of fits")
     parser.add_argument("--velocities", nargs="+", choices=("no", "yes"), default=["no"])
@@ -383,7 +410,12 @@ def main() -> int:
     options = parser.parse_args()
     if options.quick:
         options.fits = options.comparisons = 2
-    judge = Judge(noise=options.noise, correlated=options.correlated, cycles=options.cycles)
+    judge = Judge(
+        noise=options.noise,
+        correlated=options.correlated,
+        instruments=options.instruments,
+        cycles=options.cycles,
+    )
     sound = True
     for part in options.only:
         points = list(points_of(part, options))

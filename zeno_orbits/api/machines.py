@@ -484,7 +484,7 @@ _DECADE = 10.0
 
 def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unknown, ...]:
     """Return the parameters to estimate, in ranges that the problem allows."""
-    from zeno_orbits.experiment import Unknown
+    from zeno_orbits.experiment import Unknown, default_range
 
     asked = fit if isinstance(fit, Mapping) else dict.fromkeys(fit)
     known = {quantity.name: quantity for quantity in problem.parameters}
@@ -495,8 +495,10 @@ def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unkn
         for name in names:
             if name in known:
                 lower, upper = max(lower, known[name].lower), min(upper, known[name].upper)
-        value = values.parameters.get(names[0], 0.0)
-        around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
+        around = default_range(names[0])
+        if names[0] in known or around is None:
+            value = values.parameters.get(names[0], 0.0)
+            around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
         low, high = max(lower, around[0]), min(upper, around[1])
         if box is not None:
             low, high = number_range("fit", box)

@@ -14,6 +14,7 @@ from .identification.identification import Fitted as Fitted
 from .identification.identification import Identification as Identification
 from .identification.identification import UnfittableError as UnfittableError
 from .identification.identification import identify as identify
+from .identification.instruments import default_range as default_range
 from .identification.unknowns import Unknown as Unknown
 from .orbit_table import OrbitTable as OrbitTable
 from .orbit_table import measurable as measurable

@@ -75,31 +75,23 @@ class EventPredictions(OrbitPredictions[EventPeriod]):
         """Start the next searches from the orbit at these unknowns."""
         self._near = self.table(x).found
 
-    def events(self, x: Vector) -> EventTimes:
-        """Return the times of the events of the orbit at unknowns.
-
-        Raises:
-            SimulationError: If no orbit is found near the last accepted orbit.
-        """
-        found = self.table(x).found
+    def _events(self, table: EventPeriod) -> EventTimes:
+        found = table.found
         return EventTimes(
             names=tuple(orbit_event_name(event) for event in found.events),
             times=np.array([event.time for event in found.events]),
             period=found.period,
         )
 
-    def event_slopes(self, x: Vector) -> Vector:
-        """Return the exact derivatives of the times of the events, ``(n, k + 1)`` [s]."""
-        table, unknowns = self.table(x), self.unknowns
+    def _event_slopes(self, table: EventPeriod) -> Vector:
         times = np.array([shift.time for shift in table.found.shifts])
-        by = times @ table.moved @ (unknowns.ties * unknowns.scale)
-        return np.concatenate([by, np.zeros((len(by), 1))], axis=1)
+        return times @ table.moved @ self.unknowns.ties
 
     def _copy(self) -> Self:
         return type(self)(self._problem, self.unknowns, self._measured, self._near)
 
     def _tabulated(self, key: bytes) -> EventPeriod:
-        near, graph = self._near, self._graph.at(self._p_at(key))
+        near, graph = self._near, self._graph.at(np.frombuffer(key))
         section = orbit_event_name(near.events[-1])
         found = closed_return(
             graph,

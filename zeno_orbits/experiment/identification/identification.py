@@ -195,6 +195,7 @@ def identify(
     unknowns = unknowns_of(problem, begin, sought)
     prepare = prepared_events if problem.has_graph else prepared_cycle
     whole = prepare(problem, begin, unknowns, recording, on_progress)
+    unknowns = whole.orbits.unknowns
     labels = [one.label for one in sought]
     seen = _restitution_seen(unknowns, sought, whole.restitution)
     try:
@@ -217,7 +218,10 @@ def identify(
     edges = _edge_residuals(answer)
     if np.any(np.abs(edges) >= UNMATCHED):
         raise refusal("the nearest orbit lacks contacts of the recording, or has others")
-    unseen = unseen_combinations(labels, answer.spread.information, answer.spread.inflation)
+    additive = [label for label, mark in zip(labels, unknowns.additive, strict=True) if mark]
+    unseen = unseen_combinations(
+        labels, answer.spread.information, answer.spread.inflation, additive
+    )
     on_progress("computing the intervals", 0.97)
     fitted = _fitted(unknowns, sought, answer, unseen)
     others = tuple(dict(zip(labels, unknowns.numbers(one).tolist(), strict=True)) for one in optima)
@@ -227,8 +231,9 @@ def identify(
         for one in others
     ]
     parameters = dict(begin.parameters)
-    for one in fitted:
-        parameters |= dict.fromkeys(one.unknown.names, one.value)
+    for one, readings in zip(fitted, unknowns.readings, strict=True):
+        if not readings:
+            parameters |= dict.fromkeys(one.unknown.names, one.value)
     at = problem.values(gains=begin.gains, parameters=parameters)
     n_edges = whole.contacts.n_edges
     return Identification(
@@ -243,7 +248,7 @@ def identify(
         misfit=answer.spread.misfit,
         converged=answer.converged,
         optima=others,
-        remarks=(*remarks, *_remarks(fitted, answer), *rivals),
+        remarks=(*remarks, *_remarks(fitted, unknowns, answer), *rivals),
         edges=n_edges,
         edge_misfit=float(np.sqrt(np.mean(edges**2))) if n_edges else math.nan,
     )
@@ -320,11 +325,11 @@ def _fitted(
     return tuple(answers)
 
 
-def _remarks(fitted: Sequence[Fitted], found: Fit) -> list[str]:
+def _remarks(fitted: Sequence[Fitted], unknowns: Unknowns, found: Fit) -> list[str]:
     """Return the remarks on a fit."""
     remarks: list[str] = []
-    for one in fitted:
-        low, high = one.unknown.lower, one.unknown.upper
+    ends = zip(fitted, unknowns.lower, unknowns.upper, strict=True)
+    for one, low, high in ends:
         if min(one.value - low, high - one.value) < _EDGE * (high - low):
             remarks.append(f"`{one.unknown.label}` reached an end of its range")
     if not found.converged:

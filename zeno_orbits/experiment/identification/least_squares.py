@@ -331,7 +331,7 @@ def _bent(stage: Weighed, x: Vector, samples: Folded) -> NDArray[np.bool_]:
     shape = samples.values.shape
     n_groups = samples.n_groups
     # The error of a mean from the curvature inside its bin is the same in all groups.
-    inside = samples.bends(stage.orbits.table(x), float(x[-1])) * whole.weights
+    inside = stage.orbits.bends(x, samples) * whole.weights
     bend = math.sqrt(n_groups) * inside
     for step in _steps(jacobian, spread.inflation):
         there = np.clip(x + step, *stage.orbits.unknowns.bounds)

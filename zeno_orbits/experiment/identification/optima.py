@@ -71,6 +71,10 @@ def starts_of(
             low[k], high[k] = max(low[k], value / _WIDE), min(high[k], value * _WIDE)
     for k, value in seen.items():
         low[k], high[k] = max(low[k], value / _NEAR), min(high[k], value * _NEAR)
+    for k, readings in enumerate(unknowns.readings):
+        if readings:
+            # The prediction is linear in errors of instruments, so one start serves.
+            low[k] = high[k] = first[k]
     points = qmc.Sobol(d=len(first), seed=0).random(_STARTS)
     spread = [np.append(low + point * (high - low), 0.0) for point in points]
     return [*known, *spread]
@@ -172,8 +176,9 @@ def _measure(
     fold = orbits.fold(x, samples)
     square = samples.counts * ((samples.values - fold.values) / noise) ** 2
     clipped = np.minimum(square, _CLIP**2)
-    period = (found.period - orbits.table(x).period) / found.error
-    edges = contacts.residuals(orbits.events(x), float(x[-1]))
+    events = orbits.events(x)
+    period = (found.period - events.period) / found.error
+    edges = contacts.residuals(events, float(x[-1]))
     sample_sum = float(np.sum(np.where(samples.seen, clipped, 0.0)))
     return sample_sum + float(edges @ edges) + min(period**2, 1e4)
 

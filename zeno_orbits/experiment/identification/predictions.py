@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Generic, Self, TypeVar
 
@@ -34,8 +34,8 @@ class Slopes:
     """Derivatives with respect to the unknowns.
 
     Attributes:
-        signals: Derivatives of the signals at the samples, ``(n, n_s, k + 1)``.
-        period: Derivative of the period, ``(k + 1,)`` [s].
+        signals: Derivatives of the recorded signals at the samples, ``(n, n_s, k + 1)``.
+        period: Derivative of the recorded period, ``(k + 1,)`` [s].
     """
 
     signals: Vector
@@ -44,7 +44,7 @@ class Slopes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EventTimes:
-    """Times of the events of an orbit, since the start of its period.
+    """Recorded times of the events of an orbit, since the start of its period.
 
     Attributes:
         names: Names of the events, such as ``impact closed``, in order of time.
@@ -56,6 +56,10 @@ class EventTimes:
     times: Vector
     period: float
 
+    def stretched(self, factor: float) -> EventTimes:
+        """Return them by a clock that is faster by a factor."""
+        return replace(self, times=self.times * factor, period=self.period * factor)
+
 
 Table = TypeVar("Table", bound=PeriodTable, covariant=True)
 
@@ -66,6 +70,7 @@ class OrbitPredictions(ABC, Generic[Table]):
     def __init__(self, unknowns: Unknowns, measured: Measurement) -> None:
         self.unknowns = unknowns
         self._measured = measured
+        self._instruments = unknowns.instruments(measured.names)
         self._tables: Callable[[bytes], Table] = lru_cache(_KEPT)(self._tabulated)
         self._slopes: Callable[[bytes], OrbitSlope] = lru_cache(_KEPT)(self._differentiated)
 
@@ -75,7 +80,7 @@ class OrbitPredictions(ABC, Generic[Table]):
         Raises:
             SimulationError: If no orbit is found near the last accepted orbit.
         """
-        return self._tables(x[:-1].tobytes())
+        return self._tables(self.unknowns.p_at(x).tobytes())
 
     @abstractmethod
     def accept(self, x: Vector) -> None:
@@ -87,11 +92,13 @@ class OrbitPredictions(ABC, Generic[Table]):
         Raises:
             SimulationError: If no orbit is found near the last accepted orbit.
         """
-        return EventTimes(names=(), times=np.zeros(0), period=self.table(x).period)
+        stretch = self._instruments.stretch(self.unknowns.numbers(x))
+        return self._events(self.table(x)).stretched(stretch)
 
     def event_slopes(self, x: Vector) -> Vector:
         """Return the exact derivatives of the times of the events, ``(n, k + 1)`` [s]."""
-        return np.zeros((0, len(x)))
+        table = self.table(x)
+        return self._recorded_times(x, self._events(table).times, self._event_slopes(table))
 
     def starting_at(self, x: Vector) -> Self:
         """Return predictions that search for orbits near the orbit at these unknowns.
@@ -112,13 +119,20 @@ class OrbitPredictions(ABC, Generic[Table]):
         return found
 
     def fold(self, x: Vector, data: Folded) -> Fold:
-        """Return the orbit at the phases of samples."""
-        return data.predicted(self.table(x), float(x[-1]))
+        """Return the orbit at the phases of samples, as the channels read it."""
+        fold = data.predicted(self.table(x), float(x[-1]))
+        return self._instruments.fold(fold, self.unknowns.numbers(x))
+
+    def bends(self, x: Vector, data: Folded) -> Vector:
+        """Return the uncertainty of predicted means of a signal that is curved within a bin."""
+        gain = self._instruments.gain(self.unknowns.numbers(x))
+        return data.bends(self.table(x), float(x[-1])) * gain
 
     def slopes(self, x: Vector, data: Folded) -> Slopes:
         """Return the exact derivatives of the predicted samples (theory (58))."""
-        unknowns, table, fold = self.unknowns, self.table(x), self.fold(x, data)
-        slope = self._slopes(x[:-1].tobytes())
+        unknowns, table, instruments = self.unknowns, self.table(x), self._instruments
+        fold = data.predicted(table, float(x[-1]))
+        slope = self._slopes(table.p.tobytes())
         states = slope.at(fold.times)
         n_x = states.shape[1]
         by = self._measured.derivatives(table.states.at(fold.times), table.p)
@@ -127,11 +141,34 @@ class OrbitPredictions(ABC, Generic[Table]):
         share = fold.times / table.period
         moved += fold.slopes[:, :, None] * share[:, None, None] * slope.period
         late = -fold.slopes[:, :, None] * table.period
-        own = unknowns.ties * unknowns.scale
+        gain = instruments.gain(unknowns.numbers(x))[:, None]
+        read = gain * (moved @ unknowns.ties) + instruments.by_numbers(fold.values)
         return Slopes(
-            signals=np.concatenate([moved @ own, late], axis=2),
-            period=np.append(slope.period @ own, 0.0),
+            signals=np.concatenate([read * unknowns.scale, gain * late], axis=2),
+            period=self._recorded_times(
+                x, np.array([table.period]), slope.period[None] @ unknowns.ties
+            )[0],
         )
+
+    def _recorded_times(self, x: Vector, times: Vector, by: Vector) -> Vector:
+        """Return the derivatives of recorded times from those of times, ``(n, k + 1)`` [s].
+
+        Args:
+            x: The unknowns.
+            times: The times by the machine's clock, ``(n,)`` [s].
+            by: Their derivatives with respect to the values of the unknowns, ``(n, k)``.
+        """
+        unknowns, instruments = self.unknowns, self._instruments
+        recorded = instruments.stretch(unknowns.numbers(x)) * by + np.outer(times, instruments.rate)
+        return np.concatenate([recorded * unknowns.scale, np.zeros((len(times), 1))], axis=1)
+
+    def _events(self, table: Table) -> EventTimes:
+        """Return the times of the events of an orbit by the machine's clock."""
+        return EventTimes(names=(), times=np.zeros(0), period=table.period)
+
+    def _event_slopes(self, table: Table) -> Vector:
+        """Return the derivatives of these times with respect to the unknowns' values, ``(n, k)``."""
+        return np.zeros((0, self.unknowns.ties.shape[1]))
 
     @abstractmethod
     def _copy(self) -> Self:
@@ -139,15 +176,11 @@ class OrbitPredictions(ABC, Generic[Table]):
 
     @abstractmethod
     def _tabulated(self, key: bytes) -> Table:
-        """Return the orbit at unknowns without the shift in phase, given as bytes."""
+        """Return the orbit at gains and parameters, given as bytes."""
 
     @abstractmethod
     def _differentiated(self, key: bytes) -> OrbitSlope:
         """Return the derivatives of this orbit with respect to the parameters that vary."""
-
-    def _p_at(self, key: bytes) -> Vector:
-        """Return gains and parameters at unknowns without the shift in phase."""
-        return self.unknowns.p_at(np.append(np.frombuffer(key), 0.0))
 
 
 class Predictions(OrbitPredictions[OrbitTable]):
@@ -169,7 +202,7 @@ class Predictions(OrbitPredictions[OrbitTable]):
         return type(self)(self._problem, self.unknowns, self._measured, self._near)
 
     def _tabulated(self, key: bytes) -> OrbitTable:
-        near, p = self._near, self._p_at(key)
+        near, p = self._near, np.frombuffer(key)
         dynamics = self._problem.dynamics(p)
         state, clock = near.start.state.copy(), list(self._problem.compiled().clock)
         if clock:

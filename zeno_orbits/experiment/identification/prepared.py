@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,15 +16,27 @@ from zeno_orbits.experiment.comparison.comparison import compare
 from zeno_orbits.experiment.comparison.event_comparison import Unlaid, event_remarks, lay_events
 from zeno_orbits.experiment.comparison.event_reference import orbit_sequences, shared_event_signals
 from zeno_orbits.experiment.comparison.folding import Folded, folded
+from zeno_orbits.experiment.comparison.overlay import shared_signals
 from zeno_orbits.experiment.identification.contact_rows import (
     NO_CONTACTS,
     ContactRows,
     contact_rows,
 )
-from zeno_orbits.experiment.identification.event_predictions import EventPeriod, EventPredictions
+from zeno_orbits.experiment.identification.event_predictions import (
+    EventPeriod,
+    EventPredictions,
+    event_period,
+)
+from zeno_orbits.experiment.identification.instruments import corrected
 from zeno_orbits.experiment.identification.predictions import OrbitPredictions, Predictions
 from zeno_orbits.experiment.identification.unknowns import Unknowns
-from zeno_orbits.experiment.orbit_table import OrbitTable, measurable, measurement
+from zeno_orbits.experiment.orbit_table import (
+    OrbitTable,
+    PeriodTable,
+    measurable,
+    measurement,
+    tabulate_orbit,
+)
 from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
@@ -34,6 +46,8 @@ from zeno_orbits.search import close_orbit, event_orbit_of, orbit_of, settled_re
 from zeno_orbits.work import Progress
 
 _LEAST_CYCLES = 2.0
+_EVEN = 1000
+"""Phases at which an orbit is compared in size and mean with a recording."""
 
 
 class UnfittableError(ZenoOrbitsError):
@@ -91,7 +105,11 @@ def prepared_cycle(
     if closing.orbit is None:
         raise refusal(f"an orbit to fit is missing at the start: {closing.detail.rstrip('.')}")
     on_progress("laying the recording over it", None)
-    first = compare(closing.orbit, problem, recording)
+    names = shared_signals(problem, recording)
+    table = tabulate_orbit(closing.orbit, problem, names)
+    unknowns = unknowns.near(names, _last_periods(recording, names, table.period), _even(table))
+    instruments, errors = unknowns.instruments(names), unknowns.start
+    first = compare(closing.orbit, problem, corrected(recording, names, instruments, errors))
     laid = first.overlay
     if first.reasons or laid is None:
         raise refusal("; ".join(first.reasons))
@@ -104,7 +122,7 @@ def prepared_cycle(
 
     return Prepared(
         orbits=Predictions(problem, unknowns, measurement(problem, laid.names), laid.table.cycle),
-        samples=folded(laid.time, laid.values, laid.where),
+        samples=folded(laid.time, instruments.read(laid.values.T, errors).T, laid.where),
         contacts=NO_CONTACTS,
         found=replace(laid.found, period=laid.where.period, error=laid.where.period_error),
         where=laid.where,
@@ -162,7 +180,12 @@ def prepared_events(
     for stop in channels:
         if not orbit_sequences(start, stop):
             raise refusal(f"the orbit at the start does not strike `{stop}`, the recording does")
-    laid = lay_events(start, problem, recording, names, channels, partly=True)
+    signals = measurement(problem, names)
+    if names:
+        table = event_period(problem.graph_dynamics(begin), first, signals)
+        unknowns = unknowns.near(names, _last_periods(recording, names, table.period), _even(table))
+    likely = corrected(recording, names, unknowns.instruments(names), unknowns.start)
+    laid = lay_events(start, problem, likely, names, channels, partly=True)
     if isinstance(laid, Unlaid):
         raise refusal(laid.reason)
     reasons = (*laid.against, *laid.unlike) or laid.unresolved
@@ -187,7 +210,7 @@ def prepared_events(
         return event_orbit_of(problem, values, table.found)
 
     return Prepared(
-        orbits=EventPredictions(problem, unknowns, measurement(problem, names), first),
+        orbits=EventPredictions(problem, unknowns, signals, first),
         samples=folded(time, rows, where),
         contacts=contact_rows(laid.seen, place.value, period.value, period.error),
         found=replace(laid.found, period=period.value, error=period.error),
@@ -197,6 +220,19 @@ def prepared_events(
         restitution=math.nan,
         orbit_of=orbit,
     )
+
+
+def _last_periods(recording: Recording, names: Sequence[str], period: float) -> Vector:
+    """Return the signals of a recording over its last whole periods, ``(n, n_s)``."""
+    time = recording.time
+    span = float(time[-1] - time[0])
+    first = np.searchsorted(time, time[-1] - max(math.floor(span / period), 1) * period)
+    return np.stack([recording.signal(name).values[first:] for name in names], axis=1)
+
+
+def _even(table: PeriodTable) -> Vector:
+    """Return the signals of an orbit at even phases, ``(n, n_s)``."""
+    return table.at(np.arange(_EVEN) / _EVEN)
 
 
 def _require_cycles(found: Periodicity) -> None:

@@ -14,7 +14,7 @@ two estimates, or from independent noise (theory (59)).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -249,7 +249,7 @@ def _positive(matrix: Vector) -> Vector:
 
 
 def unseen_combinations(
-    names: Sequence[str], information: Vector, inflation: float
+    names: Sequence[str], information: Vector, inflation: float, additive: Collection[str] = ()
 ) -> tuple[Unseen, ...]:
     """Return the undetermined combinations of parameters.
 
@@ -257,6 +257,7 @@ def unseen_combinations(
         names: Names of the parameters.
         information: :math:`H` of their relative changes, ``(k, k)``.
         inflation: Ratio of the errors to the errors for independent residuals.
+        additive: Names of values without a scale of their own, such as offsets.
     """
     values, vectors = np.linalg.eigh(information)
     found: list[Unseen] = []
@@ -269,16 +270,16 @@ def unseen_combinations(
         involved = [
             (name, float(part)) for name, part in zip(names, lead, strict=True) if abs(part) > _PART
         ]
-        found.append(Unseen(direction=direction, text=_in_words(involved)))
+        found.append(Unseen(direction=direction, text=_in_words(involved, additive)))
     return tuple(found)
 
 
-def _in_words(involved: Sequence[tuple[str, float]]) -> str:
+def _in_words(involved: Sequence[tuple[str, float]], additive: Collection[str]) -> str:
     if len(involved) == 1:
         return f"`{involved[0][0]}` is not seen"
     changes = ", ".join(f"`{name}` by {part:+.2g} %" for name, part in involved)
     text = f"not seen is a change of {changes} together"
-    if len(involved) != 2:
+    if len(involved) != 2 or any(name in additive for name, _ in involved):
         return text
     (first, a), (second, b) = involved
     # To first order, such a change does not affect first^b / second^a.

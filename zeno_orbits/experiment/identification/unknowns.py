@@ -1,25 +1,36 @@
-"""The unknowns of a fit: parameters with ranges, initial values and indices."""
+"""The unknowns of a fit: parameters and errors of instruments, with ranges and initial values."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.identification.instruments import (
+    InstrumentError,
+    Instruments,
+    Reading,
+    instruments_of,
+    reading_of,
+    rough_errors,
+)
 from zeno_orbits.model import ParameterValues, Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unknown:
-    """A parameter of a fit.
+    """A parameter or an error of an instrument that a fit determines.
 
     Attributes:
-        names: The fitted parameter, or several parameters that are tied together.
+        names: The fitted parameter, or several parameters that are tied together. The errors are
+            ``CHANNEL.gain``, ``CHANNEL.offset`` and ``clock_rate``.
         lower: Smallest value.
-        upper: Largest value.
+        upper: Largest value. The range of an offset may be infinite. It is then as wide as that of
+            the channel to both sides.
     """
 
     names: tuple[str, ...]
@@ -31,17 +42,24 @@ class Unknown:
         """Name of the unknown: the names of its parameters."""
         return "+".join(self.names)
 
+    @property
+    def readings(self) -> tuple[Reading, ...]:
+        """The errors of instruments, empty for parameters."""
+        found = map(reading_of, self.names)
+        return tuple(one for one in found if one is not None)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unknowns:
-    """The unknowns of a fit as indices into gains and parameters.
+    """The unknowns of a fit, and where they are in gains and parameters.
 
-    The fit itself varies the parameters, relative to their scales, and a shift of the phase.
+    The fit itself varies them relative to their scales, and a shift of the phase.
 
     Attributes:
         base: Gains, then parameters, at the start, ``(n_p,)``.
         places: Indices of the ``m`` parameters that vary.
         ties: Matrix from unknowns to the parameters that vary, ``(m, k)``.
+        readings: The errors of instruments that each unknown stands for, none for a parameter.
         start: Initial values of the unknowns, ``(k,)``.
         scale: Scales of the unknowns, ``(k,)``.
         lower: Lower bounds of the unknowns, ``(k,)``.
@@ -51,6 +69,7 @@ class Unknowns:
     base: Vector
     places: tuple[int, ...]
     ties: Vector
+    readings: tuple[tuple[Reading, ...], ...]
     start: Vector
     scale: Vector
     lower: Vector
@@ -67,7 +86,7 @@ class Unknowns:
         return np.append(self.lower / self.scale, -0.5), np.append(self.upper / self.scale, 0.5)
 
     def numbers(self, x: Vector) -> Vector:
-        """Return the parameter values at unknowns of the fit, ``(k,)``."""
+        """Return the values of the unknowns, ``(k,)``."""
         return x[:-1] * self.scale
 
     def p_at(self, x: Vector) -> Vector:
@@ -75,6 +94,55 @@ class Unknowns:
         p = self.base.copy()
         p[list(self.places)] = self.ties @ self.numbers(x)
         return p
+
+    @property
+    def additive(self) -> tuple[bool, ...]:
+        """Mask of the unknowns whose value has no scale of its own: offsets and the clock rate."""
+        return tuple(
+            any(one.kind is not InstrumentError.GAIN for one in own) for own in self.readings
+        )
+
+    def instruments(self, channels: Sequence[str]) -> Instruments:
+        """Return the errors of the instruments of recorded channels.
+
+        Raises:
+            InputError: If an unknown names another channel.
+        """
+        for own in self.readings:
+            for kind, channel in own:
+                if channel and channel not in channels:
+                    has = ", ".join(channels) or "none"
+                    wanted = f"must name a recorded channel ({has})"
+                    raise InputError(
+                        f"Argument `fit` {wanted}, but it names `{channel}.{kind.value}`."
+                    )
+        return instruments_of(self.readings, channels)
+
+    def near(self, channels: Sequence[str], recorded: Vector, orbit: Vector) -> Unknowns:
+        """Return the unknowns with errors of channels at which they are like an orbit's.
+
+        Args:
+            channels: Names of the channels, ``n_s``.
+            recorded: The channels over whole periods, ``(n, n_s)``, NaN where a sample is missing.
+            orbit: The same of the orbit.
+        """
+        guess = rough_errors(self.instruments(channels), channels, recorded, orbit)
+        size = dict(zip(channels, np.ptp(orbit, axis=0).tolist(), strict=True))
+        start, scale, lower, upper = (
+            row.copy() for row in (self.start, self.scale, self.lower, self.upper)
+        )
+        for k, own in enumerate(self.readings):
+            known = [guess[one] for one in own if one in guess]
+            if not known:
+                continue
+            value = float(np.mean(known))
+            if own[0].kind is InstrumentError.OFFSET:
+                scale[k] = max(size[one.channel] for one in own) or 1.0
+            lower[k] = value - scale[k] if math.isinf(lower[k]) else lower[k]
+            upper[k] = value + scale[k] if math.isinf(upper[k]) else upper[k]
+            if lower[k] < value < upper[k]:
+                start[k] = value
+        return replace(self, start=start, lower=lower, upper=upper, scale=scale)
 
 
 def begin_of(
@@ -96,11 +164,6 @@ def begin_of(
     parameters = dict(values.parameters)
     for one in sought:
         for name in one.names:
-            if name not in parameters:
-                known = ", ".join(parameters)
-                hint = "; gains are known" if name in values.gains else ""
-                message = f"must name parameters ({known}), but it names `{name}`{hint}"
-                raise InputError(f"Argument `fit` {message}.")
             if name in taken:
                 raise InputError(f"Argument `fit` must name `{name}` once, not twice.")
             taken.append(name)
@@ -108,30 +171,65 @@ def begin_of(
             bounds = f"[{one.lower:g}, {one.upper:g}]"
             wanted = f"must have a range LOW:HIGH for `{one.label}`"
             raise InputError(f"Argument `fit` {wanted}, but it is {bounds}.")
-        value = parameters[one.names[0]]
-        if not one.lower < value < one.upper:
-            value = (one.lower + one.upper) / 2
-        parameters |= dict.fromkeys(one.names, value)
+        unknown = [name for name in one.names if name not in parameters]
+        if not unknown:
+            value = _inside(one, parameters[one.names[0]])
+            parameters |= dict.fromkeys(one.names, value)
+        elif len(one.readings) < len(unknown):
+            _refuse_name(next(n for n in unknown if reading_of(n) is None), values)
+        elif len({reading.kind for reading in one.readings}) + len(one.names) - len(unknown) > 1:
+            wanted = "must tie parameters, gains or offsets, each with their own kind"
+            raise InputError(f"Argument `fit` {wanted}, but it ties `{one.label}`.")
+        elif one.readings[0].kind is InstrumentError.GAIN and one.lower <= 0.0:
+            wanted = f"must have a range above 0 for `{one.label}`"
+            raise InputError(f"Argument `fit` {wanted}, but it is [{one.lower:g}, {one.upper:g}].")
     return problem.values(gains=values.gains, parameters=parameters)
 
 
+def _refuse_name(name: str, values: ParameterValues) -> None:
+    """Raise an error about a name that is no parameter."""
+    known = ", ".join(values.parameters)
+    hint = "; gains are known" if name in values.gains else ""
+    wanted = f"must name parameters ({known}), CHANNEL.gain, CHANNEL.offset or clock_rate"
+    raise InputError(f"Argument `fit` {wanted}, but it names `{name}`{hint}.")
+
+
+def _inside(one: Unknown, value: float) -> float:
+    """Return a value, or the middle of the range if it is outside."""
+    return value if one.lower < value < one.upper else (one.lower + one.upper) / 2
+
+
 def unknowns_of(problem: Problem, begin: ParameterValues, sought: Sequence[Unknown]) -> Unknowns:
-    """Return the unknowns as indices into gains and parameters.
+    """Return the unknowns as indices into gains and parameters, and errors of instruments.
 
     Args:
         problem: The problem.
         begin: All initial parameter values.
         sought: The unknowns.
     """
-    names = [name for one in sought for name in one.names]
+    fitted = [one for one in sought if one.names[0] in begin.parameters]
+    names = [name for one in fitted for name in one.names]
     ties = np.array([[float(name in one.names) for one in sought] for name in names])
-    start = np.array([begin.parameters[one.names[0]] for one in sought])
+    ties = ties.reshape(len(names), len(sought))
+    start = np.array(
+        [
+            begin.parameters[one.names[0]]
+            if one in fitted
+            else _inside(one, float(one.readings[0].kind is InstrumentError.GAIN))
+            for one in sought
+        ]
+    )
+    # Errors of instruments have their own sizes: 1, or the range of a channel.
+    own = np.array(
+        [one in fitted and value != 0.0 for one, value in zip(sought, start, strict=True)]
+    )
     return Unknowns(
         base=np.array(begin.vector, dtype=np.float64),
         places=tuple(problem.names.index(name) for name in names),
         ties=ties,
+        readings=tuple(() if one in fitted else one.readings for one in sought),
         start=start,
-        scale=np.where(start != 0.0, np.abs(start), 1.0),
+        scale=np.where(own, np.abs(start), 1.0),
         lower=np.array([one.lower for one in sought]),
         upper=np.array([one.upper for one in sought]),
     )
