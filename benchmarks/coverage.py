@@ -334,7 +334,10 @@ def rows_of(points: Sequence[dict[str, Any]], results: Sequence[Any]) -> list[Ro
     for point, result in zip(points, results, strict=True):
         for name, held, score, error in result.get("rows", []):
             # A quantity of several signals or problems is one quantity: "highest of lift" too.
-            keys = (point["kind"], name), (ALL, re.sub(r" of (?!chatter).*|.*\.(?=gain|offset)", "", name))
+            keys = (
+                (point["kind"], name),
+                (ALL, re.sub(r" of (?!chatter).*|.*\.(?=gain|offset)", "", name)),
+            )
             for rows, (kind, of) in zip((found, shared), keys, strict=True):
                 new = Row(kind=kind, name=of, held=[], scores=[], errors=[])
                 row = rows.setdefault((kind, of), new)

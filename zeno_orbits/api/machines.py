@@ -119,7 +119,9 @@ def identify(
         problem: The problem, its name or its file.
         recording: The recording of a settled machine over at least two periods, or its file.
         fit: Parameters to estimate. ``A+B`` are two parameters with one value. Without a range, a
-            parameter may vary between a tenth and ten times its value.
+            parameter may vary between a tenth and ten times its value. ``CHANNEL.gain``,
+            ``CHANNEL.offset`` and ``clock_rate`` are errors of the instruments. A clock with the
+            rate `c` is faster by the factor ``1 + c``.
         gains: Gains that differ from their defaults.
         parameters: Parameters that differ from their defaults.
         t_start: First time of the recording that counts [s].

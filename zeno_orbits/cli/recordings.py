@@ -98,6 +98,8 @@ def add_identify(commands: Any) -> None:
             "-o fitted.json --orbit fitted_orbit.json",
             "zeno-orbits identify motor_pendulum data.csv --t-start 12 "
             "--fit K_torque+K_emf=0.02:0.05 --json",
+            "zeno-orbits identify motor_pendulum data.csv --t-start 12 "
+            "--fit R,restitution,current.gain,theta1.offset,clock_rate",
         ],
     )
     add_problem(parser)
@@ -108,7 +110,8 @@ def add_identify(commands: Any) -> None:
         required=True,
         metavar="NAME[=LOW:HIGH],...",
         help="parameters to estimate, each within this range; A+B share one value; the default "
-        "range is a tenth to ten times the value",
+        "range is a tenth to ten times the value; CHANNEL.gain, CHANNEL.offset and clock_rate are "
+        "errors of instruments",
     )
     parser.add_argument("-o", "--output", type=Path, help="write the results here, as JSON")
     parser.add_argument("--orbit", type=Path, help="write the orbit at the fitted values here")

@@ -75,15 +75,16 @@ class EventPredictions(OrbitPredictions[EventPeriod]):
         """Start the next searches from the orbit at these unknowns."""
         self._near = self.table(x).found
 
-    def _events(self, table: EventPeriod) -> EventTimes:
-        found = table.found
+    def _events(self, x: Vector) -> EventTimes:
+        found = self.table(x).found
         return EventTimes(
             names=tuple(orbit_event_name(event) for event in found.events),
             times=np.array([event.time for event in found.events]),
             period=found.period,
         )
 
-    def _event_slopes(self, table: EventPeriod) -> Vector:
+    def _event_slopes(self, x: Vector) -> Vector:
+        table = self.table(x)
         times = np.array([shift.time for shift in table.found.shifts])
         return times @ table.moved @ self.unknowns.ties
 

@@ -93,12 +93,11 @@ class OrbitPredictions(ABC, Generic[Table]):
             SimulationError: If no orbit is found near the last accepted orbit.
         """
         stretch = self._instruments.stretch(self.unknowns.numbers(x))
-        return self._events(self.table(x)).stretched(stretch)
+        return self._events(x).stretched(stretch)
 
     def event_slopes(self, x: Vector) -> Vector:
         """Return the exact derivatives of the times of the events, ``(n, k + 1)`` [s]."""
-        table = self.table(x)
-        return self._recorded_times(x, self._events(table).times, self._event_slopes(table))
+        return self._recorded_times(x, self._events(x).times, self._event_slopes(x))
 
     def starting_at(self, x: Vector) -> Self:
         """Return predictions that search for orbits near the orbit at these unknowns.
@@ -162,13 +161,13 @@ class OrbitPredictions(ABC, Generic[Table]):
         recorded = instruments.stretch(unknowns.numbers(x)) * by + np.outer(times, instruments.rate)
         return np.concatenate([recorded * unknowns.scale, np.zeros((len(times), 1))], axis=1)
 
-    def _events(self, table: Table) -> EventTimes:
-        """Return the times of the events of an orbit by the machine's clock."""
-        return EventTimes(names=(), times=np.zeros(0), period=table.period)
+    def _events(self, x: Vector) -> EventTimes:
+        """Return the times of the events at unknowns by the machine's clock."""
+        return EventTimes(names=(), times=np.zeros(0), period=self.table(x).period)
 
-    def _event_slopes(self, table: Table) -> Vector:
-        """Return the derivatives of these times with respect to the unknowns' values, ``(n, k)``."""
-        return np.zeros((0, self.unknowns.ties.shape[1]))
+    def _event_slopes(self, x: Vector) -> Vector:
+        """Return the derivatives of these times by the values of the unknowns, ``(n, k)``."""
+        return np.zeros((0, len(x) - 1))
 
     @abstractmethod
     def _copy(self) -> Self:

@@ -213,8 +213,9 @@ def print_identification(recording: Recording, found: Identification) -> None:
         [
             f"{_deviation(found)}Period {found.orbit.period:.7g} s.",
             *_edges(found),
-            "Intervals contain noise and its correlation. They contain no error of the model, and "
-            "none of the instruments: a gain, an offset or a clock rate that is off biases values.",
+            "Intervals contain noise and its correlation, and no error of the model. They contain "
+            "errors of instruments only if these are fitted: CHANNEL.gain, CHANNEL.offset, "
+            "clock_rate.",
             *(f"Note: {remark}." for remark in (*recording.remarks, *found.remarks)),
             *(f"Warning: {one.text}." for one in found.unseen),
         ]
