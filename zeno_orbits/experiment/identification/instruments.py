@@ -159,7 +159,8 @@ def rough_errors(
         orbit: The same of the orbit.
     """
     found: dict[Reading, float] = {}
-    scaled, moved = instruments.gains.any(axis=1), instruments.offsets.any(axis=1)
+    scaled = np.any(instruments.gains != 0.0, axis=1).tolist()
+    moved = np.any(instruments.offsets != 0.0, axis=1).tolist()
     for s, channel in enumerate(channels):
         rows = recorded[np.isfinite(recorded[:, s]), s], orbit[:, s]
         middle, usual = (float(np.mean(row)) if moved[s] else 0.0 for row in rows)

@@ -226,7 +226,8 @@ def _last_periods(recording: Recording, names: Sequence[str], period: float) -> 
     """Return the signals of a recording over its last whole periods, ``(n, n_s)``."""
     time = recording.time
     span = float(time[-1] - time[0])
-    first = np.searchsorted(time, time[-1] - max(math.floor(span / period), 1) * period)
+    begin = time[-1] - max(math.floor(span / period), 1) * period
+    first = int(np.count_nonzero(time < begin))
     return np.stack([recording.signal(name).values[first:] for name in names], axis=1)
 
 
