@@ -52,7 +52,7 @@ class Once(argparse.Action):
         """Store the value."""
         known = getattr(namespace, self.dest)
         if known is not None:
-            message = f"must be given once, but it is {known}, {values}"
+            message = f"must be given once, but was given as {known} and {values}"
             raise argparse.ArgumentError(self, message)
         setattr(namespace, self.dest, values)
 

@@ -95,7 +95,7 @@ def follow_branch(
     Args:
         returns: The return map.
         metric: Units.
-        start: The first point. Its tangent is the direction.
+        start: The first point. The family is followed in the direction of its tangent.
         box: Range of the parameter.
         steps: Limits of the steps.
         on_progress: Called with each point.

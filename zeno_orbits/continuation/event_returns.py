@@ -59,7 +59,7 @@ class EventSection:
 
     Attributes:
         name: Name of the event.
-        n_returns: Number of such events in a period.
+        n_returns: Number of events of the section in a period.
         sequence: Event sequence of a period.
         mode: The mode just after the event.
     """

@@ -94,7 +94,7 @@ class FollowDoubling:
     either half of the family to the other.
 
     Attributes:
-        setup: The setup of the family with the flip.
+        setup: Problem, fixed values and settings of the family with the flip.
         flip: The flip.
     """
 

@@ -97,7 +97,7 @@ class _Line:
         name: Name of its result.
         formula: A C expression in other names.
         operands: Results that it takes.
-        calls: Whether it calls a function, which the lanes execute one after the other.
+        calls: Whether it calls a function, which is evaluated for one lane after the other.
     """
 
     name: str

@@ -39,7 +39,7 @@ class View(NamedTuple):
 
 
 class Side(NamedTuple):
-    """A side of a switch in a mode.
+    """The sign of a switch's guard in a mode.
 
     Attributes:
         closed: The closed stops.

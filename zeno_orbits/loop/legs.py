@@ -212,7 +212,7 @@ _programs: WeakKeyDictionary[ModeFunctions, LegProgram | None] = WeakKeyDictiona
 
 
 def leg_program(mode: ModeFunctions) -> LegProgram | None:
-    """Return the program of one flow, or ``None`` if the library cannot carry it out."""
+    """Return the program of one flow, or ``None`` if the library cannot execute it."""
     library = loop_library()
     if library is None or mode.interpreted or mode.n_y + 2 > c.MOST:
         return None

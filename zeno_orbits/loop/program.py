@@ -168,7 +168,7 @@ _programs: WeakKeyDictionary[ModeFunctions, Program | str] = WeakKeyDictionary()
 
 
 def program_of(system: CompiledSystem) -> Program | None:
-    """Return the program of a problem, or ``None`` if the library cannot carry it out."""
+    """Return the program of a problem, or ``None`` if the library cannot execute it."""
     found = program_or_reason(system)
     return None if isinstance(found, str) else found
 

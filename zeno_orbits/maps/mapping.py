@@ -80,7 +80,7 @@ class ParameterMap(Displayed):
         start: Initial state of every motion, by name.
         until: Longest simulated time of each motion [s].
         attractors: Attractor of each point, row by row from below, ``(n_y * n_x,)``.
-        versions: Name to version of the programs that computed the map.
+        versions: Program name to version, for the programs that computed the map.
         orbits: The distinct orbits with which motions were compared.
         refine: Number of halvings of cells along boundaries.
         between: The points of the refinement, in the order of their computation.

@@ -181,7 +181,7 @@ class Pushes(Displayed):
         settings: Settings of the search.
         until: Longest simulated time of a motion [s].
         pushes: One push for each phase, direction and sense.
-        versions: Name to version of the programs that computed them.
+        versions: Program name to version, for the programs that computed the pushes.
     """
 
     problem: str

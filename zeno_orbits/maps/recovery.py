@@ -117,7 +117,7 @@ class Recovery(Displayed):
         units: State to its unit.
         tests: Number of tests until one passes.
         settings: Settings.
-        versions: Name to version of the programs that computed it.
+        versions: Program name to version, for the programs that computed the recovery.
     """
 
     problem: str

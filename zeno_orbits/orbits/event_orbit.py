@@ -88,7 +88,7 @@ class EventOrbit(Displayed):
 
     @property
     def n_returns(self) -> int:
-        """Number of such events in a period."""
+        """Number of events of the section in a period."""
         return sum(event.name == self.section for event in self.events)
 
     def values(self, problem: Problem) -> ParameterValues:

@@ -114,7 +114,7 @@ class EventQuantities:
         graph: The graph of modes.
         start: State at the start of the period, ``(n_x,)``.
         period: The period [s].
-        events: Events of the period. The last event ends it.
+        events: Events of the period. The period ends at the last event.
         shifts: Derivatives of the events, with the state before each. Empty without derivatives.
         parameters: Indices in ``p`` of the parameters of the derivatives.
     """

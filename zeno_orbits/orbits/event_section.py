@@ -93,7 +93,7 @@ class EventReturn:
         start: The start, ``(n_x,)``.
         end: State just after the last event, ``(n_x,)``.
         period: Time of the return [s].
-        events: Events of the return. The last event ends it.
+        events: Events of the return. The return ends at the last event.
         execution: The execution, beyond the end of the return.
         differentiation: Derivatives along executions.
     """
@@ -166,7 +166,7 @@ def event_return(
         graph: The graph of modes.
         x: The start, ``(n_x,)``.
         section: Name of the event.
-        n_returns: Number of such events.
+        n_returns: Number of events of the section until the return.
         guess: Approximate time of the return [s].
         settings: Accuracy.
         parameters: Indices in ``p`` of the parameters of the derivatives.
@@ -314,7 +314,7 @@ def closed_return(
         graph: The graph of modes.
         x: A start just after the event of the section, ``(n_x,)``.
         section: Name of the event.
-        n_returns: Number of such events in a period.
+        n_returns: Number of events of the section in a period.
         guess: Approximate period [s].
         settings: Accuracy.
         parameters: Indices in ``p`` of the parameters of the derivatives.

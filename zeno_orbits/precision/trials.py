@@ -54,7 +54,7 @@ class WorkPrecisionSettings(Checked):
         slow_from: Smallest tolerance at which SciPy's methods are tried. Below it, minutes would
             not be sufficient.
         cuts: Thresholds of the paper's rule, as gap rates.
-        impacts: Numbers of impacts before the extrapolation.
+        impacts: Numbers of resolved impacts from which the Zeno limit is extrapolated.
         meshes: Mesh tolerances of the solver for a periodic orbit. Empty without an orbit.
     """
 

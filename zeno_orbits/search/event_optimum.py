@@ -87,7 +87,7 @@ class Trial:
 
     @property
     def violation(self) -> float:
-        """Largest violation of a row, zero if all rows are kept."""
+        """Largest violation of a constraint, zero if all constraints hold."""
         worst = max(
             [0.0, *(-row.value for row in self.rows), *(abs(row.value) for row in self.equal)]
         )

@@ -350,7 +350,7 @@ class Execution(Displayed):
         return tuple(event for event in self.events if isinstance(event, Release))
 
     def returns(self, period: float) -> tuple[Release, ...]:
-        """Return the releases of an execution that itself starts at one.
+        """Return the later releases of an execution that starts at a release.
 
         An immediate release does not count as a return if the initial state is locked only by a
         rounding error.

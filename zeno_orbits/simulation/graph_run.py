@@ -169,7 +169,7 @@ class Interruption:
         kind: Kind of the guard that fell.
         index: Index of its stop or switch.
         passage: The flow up to its zero, or ``None`` if the arc began on the wrong side of it.
-        launched: Speed with which the stop was just left, if its flight is rescaled.
+        launched: Gap rate at the start of the flight, if the flight is rescaled.
     """
 
     kind: Kind

@@ -101,7 +101,7 @@ def read_object(path: Path) -> dict[str, Any]:
     """
     entries = read_json(path)
     if not isinstance(entries, dict):
-        raise ValueError("it is not an object with names")  # noqa: TRY004 (a fault of the file)
+        raise ValueError("it is not a JSON object")  # noqa: TRY004 (a fault of the file)
     return cast("dict[str, Any]", entries)
 
 

@@ -1,4 +1,4 @@
-"""Lines of the terminal about compiled libraries."""
+"""Terminal messages about compiled libraries."""
 
 from __future__ import annotations
 
