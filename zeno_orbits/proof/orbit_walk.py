@@ -69,7 +69,9 @@ def _require_stop(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -
         for (name, size), terms in zip(sizes.items(), _near(program, state, moves), strict=True):
             # Constants that CasADi has folded cause rounding errors.
             off, allowed = sum(terms), _ROUNDING * sum((abs(x) for x in terms), arb(size))
-            require_proved(bool(abs(off) < allowed), "model", f"violated identity: {name} (error {off})")
+            require_proved(
+                bool(abs(off) < allowed), "model", f"violated identity: {name} (error {off})"
+            )
 
 
 def _near(program: BallProgram, state: Sequence[float], moves: Sequence[float]) -> list[list[Ball]]:

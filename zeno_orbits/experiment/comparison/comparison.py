@@ -248,7 +248,7 @@ def _oddities(recording: Recording, problem: Problem, names: Sequence[str]) -> l
             f"the recording names the problem `{recording.problem}`, not `{problem.name}`"
         )
     if recording.source is None:
-        remarks.append("the recording has no `source` (measured or simulated)")
+        remarks.append("missing entry `source` of the recording (measured or simulated)")
     for name in names:
         row = recording.signal(name).values
         row = row[np.isfinite(row)]

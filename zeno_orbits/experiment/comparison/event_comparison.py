@@ -309,5 +309,5 @@ def event_remarks(
     if recording.problem and recording.problem != problem.name:
         found.append(f"the recording names the problem `{recording.problem}`, not `{problem.name}`")
     if recording.source is None:
-        found.append("the recording has no `source` (measured or simulated)")
+        found.append("missing entry `source` of the recording (measured or simulated)")
     return tuple(found)
