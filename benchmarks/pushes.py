@@ -11,9 +11,10 @@ Four parts, each with a bar:
   be lost, and a push one percent above each of them, where every motion has to be lost. The
   smallest lost push has to end in the stated motion. A lost interval between two impulses of the
   scan is printed with its ray. `--steps` refines the scan.
-- `rig` pushes two simulated machines and compares return and loss with the model: a stiff stop
-  alone, and the declared machine with compliant stop, friction, gear and sampled controller. A
-  machine returns if its last cycle lies on its cycles without a push.
+- `rig` pushes three simulated machines and compares return and loss with the model: a stiff stop
+  alone, the declared compliant stop, friction and gear, and the whole declared machine, which also
+  has a bridge, sensors and a sampled controller. A machine returns if its last cycle lies on its
+  cycles without a push.
 - `spring` compares the largest push of a mass on a spring with negative damping with a closed form.
 
 Return and loss are judged by `zo.simulate`, not by the classification of the maps. A push is
@@ -78,6 +79,7 @@ ROOM = 1.5
 CYCLES = 12
 """Cycles of the machine after a push."""
 DECLARED, STIFF = "declared machine", "stiff stop alone"
+PASSIVE = "compliant stop, friction and gear"
 """The machine of the problem, and a machine that differs from the model only by its stop."""
 STIFFNESS = 1e6
 """Stiffness of the stiff stop, 70 times that of the declared machine [N m/rad^1.5]."""
@@ -244,11 +246,11 @@ def settled_machine(reference: Reference, name: str) -> Machine:
     """Return a machine with its settled cycles."""
     problem, orbit = reference.problem, reference.orbit
     stiff = {"contact.stiffness": STIFFNESS}
-    parts = (
-        machine_of(problem, orbit=orbit)
-        if name == DECLARED
-        else machine_of(problem, orbit=orbit, only=(), numbers=stiff)
-    )
+    parts = {
+        STIFF: lambda: machine_of(problem, orbit=orbit, only=(), numbers=stiff),
+        PASSIVE: lambda: machine_of(problem, orbit=orbit, only=("friction", "gears")),
+        DECLARED: lambda: machine_of(problem, orbit=orbit),
+    }[name]()
     settled = zo.simulate_experiment(orbit, problem=problem, rig=parts, cycles=4)
     states = settled.run.states[:, : reference.size.size]
     size = np.max(np.abs(states), axis=0)
@@ -434,9 +436,9 @@ def drawn(
 
 
 def rig(path: str, found: Pushes, options: argparse.Namespace) -> Iterator[Row]:
-    """Push two machines, and compare return and loss with the model."""
+    """Push three machines, and compare return and loss with the model."""
     chosen, points = drawn(found, options.rig, ROOM, options.seed)
-    for name in (STIFF, DECLARED):
+    for name in (STIFF, PASSIVE, DECLARED):
         task = Judge(orbit=path, machine=name)
         answers = judged(task, points, options.workers)
         differ = [k for k, one in enumerate(answers) if (one["end"] == RETURNS) != one["machine"]]

@@ -23,8 +23,8 @@ from zeno_orbits.experiment.comparison.folding import Fold
 from zeno_orbits.experiment.recordings.recording import Recording
 
 
-class InstrumentError(Enum):
-    """Kinds of errors. The value is the word in the name of an unknown."""
+class ReadingKind(Enum):
+    """Kind of an error of an instrument. The value is the word in the name of an unknown."""
 
     GAIN = "gain"
     OFFSET = "offset"
@@ -32,9 +32,9 @@ class InstrumentError(Enum):
 
 
 _RANGES = {
-    InstrumentError.GAIN: (0.5, 2.0),
-    InstrumentError.OFFSET: (-math.inf, math.inf),
-    InstrumentError.CLOCK_RATE: (-0.05, 0.05),
+    ReadingKind.GAIN: (0.5, 2.0),
+    ReadingKind.OFFSET: (-math.inf, math.inf),
+    ReadingKind.CLOCK_RATE: (-0.05, 0.05),
 }
 """Ranges of errors by default. The range of an offset is completed from its channel."""
 
@@ -47,16 +47,16 @@ class Reading(NamedTuple):
         channel: Name of the channel, an empty string for the clock.
     """
 
-    kind: InstrumentError
+    kind: ReadingKind
     channel: str
 
 
 def reading_of(name: str) -> Reading | None:
     """Return the error that ``CHANNEL.gain``, ``CHANNEL.offset`` or ``clock_rate`` names."""
-    if name == InstrumentError.CLOCK_RATE.value:
-        return Reading(InstrumentError.CLOCK_RATE, "")
+    if name == ReadingKind.CLOCK_RATE.value:
+        return Reading(ReadingKind.CLOCK_RATE, "")
     channel, _, kind = name.rpartition(".")
-    for one in (InstrumentError.GAIN, InstrumentError.OFFSET):
+    for one in (ReadingKind.GAIN, ReadingKind.OFFSET):
         if channel and kind == one.value:
             return Reading(one, channel)
     return None
@@ -112,14 +112,14 @@ def instruments_of(readings: Sequence[Sequence[Reading]], channels: Sequence[str
         channels: Names of the channels.
     """
 
-    def of(kind: InstrumentError, channel: str) -> list[float]:
+    def of(kind: ReadingKind, channel: str) -> list[float]:
         return [float(Reading(kind, channel) in own) for own in readings]
 
     shape = (len(channels), len(readings))
     return Instruments(
-        gains=np.array([of(InstrumentError.GAIN, one) for one in channels]).reshape(shape),
-        offsets=np.array([of(InstrumentError.OFFSET, one) for one in channels]).reshape(shape),
-        rate=np.array(of(InstrumentError.CLOCK_RATE, "")),
+        gains=np.array([of(ReadingKind.GAIN, one) for one in channels]).reshape(shape),
+        offsets=np.array([of(ReadingKind.OFFSET, one) for one in channels]).reshape(shape),
+        rate=np.array(of(ReadingKind.CLOCK_RATE, "")),
     )
 
 
@@ -166,6 +166,6 @@ def rough_errors(
         middle, usual = (float(np.mean(row)) if moved[s] else 0.0 for row in rows)
         sizes = [float(np.std(row) if moved[s] else np.sqrt(np.mean(row**2))) for row in rows]
         gain = sizes[0] / sizes[1] if scaled[s] and min(sizes) > 0.0 else 1.0
-        found[Reading(InstrumentError.GAIN, channel)] = gain
-        found[Reading(InstrumentError.OFFSET, channel)] = middle - gain * usual
+        found[Reading(ReadingKind.GAIN, channel)] = gain
+        found[Reading(ReadingKind.OFFSET, channel)] = middle - gain * usual
     return found

@@ -11,9 +11,9 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.identification.instruments import (
-    InstrumentError,
     Instruments,
     Reading,
+    ReadingKind,
     instruments_of,
     reading_of,
     rough_errors,
@@ -98,9 +98,7 @@ class Unknowns:
     @property
     def additive(self) -> tuple[bool, ...]:
         """Mask of the unknowns whose value has no scale of its own: offsets and the clock rate."""
-        return tuple(
-            any(one.kind is not InstrumentError.GAIN for one in own) for own in self.readings
-        )
+        return tuple(any(one.kind is not ReadingKind.GAIN for one in own) for own in self.readings)
 
     def instruments(self, channels: Sequence[str]) -> Instruments:
         """Return the errors of the instruments of recorded channels.
@@ -136,7 +134,7 @@ class Unknowns:
             if not known:
                 continue
             value = float(np.mean(known))
-            if own[0].kind is InstrumentError.OFFSET:
+            if own[0].kind is ReadingKind.OFFSET:
                 scale[k] = max(size[one.channel] for one in own) or 1.0
             lower[k] = value - scale[k] if math.isinf(lower[k]) else lower[k]
             upper[k] = value + scale[k] if math.isinf(upper[k]) else upper[k]
@@ -180,7 +178,7 @@ def begin_of(
         elif len({reading.kind for reading in one.readings}) + len(one.names) - len(unknown) > 1:
             wanted = "must tie parameters, gains or offsets, each with their own kind"
             raise InputError(f"Argument `fit` {wanted}, but it ties `{one.label}`.")
-        elif one.readings[0].kind is InstrumentError.GAIN and one.lower <= 0.0:
+        elif one.readings[0].kind is ReadingKind.GAIN and one.lower <= 0.0:
             wanted = f"must have a range above 0 for `{one.label}`"
             raise InputError(f"Argument `fit` {wanted}, but it is [{one.lower:g}, {one.upper:g}].")
     return problem.values(gains=values.gains, parameters=parameters)
@@ -215,7 +213,7 @@ def unknowns_of(problem: Problem, begin: ParameterValues, sought: Sequence[Unkno
         [
             begin.parameters[one.names[0]]
             if one in fitted
-            else _inside(one, float(one.readings[0].kind is InstrumentError.GAIN))
+            else _inside(one, float(one.readings[0].kind is ReadingKind.GAIN))
             for one in sought
         ]
     )
