@@ -130,7 +130,7 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "objective of no stop": (searching("--objective", "impacts="), ("--objective", "`impacts=`")),
     "objective twice": (
         searching("--objective", "energy", "--objective", "margin"),
-        ("--objective", "once", "energy, margin"),
+        ("--objective", "once", "energy and margin"),
     ),
     "number with an underscore": (searching("--set", "Kp=2_5"), ("Kp", "`2_5`")),
     "bounds with an underscore": (searching("--vary", "Kp=1_0:20"), ("Kp", "`1_0`")),

@@ -280,7 +280,7 @@ def test_the_arrays_of_a_map_have_a_row_for_every_y(found: ParameterMap) -> None
     ("change", "told"),
     [
         (lambda text: text[:-40], "not complete JSON"),
-        (lambda _: "[]", "not an object"),
+        (lambda _: "[]", "not a JSON object"),
         (lambda text: text.replace('"format": 1', '"format": 2'), "format is 2"),
         (lambda text: text.replace('"fate": "rest"', '"fate": "bliss"', 1), "fate` must be one of"),
         (lambda text: text.replace('"count": 3', '"count": 4'), "not have one entry per point"),
