@@ -38,7 +38,6 @@ from zeno_orbits.orbits import (
     on_section,
     orbit_event_name,
     phases_of_events,
-    sequence_of,
 )
 from zeno_orbits.simulation import (
     Arc,
@@ -164,7 +163,7 @@ class EventReturns:
         Raises:
             SimulationError: If the event sequence is another, or the motion does not return.
         """
-        found = event_return(
+        return event_return(
             graph,
             x,
             section=self.section.name,
@@ -174,15 +173,8 @@ class EventReturns:
             parameters=self.line.moving,
             mode=self.section.mode,
             completion=completion,
+            sequence=self.section.sequence,
         )
-        sequence = sequence_of([orbit_event_name(event) for event in found.events])
-        if sequence != self.section.sequence:
-            raise SimulationError(
-                f"The event sequence changes to `{', '.join(sequence)}`",
-                time=found.period,
-                state=tuple(x.tolist()),
-            )
-        return found
 
     def differentiated(
         self, graph: GraphDynamics, found: EventReturn, margins: Mapping[Margin, float]

@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
-from zeno_orbits.orbits.event_orbit import orbit_event_name
+from zeno_orbits.orbits.event_orbit import orbit_event_name, sequence_of
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.section import RELEASE_ROWS, projected
 from zeno_orbits.simulation import (
@@ -159,6 +159,7 @@ def event_return(
     parameters: Sequence[int] = (),
     mode: SectionMode | None = None,
     completion: Completion | None = None,
+    sequence: Sequence[str] | None = None,
 ) -> EventReturn:
     """Return the n-th next event of a kind after a start, with derivatives.
 
@@ -173,9 +174,11 @@ def event_return(
         mode: The mode just after the event, by which the start is projected.
         completion: Method by which Zeno points are reached. It must resolve the impacts. The
             default is the extrapolation of the settings.
+        sequence: The event sequence that the return must have. The default is any.
 
     Raises:
-        SimulationError: If the event does not follow within a few times the guess.
+        SimulationError: If the event does not follow within a few times the guess, or the event
+            sequence is another.
     """
     start = x if mode is None else on_section(graph, x, mode)
     exact = replace(settings, completion=completion or extrapolated(settings))
@@ -198,6 +201,13 @@ def event_return(
         if name == section and event.time == end
     )
     events = tuple(execution.events[: last + 1])
+    passed = sequence_of(names[: last + 1])
+    if sequence is not None and passed != tuple(sequence):
+        raise SimulationError(
+            f"The event sequence changes to `{', '.join(passed)}`",
+            time=end,
+            state=tuple(x.tolist()),
+        )
     return EventReturn(
         start=start,
         end=state_after(events[-1]),

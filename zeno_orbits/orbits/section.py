@@ -6,7 +6,9 @@ states, or the states just after an impact. Source: theory (12), (27), (44).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -115,14 +117,36 @@ class Section:
         Raises:
             SimulationError: If the conditions do not have a root this far from the centre.
         """
+        return self.root(partial(conditions, dynamics, self.rows), coordinates)
+
+    def root(
+        self,
+        conditions_at: Callable[[Vector], Vector],
+        coordinates: Vector,
+        gradient_at: Callable[[Vector], Vector] | None = None,
+    ) -> Vector:
+        """Return the state at section coordinates where given conditions vanish, ``(n_x,)``.
+
+        Args:
+            conditions_at: Conditions of the section at a state, ``(n_conditions,)``.
+            coordinates: The coordinates, ``(d,)``.
+            gradient_at: Their gradient at a state, ``(n_conditions, n_x)``. The default is that at
+                the centre, with which Newton's method converges nearby.
+
+        Raises:
+            SimulationError: If the conditions do not have a root this far from the centre.
+        """
         x = self.centre + self.scale * (self.tangent @ coordinates)
         for _ in range(_CHART_CORRECTIONS):
-            values = conditions(dynamics, self.rows, x)
+            values = conditions_at(x)
             if not np.all(np.abs(values) < _LOST):
                 state = tuple(self.centre.tolist())
                 raise SimulationError(
                     "Newton's method diverges from the section", time=0.0, state=state
                 )
+            if gradient_at is not None:
+                along = gradient_at(x) * self.scale @ self.normal
+                values = np.linalg.pinv(along, rcond=_RANK) @ values
             correction = self.normal @ values
             x = x - self.scale * correction
             if np.max(np.abs(correction)) < _CHART_EXACT:
@@ -166,19 +190,30 @@ def section_around(
         parameters: Indices in ``p`` of the parameters with which the section moves, ``(k,)``.
     """
     gradient = _scaled_gradient(dynamics, rows, centre, scale)
+    section = replace(section_of(gradient, centre, scale), rows=rows)
+    if not parameters:
+        return section
+    slopes = conditions_gradient(dynamics, parameters, rows, centre)[:, centre.size :]
+    return _moving(section, slopes)
+
+
+def section_of(gradient: Vector, centre: Vector, scale: Vector) -> Section:
+    """Return a chart of the set where some conditions vanish, around one of its states.
+
+    Args:
+        gradient: Gradient of the conditions in the scaled states, ``(n_conditions, n_x)``.
+        centre: The state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+    """
     sizes = _row_sizes(gradient)
-    section = Section(
-        rows=rows,
+    return Section(
+        rows=(),
         centre=centre,
         scale=scale,
         tangent=null_space(gradient / sizes, rcond=_RANK),
         normal=_pseudo_inverse(gradient, sizes),
         drift=np.zeros((centre.size, 0)),
     )
-    if not parameters:
-        return section
-    slopes = conditions_gradient(dynamics, parameters, rows, centre)[:, centre.size :]
-    return _moving(section, slopes)
 
 
 def section_along(
