@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from zeno_orbits.api.inputs import (
     Named,
     any_orbit,
-    as_orbit,
     file_of,
     front_door,
     plan_of,
@@ -70,7 +69,7 @@ def largest_push(
 
 @front_door
 def recovery(
-    orbit: ZenoOrbit | str | Path,
+    orbit: ZenoOrbit | EventOrbit | str | Path,
     *,
     problem: Named | None = None,
     settings: RecoverySettings | None = None,
@@ -88,11 +87,11 @@ def recovery(
 
     Raises:
         InputError: If the orbit's problem is not known, or the orbit is not closed or unstable.
-        SimulationError: If the motion from its start does not have the shape of the orbit.
+        SimulationError: If the motion from its start does not have the events of the orbit.
     """
     from zeno_orbits import maps
 
-    orbit = as_orbit(orbit)
+    orbit = any_orbit(orbit)
     return maps.recovery_of(
         problem_of(orbit, problem), orbit, settings=settings, on_progress=on_progress
     )

@@ -28,11 +28,12 @@ from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import InputError, SimulationError, positive_number, shown
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.kinds import require_kinds
-from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model import Problem
 from zeno_orbits.orbits import (
-    Section,
+    EventOrbit,
     ZenoOrbit,
     cycle_of,
+    event_chart,
     placed,
     return_slope,
     rows_of,
@@ -192,9 +193,25 @@ class Recovery(Displayed):
         }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _ReturnMap:
+    """The return map of an orbit in coordinates of its section.
+
+    Attributes:
+        slope: Its derivative at the orbit, ``(d, d)``.
+        directions: Derivative of the state with respect to the coordinates, ``(n_x, d)``.
+        returned: Coordinates of a state to those of its return. It raises an error if the motion
+            does not return by the events of the orbit.
+    """
+
+    slope: Vector
+    directions: Vector
+    returned: Callable[[Vector], Vector]
+
+
 def recovery_of(
     problem: Problem,
-    orbit: ZenoOrbit,
+    orbit: ZenoOrbit | EventOrbit,
     *,
     settings: RecoverySettings | None = None,
     on_progress: Progress = silent,
@@ -209,37 +226,21 @@ def recovery_of(
 
     Raises:
         InputError: If the orbit is not closed or unstable.
-        SimulationError: If the motion from its start does not have the shape of the orbit.
+        SimulationError: If the motion from its start does not have the events of the orbit.
     """
     settings = settings or RecoverySettings()
-    dynamics = problem.dynamics(orbit.values(problem))
-    start = placed(dynamics, orbit.shape, np.array(problem.state_vector(orbit.start_state)))
-    horizon = _LONG * orbit.period
-    cycle = cycle_of(dynamics, start, orbit.shape, horizon=horizon, settings=_ACCURATE)
-    # A state that has decayed gets the size of the other states with its unit.
-    scale = scale_of([cycle.scale()], problem.state_units, dynamics.own.states(len(start)))
-    if not cycle.drift(scale) < _CLOSED:
-        wanted = f"must be closed, but a period ends {cycle.drift(scale):.1g} away from its start"
-        raise InputError(f"Argument `orbit` {wanted}.")
-    slope = return_slope(
-        dynamics,
-        start,
-        scale=scale,
-        period=orbit.period,
-        settings=_ACCURATE,
-        shape=orbit.shape,
-    )
+    is_event = isinstance(orbit, EventOrbit)
+    returns = _event_returns(problem, orbit) if is_event else _cycles(problem, orbit)
+    slope, directions = returns.slope, returns.directions
     rate = max((abs(value) for value in eigenvalues(slope)), default=0.0)
     if not rate < 1.0:
         reason = f"must be stable, but its spectral radius is {rate:.6g}"
         raise InputError(f"Argument `orbit` {reason}.")
-    section = section_around(dynamics, rows_of(orbit.shape, dynamics.restitution), start, scale)
     norm = _norm_of(slope, (1.0 + rate) / 2.0)
     root, back = _roots(norm)
-    ball = _Ball(dynamics=dynamics, orbit=orbit, section=section, root=root, back=back)
+    ball = _Ball(returned=returns.returned, root=root, back=back)
     radius, tests = _radius(ball, settings, on_progress)
-    directions = scale[:, None] * section.tangent
-    widths = np.linalg.norm(directions @ back, axis=1) if len(norm) else np.zeros(len(scale))
+    widths = np.linalg.norm(directions @ back, axis=1)
     names = problem.state_names
     extents = {name: _extent(radius, width) for name, width in zip(names, widths, strict=True)}
     return Recovery(
@@ -259,6 +260,43 @@ def recovery_of(
         settings=settings,
         versions=versions(),
     )
+
+
+def _cycles(problem: Problem, orbit: ZenoOrbit) -> _ReturnMap:
+    """Return the return map of an orbit of a machine with one stop."""
+    shape, horizon = orbit.shape, _LONG * orbit.period
+    dynamics = problem.dynamics(orbit.values(problem))
+    start = placed(dynamics, shape, np.array(problem.state_vector(orbit.start_state)))
+    cycle = cycle_of(dynamics, start, shape, horizon=horizon, settings=_ACCURATE)
+    # A state that has decayed gets the size of the other states with its unit.
+    scale = scale_of([cycle.scale()], problem.state_units, dynamics.own.states(len(start)))
+    _require_closed(cycle.drift(scale))
+    slope = return_slope(
+        dynamics, start, scale=scale, period=orbit.period, settings=_ACCURATE, shape=shape
+    )
+    section = section_around(dynamics, rows_of(shape, dynamics.restitution), start, scale)
+
+    def returned(coordinates: Vector) -> Vector:
+        state = placed(dynamics, shape, section.state(dynamics, coordinates))
+        cycle = cycle_of(dynamics, state, shape, horizon=horizon, settings=_ACCURATE)
+        return section.coordinates(cycle.end.state)
+
+    return _ReturnMap(slope=slope, directions=section.lift, returned=returned)
+
+
+def _event_returns(problem: Problem, orbit: EventOrbit) -> _ReturnMap:
+    """Return the return map of an orbit of a machine with several stops or switches."""
+    graph = problem.graph_dynamics(orbit.values(problem))
+    chart = event_chart(graph, orbit, problem.state_units, _ACCURATE)
+    _require_closed(chart.drift)
+    return _ReturnMap(slope=chart.slope, directions=chart.section.lift, returned=chart.returned)
+
+
+def _require_closed(drift: float) -> None:
+    """Raise an error for an orbit whose end differs from its start."""
+    if not drift < _CLOSED:
+        wanted = f"must be closed, but a period ends {drift:.1g} away from its start"
+        raise InputError(f"Argument `orbit` {wanted}.")
 
 
 def _norm_of(slope: Vector, rate: float) -> Vector:
@@ -302,16 +340,12 @@ class _Ball:
     """Balls around an orbit on its section.
 
     Attributes:
-        dynamics: The system.
-        orbit: The orbit.
-        section: The chart around the start of the orbit.
+        returned: Coordinates of a state to those of its return, or an error.
         root: Matrix from section coordinates to coordinates in which the ball is round, ``(d, d)``.
         back: Its inverse.
     """
 
-    dynamics: HybridDynamics
-    orbit: ZenoOrbit
-    section: Section
+    returned: Callable[[Vector], Vector]
     root: Vector
     back: Vector
 
@@ -324,17 +358,11 @@ class _Ball:
 
     def keeps(self, point: Vector, radius: float) -> bool:
         """Return True if the motion from a point of the ball returns into the ball."""
-        shape, period = self.orbit.shape, self.orbit.period
         try:
-            state = self.section.state(self.dynamics, self.back @ (radius * point))
-            start = placed(self.dynamics, shape, state)
-            cycle = cycle_of(
-                self.dynamics, start, shape, horizon=_LONG * period, settings=_ACCURATE
-            )
+            returned = self.returned(self.back @ (radius * point))
         except (InputError, SimulationError):
             return False
-        returned = self.root @ self.section.coordinates(cycle.end.state)
-        return float(np.linalg.norm(returned)) <= radius
+        return float(np.linalg.norm(self.root @ returned)) <= radius
 
 
 def _radius(ball: _Ball, settings: RecoverySettings, on_progress: Progress) -> tuple[float, int]:
