@@ -44,7 +44,7 @@ def test_the_page_tells_the_events_in_their_order_with_times_and_multipliers() -
     for name in ("impact knee", "Zeno point knee", "switch heel strike", "switch_transversality"):
         assert name in page
     assert f"{orbit.floquet_multipliers[0].real:.7f}"[:8] in page
-    assert "The energy balance, pushes and work-precision studies need a machine" in page
+    assert "Work-precision studies need a machine with one stop and no switch" in page
 
 
 def test_the_curves_of_the_page_are_those_of_the_orbit() -> None:
@@ -86,11 +86,25 @@ def test_the_page_of_a_false_orbit_says_so() -> None:
     assert "Not verified: do not rely on these values." in zo.report_page(false)
 
 
-def test_studies_of_machines_with_one_stop_are_refused(tmp_path: Path) -> None:
-    file, orbit = tmp_path / "study.json", _orbit("hopper")
+def test_the_page_shows_pushes_and_recovery_of_this_orbit_only(tmp_path: Path) -> None:
+    orbit, file = _orbit("hopper"), tmp_path / "recovery.json"
+    recovery = zo.recovery(orbit, settings=zo.RecoverySettings(samples=5))
+    file.write_text(json.dumps(recovery.as_json()))
+    pushes = zo.largest_push(orbit, settings=zo.PushSettings(phases=2, steps=2))
+    page = zo.report_page(orbit, recovery=file, pushes=pushes)
+    section = page[page.index('<section id="disturbances"') :]
+    # Its multiplier is e^2 = 1 / 4, so the fourth power is the first one below 1 %.
+    assert "decays to 1 % in 4 periods" in section
+    assert f"{recovery.extents['speed']:.4g}" in section
+    assert pushes.least is not None
+    assert f"{pushes.least.largest:.6g}" in section
+    other = zo.find_event_orbit("hopper", parameters={"a": 21.0})
+    with pytest.raises(InputError, match="`recovery` must be of this orbit"):
+        zo.report_page(other, recovery=file)
+    with pytest.raises(InputError, match="`pushes` must be of this orbit"):
+        zo.report_page(other, pushes=pushes)
+
+
+def test_a_work_precision_study_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="`trade` needs a machine with one stop"):
-        zo.report_page(orbit, trade=file)
-    with pytest.raises(InputError, match="`pushes` needs a machine with one stop"):
-        zo.report_page(orbit, pushes=file)
-    with pytest.raises(InputError, match="`recovery` needs a machine with one stop"):
-        zo.report_page(orbit, recovery=file)
+        zo.report_page(_orbit("hopper"), trade=tmp_path / "study.json")

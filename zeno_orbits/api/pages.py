@@ -15,7 +15,7 @@ from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.maps import Pushes, Recovery
-    from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
+    from zeno_orbits.model import Problem
     from zeno_orbits.precision import WorkPrecision
     from zeno_orbits.report import Subject
     from zeno_orbits.verification import VerificationSettings
@@ -92,30 +92,20 @@ def report_subject(
 
     found = any_orbit(orbit)
     known = problem_of(found, problem)
-    dynamics: HybridDynamics | GraphDynamics
-    study, pushed, recovered = None, None, None
-    if isinstance(found, EventOrbit):
-        for name, given in (("trade", trade), ("pushes", pushes), ("recovery", recovery)):
-            if given is not None:
-                raise InputError(f"Argument `{name}` needs a machine with one stop and no switch.")
-        dynamics = system_of(found, known)
-        certificate = verify(found, problem=known, settings=settings, on_progress=on_progress)
-    else:
-        study = _trade_of(found, trade)
-        pushed = _pushes_of(found, known, pushes)
-        recovered = _recovery_of(found, known, recovery)
-        dynamics = system_of(found, known)
-        certificate = verify(
-            found,
-            problem=known,
-            settings=settings,
-            dynamics=dynamics,
-            on_progress=on_progress,
-        )
+    if isinstance(found, EventOrbit) and trade is not None:
+        raise InputError("Argument `trade` needs a machine with one stop and no switch.")
+    study = _trade_of(found, trade)
+    pushed = _pushes_of(found, known, pushes)
+    recovered = _recovery_of(found, known, recovery)
+    # The verification of an orbit of events builds its own graph of modes.
+    built = None if isinstance(found, EventOrbit) else system_of(found, known)
+    certificate = verify(
+        found, problem=known, settings=settings, dynamics=built, on_progress=on_progress
+    )
     return Subject(
         orbit=found,
         problem=known,
-        dynamics=dynamics,
+        dynamics=built or system_of(found, known),
         certificate=certificate,
         trade=study,
         pushes=pushed,
@@ -127,7 +117,9 @@ def report_subject(
     )
 
 
-def _trade_of(orbit: ZenoOrbit, trade: WorkPrecision | str | Path | None) -> WorkPrecision | None:
+def _trade_of(
+    orbit: ZenoOrbit | EventOrbit, trade: WorkPrecision | str | Path | None
+) -> WorkPrecision | None:
     """Return the work-precision study of the orbit's problem."""
     if isinstance(trade, str | Path):
         from zeno_orbits.precision import read_work_precision
@@ -140,7 +132,7 @@ def _trade_of(orbit: ZenoOrbit, trade: WorkPrecision | str | Path | None) -> Wor
 
 
 def _pushes_of(
-    orbit: ZenoOrbit, problem: Problem, pushes: Pushes | str | Path | None
+    orbit: ZenoOrbit | EventOrbit, problem: Problem, pushes: Pushes | str | Path | None
 ) -> Pushes | None:
     """Return the largest pushes of the orbit."""
     from zeno_orbits.maps import read_pushes, require_pushes_of
@@ -152,7 +144,7 @@ def _pushes_of(
 
 
 def _recovery_of(
-    orbit: ZenoOrbit, problem: Problem, recovery: Recovery | str | Path | None
+    orbit: ZenoOrbit | EventOrbit, problem: Problem, recovery: Recovery | str | Path | None
 ) -> Recovery | None:
     """Return the recovery of the orbit."""
     from zeno_orbits.maps import read_recovery, require_recovery_of
