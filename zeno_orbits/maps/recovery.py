@@ -238,6 +238,10 @@ def recovery_of(
         raise InputError(f"Argument `orbit` {reason}.")
     norm = _norm_of(slope, (1.0 + rate) / 2.0)
     root, back = _roots(norm)
+    contraction = _factor(root, slope, back)
+    if not contraction < 1.0:
+        reason = f"must be stable by more than rounding, but its spectral radius is {rate!r}"
+        raise InputError(f"Argument `orbit` {reason}.")
     ball = _Ball(returned=returns.returned, root=root, back=back)
     radius, tests = _radius(ball, settings, on_progress)
     widths = np.linalg.norm(directions @ back, axis=1)
@@ -249,7 +253,7 @@ def recovery_of(
         parameters=dict(orbit.parameters),
         period=orbit.period,
         spectral_radius=rate,
-        contraction=_factor(root, slope, back),
+        contraction=contraction,
         periods=_periods(root, slope, back, settings.part),
         norm=norm,
         directions=directions,
@@ -324,11 +328,19 @@ def _factor(root: Vector, slope: Vector, back: Vector) -> float:
 
 
 def _periods(root: Vector, slope: Vector, back: Vector, part: float) -> int:
-    """Return the number of returns that reduce the norm of every disturbance to a part."""
-    count, power = 1, slope
-    while _factor(root, power, back) > part:
-        count, power = count + 1, power @ slope
-    return count
+    """Return the number of returns that reduce the norm of every disturbance to a part.
+
+    The norm of a power falls with its exponent, so the exponent is found bit by bit.
+    """
+    powers = [slope]
+    while _factor(root, powers[-1], back) > part:
+        powers.append(powers[-1] @ powers[-1])
+    count, product = 0, np.eye(len(slope))
+    for bit in reversed(range(len(powers) - 1)):
+        longer = product @ powers[bit]
+        if _factor(root, longer, back) > part:
+            count, product = count + 2**bit, longer
+    return count + 1
 
 
 def _extent(radius: float, width: float) -> float:
