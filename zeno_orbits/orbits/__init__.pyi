@@ -11,8 +11,8 @@ from .cycle import gone_round_twice as gone_round_twice
 from .cycle import round_again as round_again
 from .digest import digest_of as digest_of
 from .digest import same_equations as same_equations
-from .event_chart import EventChart as EventChart
-from .event_chart import event_chart as event_chart
+from .event_return_map import EventChart as EventChart
+from .event_return_map import event_chart as event_chart
 from .event_courses import ENERGY as ENERGY
 from .event_courses import EventCourse as EventCourse
 from .event_courses import course_signal_names as course_signal_names
