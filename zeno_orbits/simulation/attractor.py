@@ -61,9 +61,6 @@ _FADED = 1e-3
 """A motion with less than this part of its largest amplitude decays to zero."""
 _WINDOW = 6
 """Growth factors that a law of growth is fitted to."""
-_FELL = 0.9
-"""Factor by which the amplitude must have decreased over them. Otherwise their trend is not
-determined."""
 _CLEARLY = 3e-3
 """A logarithm of a growth factor beyond this is decay, not error."""
 _FALL = 4.0
@@ -286,7 +283,7 @@ def growth_of(amplitudes: Sequence[float]) -> Growth:
     rates = np.log(recent[1:] / recent[:-1])
     squares = recent[:-1] ** 2
     factor = math.exp(float(np.mean(rates)))
-    if not (np.all(rates < -_CLEARLY) and recent[-1] < _FELL * recent[0]):
+    if not np.all(rates < -_CLEARLY):
         return Growth(factor=factor, dies_out=False)
     begun = max((k for k, a in enumerate(amplitudes) if a >= _FALL * recent[-1]), default=-1)
     if begun < 0:
