@@ -17,7 +17,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import lru_cache
 from itertools import pairwise
+from threading import get_ident
 from typing import ClassVar, Protocol, Self
 
 import numpy as np
@@ -205,6 +207,18 @@ class ReturnMap(Protocol):
         ...
 
 
+@lru_cache(maxsize=8)
+def _system_at(
+    compiled: CompiledSystem, values: tuple[float, ...], thread: int
+) -> HybridDynamics:
+    """Return the system at some values, which a return and its section share in one thread.
+
+    Its calls write to memory of their own, so that two threads must not share a system.
+    """
+    del thread
+    return bind(compiled, values)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SectionReturns:
     """Base of the return maps on a section of the contact.
@@ -223,7 +237,7 @@ class SectionReturns:
 
     def dynamics(self, s: float) -> HybridDynamics:
         """Return the system at a position on the line."""
-        return bind(self.compiled, self.line.at(s).tolist())
+        return _system_at(self.compiled, tuple(self.line.at(s).tolist()), get_ident())
 
     def restitution(self, s: float, place: int = 0) -> float:
         """Return the coefficient of restitution at a position on the line."""

@@ -15,12 +15,20 @@ class Call:
     """A function of ``(x, p)`` at fixed ``p``, called through preallocated memory."""
 
     def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._function, self._p = function, p
+        self._results: list[Vector] = []
+
+    def _allocate(self) -> None:
+        """Allocate the memory. A system at other values has a dozen calls, few of them used."""
+        function = self._function
         self._x = np.zeros(function.size1_in(0))
         self._results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
-        self._evaluate = caller(function, (self._x, p), self._results)
+        self._evaluate = caller(function, (self._x, self._p), self._results)
 
     def __call__(self, x: Vector, output: int = 0) -> Vector:
         """Return one output at a state, valid until the next call."""
+        if not self._results:
+            self._allocate()
         self._x[:] = x
         self._evaluate()
         return self._results[output]
