@@ -70,9 +70,6 @@ enum {
 #pragma GCC diagnostic ignored "-Wpedantic"
 #define NEXT                                                                                       \
     if (code == end) return;                                                                       \
-    x = registers[code->a];                                                                        \
-    y = registers[code->b];                                                                        \
-    w = registers[code->c];                                                                        \
     goto *places[code->op];
 
 static void carry_out(const zl_instruction *code, long long n, double *registers) {
@@ -82,13 +79,16 @@ static void carry_out(const zl_instruction *code, long long n, double *registers
 #undef ONE
     };
     const zl_instruction *end = code + n;
-    double x, y, w;
     NEXT
 #define ONE(OP, FORMULA)                                                                           \
-    at_##OP:                                                                                       \
-    registers[code->to] = FORMULA;                                                                 \
-    code++;                                                                                        \
-    NEXT
+    at_##OP : {                                                                                    \
+        const double x = registers[code->a], y = registers[code->b], w = registers[code->c];       \
+        (void)y;                                                                                   \
+        (void)w;                                                                                   \
+        registers[code->to] = FORMULA;                                                             \
+        code++;                                                                                    \
+        NEXT                                                                                       \
+    }
     OPERATIONS(ONE)
 #undef ONE
 }

@@ -1,8 +1,9 @@
 """A CasADi function as a tape: register instructions that `tape.c` executes.
 
-A tape keeps the order of CasADi's own instructions. Each instruction is one floating-point
-operation, so both give the same result, bit for bit. Instructions that depend only on parameters
-come first and are executed once per run.
+A tape consists of CasADi's own instructions. Each instruction is one floating-point operation, so
+both give the same result, bit for bit. Instructions that depend only on parameters come first and
+are executed once per run. The other instructions are ordered by their depth: neighbours do not wait
+for each other, so a processor executes several at once.
 """
 
 from __future__ import annotations
@@ -161,7 +162,8 @@ def tape_of(
     needed, first = _needed(formula, formula.outputs), set(_needed(formula, formula.outputs[:1]))
     once = _independent(formula, needed, range(begin, end))
     first -= once
-    order = sorted(needed, key=lambda k: (k not in once, k not in first))
+    level = _levels(formula, needed)
+    order = sorted(needed, key=lambda k: (k not in once, k not in first, level[k]))
     code, n_registers = _allocated(formula, order, place, once)
     return Tape(
         n_varying=n_varying,
@@ -240,6 +242,15 @@ def _needed(formula: _Formula, outputs: Sequence[_Value]) -> list[int]:
         if k in needed:
             needed.update(value - _RESULT for value in formula.made[k][1:] if value >= _RESULT)
     return sorted(needed)
+
+
+def _levels(formula: _Formula, needed: Sequence[int]) -> dict[int, int]:
+    """Return the depth of results: one more than that of the deepest operand."""
+    levels: dict[int, int] = {}
+    for k in needed:
+        operands = (value - _RESULT for value in formula.made[k][1:] if value >= _RESULT)
+        levels[k] = 1 + max((levels[one] for one in operands), default=0)
+    return levels
 
 
 def _independent(
