@@ -82,13 +82,18 @@ def loop_library() -> Any:
     return None if chosen == "never" else _found()[0]
 
 
+def may_have_formulas() -> bool:
+    """Return True if compiled formulas of a problem may be used."""
+    return os.environ.get(VARIABLE, "") != "tape" and not os.environ.get(_LIBRARY, "")
+
+
 def compiled_library(digest: str) -> Any:
     """Return the library with the formulas of one problem, or ``None`` if it is not in the cache.
 
     Args:
         digest: Digest of the formulas.
     """
-    if os.environ.get(VARIABLE, "") == "tape" or os.environ.get(_LIBRARY, ""):
+    if not may_have_formulas():
         return None
     try:
         compiler = find_compiler()

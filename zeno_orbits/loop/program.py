@@ -20,6 +20,7 @@ from zeno_orbits.loop.library import (
     compile_library,
     compiled_library,
     loop_library,
+    may_have_formulas,
 )
 from zeno_orbits.loop.tape import Tape, UnknownOperationError, tape_of
 from zeno_orbits.model import (
@@ -192,11 +193,13 @@ def compile_formulas(system: CompiledSystem) -> str:
     program = program_or_reason(system)
     if isinstance(program, str):
         return program
+    if not may_have_formulas():
+        return f"{VARIABLE} excludes them"
     try:
         program.compile()
     except KernelError as error:
         return str(error)
-    return "" if program.is_compiled else f"{VARIABLE} excludes them"
+    return "" if program.is_compiled else "they cannot be loaded"
 
 
 def refusals() -> list[str]:
