@@ -68,7 +68,8 @@ class Automatic(SteppingEngine, Checked):
             if count == FIRST_LOOK or count % PATIENCE == 0:
                 limits = _limits(flow, step.after, tolerance)
             stuck, size = step.size <= size, step.size
-            if size * limits.fastest > (STUCK if stuck else HELD):
+            may_grow = size < self.implicit.largest_step
+            if may_grow and size * limits.fastest > (STUCK if stuck else HELD):
                 end = step.start + size
                 left = min(_time_left(flow, step), horizon - end)
                 if left * limits.fastest > LONG and limits.pay(left):

@@ -236,7 +236,8 @@ static int goes_over(Leg *leg, const double *before, const double *after, double
     int stuck = size <= leg->earlier_size;
     double end = leg->time + size, left;
     leg->earlier_size = size;
-    if (!(size * leg->fastest > (stuck ? STUCK : HELD))) return 0;
+    /* Steps of a bounded length, which implicit ones do not exceed, stay explicit. */
+    if (!(size < leg->largest_implicit && size * leg->fastest > (stuck ? STUCK : HELD))) return 0;
     left = lesser(time_left(before, after, size), leg->horizon - end);
     if (!(left * leg->fastest > LONG_LEFT && leg->fastest > PAYS * staying_rate(leg, left)))
         return 0;
