@@ -222,6 +222,19 @@ def test_a_leg_that_is_nearly_over_is_finished_explicitly() -> None:
     assert _n_explicit(passage) == _n_steps(passage)
 
 
+@pytest.mark.parametrize(("bound", "stays"), [(2e-4, True), (2e-3, False)])
+def test_steps_of_a_bounded_length_stay_explicit_unless_stability_shortens_them(
+    bound: float, stays: bool
+) -> None:
+    # A stable explicit step is at most about 6 / rate.
+    leg = _leg(_prothero_robinson(1e4), np.array([1.0, 0.0]), 0.05)
+    explicit = RungeKutta(largest_step=bound)
+    passage = Automatic(explicit=explicit, implicit=Radau(largest_step=bound)).follow(leg)
+    assert (_n_explicit(passage) == _n_steps(passage)) is stays
+    assert (passage.state.tolist() == explicit.follow(leg).state.tolist()) is stays
+    assert passage.state[0] == pytest.approx(math.cos(0.05), abs=1e-11)
+
+
 def test_flights_that_share_their_memory_do_not_disturb_each_other() -> None:
     problem = load_problem("motor_pendulum")
     values = problem.values().vector

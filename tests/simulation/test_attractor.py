@@ -351,10 +351,11 @@ def test_a_law_is_told_from_six_factors_and_not_from_fewer():
 
 
 @pytest.mark.parametrize("size", [0.01, 1.0, 100.0])
-def test_a_fall_by_less_than_four_tells_no_death(size):
-    # 0.98 ** 69 is 0.248, and 0.98 ** 68 is 0.253.
-    assert not growth_of([size * 0.98**k for k in range(69)]).dies_out
-    assert growth_of([size * 0.98**k for k in range(71)]).dies_out
+@pytest.mark.parametrize("factor", [0.9, 0.98, 0.985, 0.996])
+def test_a_fall_by_less_than_four_tells_no_death(size, factor):
+    falls = math.log(0.25) / math.log(factor)
+    assert not growth_of([size * factor**k for k in range(math.floor(falls))]).dies_out
+    assert growth_of([size * factor**k for k in range(math.ceil(falls) + 2)]).dies_out
 
 
 @pytest.mark.parametrize("turn", [0.3, 0.05, 0.01])
