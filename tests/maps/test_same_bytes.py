@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.loop.agreement import needs_compiler
 from zeno_orbits.maps import Axis, Plane, attractors_at, chunk_of
 from zeno_orbits.model import load_problem, locate_problem
 
@@ -62,6 +63,21 @@ def test_a_map_without_the_loop_has_the_same_attractors_to_rounding(
         if "period" in one:
             # Sums of rounding over a period, far below the local error.
             assert one["period"] == pytest.approx(other["period"], rel=1e-10)
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_a_large_map_compiles_its_formulas_first_and_is_the_file_of_their_tapes(
+    tmp_path: Path,
+) -> None:
+    words = ("bouncing_ball", "--x", "height=0.5:0.6", "--y", "restitution=0.1:0.2")
+    made: list[bytes] = []
+    for chosen, is_compiled in (("use", True), ("tape", False)):
+        cache = tmp_path / chosen
+        variables = {"ZENO_ORBITS_LOOP": chosen, "ZENO_ORBITS_CACHE": str(cache)}
+        made.append(map_file(tmp_path, (*words, "--grid", "64x64"), workers=2, **variables))
+        assert bool(list(cache.rglob("formulas_*"))) is is_compiled
+    assert made[0] == made[1]
 
 
 @pytest.mark.slow

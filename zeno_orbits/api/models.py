@@ -33,7 +33,7 @@ def all_problems() -> list[Problem]:
 def compile_problem(problem: Named) -> None:
     """Compile the formulas of a problem into the cache of this machine.
 
-    Executions become about twice as fast, with identical results. Later runs and other processes
+    Executions take about a third less time, with identical results. Later runs and other processes
     find the compiled formulas automatically. A compilation takes a few seconds.
 
     Args:

@@ -250,8 +250,8 @@ def parameter_map(
 
 
 _COMPILED = 4000
-"""Points of a grid from which compiled formulas save more time than their compilation takes: they
-save about 5 ms of two cores at a point, and take 5 s."""
+"""Points of a grid from which compiled formulas save more time than their compilation takes. At a
+point of the reference problem they save 3.7 ms, and two processes wait 5 s for them."""
 
 
 def _compile_first(plane: Plane, on_progress: Progress) -> None:
