@@ -314,6 +314,7 @@ def test_a_gain_can_be_tuned_between_steps(export: Export) -> None:
     assert unit.states(names) == pytest.approx(expected.end_state.tolist(), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_kept_state_is_taken_again(export: Export) -> None:
     unit = Unit(export("bouncing_ball"))
     assert unit.initialize(6.0) == OK

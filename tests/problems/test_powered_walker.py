@@ -71,7 +71,7 @@ def test_the_swing_foot_stays_above_the_ground() -> None:
     assert np.min(stance - (thigh + shank) / 2) > 1e-4
 
 
-@pytest.mark.parametrize("part", [0.9, 1.1])
+@pytest.mark.parametrize("part", [pytest.param(0.9, marks=pytest.mark.slow), 1.1])
 def test_the_walk_survives_a_hundred_steps_from_a_perturbed_start(part: float) -> None:
     orbit = _orbit()
     start = dict(orbit.start_state)

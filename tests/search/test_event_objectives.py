@@ -205,7 +205,7 @@ def _along(course: EventCourse, found: EventReturn, reading: Reading) -> float:
 @pytest.mark.parametrize(
     ("name", "parameter"),
     [
-        ("limited_pendulum", "Kp"),
+        pytest.param("limited_pendulum", "Kp", marks=pytest.mark.slow),
         ("limited_pendulum", "U"),
         ("hopper", "a"),
         ("relay_soft", "t1"),
