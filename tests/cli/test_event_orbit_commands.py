@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -98,15 +99,45 @@ def test_continue_follows_an_event_sequence() -> None:
         assert point["multipliers"][0][0] == pytest.approx(point["value"] ** 2, abs=1e-8)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        ["--shape", "zeno"],
-        ["--candidates", "2"],
-    ],
-)
-def test_search_refuses_options_for_machines_with_one_stop(options: list[str]) -> None:
-    assert_refused(ask("search", "hopper", *options), options[0], "one stop")
+def test_search_refuses_options_for_machines_with_one_stop() -> None:
+    assert_refused(ask("search", "hopper", "--shape", "zeno"), "--shape", "one stop")
+
+
+IMPACT_PAIR = ("--set", "k=0", "--set", "c=0", "--set", "restitution=0.9", "--set", "omega=2")
+
+
+def test_search_ranks_attractors_that_coexist_and_prints_where_it_looked() -> None:
+    words = ("search", "clapper", *IMPACT_PAIR, "--set", "A=4", "--candidates", "3")
+    answer = ask(*words, "-o", "best.json")
+    assert answer.code == YES
+    assert "rank  score  period [s]  spectral radius" in answer.out
+    looked = "1 start and 24 initial states at the values of the best orbit led to 2 orbits."
+    assert f"1 fewer than requested: {looked}" in answer.out
+    assert "Asked for" not in answer.out
+    data = ask(*words, "--json").data
+    assert [one["orbit"]["certificate"]["passed"] for one in data["candidates"]] == [True, True]
+    assert data["candidates"][0]["orbit"]["start_state"] == data["start_state"]
+    assert data["failures"] == []
+    assert looked in data["notes"][0]
+    assert zo.read_event_orbit("best.json").start_state == data["start_state"]
+
+
+@pytest.mark.slow
+def test_orbits_that_are_not_stable_are_not_ranked() -> None:
+    # From A = 3.5 the least loss belongs to an orbit that repels.
+    words = ("search", "clapper", *IMPACT_PAIR[:4], "--set", "restitution=0.7")
+    words = (*words, "--set", "omega=1.5", "--set", "A=3.5", "--vary", "A=3.5:4.5")
+    words = (*words, "--objective", "impacts", "--candidates", "2")
+    data = ask(*words, "--n-starts", "3", "--json").data
+    radii = [
+        max(math.hypot(*mu) for mu in one["orbit"]["floquet_multipliers"])
+        for one in data["candidates"]
+    ]
+    assert radii
+    assert max(radii) < 1.0
+    assert "not stable" in data["failures"][0]["detail"]
+    scores = [one["score"] for one in data["candidates"]]
+    assert scores == sorted(scores)
 
 
 def test_search_finds_gains_that_keep_a_bound_and_writes_their_orbit() -> None:

@@ -245,6 +245,8 @@ def search_event_gains(
     until: float | None = None,
     n_starts: int = 12,
     seed: int = 0,
+    candidates: int = 1,
+    allow_unstable: bool = False,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> EventSearchResult:
@@ -274,8 +276,12 @@ def search_event_gains(
         section: Name of the event at which the period starts and ends. The default is chosen by the
             program.
         until: Longest time to settle [s].
-        n_starts: Number of further starts in the ranges, if no motion settles at the first.
-        seed: Seed of these starts.
+        n_starts: Number of further starts in the ranges, if no motion settles at the first, or if
+            several orbits are searched.
+        seed: Seed of these starts, and of initial states.
+        candidates: Number of different verified orbits to find and rank. If it is larger than 1,
+            all starts count, and motions also start from initial states around the best orbit.
+        allow_unstable: Rank unstable orbits, too.
         settings: Integrator and accuracy.
         on_progress: Called with the stage and the part of it that is done.
 
@@ -289,8 +295,9 @@ def search_event_gains(
         SimulationError: If no motion settles to an orbit.
     """
     from zeno_orbits.search import search_event_gains as search
-    from zeno_orbits.verification import certified, verify_events
 
+    if candidates < 1:
+        raise InputError(f"Argument `candidates` must be at least 1, but it is {candidates}.")
     known = known_problem(problem)
     begin = None if near is None else _near_events(near, known)
     result = search(
@@ -305,15 +312,12 @@ def search_event_gains(
         until=until,
         n_starts=n_starts,
         seed=seed,
+        candidates=candidates,
+        accept=Verified(problem=known, allow_unstable=allow_unstable),
         simulation=settings,
         on_progress=on_progress,
     )
-    if result.orbit is None:
-        return result
-    certificate = verify_events(result.orbit, known, on_progress=on_progress)
-    certificate = replace(certificate, asked=result.asked)
-    orbit = certified(result.orbit, certificate)
-    return replace(result, orbit=orbit, certificate=certificate)
+    return _with_event_certificates(result)
 
 
 @front_door
@@ -376,13 +380,16 @@ class Verified:
     allow_unstable: bool = False
     accuracy: float | None = None
 
-    def __call__(self, orbit: ZenoOrbit) -> Any:
+    def __call__(self, orbit: ZenoOrbit | EventOrbit) -> Any:
         """Return the certificate of an orbit and the reason against accepting it, if any."""
         from zeno_orbits.search import Judgement
-        from zeno_orbits.verification import verifier
+        from zeno_orbits.verification import verifier, verify_events
 
         known = self.problem if isinstance(self.problem, Problem) else self.problem.load()
-        certificate = verifier.verify(orbit, known, settings=self.settings)
+        if isinstance(orbit, EventOrbit):
+            certificate = verify_events(orbit, known, settings=self.settings)
+        else:
+            certificate = verifier.verify(orbit, known, settings=self.settings)
         objection = ""
         if not certificate.passed:
             objection = certificate.verdict()
@@ -467,6 +474,21 @@ def _with_certificates(result: SearchResult, bounds: Sequence[Bound]) -> SearchR
     candidates = tuple(map(with_certificate, result.candidates))
     best = candidates[0].orbit if candidates else result.orbit
     return replace(result, orbit=best, candidates=candidates)
+
+
+def _with_event_certificates(result: EventSearchResult) -> EventSearchResult:
+    """Return the result with the certificate, bounds and multipliers stored in each orbit."""
+    from zeno_orbits.verification import certified
+
+    candidates = tuple(
+        one
+        if one.certificate is None
+        else replace(one, orbit=certified(one.orbit, one.certificate))
+        for one in result.candidates
+    )
+    if result.orbit is None or result.certificate is None:
+        return replace(result, candidates=candidates)
+    return replace(result, orbit=certified(result.orbit, result.certificate), candidates=candidates)
 
 
 def _boxes(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from zeno_orbits import api
 from zeno_orbits.cli.options import NO, YES, numbers_of, print_json, say_written
 from zeno_orbits.cli.parsing import over_ranges, read_wish, require_starts_inside
+from zeno_orbits.cli.search_output import lacking_orbits, ranking
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import require_writable
@@ -63,12 +64,11 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
     import zeno_orbits as zo
 
     _refuse(options, _SEARCH)
-    if options.candidates != 1:
-        raise InputError(needs_one_stop("--candidates"))
     if options.output is not None:
         require_writable(options.output)
-    if options.vary or options.objective or options.keep or options.uncertain:
-        return _search_gains(options, problem)
+    varies = options.vary or options.objective or options.keep or options.uncertain
+    if varies or options.candidates > 1:
+        return _search_gains(options, problem, varies=bool(varies))
     with report.ProgressLine(options.interrupts.check) as progress:
         orbit = api.find_event_orbit(
             problem,
@@ -95,12 +95,12 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
     return YES if passes else NO
 
 
-def _search_gains(options: argparse.Namespace, problem: zo.Problem) -> int:
-    """Find the best orbit in given ranges, verify and print it, and return the exit code."""
+def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: bool) -> int:
+    """Find the best orbits in given ranges, verify and print them, and return the exit code."""
     import zeno_orbits as zo
 
     numbers = numbers_of(problem, options)
-    free = {**api.free_gains(problem, numbers["gains"] or {}), **options.vary}
+    free = {**api.free_gains(problem, numbers["gains"] or {}), **options.vary} if varies else {}
     require_starts_inside(options.set, free)
     wish = options.objective or read_wish("nearest")
     objective = wish.objective(problem, free)
@@ -119,6 +119,8 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem) -> int:
             until=options.until,
             n_starts=options.starts,
             seed=options.seed,
+            candidates=options.candidates,
+            allow_unstable=options.allow_unstable,
             settings=api.simulation_settings(options.engine),
             on_progress=progress,
         )
@@ -132,13 +134,19 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem) -> int:
     passes = certificate.passed and (certificate.stable or options.allow_unstable)
     if options.output is not None and passes:
         zo.write_event_orbit(orbit, options.output)
+    lacking = lacking_orbits(options, result)
     if options.json:
-        print_json(orbit.as_json() | {"search": result.as_json()})
+        told = {"notes": lacking} if lacking else {}
+        print_json(orbit.as_json() | {"search": result.as_json()} | ranking(options, result) | told)
         return YES if passes else NO
     report.print_event_orbit(orbit, certificate)
     if passes:
         say_written(options, [] if options.output is None else [options.output])
-    report.print_event_search(result)
+    if result.candidates:
+        report.print_candidates(result)
+    if free:
+        report.print_event_search(result)
+    report.print_lines(lacking)
     if options.accuracy is not None:
         report.print_error_estimate(certificate.orbit_error)
     return YES if passes else NO

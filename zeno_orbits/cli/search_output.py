@@ -44,7 +44,7 @@ def answer(
     said = on_the_optimum(options, problem, result, notes)
     if options.json:
         told = {"notes": [*filter(None, [result.detail]), *said]} if notes.free else {}
-        print_json(orbit.as_json() | _ranking(options, result) | told)
+        print_json(orbit.as_json() | ranking(options, result) | told)
         return YES
     free = result.attempts[0].parameters
     report.print_summary(problem, orbit, certificate, free)
@@ -83,7 +83,7 @@ def on_the_optimum(
         notes: Decision variables and objective.
     """
     if not notes.free:
-        return _lacking(options, result)
+        return lacking_orbits(options, result)
     best, objective = result.candidates[0], notes.objective
     said = report.objective_reached(objective.wish, best.extents, objective.quantities)
     if objective.quantities and best.score > objective.least:
@@ -91,11 +91,18 @@ def on_the_optimum(
         said.append(_LOCAL if one else f"{best.starts} of {len(result.attempts)} starts led there.")
     if objective.quantities or objective.goal:
         said += notes.at_ends(problem, best.orbit)
-    return said + _lacking(options, result)
+    return said + lacking_orbits(options, result)
 
 
-def _lacking(options: argparse.Namespace, result: zo.SearchResult) -> list[str]:
-    """Return the number of missing orbits and the starts that were used."""
+def lacking_orbits(
+    options: argparse.Namespace, result: zo.SearchResult | zo.EventSearchResult
+) -> list[str]:
+    """Return the number of missing orbits and the starts that were used, as a sentence.
+
+    Args:
+        options: Options of the command.
+        result: The result of the search.
+    """
     lacking = options.candidates - len(result.candidates)
     if lacking <= 0:
         return []
@@ -185,7 +192,7 @@ def map_command(problem: zo.Problem, options: argparse.Namespace, notes: api.Sea
     return " ".join(words)
 
 
-def _attempts(result: zo.SearchResult) -> list[dict[str, Any]]:
+def _attempts(result: zo.SearchResult | zo.EventSearchResult) -> list[dict[str, Any]]:
     return [
         {
             "gains": dict(a.gains),
@@ -197,8 +204,15 @@ def _attempts(result: zo.SearchResult) -> list[dict[str, Any]]:
     ]
 
 
-def _ranking(options: argparse.Namespace, result: zo.SearchResult) -> dict[str, Any]:
-    """Return the ranked orbits and the failures, if several orbits were requested."""
+def ranking(
+    options: argparse.Namespace, result: zo.SearchResult | zo.EventSearchResult
+) -> dict[str, Any]:
+    """Return the ranked orbits and the failures as plain data, if several orbits were requested.
+
+    Args:
+        options: Options of the command.
+        result: The result of the search.
+    """
     if options.candidates == 1:
         return {}
     ranked = [{"score": one.score, "orbit": one.orbit.as_json()} for one in result.candidates]

@@ -4,7 +4,8 @@ from .closing import close_orbit as close_orbit
 from .event_search import event_orbit_of as event_orbit_of
 from .event_search import find_event_orbit as find_event_orbit
 from .event_search import settled_return as settled_return
-from .event_gains import EventSearchResult as EventSearchResult
+from .event_outcome import EventCandidate as EventCandidate
+from .event_outcome import EventSearchResult as EventSearchResult
 from .event_gains import search_event_gains as search_event_gains
 from .closing import orbit_of as orbit_of
 from .fixed_point import ClosedCycle as ClosedCycle

@@ -14,11 +14,11 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Attractor, attractors_at
-from zeno_orbits.model import HybridDynamics, ParameterValues
-from zeno_orbits.orbits import Cycle, ZenoOrbit
+from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
+from zeno_orbits.orbits import Cycle, EventOrbit, ZenoOrbit
 from zeno_orbits.search.scan import ACCURACY, PHASE, cycle_at, is_of_shape
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.simulation import simulate
+from zeno_orbits.simulation import Execution, simulate
 
 N_STATES = 24
 """Initial states from which motions start."""
@@ -42,20 +42,18 @@ def coexisting_cycles(search: SearchProblem, orbit: ZenoOrbit) -> list[Cycle]:
         periodic orbits of the requested shape are omitted.
     """
     problem, values = search.problem, orbit.values(search.problem)
-    dynamics = problem.dynamics(values)
-    if dynamics.holonomic(np.array(problem.state_vector(orbit.start_state))).size > bool(
-        dynamics.clock
-    ):
-        # If a mechanism has constraints of its own, its states cannot be sampled from a box.
-        return []
-    low, high = _box(search, orbit, dynamics)
-    found: list[Attractor] = []
-    for state in _states(dynamics, low, high, search.settings.seed):
-        one = _attractor(search, values, state)
-        if one is not None and not any(_alike(search, one, other, high - low) for other in found):
-            found.append(one)
+    found = coexisting_attractors(
+        problem,
+        values,
+        problem.dynamics(values),
+        orbit,
+        until=search.settings.settling.horizon,
+        seed=search.settings.seed,
+    )
     cycles: list[Cycle] = []
     for one in found:
+        if search.shape is not None and not is_of_shape(one, search.shape):
+            continue
         try:
             cycles.append(cycle_at(search, values, one))
         except ZenoOrbitsError:
@@ -63,40 +61,66 @@ def coexisting_cycles(search: SearchProblem, orbit: ZenoOrbit) -> list[Cycle]:
     return cycles
 
 
-def _attractor(search: SearchProblem, values: ParameterValues, state: Vector) -> Attractor | None:
-    """Return the attractor from a state if it is a periodic orbit of the requested shape."""
-    start = dict(zip(search.problem.state_names, state.tolist(), strict=True))
+def coexisting_attractors(
+    problem: Problem,
+    values: ParameterValues,
+    system: HybridDynamics | GraphDynamics,
+    orbit: ZenoOrbit | EventOrbit,
+    *,
+    until: float | None,
+    seed: int,
+) -> list[Attractor]:
+    """Return the periodic attractors at the values of an orbit, possibly including this orbit.
+
+    Args:
+        problem: The problem.
+        values: Its parameter values.
+        system: The system at these values.
+        orbit: The orbit.
+        until: Longest simulated time [s].
+        seed: Seed of the initial states.
+
+    Returns:
+        Attractors in the order in which the initial states led to them.
+    """
+    start = np.array(problem.state_vector(orbit.start_state))
+    first = system.first if isinstance(system, GraphDynamics) else system
+    if first.holonomic(start).size > bool(first.clock):
+        # If a mechanism has constraints of its own, its states cannot be sampled from a box.
+        return []
+    low, high = _box(simulate(system, start, until=orbit.period), start.size)
+    found: list[Attractor] = []
+    for state in _states(system, low, high, seed):
+        one = _attractor(problem, values, state, until)
+        if one is not None and not any(_alike(problem, one, other, high - low) for other in found):
+            found.append(one)
+    return found
+
+
+def _attractor(
+    problem: Problem, values: ParameterValues, state: Vector, until: float | None
+) -> Attractor | None:
+    """Return the attractor from a state if it is a periodic orbit."""
+    start = dict(zip(problem.state_names, state.tolist(), strict=True))
     try:
-        (one,) = attractors_at(
-            search.problem,
-            [values],
-            start=start,
-            until=search.settings.settling.horizon,
-            accuracy=ACCURACY,
-        )
+        (one,) = attractors_at(problem, [values], start=start, until=until, accuracy=ACCURACY)
     except ZenoOrbitsError:
         return None
-    if one.fate not in PHASE or not one.state:
-        return None
-    return one if search.shape is None or is_of_shape(one, search.shape) else None
+    return one if one.fate in PHASE and one.state else None
 
 
-def _alike(search: SearchProblem, one: Attractor, other: Attractor, widths: Vector) -> bool:
-    if (one.fate, one.returns) != (other.fate, other.returns):
+def _alike(problem: Problem, one: Attractor, other: Attractor, widths: Vector) -> bool:
+    if (one.fate, one.returns, one.sequence) != (other.fate, other.returns, other.sequence):
         return False
-    first, second = (np.array(search.problem.state_vector(a.state)) for a in (one, other))
+    first, second = (np.array(problem.state_vector(a.state)) for a in (one, other))
     return bool(np.all(np.abs(first - second) <= _SAME * widths))
 
 
-def _box(
-    search: SearchProblem, orbit: ZenoOrbit, dynamics: HybridDynamics
-) -> tuple[Vector, Vector]:
-    """Return the box of states around an orbit, both ends ``(n_x,)``."""
-    start = np.array(search.problem.state_vector(orbit.start_state))
-    run = simulate(dynamics, start, until=orbit.period)
+def _box(run: Execution, n_x: int) -> tuple[Vector, Vector]:
+    """Return the box of states around one period of an orbit, both ends ``(n_x,)``."""
     states = np.array(
         [
-            arc.flow_state_at(float(part) * arc.duration)[: start.size]
+            arc.flow_state_at(float(part) * arc.duration)[:n_x]
             for arc in run.arcs
             if arc.trajectory is not None
             for part in _PARTS
@@ -107,18 +131,28 @@ def _box(
     return low - wider, high + wider
 
 
-def _states(dynamics: HybridDynamics, low: Vector, high: Vector, seed: int) -> Iterator[Vector]:
+def _is_off_the_stops(system: HybridDynamics | GraphDynamics, state: Vector) -> bool:
+    if not isinstance(system, GraphDynamics):
+        return system.gap(state) > 0.0
+    stops = range(len(system.stop_names))
+    return all(system.view(system.open_mode, stop).gap(state) > 0.0 for stop in stops)
+
+
+def _states(
+    system: HybridDynamics | GraphDynamics, low: Vector, high: Vector, seed: int
+) -> Iterator[Vector]:
     """Yield states of a box that are not in contact, with the clock on its unit circle."""
     from scipy.stats import qmc
 
+    clock = system.first.clock if isinstance(system, GraphDynamics) else system.clock
     n_found = 0
     for place in qmc.Halton(low.size, seed=seed).random(_MOST_DRAWN):
         state = low + place * (high - low)
-        if dynamics.clock:
-            cosine, sine = dynamics.clock
+        if clock:
+            cosine, sine = clock
             angle = 2 * math.pi * place[cosine]
             state[cosine], state[sine] = math.cos(angle), math.sin(angle)
-        if dynamics.gap(state) <= 0.0:
+        if not _is_off_the_stops(system, state):
             continue
         n_found += 1
         yield state

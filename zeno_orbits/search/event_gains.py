@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from zeno_orbits.orbits import (
     PERIOD,
     Bound,
     EventOrbit,
+    EventReturn,
     StepError,
     asked_and_reached,
     course_signal_names,
@@ -31,7 +31,9 @@ from zeno_orbits.orbits import (
     objection_to,
     require_event_quantity,
 )
+from zeno_orbits.search.event_candidates import judged, ranked_candidates
 from zeno_orbits.search.event_optimum import PRECISION, Optimum, Trial, along_edges, least_worst
+from zeno_orbits.search.event_outcome import AcceptEvents, EventSearchResult
 from zeno_orbits.search.event_points import (
     RADIUS,
     EventPoint,
@@ -59,12 +61,11 @@ from zeno_orbits.search.objectives import (
     WorstCase,
     corners_of,
 )
-from zeno_orbits.search.search_problem import clipped, listed
-from zeno_orbits.search.strength import NothingLostError, highest, push_of, said_of
+from zeno_orbits.search.search_problem import clipped
+from zeno_orbits.search.strength import NothingLostError, highest, push_of
 from zeno_orbits.search.transcription.constraints import size_of
 from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.simulation import Extent, SimulationSettings
-from zeno_orbits.verification import OrbitCertificate
 from zeno_orbits.work import Progress, silent
 
 _VANISHED = 1e-2
@@ -76,66 +77,6 @@ _ROUGH = 1e-3
 """Precision of an optimum that is only a start."""
 _SMALLEST_SIZE = 1e-2
 """Smallest size of a free value, in units of its range."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EventSearchResult:
-    """The best orbit of events in given ranges, or why there is none.
-
-    Attributes:
-        orbit: The orbit, or ``None``.
-        free: Name to free value at the end of the search.
-        objective: The objective.
-        value: The objective at the search's own parameters.
-        worst: The objective at the worst corner, or at the search's own parameters.
-        worst_at: Name to value of the uncertain parameters there, empty at the search's own.
-        mean: Mean of the objective over the corners, ``None`` without uncertain parameters.
-        asked: The bounds with the ranges that the orbit reaches.
-        vanishing: Speed of each impact that vanishes at the end of the search, by its stop.
-        least_speeds: Bounds that keep a tenth of the first speeds of these impacts.
-        n_orbits: Number of orbits that were closed.
-        push: The least push at the worst corner, if the objective is the largest one.
-        certificate: Certificate of the orbit, ``None`` before a verification.
-        detail: Reason why there is no orbit, or why the search ended early.
-    """
-
-    orbit: EventOrbit | None
-    free: Mapping[str, float] = field(default_factory=dict[str, float])
-    objective: Objective
-    value: float = math.nan
-    worst: float = math.nan
-    worst_at: Mapping[str, float] = field(default_factory=dict[str, float])
-    mean: float | None = None
-    asked: tuple[Mapping[str, Any], ...] = ()
-    vanishing: Mapping[str, float] = field(default_factory=dict[str, float])
-    least_speeds: tuple[Bound, ...] = ()
-    n_orbits: int = 0
-    push: Push | None = None
-    certificate: OrbitCertificate | None = None
-    detail: str = ""
-
-    @property
-    def told_push(self) -> str:
-        """The least push, where it occurs and the motion beyond it. Empty for other objectives."""
-        if self.push is None:
-            return ""
-        return said_of(self.push, f" (at {listed(self.worst_at)})" if self.worst_at else "")
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the outcome without the orbit, as plain data."""
-        return {
-            "free": dict(self.free),
-            "objective": self.objective.wish,
-            "value": _finite(self.value),
-            "worst": _finite(self.worst),
-            "worst_at": dict(self.worst_at),
-            "mean": self.mean,
-            "asked": [dict(one) for one in self.asked],
-            "vanishing": dict(self.vanishing),
-            "n_orbits": self.n_orbits,
-            "push": None if self.push is None else self.push.as_json(),
-            "detail": self.detail,
-        }
 
 
 def search_event_gains(
@@ -151,10 +92,12 @@ def search_event_gains(
     until: float | None = None,
     n_starts: int = 12,
     seed: int = 0,
+    candidates: int = 1,
+    accept: AcceptEvents | None = None,
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> EventSearchResult:
-    """Return the best orbit of events of a machine, not verified.
+    """Return the best orbit of events of a machine, or several of them, ranked.
 
     Args:
         problem: The problem.
@@ -169,7 +112,9 @@ def search_event_gains(
         until: Longest time to settle [s].
         n_starts: Number of further free values, from all over the ranges, that are tried in turn
             until a motion settles to an orbit.
-        seed: Seed of these values.
+        seed: Seed of these values, and of the initial states of several orbits.
+        candidates: Number of different orbits that are searched, and ranked.
+        accept: Check of the orbits. Only accepted orbits are ranked. By default there is no check.
         simulation: Accuracy.
         on_progress: Called with the stage.
 
@@ -177,59 +122,144 @@ def search_event_gains(
         InputError: If a name or range is invalid, or the objective needs another machine.
         SimulationError: If no motion settles to an orbit at any of the free values.
     """
-    settings = simulation or SimulationSettings()
     wish = objective or NearestGains(target={})
     _require_valid(problem, values, free, wish, bounds)
     if isinstance(wish, NearestGains):
         values = values.replaced(wish.target)
-    values = clipped(values, free)
-    ranges = np.array(list(free.values()), dtype=np.float64).reshape(-1, 2)
-    uncertain: Mapping[str, tuple[float, float]] = {}
-    if isinstance(wish, WorstCase):
-        uncertain = wish.uncertain
-    changing = (*free, *uncertain)
     if near is not None:
         require_no_other_start(start, section)
         n_starts = 0
+    search = _Search(
+        problem=problem,
+        origin=clipped(values, free),
+        free=free,
+        objective=wish,
+        bounds=tuple(bounds),
+        near=near,
+        section=section,
+        until=until,
+        simulation=simulation or SimulationSettings(),
+        on_progress=on_progress,
+    )
+    places = _places(search.origin, free, n_starts, seed)
+    if candidates > 1:
+        return ranked_candidates(
+            problem,
+            search,
+            places,
+            start=start,
+            free=tuple(free),
+            n_wanted=candidates,
+            accept=accept,
+            until=until,
+            seed=seed,
+            simulation=search.simulation,
+            on_progress=on_progress,
+        )
     trouble: SimulationError | None = None
-    for place in _places(values, free, n_starts, seed):
+    for place in places:
         try:
-            if near is None:
-                found = settled_return(
-                    problem,
-                    place,
-                    start=start,
-                    section=section,
-                    until=until,
-                    simulation=settings,
-                    changing=changing,
-                    on_progress=on_progress,
-                )
-            else:
-                found = return_near(
-                    problem, place, near, simulation=settings, on_progress=on_progress
-                )
+            found = search.returned(place, start)
         except SimulationError as error:
             trouble = error
             continue
+        return judged(search.result(found, place), accept)
+    if trouble is None:
+        raise AssertionError("A search has a first place.")
+    raise trouble
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Search:
+    """A search for gains, without its starts.
+
+    Attributes:
+        problem: The problem.
+        origin: Values near which free values stay without another objective.
+        free: Name to range of the free values.
+        objective: The objective.
+        bounds: The bounds.
+        near: A known orbit at which the search starts, in place of a motion that settles.
+        section: Name of the event at which the period starts and ends. By default it is chosen.
+        until: Longest time to settle [s].
+        simulation: Accuracy.
+        on_progress: Called with the stage.
+    """
+
+    problem: Problem
+    origin: ParameterValues
+    free: Mapping[str, tuple[float, float]]
+    objective: Objective
+    bounds: tuple[Bound, ...]
+    near: EventOrbit | None
+    section: str | None
+    until: float | None
+    simulation: SimulationSettings
+    on_progress: Progress
+
+    @property
+    def _uncertain(self) -> Mapping[str, tuple[float, float]]:
+        return self.objective.uncertain if isinstance(self.objective, WorstCase) else {}
+
+    def returned(self, place: ParameterValues, start: Mapping[str, float] | None) -> EventReturn:
+        """Return the orbit to which a motion settles, or that the known orbit becomes.
+
+        Args:
+            place: Values of the gains and parameters.
+            start: State name to initial value. By default each start of the problem in turn, or the
+                known orbit.
+
+        Raises:
+            SimulationError: If no motion settles, or the known orbit is lost.
+        """
+        if self.near is not None and start is None:
+            return return_near(
+                self.problem,
+                place,
+                self.near,
+                simulation=self.simulation,
+                on_progress=self.on_progress,
+            )
+        return settled_return(
+            self.problem,
+            place,
+            start=start,
+            section=self.section,
+            until=self.until,
+            simulation=self.simulation,
+            changing=(*self.free, *self._uncertain),
+            on_progress=self.on_progress,
+        )
+
+    def result(self, found: EventReturn, place: ParameterValues) -> EventSearchResult:
+        """Return the result of the search from an orbit.
+
+        Args:
+            found: The orbit.
+            place: Values of its gains and parameters.
+
+        Raises:
+            InputError: If the objective has no event there.
+            SimulationError: If a corner has no orbit there.
+        """
         orbits = OrbitsOverValues(
-            problem=problem, values=place, names=tuple(free), simulation=settings
+            problem=self.problem,
+            values=place,
+            names=tuple(self.free),
+            simulation=self.simulation,
         )
         orbits.begin(found)
         task = _Task(
             orbits=orbits,
-            origin=values,
-            free=free,
-            ranges=ranges,
-            objective=wish,
-            bounds=tuple(bounds),
-            corners=({}, *corners_of(uncertain)),
-            on_progress=on_progress,
+            origin=self.origin,
+            free=self.free,
+            ranges=np.array(list(self.free.values()), dtype=np.float64).reshape(-1, 2),
+            objective=self.objective,
+            bounds=self.bounds,
+            corners=({}, *corners_of(self._uncertain)),
+            on_progress=self.on_progress,
         )
-        return _result(task, np.array([place.number(name) for name in free]))
-    if trouble is None:
-        raise AssertionError("A search has a first place.")
-    raise trouble
+        return _result(task, np.array([place.number(name) for name in self.free]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -668,7 +698,3 @@ def _require_electrical(graph: GraphDynamics, argument: str, what: str) -> None:
             f"Argument `{argument}` asks for {what}, but the machine has no source of electrical "
             "energy: give its drive an `input_power`, or ask for another quantity."
         )
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -22,16 +22,11 @@ from zeno_orbits.search.outcome import (
     StartAttempt,
     StartOutcome,
 )
+from zeno_orbits.search.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.search.search_problem import SearchProblem, with_targets
 from zeno_orbits.search.settings import SearchSettings, SearchStatus
 from zeno_orbits.search.validation import check_search
 from zeno_orbits.work import Progress, silent
-
-_SAME = 1e-5
-"""Relative difference of free values and periods below which two orbits are the same candidate. The
-solution of a program is a few 1e-6 off the nearest values, as the score is flat there."""
-_SAME_OPTIMUM = 1e-3
-"""The same for optima, and for their scores."""
 
 
 def find_orbit(
@@ -200,16 +195,12 @@ def _begins_alike(search: SearchProblem, cycle: Cycle, orbit: ZenoOrbit) -> bool
     return _has_event_at(search, orbit, cycle.start.state)
 
 
-_SAME_STATE = 1e-3
-"""Difference below which two states are the same, in units of their sizes on an orbit."""
-
-
 def _has_event_at(search: SearchProblem, orbit: ZenoOrbit, state: Vector) -> bool:
     events = np.array([search.problem.state_vector(one) for one in orbit.states_at_events])
     sizes = search.problem.dynamics(orbit.values(search.problem)).own.not_small(
-        np.max(np.abs(events), axis=0), _SAME_STATE
+        np.max(np.abs(events), axis=0), SAME_STATE
     )
-    return bool(np.any(np.all(np.abs(events - state) <= _SAME_STATE * sizes, axis=1)))
+    return bool(np.any(np.all(np.abs(events - state) <= SAME_STATE * sizes, axis=1)))
 
 
 def _summary(search: SearchProblem) -> str:
@@ -268,11 +259,11 @@ def _same(search: SearchProblem, one: Candidate, other: Candidate) -> bool:
     a, b = one.orbit.values(search.problem), other.orbit.values(search.problem)
     pairs = [(a.number(name), b.number(name)) for name in search.free]
     pairs.append((one.orbit.period, other.orbit.period))
-    close = _SAME
+    close = SAME
     if search.seeks_optimum:
-        close = _SAME_OPTIMUM
+        close = SAME_OPTIMUM
         pairs.append((one.score, other.score))
-    return all(abs(p - q) <= close * max(abs(p), abs(q)) for p, q in pairs)
+    return are_close(pairs, close)
 
 
 def _enough_failures(search: SearchProblem) -> int:

@@ -11,7 +11,13 @@ from zeno_orbits.report.table import BOUNDS, Column, number_column, text_column
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.search import Candidate, EventSearchResult, SearchResult, StartAttempt
+    from zeno_orbits.search import (
+        Candidate,
+        EventCandidate,
+        EventSearchResult,
+        SearchResult,
+        StartAttempt,
+    )
     from zeno_orbits.simulation import Extent
 
 
@@ -41,15 +47,15 @@ def print_solver(result: SearchResult) -> None:
     )
 
 
-def print_candidates(result: SearchResult) -> None:
+def print_candidates(result: SearchResult | EventSearchResult) -> None:
     """Print the verified orbits, the best first."""
     freed = result.attempts[0].parameters
 
-    def numbers(one: Candidate) -> str:
+    def numbers(one: Candidate | EventCandidate) -> str:
         parameters = {name: one.orbit.parameters[name] for name in freed}
         return _listed({**one.orbit.gains, **parameters}, 5)
 
-    columns: list[Column[tuple[int, Candidate]]] = [
+    columns: list[Column[tuple[int, Candidate | EventCandidate]]] = [
         number_column("rank", lambda row: str(row[0])),
         number_column("score", lambda row: f"{row[1].score:.6g}"),
         number_column("period [s]", lambda row: f"{row[1].orbit.period:.8g}"),
@@ -59,7 +65,7 @@ def print_candidates(result: SearchResult) -> None:
     print_table(columns, enumerate(result.candidates, start=1))
 
 
-def _radius(one: Candidate) -> float:
+def _radius(one: Candidate | EventCandidate) -> float:
     return math.nan if one.certificate is None else one.certificate.spectral_radius
 
 
@@ -98,8 +104,7 @@ def print_event_search(result: EventSearchResult) -> None:
     for bound in result.least_speeds:
         print_lines([f'--bound "{bound.name}={bound.text}" keeps a least speed.'])
     numbers = _listed(result.free, 10)
-    is_measured = result.objective.is_sampled or result.objective.quantities
-    reached = f": {result.value:.8g}" if is_measured else ""
+    reached = f": {result.value:.8g}" if result.is_measured else ""
     print_lines([f"Asked for {result.objective.wish}{reached}.", f"  {numbers}"])
     if result.told_push:
         print_lines([result.told_push])
