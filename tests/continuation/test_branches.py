@@ -13,9 +13,9 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation import FamilySteps, SpecialPointKind
 from zeno_orbits.continuation.branch import Branch, follow_branch
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
-from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, Margin
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits import Line, Section
+from zeno_orbits.orbits import Line, Loss, Margin, Section
 from zeno_orbits.work import silent
 
 

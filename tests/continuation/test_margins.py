@@ -27,12 +27,12 @@ from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import HalfCurve
 from zeno_orbits.continuation.jobs import FollowHalfCurve
 from zeno_orbits.continuation.margins import Stage, Threat, causes, consequences, threats
-from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, Margin, ReturnMap
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn, ReturnMap
 from zeno_orbits.continuation.setup import Setup, start_at_release
 from zeno_orbits.continuation.two_parameters.plane import CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import Line, Section, ZenoOrbit
+from zeno_orbits.orbits import Line, Loss, Margin, Section, ZenoOrbit
 from zeno_orbits.work import plain, restored, silent
 
 OSCILLATOR = load_problem("forced_oscillator")

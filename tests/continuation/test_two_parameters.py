@@ -23,13 +23,13 @@ from zeno_orbits.continuation import (
 )
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
 from zeno_orbits.continuation.families import whole_curve
-from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, Margin
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn
 from zeno_orbits.continuation.special_points import INSIDE, located_near
 from zeno_orbits.continuation.two_parameters.boundary import half_boundary
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import Line, Section, ZenoOrbit
+from zeno_orbits.orbits import Line, Loss, Margin, Section, ZenoOrbit
 from zeno_orbits.work import silent
 
 

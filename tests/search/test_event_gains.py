@@ -90,7 +90,6 @@ def test_an_orbit_without_the_events_of_an_objective_is_refused() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"objective": zo.MaxMargin()}, "must be one of nearest, period, amplitude"),
         ({"objective": zo.MinImpactLoss(stop="roof")}, "`roof`"),
         ({"objective": zo.MinImpactLoss(uncertain={"s": (0.2, 0.1)})}, "lower end below"),
         ({"objective": zo.MinImpactLoss(uncertain={"a": (1.0, 2.0)})}, "unknown `a`"),

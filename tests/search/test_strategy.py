@@ -26,7 +26,7 @@ from zeno_orbits.search import (
     strategy,
 )
 from zeno_orbits.search.guess import FollowedMotion
-from zeno_orbits.search.homotopy import Followed
+from zeno_orbits.search.line import Followed
 from zeno_orbits.search.number_notes import at_ends
 from zeno_orbits.search.objectives import TargetAmplitude, TargetPeriod, TowardTarget
 from zeno_orbits.search.outcome import SearchStatus, SimulatedSolution, StartOutcome
@@ -70,7 +70,7 @@ def test_a_step_is_not_held_by_a_side_of_the_whole_box(side: float) -> None:
 
 
 def test_a_known_orbit_that_cannot_be_followed_is_no_guess() -> None:
-    nowhere = Followed(cycle=None, values=gains(Kp=1.0), arrived=False)
+    nowhere = Followed(orbit=None, values=gains(Kp=1.0), arrived=False)
     start, search = SearchStart(values=gains(Kp=2.0)), SimpleNamespace()
     outcome = strategy._along(search, start, nowhere, "the known orbit")  # type: ignore[arg-type]
     assert outcome.status is SearchStatus.NO_GUESS
@@ -263,7 +263,7 @@ def test_a_search_beside_a_solution_starts_from_it_and_measures_nearness_from_th
 def test_a_known_orbit_is_followed_to_the_numbers_of_the_start(
     problem: Problem, ways: Ways, orbit: ZenoOrbit
 ) -> None:
-    path = Followed(cycle=None, values=problem.values(), arrived=False)
+    path = Followed(orbit=None, values=problem.values(), arrived=False)
     ways.tell("follow", path)
     search, values = _asked(problem), problem.values(gains={"Kp": 3.0})
     outcome = strategy.from_start(search, SearchStart(values=values, near=orbit))
@@ -438,8 +438,8 @@ def test_orbits_are_followed_from_the_first_easier_place_that_has_one(
     start = SearchStart(values=values[0], easy=tuple(values))
     cycle = _period()
     ways.tell("simulated", FollowedMotion(cycle=None), FollowedMotion(cycle=cycle))
-    lost = Followed(cycle=None, values=values[2], arrived=False)
-    path = Followed(cycle=_period("end"), values=values[0], arrived=True)
+    lost = Followed(orbit=None, values=values[2], arrived=False)
+    path = Followed(orbit=_period("end"), values=values[0], arrived=True)
     ways.tell("follow", lost, path)
     ways.tell("_along", StartOutcome(status=FOUND))
     failed = StartOutcome(status=SearchStatus.NO_GUESS, detail="It rests.", shortfall=0.5)
@@ -458,7 +458,7 @@ def test_a_path_that_ends_before_the_start_says_where(
     easy = problem.values(gains={"Kp": 2.1})
     start = SearchStart(values=problem.values(), easy=(easy, easy))
     ways.tell("simulated", FollowedMotion(cycle=_period()))
-    path = Followed(cycle=_period(), values=easy, arrived=False, ending="It ends here.", left=left)
+    path = Followed(orbit=_period(), values=easy, arrived=False, ending="It ends here.", left=left)
     ways.tell("follow", path)
     ways.tell("_along", StartOutcome(status=SearchStatus.NO_GUESS))
     failed = StartOutcome(status=SearchStatus.NO_GUESS, detail="It rests.", shortfall=0.5)
@@ -474,7 +474,7 @@ def test_a_path_that_arrives_leads_to_a_search_at_the_numbers_of_the_start(
 ) -> None:
     ways.tell("from_cycle", StartOutcome(status=FOUND))
     cycle, values = _period(), problem.values(gains={"Kp": 3.0})
-    path = Followed(cycle=cycle, values=problem.values(), arrived=True)
+    path = Followed(orbit=cycle, values=problem.values(), arrived=True)
     search = _asked(problem)
     assert strategy._along(search, SearchStart(values=values), path, "it").status is FOUND
     assert ways.asked("from_cycle") == [[search, values, cycle]]
@@ -497,7 +497,7 @@ def test_the_end_of_a_path_is_searched_if_it_lies_in_the_box_of_what_is_free(
 ) -> None:
     ways.tell("from_cycle", StartOutcome(status=FOUND, detail="And on."))
     cycle, values = _period(), problem.values(gains=reached)
-    path = Followed(cycle=cycle, values=values, arrived=False, ending="It ends here.")
+    path = Followed(orbit=cycle, values=values, arrived=False, ending="It ends here.")
     search = _asked(problem, free=free)
     outcome = strategy._along(search, SearchStart(values=problem.values()), path, "it")
     if inside:
@@ -511,7 +511,7 @@ def test_the_end_of_a_path_is_searched_if_it_lies_in_the_box_of_what_is_free(
 def test_a_failure_at_the_end_of_a_path_is_told_alone(problem: Problem, ways: Ways) -> None:
     failed = StartOutcome(status=UNSOLVED, detail="It fails.")
     ways.tell("from_cycle", failed)
-    path = Followed(cycle=_period(), values=problem.values(), arrived=False, ending="It ends.")
+    path = Followed(orbit=_period(), values=problem.values(), arrived=False, ending="It ends.")
     search = _asked(problem)
     assert strategy._along(search, SearchStart(values=problem.values()), path, "it") is failed
 

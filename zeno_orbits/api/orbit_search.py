@@ -268,10 +268,10 @@ def search_event_gains(
         near: A known orbit of events to start from, or its file. Its gains and parameters replace
             the defaults, and no motion has to settle.
         objective: `NearestGains` (the default), `TargetPeriod`, `TargetAmplitude`, `MinEnergy`,
-            `MinPeak`, `MinSpectralRadius`, `MinImpactLoss` or `MinBounceTime`. A machine with
-            several stops or switches also has `MaxPush`.
-        bounds: Bounds on signals, on the period, the energy and the spectral radius, and on
-            quantities of events, such as ``closed.impact_speed``. With uncertain parameters they
+            `MinPeak`, `MinSpectralRadius`, `MaxMargin`, `MinImpactLoss` or `MinBounceTime`. A
+            machine with several stops or switches also has `MaxPush`.
+        bounds: Bounds on signals, on the period, the energy, the spectral radius and margins, and
+            on quantities of events, such as ``closed.impact_speed``. With uncertain parameters they
             hold at every corner.
         section: Name of the event at which the period starts and ends. The default is chosen by the
             program.

@@ -134,7 +134,7 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
     passes = certificate.passed and (certificate.stable or options.allow_unstable)
     if options.output is not None and passes:
         zo.write_event_orbit(orbit, options.output)
-    lacking = lacking_orbits(options, result)
+    lacking = lacking_orbits(options, result) if options.candidates > 1 else []
     if options.json:
         told = {"notes": lacking} if lacking else {}
         print_json(orbit.as_json() | {"search": result.as_json()} | ranking(options, result) | told)

@@ -95,7 +95,7 @@ def add_search(commands: Any) -> None:
         help="bounds on the orbit, with an open end left empty (NAME=:1.2): a state, "
         "current or voltage at all times; period, energy, spectral_radius, or a margin of the "
         "certificate; with several stops also a quantity of an event, such as "
-        "STOP.impact_speed, but no margin (repeatable)",
+        "STOP.impact_speed (repeatable)",
     )
     parser.add_argument(
         "--initial",

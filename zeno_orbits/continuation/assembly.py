@@ -10,13 +10,13 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import LEAST_DOUBT, Branch
 from zeno_orbits.continuation.corrector import BranchPoint
-from zeno_orbits.continuation.event_returns import EventSection
 from zeno_orbits.continuation.families import Family, FamilyPoint, SpecialPoint, SpecialPointKind
 from zeno_orbits.continuation.margins import ENDS
-from zeno_orbits.continuation.return_maps import ImpactReturns, Loss, Margin
+from zeno_orbits.continuation.return_maps import ImpactReturns
 from zeno_orbits.continuation.setup import ONE_RETURN, Setup
 from zeno_orbits.continuation.special_points import Located
 from zeno_orbits.model import Problem
+from zeno_orbits.orbits import EventSection, Loss, Margin
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correc
 from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.margins import Threat, stages, threats
-from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, ReturnMap
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn, ReturnMap
 from zeno_orbits.continuation.special_points import Located, arclength
 from zeno_orbits.continuation.subdivision import (
     Subdivision,
@@ -29,7 +29,7 @@ from zeno_orbits.continuation.subdivision import (
 )
 from zeno_orbits.continuation.test_functions import with_course
 from zeno_orbits.errors import ZenoOrbitsError, counted
-from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path, returns_to_start
+from zeno_orbits.orbits import Loss, PathStep, StepControl, StepError, follow_path, returns_to_start
 from zeno_orbits.work import Progress
 
 

@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.event_returns import EventReturns, contact_view, contacts_of
+from zeno_orbits.continuation.event_returns import EventReturns
 from zeno_orbits.continuation.return_maps import (
     Composed,
     DifferentiatedReturn,
-    Loss,
-    Margin,
     OnSection,
     ReleaseReturns,
     ReturnMap,
@@ -24,7 +22,16 @@ from zeno_orbits.continuation.return_maps import (
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GAP_ACCELERATION, HybridDynamics
-from zeno_orbits.orbits import Line, differentials_of, first_return, to_next_release
+from zeno_orbits.orbits import (
+    Line,
+    Loss,
+    Margin,
+    contact_view,
+    contacts_of,
+    differentials_of,
+    first_return,
+    to_next_release,
+)
 from zeno_orbits.simulation import (
     Ending,
     Impact,

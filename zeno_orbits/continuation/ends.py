@@ -16,10 +16,11 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.lock_end import locate_cut
 from zeno_orbits.continuation.margins import ENDS, Threat, causes, stages
-from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
+from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.special_points import Located
 from zeno_orbits.continuation.subdivision import neville
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.orbits import Loss, Margin
 
 
 def locate_end(

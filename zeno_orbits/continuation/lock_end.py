@@ -16,11 +16,12 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.cut_return_map import cut_after
 from zeno_orbits.continuation.families import SpecialPointKind
-from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
+from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.special_points import Located
 from zeno_orbits.continuation.test_functions import with_course
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.orbits import Loss, Margin
 
 _ROOT = 1e-13
 _GOOD = 1e-11

@@ -16,8 +16,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint
 from zeno_orbits.continuation.families import SpecialPointKind
-from zeno_orbits.continuation.return_maps import Loss, Margin
 from zeno_orbits.continuation.separatrix import separatrix
+from zeno_orbits.orbits import Loss, Margin
 
 ENDS = {
     Loss.AMPLITUDE: SpecialPointKind.AMPLITUDE_ZERO,

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import lru_cache
 from itertools import pairwise
 from threading import get_ident
@@ -31,6 +30,8 @@ from zeno_orbits.orbits import (
     IMPACT_ROWS,
     RELEASE_ROWS,
     Line,
+    Loss,
+    Margin,
     ReturnDerivative,
     Section,
     differentials_of,
@@ -52,42 +53,6 @@ from zeno_orbits.simulation import (
     simulate,
     steady_turn,
 )
-
-
-class Loss(Enum):
-    """Kinds of margins, which are positive along a family. The value is the name in the output.
-
-    ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return, in the
-    problem's characteristic scales. It is smooth along a family, and zero at an equilibrium. The
-    amplitude that a problem names is `orbit_amplitude`. ``FREQUENCY`` is the inverse of the time of
-    a return. It is zero if a motion stalls, so that its period tends to infinity.
-    """
-
-    AMPLITUDE = "amplitude"
-    FREQUENCY = "returns per second"
-    LOCK = "locked time"
-    ACCELERATION = "acceleration onto the stop at the Zeno point"
-    FIRST_IMPACT = "speed of the first impact"
-    NEAR_MISS = "least gap before the first impact"
-    LATER_IMPACT = "speed of a later impact, relative to the flight before it"
-    RELEASE_RATE = "rate of the multiplier at the release"
-    ADHESION = "least multiplier on the locked arc"
-    CUT = "distance from the separatrix of the impacts"
-    EVENTS = "time since the previous event"
-    SWITCH_RATE = "rate of the guard at a switch"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Margin:
-    """A margin of one of several returns.
-
-    Attributes:
-        loss: Its kind.
-        place: Index of the return, from 0.
-    """
-
-    loss: Loss
-    place: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -208,9 +173,7 @@ class ReturnMap(Protocol):
 
 
 @lru_cache(maxsize=8)
-def _system_at(
-    compiled: CompiledSystem, values: tuple[float, ...], thread: int
-) -> HybridDynamics:
+def _system_at(compiled: CompiledSystem, values: tuple[float, ...], thread: int) -> HybridDynamics:
     """Return the system at some values, which a return and its section share in one thread.
 
     Its calls write to memory of their own, so that two threads must not share a system.

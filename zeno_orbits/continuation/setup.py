@@ -9,7 +9,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.corrector import FamilyMetric
-from zeno_orbits.continuation.event_returns import EventReturns, EventSection
+from zeno_orbits.continuation.event_returns import EventReturns
 from zeno_orbits.continuation.return_maps import (
     PATIENCE,
     Composed,
@@ -24,15 +24,15 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
     Cycle,
     EventOrbit,
-    EventReturn,
+    EventSection,
     Line,
-    SectionMode,
     ZenoOrbit,
     cycle_of,
     event_return,
+    section_of_family,
 )
 from zeno_orbits.search import settle
-from zeno_orbits.simulation import Release, SimulationSettings
+from zeno_orbits.simulation import SimulationSettings
 
 ONE_RETURN = 1
 
@@ -294,7 +294,7 @@ def start_at_event(
         guess=orbit.period,
         settings=settings.simulation,
     )
-    section, x = _section_of(orbit, found)
+    section, x = section_of_family(found)
     setup = Setup(
         values=values,
         parameter=parameter,
@@ -311,32 +311,6 @@ def start_at_event(
         simulation=settings.simulation,
     )
     return FamilyStart(setup=setup, x=x, s=s)
-
-
-def _section_of(orbit: EventOrbit, found: EventReturn) -> tuple[EventSection, Vector]:
-    """Return the section of a family, and the state of an orbit on it.
-
-    A period that starts at a Zeno point is started at the release that follows. Where the contact
-    phase vanishes, the family is smooth at the release only, theory (39).
-
-    Args:
-        orbit: The orbit.
-        found: Its return.
-    """
-    name, sequence, first, x = orbit.section, orbit.sequence, 0, found.start
-    release = found.events[0]
-    if isinstance(release, Release) and name == f"zeno {release.stop}":
-        name, sequence = sequence[0], (*sequence[1:], sequence[0])
-        arcs = found.execution.arcs
-        first = next(k for k, arc in enumerate(arcs) if arc.start_time >= release.time)
-        x = np.array(release.state)
-    section = EventSection(
-        name=name,
-        n_returns=sequence.count(name) if first else orbit.n_returns,
-        sequence=sequence,
-        mode=SectionMode.of(found.execution.arcs[first], name),
-    )
-    return section, x
 
 
 def plane_of(

@@ -15,13 +15,14 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.families import SpecialPointKind
-from zeno_orbits.continuation.return_maps import Margin, ReturnMap
+from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.test_functions import (
     INSIDE,
     TestFunction,
     multiplier_change,
 )
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.orbits import Margin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,6 +17,11 @@ from .event_courses import ENERGY as ENERGY
 from .event_courses import EventCourse as EventCourse
 from .event_courses import course_signal_names as course_signal_names
 from .event_courses import is_electrical as is_electrical
+from .event_margins import Loss as Loss
+from .event_margins import Margin as Margin
+from .event_margins import contact_view as contact_view
+from .event_margins import contacts_of as contacts_of
+from .event_margins import margins_of_return as margins_of_return
 from .event_orbit import EventOrbit as EventOrbit
 from .event_orbit import OrbitEvent as OrbitEvent
 from .event_orbit_file import holds_events as holds_events
@@ -31,6 +36,9 @@ from .event_quantities import Reading as Reading
 from .event_quantities import event_quantity_names as event_quantity_names
 from .event_quantities import require_event_quantity as require_event_quantity
 from .event_section import EventReturn as EventReturn
+from .event_section import at_section as at_section
+from .event_section import EventSection as EventSection
+from .event_section import section_of_family as section_of_family
 from .event_section import SectionMode as SectionMode
 from .event_section import kept_directions as kept_directions
 from .event_section import fall_at as fall_at

@@ -85,6 +85,23 @@ class SectionMode:
         return cls(closed=first.closed, sides=first.sides, stop=first.stop, released=released)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventSection:
+    """A section of a machine with several stops or switches.
+
+    Attributes:
+        name: Name of the event.
+        n_returns: Number of such events in a period.
+        sequence: Event sequence of a period.
+        mode: The mode just after the event.
+    """
+
+    name: str
+    n_returns: int
+    sequence: tuple[str, ...]
+    mode: SectionMode
+
+
 @dataclass(frozen=True, kw_only=True)
 class EventReturn:
     """A return to a section, and its derivatives, which are computed at the first use.
@@ -271,6 +288,34 @@ def _on_constraints(graph: GraphDynamics, x: Vector) -> Vector:
     return x
 
 
+def section_of_family(found: EventReturn) -> tuple[EventSection, Vector]:
+    """Return the section on which a family is followed, and the state of an orbit on it.
+
+    A period that starts at a Zeno point is started at the release that follows. Where the contact
+    phase vanishes, the family is smooth at the release only, theory (39).
+
+    Args:
+        found: The return of the orbit.
+    """
+    names = [orbit_event_name(event) for event in found.events]
+    name, sequence, first, x = names[-1], sequence_of(names), 0, found.start
+    n_returns = names.count(name)
+    release = found.events[0]
+    if isinstance(release, Release) and name == f"zeno {release.stop}":
+        name, sequence = sequence[0], (*sequence[1:], sequence[0])
+        n_returns = sequence.count(name)
+        arcs = found.execution.arcs
+        first = next(k for k, arc in enumerate(arcs) if arc.start_time >= release.time)
+        x = np.asarray(release.state)
+    section = EventSection(
+        name=name,
+        n_returns=n_returns,
+        sequence=sequence,
+        mode=SectionMode.of(found.execution.arcs[first], name),
+    )
+    return section, x
+
+
 def largest_states(arcs: Sequence[Arc], graph: GraphDynamics) -> Vector:
     """Return the size of each state at the ends of arcs, ``(n_x,)``.
 
@@ -316,6 +361,7 @@ def closed_return(
     guess: float,
     settings: SimulationSettings,
     parameters: Sequence[int] = (),
+    mode: SectionMode | None = None,
     is_near: bool = False,
 ) -> EventReturn:
     """Return the periodic orbit near a start, by Newton's method.
@@ -328,13 +374,14 @@ def closed_return(
         guess: Approximate period [s].
         settings: Accuracy.
         parameters: Indices in ``p`` of the parameters of the derivatives.
+        mode: The mode just after the event. The start is projected by it. By default it is the mode
+            of the motion from the start.
         is_near: Whether the start is near the orbit, so that every correction is smaller than the
             one before. The first one that is not ends the search.
 
     Raises:
         SimulationError: If Newton's method does not converge, or the motion does not return.
     """
-    mode: SectionMode | None = None
     best, best_size, size = None, math.inf, math.inf
     inverse: Vector | None = None
     for _ in range(_MOST_ITERATIONS):
@@ -375,6 +422,39 @@ def closed_return(
             state=tuple(x.tolist()),
         )
     return best
+
+
+def at_section(
+    graph: GraphDynamics, found: EventReturn, section: str, settings: SimulationSettings
+) -> EventReturn:
+    """Return a periodic orbit from another one of its events.
+
+    Args:
+        graph: The graph of modes.
+        found: The orbit.
+        section: Name of the event.
+        settings: Accuracy.
+
+    Raises:
+        SimulationError: If the orbit has no such event, or does not return.
+    """
+    names = [orbit_event_name(event) for event in found.events]
+    if names[-1] == section:
+        return found
+    if section not in names:
+        raise SimulationError(
+            f"The orbit has no event `{section}`",
+            time=found.period,
+            state=tuple(found.start.tolist()),
+        )
+    return closed_return(
+        graph,
+        state_after(found.events[names.index(section)]),
+        section=section,
+        n_returns=names.count(section),
+        guess=found.period,
+        settings=settings,
+    )
 
 
 def inverse_of_closing(graph: GraphDynamics, found: EventReturn) -> Vector:

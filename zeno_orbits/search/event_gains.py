@@ -25,16 +25,19 @@ from zeno_orbits.orbits import (
     EventReturn,
     StepError,
     asked_and_reached,
+    at_section,
     course_signal_names,
     event_quantity_names,
     is_electrical,
     objection_to,
+    orbit_event_name,
     require_event_quantity,
 )
 from zeno_orbits.search.event_candidates import judged, ranked_candidates
 from zeno_orbits.search.event_optimum import PRECISION, Optimum, Trial, along_edges, least_worst
 from zeno_orbits.search.event_outcome import AcceptEvents, EventSearchResult
 from zeno_orbits.search.event_points import (
+    DIFFERENCED,
     RADIUS,
     EventPoint,
     NoEventError,
@@ -47,6 +50,7 @@ from zeno_orbits.search.event_search import (
     return_near,
     settled_return,
 )
+from zeno_orbits.search.event_ways import EventWays
 from zeno_orbits.search.objectives import (
     FastestContraction,
     LeastEnergy,
@@ -58,9 +62,11 @@ from zeno_orbits.search.objectives import (
     Target,
     TargetAmplitude,
     TargetPeriod,
+    WidestMargin,
     WorstCase,
     corners_of,
 )
+from zeno_orbits.search.persistence import widest
 from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.strength import NothingLostError, highest, push_of
 from zeno_orbits.search.transcription.constraints import size_of
@@ -104,8 +110,8 @@ def search_event_gains(
         values: Values of its gains and parameters. Free values start there.
         free: Name to range of the free gains and parameters.
         objective: The objective, by default values near their start.
-        bounds: Bounds on signals, on the period, the energy and the spectral radius, and on
-            quantities of events, at every corner.
+        bounds: Bounds on signals, on the period, the energy, the spectral radius and margins, and
+            on quantities of events, at every corner.
         near: A known orbit at which the search starts, in place of a motion that settles.
         start: State name to initial value, by default each start of the problem in turn.
         section: Name of the event at which the period starts and ends. By default it is chosen.
@@ -359,12 +365,12 @@ class _Task:
     ) -> list[Slope]:
         """Return the distances of a quantity from its bounds, positive inside, in its size."""
         size = self.sizes[bound.name]
-        if bound.name != RADIUS:
+        if bound.name not in DIFFERENCED:
             return point.rows(bound, size)
-        radius = self.orbits.radius(point, numbers, self.ranges, corner)
+        number = self.orbits.differenced(bound.name, point, numbers, self.ranges, corner)
         ends = ((-1.0, -bound.lower), (1.0, bound.upper))
         return [
-            radius.scaled(sign).scaled(-1 / size, end) for sign, end in ends if math.isfinite(end)
+            number.scaled(sign).scaled(-1 / size, end) for sign, end in ends if math.isfinite(end)
         ]
 
     def prescribed(self, point: EventPoint) -> Slope:
@@ -382,7 +388,7 @@ class _Task:
         if isinstance(self.objective, LeastPeak):
             return point.peak_costs(self.objective.signal)
         if isinstance(self.objective, FastestContraction):
-            return (self.orbits.radius(point, numbers, self.ranges, {}),)
+            return (self.orbits.differenced(RADIUS, point, numbers, self.ranges, {}),)
         first = {name: self.origin.number(name) for name in self.free}
         sizes = {
             name: max(abs(first[name]), _SMALLEST_SIZE * (high - low))
@@ -427,6 +433,8 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
         raise InputError(f"Argument `{error.argument}` {wanted}, but {error}.") from error
     if isinstance(task.objective, MaxPush):
         return _strongest(task, first)
+    if isinstance(task.objective, WidestMargin):
+        return _widest(task, first)
     if not task.free:
         return _told(task, first, Optimum(trial=first, converged=True))
     found = [task.near(first)]
@@ -489,6 +497,34 @@ def _strongest(task: _Task, first: Trial) -> EventSearchResult:
         worst_at=task.corners[place],
         mean=float(np.mean(impulses[1:])) if len(impulses) > 1 else None,
         push=best_pushes[place][1],
+    )
+
+
+def _widest(task: _Task, first: Trial) -> EventSearchResult:
+    """Return the orbit with the widest margin, within the bounds."""
+    start = first
+    if first.violation:
+        start = task.near(first).trial
+    if start.violation:
+        return _told(task, first, Optimum(trial=start, converged=True))
+    point, orbits = start.points[0], task.orbits
+    section = orbit_event_name(point.found.events[-1])
+    ways = EventWays(
+        orbits=orbits, free=task.free, bounds=task.bounds, on_progress=task.on_progress
+    )
+    best = widest(ways, point.values, point.found)
+    numbers = np.array([best.values.number(name) for name in task.free])
+    low, high = task.ranges.T
+    graph = orbits.problem.graph_dynamics(best.values)
+    orbits.begin(at_section(graph, best.orbit, section, orbits.simulation))
+    trial = task.trial((numbers - low) / (high - low))
+    told = _told(task, first, Optimum(trial=trial, converged=True))
+    margin = best.nearest.distance
+    return replace(
+        told,
+        value=margin,
+        worst=margin,
+        detail=told.detail or best.text,
     )
 
 
@@ -645,7 +681,9 @@ def _require_valid(
     if not isinstance(objective, _POSSIBLE) and not (
         isinstance(objective, MaxPush) and problem.has_graph
     ):
-        words = "nearest, period, amplitude, energy, peak, contraction, push, impacts or bounce"
+        words = (
+            "nearest, period, amplitude, energy, peak, contraction, margin, push, impacts or bounce"
+        )
         wanted = f"must be one of {words}"
         raise InputError(
             f"Argument `objective` {wanted} in a search by events, but it "
@@ -653,6 +691,11 @@ def _require_valid(
         )
     for name, box in free.items():
         problem.require_range(name, box, argument="free")
+    if isinstance(objective, WidestMargin) and not free:
+        raise InputError(
+            "Argument `objective` asks for the widest margin, which needs a free value: name its "
+            "range in `free`."
+        )
     objective.check(problem, free)
     graph = problem.graph_dynamics(values)
     if isinstance(objective, LeastEnergy):
@@ -670,6 +713,7 @@ _POSSIBLE = (
     LeastEnergy,
     LeastPeak,
     FastestContraction,
+    WidestMargin,
     OfImpacts,
 )
 """Objectives of a search by events."""
@@ -678,7 +722,7 @@ _POSSIBLE = (
 def _require_quantity(name: str, graph: GraphDynamics) -> None:
     """Refuse a bound on a quantity that an orbit of events does not have, or on a number."""
     signals = course_signal_names(graph.compiled)
-    numbers = (PERIOD, ENERGY, RADIUS)
+    numbers = (PERIOD, ENERGY, *DIFFERENCED)
     if "." not in name and name not in (*signals, *numbers):
         known = (*signals, *numbers, *event_quantity_names(graph))
         raise InputError(unknown("keep", name, known))

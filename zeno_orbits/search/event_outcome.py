@@ -9,7 +9,7 @@ from typing import Any
 
 from zeno_orbits.maps import Push
 from zeno_orbits.orbits import Bound, EventOrbit
-from zeno_orbits.search.objectives import MaxPush, Objective
+from zeno_orbits.search.objectives import MaxPush, Objective, WidestMargin
 from zeno_orbits.search.outcome import Judgement, StartAttempt
 from zeno_orbits.search.search_problem import listed
 from zeno_orbits.search.strength import said_of
@@ -86,7 +86,8 @@ class EventSearchResult:
     @property
     def score(self) -> float:
         """Score of the orbit. A lower score is better."""
-        return -self.worst if isinstance(self.objective, MaxPush) else self.worst
+        is_maximized = isinstance(self.objective, MaxPush | WidestMargin)
+        return -self.worst if is_maximized else self.worst
 
     @property
     def told_push(self) -> str:

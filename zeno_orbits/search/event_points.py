@@ -38,14 +38,20 @@ from zeno_orbits.orbits import (
 from zeno_orbits.search.event_search import indices_of, settled_return
 from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts
 from zeno_orbits.simulation import Extent, SimulationSettings
+from zeno_orbits.verification import EVENT_MARGINS, SHARE, measured_margin
 
 MOST_PEAKS = 6
 """Number of extremes of a signal that are rows of a program: those nearest to the bound."""
 RADIUS = "spectral_radius"
 """Name of the spectral radius among the quantities of an orbit."""
 
+MARGINS = (SHARE, *EVENT_MARGINS)
+"""Names of the margins among the quantities of an orbit."""
+DIFFERENCED = (RADIUS, *MARGINS)
+"""Quantities whose derivatives are differences."""
+
 _STEP = 1e-4
-"""Difference of a free value for the derivative of a spectral radius, in units of its range."""
+"""Difference of a free value for such a derivative, in units of its range."""
 
 
 class NoEventError(StepError):
@@ -161,8 +167,26 @@ class EventPoint:
             return self.course.extent(name)
         if name == RADIUS:
             return Extent(lowest=self.radius, highest=self.radius)
+        if name in MARGINS:
+            return Extent(lowest=self.number(name), highest=self.number(name))
         values = [one.value for one in self.slopes(name)]
         return Extent(lowest=min(values), highest=max(values))
+
+    def number(self, name: str) -> float:
+        """Return the spectral radius or a margin, whose derivatives are differences.
+
+        Args:
+            name: Its name.
+
+        Raises:
+            NoEventError: If the event of the margin does not occur.
+        """
+        if name == RADIUS:
+            return self.radius
+        margin = measured_margin(name, self.graph, self.found)
+        if margin is None:
+            raise NoEventError("keep", f"`{name}` does not occur in the orbit")
+        return margin
 
     def peaks(self, signal: str, sign: float, most: int = MOST_PEAKS) -> list[Slope]:
         """Return the largest local extremes of a signal times a sign, in order of time.
@@ -199,7 +223,7 @@ class EventPoint:
         constants that it keeps. The period and the energy have one row.
 
         Args:
-            bound: The bound on anything but the spectral radius.
+            bound: The bound on anything but the spectral radius or a margin.
             size: The size.
 
         Raises:
@@ -334,25 +358,35 @@ class OrbitsOverValues:
             parameters=chosen,
         )
 
-    def radius(
-        self, point: EventPoint, numbers: Vector, ranges: Vector, corner: dict[str, float]
+    def differenced(
+        self,
+        name: str,
+        point: EventPoint,
+        numbers: Vector,
+        ranges: Vector,
+        corner: dict[str, float],
     ) -> Slope:
-        """Return the spectral radius, with its derivative by central differences.
+        """Return the spectral radius or a margin, with its derivative by central differences.
 
         Args:
+            name: Its name.
             point: The orbit at the free values.
             numbers: The free values, ``(k,)``.
             ranges: Their ranges, ``(k, 2)``.
             corner: Values of the uncertain parameters.
+
+        Raises:
+            NoEventError: If the event of the margin does not occur.
         """
         by = np.zeros(len(numbers))
         for k, (low, high) in enumerate(ranges):
             ends = [
                 min(max(numbers[k] + sign * _STEP * (high - low), low), high) for sign in (-1, 1)
             ]
-            radii = [
-                self.at(np.where(np.arange(len(numbers)) == k, end, numbers), corner).radius
+            found = [
+                self.at(np.where(np.arange(len(numbers)) == k, end, numbers), corner).number(name)
                 for end in ends
             ]
-            by[k] = (radii[1] - radii[0]) / (ends[1] - ends[0])
-        return Slope(value=max(point.radius, LEAST_RADIUS), by=by)
+            by[k] = (found[1] - found[0]) / (ends[1] - ends[0])
+        value = point.number(name)
+        return Slope(value=max(value, LEAST_RADIUS) if name == RADIUS else value, by=by)

@@ -18,15 +18,15 @@ from zeno_orbits.orbits import (
     EventOrbit,
     EventReturn,
     OrbitEvent,
-    PathStep,
+    SectionMode,
     StepControl,
     closed_return,
-    follow_path,
     multipliers_of_return,
     near_return,
     orbit_event_name,
 )
 from zeno_orbits.search.closing import named
+from zeno_orbits.search.line import LinePoint, between, follow_line
 from zeno_orbits.simulation import Execution, SimulationSettings, simulate, state_before
 from zeno_orbits.work import Progress, silent, versions
 
@@ -128,43 +128,37 @@ def return_near(
     settings, own = simulation or SimulationSettings(), near.values(problem)
     on_progress("closing the known orbit", None)
 
-    def closed(part: float, x: Vector, guess: float) -> EventReturn:
-        numbers = {
-            name: (1 - part) * number + part * values.number(name)
-            for name, number in own.numbers.items()
-        }
-        return closed_return(
-            problem.graph_dynamics(own.replaced(numbers)),
+    def closed(
+        part: float, x: Vector, last: LinePoint[EventReturn] | None
+    ) -> LinePoint[EventReturn]:
+        found = closed_return(
+            problem.graph_dynamics(between(own, values, part)),
             x,
             section=near.section,
             n_returns=near.n_returns,
-            guess=guess,
+            guess=near.period if last is None else last.orbit.period,
             settings=settings,
+            mode=last and SectionMode.of(last.orbit.execution.arcs[0], near.section),
         )
+        return LinePoint(part=part, start=found.start, orbit=found, margins={})
 
-    def advance(
-        points: Sequence[tuple[float, EventReturn]], step: float
-    ) -> PathStep[tuple[float, EventReturn], str]:
-        part, last = points[-1]
-        after = min(part + step, 1.0)
-        there = after, closed(after, last.start, last.period)
-        return PathStep(points=(there,), easy=True, end="" if after == 1.0 else None)
-
-    def give_up(
-        _: Sequence[tuple[float, EventReturn]], reason: str
-    ) -> PathStep[tuple[float, EventReturn], str]:
-        return PathStep(end=reason)
-
-    x = np.array(problem.state_vector(near.start_state))
-    first = 0.0, closed(0.0, x, near.period)
+    first = closed(0.0, np.array(problem.state_vector(near.start_state)), None)
     if own.numbers == values.numbers:
-        return first[1]
-    path = follow_path(first, _FROM_ORBIT, advance, give_up=give_up)
-    part, last = path.points[-1]
-    if part < 1.0:
+        return first.orbit
+    path = follow_line(
+        first,
+        closed,
+        own,
+        values,
+        steps=_FROM_ORBIT,
+        losses={},
+        tell=lambda stage: on_progress(stage, None),
+    )
+    last = first.orbit if path.orbit is None else path.orbit
+    if not path.arrived:
         raise SimulationError(
-            f"The known orbit is lost after {100 * part:.3g} % of the way to the values "
-            f"({path.end or 'too many steps'})",
+            f"The known orbit is lost after {100 * (1 - path.left):.3g} % of the way to the values "
+            f"({path.refusal or 'too many steps'})",
             time=last.period,
             state=tuple(last.start.tolist()),
         )

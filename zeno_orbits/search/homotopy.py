@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,15 +12,14 @@ from zeno_orbits.model import HybridDynamics, ParameterValues
 from zeno_orbits.orbits import (
     Cycle,
     OrbitShape,
-    PathStep,
     StepControl,
     StepError,
     ZenoOrbit,
     floquet_multipliers,
-    follow_path,
     placed,
 )
-from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle
+from zeno_orbits.search.fixed_point import close_cycle
+from zeno_orbits.search.line import Followed, LinePoint, between, follow_line
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import SimulationSettings, scale_of
 
@@ -37,40 +35,6 @@ _LOST = {
     "attraction": "the orbit loses stability",
 }
 """Ends of a family. A cause precedes the margins that vanish in proportion to it (theory (40))."""
-
-_GONE = 0.02
-"""A margin below this part of its first value vanishes at the end of a path."""
-_ALIKE = 0.75
-"""Ratio of the logarithmic decreases of two margins above which they vanish in proportion."""
-_TOGETHER = 0.25
-"""The same for a margin that vanishes as a power of another margin."""
-_EXTRAPOLATED = 4
-"""Number of orbits from which the end of a path is extrapolated."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Followed:
-    """Last orbit on a straight line between two sets of parameter values.
-
-    Attributes:
-        cycle: The last orbit, or ``None`` without a first orbit.
-        values: Values of the last orbit.
-        arrived: True if these are the target values.
-        ending: Point and reason of the end, as a sentence. Empty if the target was reached.
-        loss: The reason alone, as a clause.
-        left: Remaining part of the line.
-        end: Extrapolated part of the line at which the family ends, or 1 at the target.
-        end_error: Estimated error of ``end``.
-    """
-
-    cycle: Cycle | None
-    values: ParameterValues
-    arrived: bool
-    ending: str = ""
-    loss: str = ""
-    left: float = 0.0
-    end: float = 1.0
-    end_error: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,28 +56,6 @@ class _Line:
     attracting: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Point:
-    """An orbit on the line.
-
-    Attributes:
-        part: :math:`s`.
-        values: Values of the gains and parameters there.
-        closed: The orbit.
-        margins: Name to distance to a loss of existence.
-    """
-
-    part: float
-    values: ParameterValues
-    closed: ClosedCycle
-    margins: Mapping[str, float]
-
-    @property
-    def start(self) -> Vector:
-        """Start of the period, ``(n_x,)``."""
-        return self.closed.cycle.start.state
-
-
 def follow(
     search: SearchProblem,
     near: Cycle | ZenoOrbit,
@@ -122,7 +64,7 @@ def follow(
     *,
     steps: StepControl = _STEPS,
     attracting: bool = False,
-) -> Followed:
+) -> Followed[Cycle]:
     """Continue an orbit along a straight line of values.
 
     The next initial state is predicted by the secant through the last two orbits, and corrected by
@@ -145,46 +87,23 @@ def follow(
     try:
         first = _closed(line, 1.0 if easy == wanted else 0.0, start, scale, near.period)
     except (SimulationError, StepError):
-        return Followed(cycle=None, values=easy, arrived=False, left=1.0, end=0.0)
-
-    def advance(points: Sequence[_Point], step: float) -> PathStep[_Point, bool]:
-        here, before = points[-1], points[-2:][0]
-        part = min(1.0, here.part + step)
-        guess = here.start
-        if before.part < here.part:
-            ratio = (part - here.part) / (here.part - before.part)
-            guess = guess + ratio * (here.start - before.start)
-        search.tell(f"following orbits: {100 * part:.0f} % of the way")
-        cycle = here.closed.cycle
-        there = _closed(line, part, guess, cycle.scale_at_events(), cycle.period)
-        return PathStep(points=(there,), easy=True, end=True if part >= 1.0 else None)
-
-    def give_up(_points: Sequence[_Point], _reason: str) -> PathStep[_Point, bool]:
-        return PathStep(end=False)
-
-    points: tuple[_Point, ...] = (first,)
-    if first.part < 1.0:
-        points = follow_path(first, steps, advance, give_up=give_up).points
-    cycle, reached = points[-1].closed.cycle, points[-1].part >= 1.0
-    if reached:
-        return Followed(cycle=cycle, values=wanted, arrived=True)
-    last, cause = points[-1], _cause(points)
-    end, error = (last.part, steps.shortest)
-    if cause is not None:
-        end, error = _end_of(points, cause, steps.shortest)
-    return Followed(
-        cycle=cycle,
-        values=last.values,
-        arrived=False,
-        ending=_ending(line, points),
-        loss="the orbit is followed no farther" if cause is None else _LOST[cause],
-        left=1 - last.part,
-        end=end,
-        end_error=error,
+        return Followed(orbit=None, values=easy, arrived=False, left=1.0, end=0.0)
+    return follow_line(
+        first,
+        lambda part, guess, here: _closed(
+            line, part, guess, here.orbit.scale_at_events(), here.orbit.period
+        ),
+        easy,
+        wanted,
+        steps=steps,
+        losses=_LOST,
+        tell=search.tell,
     )
 
 
-def _closed(line: _Line, part: float, guess: Vector, scale: Vector, period: float) -> _Point:
+def _closed(
+    line: _Line, part: float, guess: Vector, scale: Vector, period: float
+) -> LinePoint[Cycle]:
     """Return the orbit at a point of a line, closed from a guess.
 
     Args:
@@ -198,9 +117,7 @@ def _closed(line: _Line, part: float, guess: Vector, scale: Vector, period: floa
         SimulationError: If no orbit closes.
         StepError: If the values or the guess are not valid.
     """
-    first, last = line.first, line.last
-    numbers = {n: (1 - part) * x + part * last.number(n) for n, x in first.numbers.items()}
-    values = first.replaced(numbers)
+    values = between(line.first, line.last, part)
     try:
         dynamics = line.search.dynamics(values)
         start = placed(dynamics, line.shape, guess)
@@ -218,7 +135,8 @@ def _closed(line: _Line, part: float, guess: Vector, scale: Vector, period: floa
     margins = _margins(dynamics, closed.cycle)
     if line.attracting:
         margins["attraction"] = _attraction(dynamics, closed.cycle)
-    return _Point(part=part, values=values, closed=closed, margins=margins)
+    cycle = closed.cycle
+    return LinePoint(part=part, start=cycle.start.state, orbit=cycle, margins=margins)
 
 
 def _margins(dynamics: HybridDynamics, cycle: Cycle) -> dict[str, float]:
@@ -264,81 +182,3 @@ def _amplitude(dynamics: HybridDynamics, cycle: Cycle) -> float:
     states = [arc.flow_state_at(part * arc.duration)[:n_x] for arc in cycle.arcs for part in _PARTS]
     ranges = np.ptp(np.array(states), axis=0) / dynamics.own.states(n_x)
     return float(np.max(np.delete(ranges, dynamics.clock)))
-
-
-def _ending(line: _Line, points: Sequence[_Point]) -> str:
-    """Return the end of a path and the margin that vanishes there, as a sentence."""
-    last = points[-1]
-    cause = _cause(points)
-    part, error = (last.part, 0.0) if cause is None else _end_of(points, cause, _STEPS.shortest)
-    numbers = {
-        name: ((1 - part) * value + part * line.last.number(name), line.last.number(name) - value)
-        for name, value in line.first.numbers.items()
-        if value != line.last.number(name)
-    }
-    shown = ", ".join(
-        f"{name} = {_digits(value, error * abs(span))}" for name, (value, span) in numbers.items()
-    )
-    where = f"Orbits could be followed to {shown}, not beyond"
-    return f"{where}." if cause is None else f"{where}: there {_LOST[cause]}."
-
-
-def _cause(points: Sequence[_Point]) -> str | None:
-    """Return the margin whose loss ends a path, among the margins that vanish there.
-
-    The cause decreases slowest: the other margins vanish as a power of it. If several margins
-    vanish in proportion, the cause is the first of them in `_LOST`.
-    """
-    if len(points) < 2:
-        return None
-    first, before, last = points[0].margins, points[-2].margins, points[-1].margins
-    falls = {
-        name: float(np.log(before[name] / value))
-        for name, value in last.items()
-        if 0.0 < value < before.get(name, 0.0)
-    }
-    gone = [name for name in falls if last[name] < _GONE * first[name]]
-    if not gone:
-        return None
-    steepest = max(falls[name] for name in gone)
-    together = {name: fall for name, fall in falls.items() if fall > _TOGETHER * steepest}
-    slowest = min(together.values())
-    alike = [name for name, fall in together.items() if fall * _ALIKE < slowest]
-    return next(name for name in _LOST if name in alike)
-
-
-def _end_of(points: Sequence[_Point], cause: str, shortest: float) -> tuple[float, float]:
-    """Return the part of a path at which a margin vanishes, and its error.
-
-    A polynomial of the margin interpolates the part through the last orbits. It is evaluated at
-    zero.
-    """
-    used = points[-_EXTRAPOLATED:]
-    margins = [point.margins[cause] for point in used]
-    table, change = [point.part for point in used], np.inf
-    for order in range(1, len(used)):
-        before = table[-1]
-        table = [
-            (margins[k + order] * table[k] - margins[k] * table[k + 1])
-            / (margins[k + order] - margins[k])
-            for k in range(len(table) - 1)
-        ]
-        change = abs(table[-1] - before)
-    last = points[-1].part
-    if not last <= table[0] <= last + _NEAR * shortest:
-        return last, _NEAR * shortest
-    return table[0], change
-
-
-_NEAR = 10.0
-"""Largest distance of an end from the last orbit, in units of the shortest step."""
-_MOST_DIGITS = 5
-
-
-def _digits(value: float, error: float) -> str:
-    """Format a value with as many digits as its error allows, at most five."""
-    unit = 10.0 ** np.floor(np.log10(abs(value) or 1.0))
-    digits = _MOST_DIGITS
-    while digits > 1 and 0.5 * unit * 10.0 ** (1 - digits) < error:
-        digits -= 1
-    return f"{value:.{digits}g}"

@@ -16,20 +16,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model import ParameterValues
-from zeno_orbits.orbits import Cycle, StepControl, ZenoOrbit, excess
-from zeno_orbits.search.homotopy import Followed, follow
-from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.search.way import bounded_extents
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import StepControl
+from zeno_orbits.search.line import Followed
 from zeno_orbits.simulation import Extent
 
-_WAY = StepControl(first=0.05, longest=0.05, shortest=1e-4)
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+WAY = StepControl(first=0.05, longest=0.05, shortest=1e-4)
 """Steps to a loss, in units of ranges. They may skip a narrower window without an orbit."""
 _DIFFERENCE = 0.02
 """Step of a difference quotient, in units of ranges."""
@@ -64,18 +65,49 @@ class Reach:
     reason: str
 
 
+class Ways(Protocol[T]):
+    """The orbits of a search over its free values. `T` is the kind of orbits."""
+
+    @property
+    def problem(self) -> Problem:
+        """The problem."""
+        ...
+
+    @property
+    def free(self) -> Mapping[str, tuple[float, float]]:
+        """Name to range of the free values."""
+        ...
+
+    @property
+    def is_bounded(self) -> bool:
+        """True if the orbits must keep bounds."""
+        ...
+
+    def follow(self, near: T, here: ParameterValues, wanted: ParameterValues) -> Followed[T]:
+        """Follow a stable orbit along a line of values, in steps of `WAY`, until it is lost."""
+        ...
+
+    def slack(self, values: ParameterValues, near: T) -> Vector:
+        """Return the distance of each bounded quantity from its bounds, positive inside."""
+        ...
+
+    def tell(self, stage: str) -> None:
+        """Report progress."""
+        ...
+
+
 @dataclass(frozen=True, kw_only=True)
-class Persistence:
+class Persistence(Generic[T_co]):
     """Distances from an orbit to its loss.
 
     Attributes:
         values: Values of the orbit.
-        cycle: One simulated period of the orbit.
+        orbit: The orbit.
         reaches: Two distances for each free value.
     """
 
     values: ParameterValues
-    cycle: Cycle | ZenoOrbit
+    orbit: T_co
     reaches: tuple[Reach, ...]
 
     @property
@@ -106,34 +138,30 @@ class Persistence:
         return f"It persists for {ranges}, each alone.{lost if least.reason else ''}"
 
 
-def persistence(
-    search: SearchProblem, values: ParameterValues, near: Cycle | ZenoOrbit
-) -> Persistence:
+def persistence(search: Ways[T], values: ParameterValues, near: T) -> Persistence[T]:
     """Compute the distances from an orbit to its loss of existence or stability.
 
     Args:
-        search: The search with its free values.
+        search: The orbits over the free values.
         values: Values of the orbit.
         near: The orbit.
     """
     reaches = tuple(
         _reach(search, values, near, name, sign) for name in search.free for sign in (1, -1)
     )
-    return Persistence(values=values, cycle=near, reaches=reaches)
+    return Persistence(values=values, orbit=near, reaches=reaches)
 
 
-def _reach(
-    search: SearchProblem, values: ParameterValues, near: Cycle | ZenoOrbit, name: str, sign: int
-) -> Reach:
+def _reach(search: Ways[T], values: ParameterValues, near: T, name: str, sign: int) -> Reach:
     low, high = search.free[name]
     here, whole = values.number(name), sign * (high - low)
     wanted = _admissible(search, name, here + whole)
     part = (wanted - here) / whole
-    if part <= _WAY.shortest:
+    if part <= WAY.shortest:
         return Reach(name=name, sign=sign, distance=1.0, error=0.0, value=wanted, reason="")
-    path = _followed(search, near, values, values.replaced({name: wanted}))
+    path = search.follow(near, values, values.replaced({name: wanted}))
     # Without a loss before its last admissible value, a parameter counts as persistent.
-    lost = part == 1.0 or (1.0 - path.end) * part > _AT_LAST * _WAY.shortest
+    lost = part == 1.0 or (1.0 - path.end) * part > _AT_LAST * WAY.shortest
     if path.arrived or not lost:
         return Reach(name=name, sign=sign, distance=1.0, error=0.0, value=wanted, reason="")
     return Reach(
@@ -150,7 +178,7 @@ _AT_LAST = 2.0
 """Distance from the last admissible value that counts as zero, in units of the shortest step."""
 
 
-def _admissible(search: SearchProblem, name: str, value: float) -> float:
+def _admissible(search: Ways[Any], name: str, value: float) -> float:
     """Return a parameter's value clipped to its admissible range. A gain may have any value."""
     quantity = search.problem.quantity(name)
     if quantity not in search.problem.parameters:
@@ -158,17 +186,8 @@ def _admissible(search: SearchProblem, name: str, value: float) -> float:
     return min(max(value, quantity.lower), quantity.upper)
 
 
-def _followed(
-    search: SearchProblem,
-    near: Cycle | ZenoOrbit,
-    values: ParameterValues,
-    wanted: ParameterValues,
-) -> Followed:
-    return follow(search, near, values, wanted, steps=_WAY, attracting=True)
-
-
 @dataclass(frozen=True, kw_only=True)
-class _Place:
+class _Place(Generic[T_co]):
     """A point of the optimization.
 
     Attributes:
@@ -176,7 +195,7 @@ class _Place:
         slack: Distance of each bounded quantity from its bounds, positive inside.
     """
 
-    held: Persistence
+    held: Persistence[T_co]
     slack: Vector
 
     @property
@@ -185,17 +204,17 @@ class _Place:
         return np.append([one.distance for one in self.held.reaches], self.slack)
 
 
-def widest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> Persistence:
+def widest(search: Ways[T], values: ParameterValues, near: T) -> Persistence[T]:
     """Return the orbit with the largest smallest distance to a loss, within the bounds.
 
     The optimum is local.
 
     Args:
-        search: The search.
+        search: The orbits over the free values.
         values: Values of an orbit that satisfies the bounds.
-        cycle: One simulated period of the orbit.
+        near: The orbit.
     """
-    here = _place(search, values, cycle)
+    here = _place(search, values, near)
     slopes, region = _slopes(search, here), _REGION
     for _ in range(_MOST_STEPS):
         step, gain = _best_step(search, here, slopes, region)
@@ -212,36 +231,33 @@ def widest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> Pers
     return here.held
 
 
-def _place(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> _Place:
-    extents: Mapping[str, Extent] = {}
-    if search.bounds:
-        extents = bounded_extents(search, values, cycle)
-    slack = [-excess(bound, extents[bound.name]) for bound in search.bounds]
-    return _Place(held=persistence(search, values, cycle), slack=np.array(slack))
+def _place(search: Ways[T], values: ParameterValues, near: T) -> _Place[T]:
+    slack = search.slack(values, near)
+    return _Place(held=persistence(search, values, near), slack=slack)
 
 
-def _moved(search: SearchProblem, here: _Place, step: Vector) -> _Place | None:
+def _moved(search: Ways[T], here: _Place[T], step: Vector) -> _Place[T] | None:
     """Return the point after a step in units of ranges, or ``None`` if the orbit is lost before."""
     moved = {
         name: min(max(here.held.values.number(name) + float(by) * (high - low), low), high)
         for (name, (low, high)), by in zip(search.free.items(), step, strict=True)
     }
     wanted = here.held.values.replaced(moved)
-    path = _followed(search, here.held.cycle, here.held.values, wanted)
-    if path.cycle is None or not path.arrived:
+    path = search.follow(here.held.orbit, here.held.values, wanted)
+    if path.orbit is None or not path.arrived:
         return None
     try:
-        return _place(search, wanted, path.cycle)
+        return _place(search, wanted, path.orbit)
     except ZenoOrbitsError:
         return None
 
 
-def _slopes(search: SearchProblem, here: _Place) -> Vector:
+def _slopes(search: Ways[T], here: _Place[T]) -> Vector:
     """Return the derivative of each row with respect to each free value, in units of ranges."""
     n = len(search.free)
     slopes = np.zeros((here.rows.size, n))
     for k, (name, (low, high)) in enumerate(search.free.items()):
-        if n > 1 or search.bounds:
+        if n > 1 or search.is_bounded:
             up, down = here.held.reaches[2 * k : 2 * k + 2]
             sign = 1.0 if up.distance > down.distance else -1.0
             inside = (
@@ -261,7 +277,7 @@ def _slopes(search: SearchProblem, here: _Place) -> Vector:
     return slopes
 
 
-def _corrected(slopes: Vector, here: _Place, there: _Place, step: Vector) -> Vector:
+def _corrected(slopes: Vector, here: _Place[T], there: _Place[T], step: Vector) -> Vector:
     """Return the derivatives after a step, each row corrected along the step."""
     missed = there.rows - here.rows - slopes @ step
     ends = [one.distance >= 1.0 for place in (here, there) for one in place.held.reaches]
@@ -271,7 +287,7 @@ def _corrected(slopes: Vector, here: _Place, there: _Place, step: Vector) -> Vec
 
 
 def _best_step(
-    search: SearchProblem, here: _Place, slopes: Vector, region: float
+    search: Ways[T], here: _Place[T], slopes: Vector, region: float
 ) -> tuple[Vector, float]:
     """Return the optimal step of the linear model in units of ranges, and its predicted gain.
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, Cycle, ZenoOrbit, objection_to
+from zeno_orbits.search.cycle_ways import CycleWays
 from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.objectives import PERSISTENCE, PUSH, MaxPush, NearestGains
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
@@ -309,11 +310,12 @@ def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str
     if not names:
         return {}
     search.tell(f"{name}: measuring {', '.join(dict.fromkeys(names))}")
-    sampled = {PERSISTENCE: persistence, PUSH: strength}
+    values, sampled = orbit.values(search.problem), (PERSISTENCE, PUSH)
     extents = measure(orbit, search.problem, [one for one in names if one not in sampled])
-    for one, sample in sampled.items():
-        if one in names:
-            extents[one] = sample(search, orbit.values(search.problem), orbit).extent
+    if PERSISTENCE in names:
+        extents[PERSISTENCE] = persistence(CycleWays(search=search), values, orbit).extent
+    if PUSH in names:
+        extents[PUSH] = strength(search, values, orbit).extent
     return extents
 
 

@@ -19,12 +19,14 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.search.closing import escape_of, orbit_of
 from zeno_orbits.search.confirmation import one_cycle
+from zeno_orbits.search.cycle_ways import CycleWays
 from zeno_orbits.search.fixed_point import close_near
 from zeno_orbits.search.guess import FollowedMotion, settle
-from zeno_orbits.search.homotopy import Followed, follow
+from zeno_orbits.search.homotopy import follow
+from zeno_orbits.search.line import Followed
 from zeno_orbits.search.objectives import MaxPush, NearestGains, Target, TowardTarget
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
-from zeno_orbits.search.persistence import widest
+from zeno_orbits.search.persistence import Persistence, widest
 from zeno_orbits.search.refinement import (
     COARSE,
     ON_THE_WAY,
@@ -178,7 +180,7 @@ def _by_an_easier_way(
         if cycle is None:
             continue
         path = follow(search, cycle, easy, start.values)
-        if path.cycle is None:
+        if path.orbit is None:
             continue
         reached = _along(search, start, path, listed(_differing(easy, start.values)))
         if reached.status is SearchStatus.FOUND:
@@ -188,13 +190,15 @@ def _by_an_easier_way(
     return outcome
 
 
-def _along(search: SearchProblem, start: SearchStart, path: Followed, origin: str) -> StartOutcome:
+def _along(
+    search: SearchProblem, start: SearchStart, path: Followed[Cycle], origin: str
+) -> StartOutcome:
     """Search from the last orbit of a path, which may end before the values of the start."""
-    if path.cycle is None:
+    if path.orbit is None:
         detail = f"From {origin} no orbit could be followed."
         return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)
     if path.arrived:
-        return from_cycle(search, start.values, path.cycle)
+        return from_cycle(search, start.values, path.orbit)
     inside = all(
         search.free[name][0] <= path.values.number(name) <= search.free[name][1]
         if name in search.free
@@ -202,7 +206,7 @@ def _along(search: SearchProblem, start: SearchStart, path: Followed, origin: st
         for name in path.values.numbers
     )
     if inside and search.free:
-        outcome = from_cycle(search, path.values, path.cycle)
+        outcome = from_cycle(search, path.values, path.orbit)
         if outcome.status is SearchStatus.FOUND:
             return replace(outcome, detail=f"{path.ending} {outcome.detail}".strip())
         return outcome
@@ -264,10 +268,16 @@ def _by_samples(search: SearchProblem, values: ParameterValues, cycle: Cycle) ->
         values, cycle, lacking = _where_bounds_are_kept(search, values, cycle)
         if lacking is not None:
             return lacking
-    best = (strongest if isinstance(search.objective, MaxPush) else widest)(search, values, cycle)
-    if isinstance(best, Strength) and best.push is None:
-        return StartOutcome(status=SearchStatus.NO_GUESS, detail=best.text)
-    around = best.cycle if isinstance(best.cycle, Cycle) else cycle
+    best: Strength | Persistence[Cycle | ZenoOrbit]
+    if isinstance(search.objective, MaxPush):
+        best = strongest(search, values, cycle)
+        if best.push is None:
+            return StartOutcome(status=SearchStatus.NO_GUESS, detail=best.text)
+        found = best.cycle
+    else:
+        best = widest(CycleWays(search=search), values, cycle)
+        found = best.orbit
+    around = found if isinstance(found, Cycle) else cycle
     outcome = refine(replace(search, free={}), best.values, around, search.objective)
     if outcome.status is not SearchStatus.FOUND:
         return outcome

@@ -157,8 +157,8 @@ def orbits_at_corners(
     for corner in ({}, *_objective(search).corners):
         place = values.replaced(corner)
         path = follow(search, near, values, place, attracting=True)
-        if path.cycle is not None and path.arrived:
-            yield place, orbit_of(path.cycle, search.problem, place), ""
+        if path.orbit is not None and path.arrived:
+            yield place, orbit_of(path.orbit, search.problem, place), ""
         else:
             yield place, None, path.loss or "no orbit is near"
 
@@ -251,10 +251,10 @@ def _moved(search: SearchProblem, best: Strength, free: Vector) -> tuple[Strengt
     named = dict(zip(search.free, free.tolist(), strict=True))
     wanted = best.values.replaced(named)
     path = follow(search, best.cycle, best.values, wanted, attracting=True)
-    if path.cycle is None or not path.arrived:
+    if path.orbit is None or not path.arrived:
         return None
     try:
-        return _measured(search, wanted, path.cycle)
+        return _measured(search, wanted, path.orbit)
     except ZenoOrbitsError:
         return None
 

@@ -42,8 +42,8 @@ def best_on_the_way(
         earlier = [(last.cycle, last.values), *_before(search, origin, last.values, last.cycle)]
         path = follow(search, *earlier[-1], beyond)
         ending = path.ending
-        if path.cycle is not None:
-            places.append((path.values, path.cycle))
+        if path.orbit is not None:
+            places.append((path.values, path.orbit))
     held = replace(search, free={})
     found: list[tuple[float, StartOutcome]] = []
     for values, cycle in places:
@@ -93,9 +93,9 @@ def _before(
             if origin.number(name) != last.number(name)
         }
         path = follow(search, cycle, here, last.replaced(shifts)) if shifts else None
-        if path is None or path.cycle is None or not path.arrived:
+        if path is None or path.orbit is None or not path.arrived:
             return
-        cycle, here = path.cycle, path.values
+        cycle, here = path.orbit, path.values
         yield cycle, here
 
 

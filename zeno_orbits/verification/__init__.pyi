@@ -1,6 +1,9 @@
 from .certificate import DeltaCut as DeltaCut
 from .certificate import OrbitCertificate as OrbitCertificate
 from .certificate import RESIDUALS as RESIDUALS
+from .event_margins import EVENT_MARGINS as EVENT_MARGINS
+from .event_margins import SHARE as SHARE
+from .event_margins import measured_margin as measured_margin
 from .event_verifier import verify_events as verify_events
 from .measurement import measure as measure
 from .measurement import require_quantities as require_quantities

@@ -28,7 +28,6 @@ from zeno_orbits.orbits import (
     at_looser_tolerance,
     event_return,
     extrapolated,
-    fall_at,
     largest_states,
     multipliers_of_return,
     orbit_event_name,
@@ -39,7 +38,6 @@ from zeno_orbits.simulation import (
     Event,
     Execution,
     Impact,
-    Release,
     SimulationSettings,
     ZenoPoint,
     simulate,
@@ -49,6 +47,7 @@ from zeno_orbits.simulation import (
 from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.cross_checks import imbalance
 from zeno_orbits.verification.event_energies import event_energies, is_balanced
+from zeno_orbits.verification.event_margins import event_margins
 from zeno_orbits.verification.verifier import VerificationSettings
 from zeno_orbits.work import Progress, silent
 
@@ -121,7 +120,7 @@ def verify_events(
         }
         if len(periods) == settings.n_periods > 1:
             residuals["drift"] = max(_distance(one.state, start, scale) for one in periods)
-        margins = _margins(graph, first)
+        margins = event_margins(graph, start, first.events, first.arcs, first.end - first.start)
         quantities = _quantities(graph, first, start)
         on_progress("integrating the powers", None)
         energies = _energies(graph, orbit, start, settings.simulation)
@@ -313,34 +312,6 @@ def _wrong_side(graph: GraphDynamics, arc: Arc, x: Vector) -> float:
         if (guards[n + k] > 0.0) != side
     ]
     return max(wrong, default=0.0)
-
-
-def _margins(graph: GraphDynamics, period: _Period) -> dict[str, float]:
-    """Return the distances to the loss of an event, the smallest of each kind."""
-    found: dict[str, list[float]] = {}
-
-    def keep(name: str, value: float | None) -> None:
-        if value is not None:
-            found.setdefault(name, []).append(value)
-
-    strikes = dict.fromkeys(graph.stop_names, False)
-    for event in period.events:
-        if isinstance(event, Impact):
-            keep("first_impact_speed", None if strikes[event.stop] else -event.approach_rate)
-            strikes[event.stop] = True
-        elif isinstance(event, ZenoPoint):
-            strikes[event.stop] = False
-            arc = next((a for a in period.arcs if a.start_time >= event.time), None)
-            if arc is not None:
-                mode, stop = (
-                    graph.mode_of(arc.closed, arc.sides),
-                    graph.stop_names.index(event.stop),
-                )
-                keep("gap_acceleration", -graph.holding(mode, stop).gap_acceleration(event.state))
-        else:
-            what = "release" if isinstance(event, Release) else "switch"
-            keep(f"{what}_transversality", fall_at(graph, period.arcs, event))
-    return {name: min(values) for name, values in found.items()}
 
 
 def _quantities(
