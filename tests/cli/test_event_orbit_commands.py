@@ -195,7 +195,6 @@ def test_search_says_no_if_no_orbit_keeps_a_bound() -> None:
     [
         (["--objective", "impacts=roof"], "--objective", "`roof`"),
         (["--objective", "energy"], "--objective", "no source of electrical energy"),
-        (["--objective", "margin"], "--objective", "impacts or bounce"),
         (["--objective", "peak=hight"], "--objective", "Did you mean `height`"),
         (["--bound", "hight=:1"], "--bound", "Did you mean `height`"),
         (["--bound", "roof.impact_speed=1:"], "--bound", "stop.impact_speed"),
