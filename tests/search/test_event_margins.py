@@ -130,6 +130,7 @@ def test_an_impact_pair_loses_its_stability_where_its_closed_form_does() -> None
 
     def excess(value: float) -> float:
         nearest = known[min(known, key=lambda one: abs(one - value))]
+        radius = math.nan
         for part in np.linspace(0.0, 1.0, 12)[1:]:
             nearest, radius = _radius(nearest, force + part * (value - force))
         return radius - 1.0
