@@ -443,7 +443,7 @@ def at_section(
         return found
     if section not in names:
         raise SimulationError(
-            f"The orbit has no event `{section}`",
+            f"The orbit lacks the event `{section}`",
             time=found.period,
             state=tuple(found.start.tolist()),
         )

@@ -185,7 +185,7 @@ def begin_of(
 
 
 def _refuse_name(name: str, values: ParameterValues) -> None:
-    """Raise an error about a name that is no parameter."""
+    """Raise an error about the name of another quantity."""
     known = ", ".join(values.parameters)
     hint = "; gains are known" if name in values.gains else ""
     wanted = f"must name parameters ({known}), CHANNEL.gain, CHANNEL.offset or clock_rate"
