@@ -166,3 +166,28 @@ def test_the_command_prints_errors_of_instruments_beside_parameters(tmp_path: Pa
     assert set(answer["fitted"]) == {"c", "restitution", "distance.gain", "clock_rate"}
     assert answer["fitted"]["distance.gain"]["value"] == pytest.approx(1.05, rel=0.01)
     assert set(answer["parameters"]) == set(zo.load_problem(OSCILLATOR).values().parameters)
+
+
+def test_a_range_without_the_true_gain_is_named() -> None:
+    # Trial steps of such a fit leave the states at which a motion can start.
+    recording = _wrong(_exact(2e-3, "distance"), gain=1.5, offset=0.0, rate=0.0)
+    found = zo.identify(OSCILLATOR, recording, {"distance.gain": (0.5, 1.2), "A": None})
+    assert any("`distance.gain` reached an end of its range" in one for one in found.remarks)
+
+
+def test_a_parameter_that_is_not_seen_leaves_the_others_their_intervals() -> None:
+    # All forces of the oscillator are per mass, if mass, damping and spring change together.
+    fit = ["m", "c", "k", "A", "restitution", "distance.gain"]
+    found = zo.identify(OSCILLATOR, _exact(0.01), fit, parameters={"restitution": 0.45, "c": 2.0})
+    assert found.converged
+    assert len(found.unseen) == 1
+    (restitution,) = (one for one in found.fitted if one.unknown.label == "restitution")
+    assert restitution.low < 0.45 < restitution.high
+
+
+def test_the_change_of_a_negative_value_has_its_sign() -> None:
+    found = zo.identify(OSCILLATOR, _exact(0.01, "distance"), ["A", "stop", "distance.gain"])
+    (unseen,) = found.unseen
+    # The stop at -0.8 m moves away from 0 as the amplitude grows.
+    assert unseen.direction["A"] * unseen.direction["stop"] > 0.0
+    assert unseen.direction["A"] * unseen.direction["distance.gain"] < 0.0

@@ -191,6 +191,9 @@ def read_fit(text: str) -> Fit:
         if not all(names):
             wanted = "must be NAME or NAME=LOW:HIGH, or several of them with commas between"
             raise argparse.ArgumentTypeError(f"{wanted}, but it is `{text}`")
+        if any(names == known for known, _ in found):
+            label = "+".join(names)
+            raise argparse.ArgumentTypeError(f"must name `{label}` once, but it is `{text}`")
         found.append((names, read_range(entry.strip()).box if sign else None))
     return tuple(found)
 

@@ -219,9 +219,10 @@ def identify(
     if np.any(np.abs(edges) >= UNMATCHED):
         raise refusal("the nearest orbit lacks contacts of the recording, or has others")
     additive = [label for label, mark in zip(labels, unknowns.additive, strict=True) if mark]
-    unseen = unseen_combinations(
-        labels, answer.spread.information, answer.spread.inflation, additive
-    )
+    # A relative change of a negative value is negative where the value grows.
+    signs = np.where(unknowns.numbers(answer.x) < 0.0, -1.0, 1.0)
+    information = answer.spread.information * np.outer(signs, signs)
+    unseen = unseen_combinations(labels, information, answer.spread.inflation, additive)
     on_progress("computing the intervals", 0.97)
     fitted = _fitted(unknowns, sought, answer, unseen)
     others = tuple(dict(zip(labels, unknowns.numbers(one).tolist(), strict=True)) for one in optima)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import SimulationError
 from zeno_orbits.experiment.comparison.folding import Folded
 from zeno_orbits.experiment.identification.contact_rows import NO_CONTACTS, ContactRows
 from zeno_orbits.experiment.identification.predictions import OrbitPredictions
@@ -106,7 +106,7 @@ class Weighed:
         try:
             fold = self.orbits.fold(x, self.data)
             events = self.orbits.events(x)
-        except (SimulationError, InputError):
+        except SimulationError:
             return np.full(self.data.values.size + self.contacts.n_rows + 1, _FAR)
         rest = np.where(self.data.seen, (self.data.values - fold.values) * self.weights, 0.0)
         edges = self.contacts.residuals(events, float(x[-1]))
@@ -150,8 +150,7 @@ def fit(
     x, ends, answer = first, False, None
     for number in range(_REPEATS):
         answer = _fitted_from(orbits, samples, found, x, on_progress, contacts)
-        step = np.abs(answer.x - x)[:-1]
-        x, ends = answer.x, bool(np.all(step <= _STAYS * answer.spread.errors))
+        x, ends = answer.x, not answer.spread.apart(answer.x - x, _STAYS)
         if ends and number:
             break
     if answer is None:

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import SimulationError
 from zeno_orbits.experiment.comparison.folding import Folded
 from zeno_orbits.experiment.identification.contact_rows import NO_CONTACTS, ContactRows
 from zeno_orbits.experiment.identification.least_squares import (
@@ -111,7 +111,7 @@ def global_fit(
             own = orbits.starting_at(start)
             x, _ = rough_fit(own, samples, found, start, contacts)
             own.table(x)
-        except (SimulationError, InputError):
+        except SimulationError:
             continue
         tried.append((x, own))
     if not tried:
@@ -139,7 +139,7 @@ def global_fit(
         own = orbits.starting_at(starts[0])
         before = deviation(own, samples.without_jumps(own.table(starts[0])), starts[0])
         answer = replace(answer, before=before)
-    except (SimulationError, InputError):
+    except SimulationError:
         # No orbit is there: the deviation at the start of the fit stands for it.
         pass
     near = [x for x, measure in rivals if measure < (1.0 + _RIVAL) * least]
@@ -148,8 +148,7 @@ def global_fit(
 
 def _is_new(x: Vector, known: Sequence[Vector], answer: Fit) -> bool:
     """Return True if an optimum differs from all others by more than the errors of the best."""
-    errors = np.maximum(answer.spread.errors, 1e-12)
-    return all(float(np.max(np.abs(x - one)[:-1] / errors)) > _SAME for one in known)
+    return all(answer.spread.apart(x - one, _SAME) for one in known)
 
 
 def _noise(orbits: OrbitPredictions[PeriodTable], samples: Folded, x: Vector) -> Vector:
@@ -208,7 +207,12 @@ def profile_interval(answer: Fit, number: int) -> tuple[float, float]:
     for sign in (-1.0, 1.0):
 
         def rise(at: float) -> float:
-            return math.sqrt(max(_least_at(stage, x, number, at, inverse) - least, 0.0))
+            try:
+                found = _least_at(stage, x, number, at, inverse)
+            except SimulationError:
+                # An end without an orbit is too far.
+                return math.inf
+            return math.sqrt(max(found - least, 0.0))
 
         end = _end_of(rise, float(x[number]), sign * half, half / plain)
         ends.append(float(np.clip(end, low, high)))

@@ -80,7 +80,11 @@ class OrbitPredictions(ABC, Generic[Table]):
         Raises:
             SimulationError: If no orbit is found near the last accepted orbit.
         """
-        return self._tables(self.unknowns.p_at(x).tobytes())
+        try:
+            return self._tables(self.unknowns.p_at(x).tobytes())
+        except InputError as error:
+            # The search for an orbit may leave the states that a simulation accepts.
+            raise SimulationError("No orbit is found there", time=0.0, state=()) from error
 
     @abstractmethod
     def accept(self, x: Vector) -> None:
@@ -111,7 +115,7 @@ class OrbitPredictions(ABC, Generic[Table]):
             try:
                 found.accept(begin + min(done + step, 1.0) * (x - begin))
                 done += step
-            except (SimulationError, InputError) as error:
+            except SimulationError as error:
                 step /= 2.0
                 if step * _STEPS < 1.0:
                     raise SimulationError("No orbit is found there", time=0.0, state=()) from error

@@ -69,6 +69,19 @@ class Spread:
     common: float
     edge_excess: float = 1.0
 
+    def apart(self, step: Vector, limit: float) -> bool:
+        """Return True if two sets of unknowns differ by more than some standard errors.
+
+        Along a combination that the recording does not determine, no step is too long.
+
+        Args:
+            step: Their difference, ``(k + 1,)``.
+            limit: Number of standard errors.
+        """
+        own = step[:-1]
+        far = bool(np.any(np.abs(own) > limit * np.maximum(self.errors, 1e-12)))
+        return far and float(own @ self.information @ own) > (limit * self.inflation) ** 2
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unseen:
