@@ -497,8 +497,8 @@ def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unkn
         for name in names:
             if name in known:
                 lower, upper = max(lower, known[name].lower), min(upper, known[name].upper)
-        around = default_range(names[0])
-        if names[0] in known or around is None:
+        around = None if names[0] in known else default_range(names[0])
+        if around is None:
             value = values.parameters.get(names[0], 0.0)
             around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
         low, high = max(lower, around[0]), min(upper, around[1])

@@ -82,6 +82,11 @@ class Instruments:
     offsets: Vector
     rate: Vector
 
+    @property
+    def has_channel_errors(self) -> bool:
+        """True if a channel has an unknown gain or offset."""
+        return bool(self.gains.any() or self.offsets.any())
+
     def gain(self, numbers: Vector) -> Vector:
         """Return the gains of the channels at unknowns, ``(n_s,)``."""
         return np.where(self.gains.any(axis=1), self.gains @ numbers, 1.0)

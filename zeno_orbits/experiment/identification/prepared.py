@@ -105,11 +105,12 @@ def prepared_cycle(
     if closing.orbit is None:
         raise refusal(f"an orbit to fit is missing at the start: {closing.detail.rstrip('.')}")
     on_progress("laying the recording over it", None)
-    names = shared_signals(problem, recording)
-    table = tabulate_orbit(closing.orbit, problem, names)
-    unknowns = unknowns.near(names, _last_periods(recording, names, table.period), _even(table))
+    names, begun = shared_signals(problem, recording), closing.orbit
+    unknowns, likely = _likely(
+        unknowns, recording, names, lambda: tabulate_orbit(begun, problem, names)
+    )
     instruments, errors = unknowns.instruments(names), unknowns.start
-    first = compare(closing.orbit, problem, corrected(recording, names, instruments, errors))
+    first = compare(begun, problem, likely)
     laid = first.overlay
     if first.reasons or laid is None:
         raise refusal("; ".join(first.reasons))
@@ -181,10 +182,12 @@ def prepared_events(
         if not orbit_sequences(start, stop):
             raise refusal(f"the orbit at the start does not strike `{stop}`, the recording does")
     signals = measurement(problem, names)
-    if names:
-        table = event_period(problem.graph_dynamics(begin), first, signals)
-        unknowns = unknowns.near(names, _last_periods(recording, names, table.period), _even(table))
-    likely = corrected(recording, names, unknowns.instruments(names), unknowns.start)
+    unknowns, likely = _likely(
+        unknowns,
+        recording,
+        names,
+        lambda: event_period(problem.graph_dynamics(begin), first, signals),
+    )
     laid = lay_events(start, problem, likely, names, channels, partly=True)
     if isinstance(laid, Unlaid):
         raise refusal(laid.reason)
@@ -220,6 +223,31 @@ def prepared_events(
         restitution=math.nan,
         orbit_of=orbit,
     )
+
+
+def _likely(
+    unknowns: Unknowns,
+    recording: Recording,
+    names: Sequence[str],
+    tabulated: Callable[[], PeriodTable],
+) -> tuple[Unknowns, Recording]:
+    """Return unknowns near the orbit at the start, and the recording without such errors.
+
+    Args:
+        unknowns: The unknowns.
+        recording: The recording.
+        names: Names of its signals.
+        tabulated: Function that returns the orbit at the start, called if a channel has an error.
+
+    Raises:
+        InputError: If an unknown names a channel that is not recorded.
+    """
+    instruments = unknowns.instruments(names)
+    if not instruments.has_channel_errors:
+        return unknowns, recording
+    table = tabulated()
+    near = unknowns.near(names, _last_periods(recording, names, table.period), _even(table))
+    return near, corrected(recording, names, instruments, near.start)
 
 
 def _last_periods(recording: Recording, names: Sequence[str], period: float) -> Vector:

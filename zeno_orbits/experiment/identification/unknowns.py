@@ -165,27 +165,34 @@ def begin_of(
             if name in taken:
                 raise InputError(f"Argument `fit` must name `{name}` once, not twice.")
             taken.append(name)
+        kinds = {_kind_of(name, values) for name in one.names}
         if not one.lower < one.upper:
             bounds = f"[{one.lower:g}, {one.upper:g}]"
             wanted = f"must have a range LOW:HIGH for `{one.label}`"
             raise InputError(f"Argument `fit` {wanted}, but it is {bounds}.")
-        unknown = [name for name in one.names if name not in parameters]
-        if not unknown:
-            value = _inside(one, parameters[one.names[0]])
-            parameters |= dict.fromkeys(one.names, value)
-        elif len(one.readings) < len(unknown):
-            _refuse_name(next(n for n in unknown if reading_of(n) is None), values)
-        elif len({reading.kind for reading in one.readings}) + len(one.names) - len(unknown) > 1:
+        if len(kinds) > 1:
             wanted = "must tie parameters, gains or offsets, each with their own kind"
             raise InputError(f"Argument `fit` {wanted}, but it ties `{one.label}`.")
-        elif one.readings[0].kind is ReadingKind.GAIN and one.lower <= 0.0:
+        if None in kinds:
+            value = _inside(one, parameters[one.names[0]])
+            parameters |= dict.fromkeys(one.names, value)
+        if ReadingKind.GAIN in kinds and one.lower <= 0.0:
             wanted = f"must have a range above 0 for `{one.label}`"
             raise InputError(f"Argument `fit` {wanted}, but it is [{one.lower:g}, {one.upper:g}].")
     return problem.values(gains=values.gains, parameters=parameters)
 
 
-def _refuse_name(name: str, values: ParameterValues) -> None:
-    """Raise an error about the name of another quantity."""
+def _kind_of(name: str, values: ParameterValues) -> ReadingKind | None:
+    """Return the kind of the error of an instrument that a name is, ``None`` for a parameter.
+
+    Raises:
+        InputError: If the name is neither.
+    """
+    if name in values.parameters:
+        return None
+    reading = reading_of(name)
+    if reading is not None:
+        return reading.kind
     known = ", ".join(values.parameters)
     hint = "; gains are known" if name in values.gains else ""
     wanted = f"must name parameters ({known}), CHANNEL.gain, CHANNEL.offset or clock_rate"
