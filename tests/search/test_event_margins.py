@@ -220,3 +220,17 @@ def test_an_unknown_margin_is_refused_with_the_names() -> None:
     answer = ask("search", "hopper", "--vary", "a=5:40", "--bound", "locked_tim=1:")
     assert answer.code not in (YES, NO)
     assert "Did you mean `locked_time`?" in answer.err
+
+
+@pytest.mark.parametrize(
+    ("bound", "message"),
+    [
+        ("margin=1.5:", "must ask for a `margin` below 1"),
+        ("spectral_radius=0.2:0.5", "must bound `spectral_radius` from above only"),
+        ("period=:-1", "must leave a positive `period`"),
+    ],
+)
+def test_a_bound_that_no_orbit_satisfies_is_refused(bound: str, message: str) -> None:
+    answer = ask("search", "hopper", "--vary", "a=5:40", "--bound", bound)
+    assert answer.code not in (YES, NO)
+    assert message in answer.err

@@ -71,6 +71,7 @@ from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.strength import NothingLostError, highest, push_of
 from zeno_orbits.search.transcription.constraints import size_of
 from zeno_orbits.search.transcription.nearness import Nearness
+from zeno_orbits.search.validation import require_possible_bounds
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.work import Progress, silent
 
@@ -700,10 +701,9 @@ def _require_valid(
     graph = problem.graph_dynamics(values)
     if isinstance(objective, LeastEnergy):
         _require_electrical(graph, "objective", objective.wish)
-    for k, bound in enumerate(bounds):
+    for bound in bounds:
         _require_quantity(bound.name, graph)
-        if bound.name in [other.name for other in bounds[:k]]:
-            raise InputError(f"Argument `keep` must bound `{bound.name}` once, not twice.")
+    require_possible_bounds(bounds)
 
 
 _POSSIBLE = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -48,7 +48,8 @@ def check_search(search: SearchProblem) -> None:
     if isinstance(search.objective, TargetPeriod):
         _check_period(search, search.objective.target)
     _check_multipliers(search)
-    _check_bounds(problem, search.bounds)
+    require_quantities([bound.name for bound in search.bounds], problem, "keep")
+    require_possible_bounds(search.bounds)
     if near is not None and near.problem != problem.name:
         message = f"must be of problem `{problem.name}`, but it is of `{near.problem}`"
         raise InputError(f"Argument `near` {message}.")
@@ -132,8 +133,15 @@ def _check_multipliers(search: SearchProblem) -> None:
         raise InputError(f"Argument `{option}` {message}. Choose another objective or bound.")
 
 
-def _check_bounds(problem: Problem, bounds: tuple[Bound, ...]) -> None:
-    require_quantities([bound.name for bound in bounds], problem, "keep")
+def require_possible_bounds(bounds: Sequence[Bound]) -> None:
+    """Reject bounds that no orbit can satisfy, and a quantity with two bounds.
+
+    Args:
+        bounds: The bounds.
+
+    Raises:
+        InputError: If a bound is not possible. The message contains the bound.
+    """
     for k, bound in enumerate(bounds):
         if bound.name in [other.name for other in bounds[:k]]:
             message = f"must bound `{bound.name}` once, not twice"
