@@ -143,6 +143,18 @@ def test_an_orbit_that_some_corner_loses_is_no_answer() -> None:
     assert "The orbit is not kept (at A = 0.7): the release is not transversal." in said.out
 
 
+@pytest.mark.slow
+def test_gains_move_until_every_corner_has_an_orbit() -> None:
+    # The mass leaves its stop if A > 0.8 k. At the start, k = 1, the corner A = 0.75 has no orbit.
+    wish = zo.MaxPush(uncertain={"A": (0.75, 1.1)})
+    result = zo.search_gains(
+        "forced_oscillator", free={"k": (0.8, 1.2)}, objective=wish, settings=ONCE
+    )
+    k = result.unwrap().parameters["k"]
+    assert 0.8 <= k < 0.75 / 0.8
+    assert "No push up to" in result.detail
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

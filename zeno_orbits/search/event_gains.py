@@ -68,7 +68,7 @@ from zeno_orbits.search.objectives import (
 )
 from zeno_orbits.search.persistence import widest
 from zeno_orbits.search.search_problem import clipped
-from zeno_orbits.search.strength import NothingLostError, highest, push_of
+from zeno_orbits.search.strength import EnoughError, highest, push_of
 from zeno_orbits.search.transcription.constraints import size_of
 from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.search.validation import require_possible_bounds
@@ -473,7 +473,7 @@ def _strongest(task: _Task, first: Trial) -> EventSearchResult:
         if there.violation <= best.violation and impulse > _least_impulse(best_pushes):
             best, best_pushes = there, found
         if math.isinf(impulse):
-            raise NothingLostError
+            raise EnoughError
         known[key] = impulse, there
         return known[key]
 
@@ -486,7 +486,7 @@ def _strongest(task: _Task, first: Trial) -> EventSearchResult:
 
     n_rows = len(first.rows) + 2 * len(first.equal)
     if task.free and math.isfinite(_least_impulse(pushed)):
-        with suppress(NothingLostError):
+        with suppress(EnoughError):
             highest(lambda u: evaluated(u)[0] / size, start.u, inside if n_rows else None)
     impulses = [impulse for impulse, _ in best_pushes]
     place = int(np.argmin(impulses))

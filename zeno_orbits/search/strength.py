@@ -2,8 +2,8 @@ r"""Least pushes of orbits, and the orbit with the largest least push.
 
 The least push of an orbit is the smallest impulse, over phases and directions, after which the
 motion is lost. With uncertain parameters it is the smallest of the least pushes at the search's own
-values and at all corners of the uncertain ranges. Where the orbit does not exist or does not
-attract, it is zero.
+values and at all corners of the uncertain ranges. If the orbit does not exist or does not attract
+at one of them, the search first maximizes the part of the way to the corners up to which it does.
 
 The least push is continuous, but has kinks where another phase or direction becomes the weakest. It
 is maximised without derivatives, by the trust-region method COBYQA [Ragonneau2022]_. The
@@ -28,7 +28,7 @@ from zeno_orbits.search.closing import orbit_of
 from zeno_orbits.search.homotopy import follow
 from zeno_orbits.search.objectives import MaxPush
 from zeno_orbits.search.search_problem import SearchProblem, listed
-from zeno_orbits.search.way import bounded_extents
+from zeno_orbits.search.way import all_kept, bounded_extents
 from zeno_orbits.simulation import Extent
 
 _PUSHES = PushSettings(phases=6, steps=24, error=1e-3)
@@ -179,8 +179,11 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
     """
     low, high = np.array(list(search.free.values())).T
     best, slack = _measured(search, values, cycle)
-    if math.isinf(best.impulse):
-        # There is nothing to compare, and a longer scan of another orbit is no larger push.
+    if best.push is None:
+        values, cycle = _most_kept(search, values, cycle)
+        best, slack = _measured(search, values, cycle)
+    if best.push is None or math.isinf(best.impulse):
+        # There is nothing to compare. A longer scan of another orbit is no larger push.
         return best
     size = best.impulse or 1.0
     start = (np.array([values.number(name) for name in search.free]) - low) / (high - low)
@@ -200,16 +203,57 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
                 best = found
             search.tell(f"{len(kept)} gains tried: least push {best.extent.lowest:.4g}")
             if math.isinf(best.impulse):
-                raise NothingLostError
+                raise EnoughError
         return kept[key]
 
-    with suppress(NothingLostError):
+    with suppress(EnoughError):
         highest(
             lambda z: evaluated(z)[0] / size,
             start,
             (lambda z: evaluated(z)[1]) if search.bounds else None,
         )
     return best
+
+
+def _most_kept(
+    search: SearchProblem, values: ParameterValues, cycle: Cycle
+) -> tuple[ParameterValues, Cycle]:
+    """Return the orbit that is kept for the largest part of the way to each uncertain corner.
+
+    The search ends at the first orbit that all corners keep, with the bounds.
+    """
+    low, high = np.array(list(search.free.values())).T
+    best, farthest = (values, cycle), _kept_part(search, values, cycle)
+
+    def kept(z: Vector) -> float:
+        nonlocal best, farthest
+        here, near = best
+        named = dict(zip(search.free, np.clip(low + z * (high - low), low, high), strict=True))
+        wanted = here.replaced({name: float(value) for name, value in named.items()})
+        path = follow(search, near, here, wanted, attracting=True)
+        if path.orbit is None or not path.arrived or not all_kept(search, wanted, path.orbit):
+            return -path.left
+        part = _kept_part(search, wanted, path.orbit)
+        if part > farthest:
+            best, farthest = (wanted, path.orbit), part
+            search.tell(f"orbits kept up to {100 * part:.0f} % of the uncertain ranges")
+        if part >= 1.0:
+            raise EnoughError
+        return part
+
+    start = (np.array([values.number(name) for name in search.free]) - low) / (high - low)
+    with suppress(EnoughError):
+        highest(kept, start, None)
+    return best
+
+
+def _kept_part(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> float:
+    """Return the smallest part of the way to an uncertain corner at which the orbit is stable."""
+    paths = (
+        follow(search, cycle, values, values.replaced(corner), attracting=True)
+        for corner in _objective(search).corners
+    )
+    return min((path.end for path in paths), default=1.0)
 
 
 def highest(
@@ -239,8 +283,8 @@ def highest(
     )
 
 
-class NothingLostError(Exception):
-    """An orbit was found of which no scanned push is lost."""
+class EnoughError(Exception):
+    """An orbit was found that ends the search."""
 
 
 def _moved(search: SearchProblem, best: Strength, free: Vector) -> tuple[Strength, Vector] | None:
