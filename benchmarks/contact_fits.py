@@ -36,7 +36,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import RecordedSignal, Recording, Source, Unknown, contact_names
 from zeno_orbits.experiment.identification.event_predictions import EventPeriod, event_period
 from zeno_orbits.experiment.identification.least_squares import weighed
-from zeno_orbits.experiment.identification.prepared import Prepared, prepared_events
+from zeno_orbits.experiment.identification.prepared import Prepared, prepared
 from zeno_orbits.experiment.identification.uncertainty import spread_of
 from zeno_orbits.experiment.identification.unknowns import unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement
@@ -221,7 +221,7 @@ def last_step(recording: Recording, truth: dict[str, float]) -> dict[str, Score]
         Unknown(names=(name,), lower=true / 2, upper=true * 2) for name, true in truth.items()
     ]
     unknowns = unknowns_of(problem, values, sought)
-    whole = prepared_events(problem, values, unknowns, recording, silent)
+    whole = prepared(problem, values, unknowns, recording, silent)
     # The shift in phase alone is unknown at first.
     shift = least_shift(whole, unknowns.first)
     data = whole.samples.without_jumps(whole.orbits.table(shift))

@@ -33,7 +33,7 @@ from zeno_orbits.experiment.identification.contact_rows import (
 )
 from zeno_orbits.experiment.identification.least_squares import Weighed, weighed
 from zeno_orbits.experiment.identification.predictions import EventTimes
-from zeno_orbits.experiment.identification.prepared import UnfittableError, prepared_events
+from zeno_orbits.experiment.identification.prepared import UnfittableError, prepared
 from zeno_orbits.experiment.identification.unknowns import begin_of, unknowns_of
 from zeno_orbits.work import silent
 
@@ -60,7 +60,7 @@ def _stage(problem: zo.Problem, recording: Recording, names: tuple[str, ...]) ->
     ]
     begin = begin_of(problem, values, sought)
     unknowns = unknowns_of(problem, begin, sought)
-    whole = prepared_events(problem, begin, unknowns, recording, silent)
+    whole = prepared(problem, begin, unknowns, recording, silent)
     data = whole.samples.without_jumps(whole.orbits.table(unknowns.first))
     return weighed(whole.orbits, data, whole.found, unknowns.first, whole.contacts)
 

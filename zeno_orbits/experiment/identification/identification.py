@@ -30,11 +30,11 @@ from zeno_orbits.experiment.identification.optima import (
     profile_interval,
     starts_of,
 )
+from zeno_orbits.experiment.identification.predictions import OrbitPredictions
 from zeno_orbits.experiment.identification.prepared import (
     Prepared,
     UnfittableError,
-    prepared_cycle,
-    prepared_events,
+    prepared,
     refusal,
 )
 from zeno_orbits.experiment.identification.stationarity import unsteady
@@ -193,31 +193,13 @@ def identify(
     """
     begin = begin_of(problem, values, sought)
     unknowns = unknowns_of(problem, begin, sought)
-    prepare = prepared_events if problem.has_graph else prepared_cycle
-    whole = prepare(problem, begin, unknowns, recording, on_progress)
+    whole = prepared(problem, begin, unknowns, recording, on_progress)
     unknowns = whole.orbits.unknowns
     labels = [one.label for one in sought]
     seen = _restitution_seen(unknowns, sought, whole.restitution)
-    try:
-        likely = [unknowns.first]
-        if seen:
-            # Values from the recorded contacts are tried before the user's start.
-            likely.insert(0, unknowns.first.copy())
-            likely[0][list(seen)] = list(seen.values())
-        starts = starts_of(unknowns, likely, seen)
-        answer, orbits, optima = global_fit(
-            whole.orbits, whole.samples, whole.found, starts, on_progress, whole.contacts
-        )
-    except SimulationError as error:
-        raise refusal("the orbit is lost on the way to the recording's") from error
+    answer, orbits, optima = _nearest(whole, seen, on_progress)
     remarks = [*whole.remarks, *_unsettled(answer, whole)]
-    if answer.repeating > _ALIEN or _lost(whole.samples, answer):
-        size = answer.after if _lost(whole.samples, answer) else answer.repeating
-        off = f"the nearest orbit is {100 * size:.2g} % of the signals' ranges off"
-        raise refusal(f"{off}, in every cycle")
-    edges = _edge_residuals(answer)
-    if np.any(np.abs(edges) >= UNMATCHED):
-        raise refusal("the nearest orbit lacks contacts of the recording, or has others")
+    edges = _fitted_edges(whole, answer)
     additive = [label for label, mark in zip(labels, unknowns.additive, strict=True) if mark]
     # A relative change of a negative value is negative where the value grows.
     signs = np.where(unknowns.numbers(answer.x) < 0.0, -1.0, 1.0)
@@ -255,14 +237,53 @@ def identify(
     )
 
 
+def _nearest(
+    whole: Prepared, seen: Mapping[int, float], on_progress: Progress
+) -> tuple[Fit, OrbitPredictions[Any], tuple[Vector, ...]]:
+    """Return the best fit, its predictions, and the other optima.
+
+    Args:
+        whole: The beginning of the fit.
+        seen: Unknowns with a value from the recorded contacts.
+        on_progress: Called with the part that is done.
+
+    Raises:
+        UnfittableError: If an orbit on the way is lost.
+    """
+    unknowns = whole.orbits.unknowns
+    likely = [unknowns.first]
+    if seen:
+        # Values from the recorded contacts are tried before the user's start.
+        likely.insert(0, unknowns.first.copy())
+        likely[0][list(seen)] = list(seen.values())
+    try:
+        starts = starts_of(unknowns, likely, seen)
+        return global_fit(
+            whole.orbits, whole.samples, whole.found, starts, on_progress, whole.contacts
+        )
+    except SimulationError as error:
+        raise refusal("the orbit is lost on the way to the recording's") from error
+
+
+def _fitted_edges(whole: Prepared, answer: Fit) -> Vector:
+    """Return the residuals of the contact channels, in units of their errors.
+
+    Raises:
+        UnfittableError: If the fitted orbit is not the recorded motion.
+    """
+    if answer.repeating > _ALIEN or _lost(whole.samples, answer):
+        size = answer.after if _lost(whole.samples, answer) else answer.repeating
+        off = f"the nearest orbit is {100 * size:.2g} % of the signals' ranges off"
+        raise refusal(f"{off}, in every cycle")
+    edges = answer.residuals[answer.data.values.size : -1]
+    if np.any(np.abs(edges) >= UNMATCHED):
+        raise refusal("the nearest orbit lacks contacts of the recording, or has others")
+    return edges
+
+
 def _lost(samples: Folded, answer: Fit) -> bool:
     """Return True if the prediction of no sample is straight: the orbit is another one."""
     return bool(samples.seen.any()) and not answer.data.seen.any()
-
-
-def _edge_residuals(answer: Fit) -> Vector:
-    """Return the residuals of the contact channels, in units of their errors."""
-    return answer.residuals[answer.data.values.size : -1]
 
 
 def _restitution_seen(

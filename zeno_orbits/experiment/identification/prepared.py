@@ -1,9 +1,9 @@
-"""What a fit begins with: the orbit at the start, laid over the recording, and the observations."""
+"""The beginning of a fit: the orbit at the start, laid over the recording, and the observations."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -81,14 +81,14 @@ class Prepared:
     orbit_of: Callable[[Any, ParameterValues], ZenoOrbit | EventOrbit]
 
 
-def prepared_cycle(
+def prepared(
     problem: Problem,
     begin: ParameterValues,
     unknowns: Unknowns,
     recording: Recording,
     on_progress: Progress,
 ) -> Prepared:
-    """Return the beginning of a fit of a machine with one stop.
+    """Return the beginning of a fit.
 
     Args:
         problem: The problem.
@@ -98,8 +98,22 @@ def prepared_cycle(
         on_progress: Called with each stage.
 
     Raises:
+        InputError: If the recording of a machine with several stops or switches has neither a
+            signal of the problem nor a contact channel, or a channel is invalid.
         UnfittableError: If no orbit exists at the start, or the recording does not resemble it.
     """
+    own = _prepared_events if problem.has_graph else _prepared_cycle
+    return own(problem, begin, unknowns, recording, on_progress)
+
+
+def _prepared_cycle(
+    problem: Problem,
+    begin: ParameterValues,
+    unknowns: Unknowns,
+    recording: Recording,
+    on_progress: Progress,
+) -> Prepared:
+    """Return the beginning of a fit of a machine with one stop."""
     on_progress("looking for the orbit at the start", None)
     closing = close_orbit(problem, begin)
     if closing.orbit is None:
@@ -134,41 +148,19 @@ def prepared_cycle(
     )
 
 
-def prepared_events(
+def _prepared_events(
     problem: Problem,
     begin: ParameterValues,
     unknowns: Unknowns,
     recording: Recording,
     on_progress: Progress,
 ) -> Prepared:
-    """Return the beginning of a fit of a machine with several stops or switches.
-
-    Args:
-        problem: The problem.
-        begin: All initial parameter values.
-        unknowns: The unknowns.
-        recording: The recording.
-        on_progress: Called with each stage.
-
-    Raises:
-        InputError: If the recording has neither a signal of the problem nor a contact channel, or a
-            channel is invalid.
-        UnfittableError: If no orbit exists at the start, or the recording does not resemble it.
-    """
+    """Return the beginning of a fit of a machine with several stops or switches."""
     stops = problem.graph_dynamics(begin).stop_names
     channels = contact_channels(recording, stops)
     names = shared_event_signals(problem, recording)
     titles = dict(zip(stops, contact_names(stops), strict=True))
-    if not names and not channels:
-        listed = ", ".join((*measurable(problem), *titles.values()))
-        has = ", ".join(recording.names) or "none"
-        wanted = f"must have a signal or a contact channel of the problem ({listed})"
-        raise InputError(f"Argument `recording` {wanted}, but it has {has}.")
-    for stop, channel in channels.items():
-        values = channel[np.isfinite(channel)]
-        if not len(values) or np.ptp(values) == 0.0:
-            problem_ = f"has a contact channel `{titles[stop]}` that never changes"
-            raise InputError(f"Argument `recording` {problem_}: leave it out.")
+    _require_channels(problem, recording, names, channels, titles)
     on_progress("looking for the orbit at the start", None)
     changing = [problem.names[place] for place in unknowns.places]
     try:
@@ -223,6 +215,37 @@ def prepared_events(
         restitution=math.nan,
         orbit_of=orbit,
     )
+
+
+def _require_channels(
+    problem: Problem,
+    recording: Recording,
+    names: Sequence[str],
+    channels: Mapping[str, Vector],
+    titles: Mapping[str, str],
+) -> None:
+    """Refuse a recording without a signal or contact of the problem.
+
+    Args:
+        problem: The problem.
+        recording: The recording.
+        names: Names of its signals.
+        channels: Its contact channels by their stops.
+        titles: Names of the contact channels of all stops.
+
+    Raises:
+        InputError: If nothing is recorded, or a contact channel is constant.
+    """
+    if not names and not channels:
+        listed = ", ".join((*measurable(problem), *titles.values()))
+        has = ", ".join(recording.names) or "none"
+        wanted = f"must have a signal or a contact channel of the problem ({listed})"
+        raise InputError(f"Argument `recording` {wanted}, but it has {has}.")
+    for stop, channel in channels.items():
+        values = channel[np.isfinite(channel)]
+        if not len(values) or np.ptp(values) == 0.0:
+            lacks = f"has a contact channel `{titles[stop]}` that never changes"
+            raise InputError(f"Argument `recording` {lacks}: leave it out.")
 
 
 def _likely(
