@@ -18,7 +18,7 @@ from tests.support.commands import ask
 from tests.support.recordings_of import recorded
 from zeno_orbits.experiment import Identification, Recording, Unknown, tabulate_orbit
 from zeno_orbits.experiment.identification.least_squares import weighed
-from zeno_orbits.experiment.identification.prepared import prepared_cycle
+from zeno_orbits.experiment.identification.prepared import prepared
 from zeno_orbits.experiment.identification.unknowns import begin_of, unknowns_of
 from zeno_orbits.search import close_orbit
 from zeno_orbits.work import silent
@@ -57,7 +57,7 @@ def test_the_derivatives_of_all_residuals_equal_finite_differences() -> None:
     begin = begin_of(problem, problem.values(), sought)
     recording = _wrong(_exact(), gain=1.2, offset=0.4, rate=1e-3)
     begun = unknowns_of(problem, begin, sought)
-    whole = prepared_cycle(problem, begin, begun, recording, silent)
+    whole = prepared(problem, begin, begun, recording, silent)
     first = whole.orbits.unknowns.first
     data = whole.samples.without_jumps(whole.orbits.table(first))
     stage = weighed(whole.orbits, data, whole.found, first)
@@ -144,6 +144,8 @@ def test_instruments_alone_are_calibrated_with_known_parameters() -> None:
     [
         ({"c": None, "angle.gain": None}, "a recorded channel (distance, speed), but it names `an"),
         ({"c": None, "distance.slope": None}, "but it names `distance.slope`"),
+        ({"c": None, "contact.gain": None}, "`contact.gain`: a contact channel has no gain and no"),
+        (["c", "c"], "must name `c` once, not twice"),
         ({"c+distance.gain": None}, "ties `c+distance.gain`"),
         ({"distance.gain+speed.offset": None}, "ties `distance.gain+speed.offset`"),
         ({"c": None, "distance.gain": (-1.0, 1.0)}, "must have a range above 0"),
@@ -151,7 +153,7 @@ def test_instruments_alone_are_calibrated_with_known_parameters() -> None:
     ],
 )
 def test_unknowns_that_are_none_are_refused(
-    fit: dict[str, tuple[float, float] | None], reason: str
+    fit: dict[str, tuple[float, float] | None] | list[str], reason: str
 ) -> None:
     with pytest.raises(zo.InputError) as caught:
         zo.identify(OSCILLATOR, _exact(), fit)

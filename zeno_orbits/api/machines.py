@@ -488,10 +488,11 @@ def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unkn
     """Return the parameters to estimate, in ranges that the problem allows."""
     from zeno_orbits.experiment import Unknown, default_range
 
-    asked = fit if isinstance(fit, Mapping) else dict.fromkeys(fit)
+    # A sequence may name a parameter twice, which the fit refuses.
+    asked = fit.items() if isinstance(fit, Mapping) else [(label, None) for label in fit]
     known = {quantity.name: quantity for quantity in problem.parameters}
     found: list[Unknown] = []
-    for label, box in asked.items():
+    for label, box in asked:
         names = tuple(label.split("+"))
         lower, upper = -math.inf, math.inf
         for name in names:

@@ -18,6 +18,7 @@ from zeno_orbits.experiment.identification.instruments import (
     reading_of,
     rough_errors,
 )
+from zeno_orbits.experiment.recordings.contacts import CONTACT
 from zeno_orbits.model import ParameterValues, Problem
 
 
@@ -111,9 +112,10 @@ class Unknowns:
                 if channel and channel not in channels:
                     has = ", ".join(channels) or "none"
                     wanted = f"must name a recorded channel ({has})"
-                    raise InputError(
-                        f"Argument `fit` {wanted}, but it names `{channel}.{kind.value}`."
-                    )
+                    named = f"`{channel}.{kind.value}`"
+                    if channel.partition(".")[0] == CONTACT:
+                        named += ": a contact channel has no gain and no offset"
+                    raise InputError(f"Argument `fit` {wanted}, but it names {named}.")
         return instruments_of(self.readings, channels)
 
     def near(self, channels: Sequence[str], recorded: Vector, orbit: Vector) -> Unknowns:
