@@ -217,9 +217,7 @@ def require_proof_extra(what: str) -> None:
 
 
 @overload
-def system_of(
-    orbit: ZenoOrbit, problem: Problem, *, use_reference: bool = False
-) -> HybridDynamics: ...
+def system_of(orbit: ZenoOrbit, problem: Problem) -> HybridDynamics: ...
 
 
 @overload
@@ -228,26 +226,15 @@ def system_of(
 ) -> HybridDynamics | GraphDynamics: ...
 
 
-def system_of(
-    orbit: ZenoOrbit | EventOrbit, problem: Problem, *, use_reference: bool = False
-) -> HybridDynamics | GraphDynamics:
+def system_of(orbit: ZenoOrbit | EventOrbit, problem: Problem) -> HybridDynamics | GraphDynamics:
     """Return the dynamics of an orbit at its gains and parameters.
 
     For an orbit of events it is the graph of modes.
-
-    Args:
-        orbit: The orbit.
-        problem: Its problem.
-        use_reference: True selects the hand-written model of the problem.
-
-    Raises:
-        InputError: If `use_reference` is set for a problem without a hand-written model.
     """
-    from zeno_orbits.verification import problem_dynamics
-
+    values = orbit.values(problem)
     if isinstance(orbit, EventOrbit):
-        return problem.graph_dynamics(orbit.values(problem))
-    return problem_dynamics(orbit, problem, use_reference=use_reference)
+        return problem.graph_dynamics(values)
+    return problem.dynamics(values)
 
 
 @front_door

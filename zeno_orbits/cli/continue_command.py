@@ -90,6 +90,16 @@ def add_continue(commands: Any) -> None:
         metavar="N",
         help="largest number of points in each direction",
     )
+    _add_second(parser)
+    add_place(parser)
+    parser.add_argument("-o", "--output", type=Path, help="write the families here, as JSON")
+    parser.add_argument(
+        "--plot", dest="picture", type=Path, metavar="FILE", help="draw the families here"
+    )
+
+
+def _add_second(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a second parameter."""
     parser.add_argument(
         "--parameter2",
         dest="second",
@@ -105,11 +115,6 @@ def add_continue(commands: Any) -> None:
         default=[],
         metavar="KIND",
         help="with --parameter2: only points of this kind, for example fold (repeatable)",
-    )
-    add_place(parser)
-    parser.add_argument("-o", "--output", type=Path, help="write the families here, as JSON")
-    parser.add_argument(
-        "--plot", dest="picture", type=Path, metavar="FILE", help="draw the families here"
     )
 
 

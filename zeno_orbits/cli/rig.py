@@ -53,37 +53,7 @@ def add_rig(commands: Any) -> None:
     add_problem_file(parser)
     add_values(parser)
     add_start(parser)
-    parser.add_argument(
-        "--part",
-        action=Named,
-        type=read_named_number,
-        metavar="PART.NAME=VALUE",
-        help="change a parameter of the machine, for example contact.stiffness=1e5, "
-        "friction.COORDINATE.coulomb=0.01 or gears.MOTOR.play=0.01 (repeatable); "
-        "docs/rig.md lists them",
-    )
-    parser.add_argument(
-        "--only",
-        action="append",
-        choices=(*_PARTS, "contact"),
-        metavar="PART",
-        help=f"use this part only, in addition to the contact ({', '.join(_PARTS)}, or only "
-        "contact; repeatable, default: all parts)",
-    )
-    parser.add_argument(
-        "--without",
-        action="append",
-        default=[],
-        choices=_PARTS,
-        metavar="PART",
-        help="leave out a part (repeatable)",
-    )
-    parser.add_argument(
-        "--exact-pwm",
-        dest="exact",
-        action="store_true",
-        help="follow the bridge's pulses edge by edge",
-    )
+    _add_parts(parser)
     parser.add_argument(
         "--rate",
         type=read_number,
@@ -115,6 +85,41 @@ def add_rig(commands: Any) -> None:
     )
     parser.add_argument(
         "-o", "--output", type=Path, help="write the measured signals here, as a recording"
+    )
+
+
+def _add_parts(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose and change parts of the machine."""
+    parser.add_argument(
+        "--part",
+        action=Named,
+        type=read_named_number,
+        metavar="PART.NAME=VALUE",
+        help="change a parameter of the machine, for example contact.stiffness=1e5, "
+        "friction.COORDINATE.coulomb=0.01 or gears.MOTOR.play=0.01 (repeatable); "
+        "docs/rig.md lists them",
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        choices=(*_PARTS, "contact"),
+        metavar="PART",
+        help=f"use this part only, in addition to the contact ({', '.join(_PARTS)}, or only "
+        "contact; repeatable, default: all parts)",
+    )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        choices=_PARTS,
+        metavar="PART",
+        help="leave out a part (repeatable)",
+    )
+    parser.add_argument(
+        "--exact-pwm",
+        dest="exact",
+        action="store_true",
+        help="follow the bridge's pulses edge by edge",
     )
 
 

@@ -71,6 +71,29 @@ def add_search(commands: Any) -> None:
         help="search a gain or parameter in this range (default: every gain that --set does not "
         "fix, in the problem's range); derived parameters keep their values (repeatable)",
     )
+    _add_choice(parser)
+    _add_motion(parser)
+    parser.add_argument(
+        "--candidates",
+        type=read_count,
+        default=1,
+        metavar="N",
+        help="continue until this many different orbits are verified, and rank them",
+    )
+    parser.add_argument(
+        "--allow-unstable", action="store_true", help="also accept an unstable orbit"
+    )
+    add_accuracy(parser)
+    add_place(parser)
+    _add_effort(parser)
+    parser.add_argument(
+        "--states", action="store_true", help="print every state at release and Zeno point"
+    )
+    parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
+
+
+def _add_choice(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose among orbits."""
     parser.add_argument(
         "--objective",
         action=Once,
@@ -97,6 +120,10 @@ def add_search(commands: Any) -> None:
         "certificate; with several stops also a quantity of an event, such as "
         "STOP.impact_speed (repeatable)",
     )
+
+
+def _add_motion(parser: argparse.ArgumentParser) -> None:
+    """Add the options about the start, the phases and the section of an orbit."""
     parser.add_argument(
         "--initial",
         dest="start",
@@ -127,18 +154,10 @@ def add_search(commands: Any) -> None:
         help="event at which the period starts and ends, such as 'zeno NAME' or 'switch NAME', for "
         "a machine with several stops or switches (default: chosen)",
     )
-    parser.add_argument(
-        "--candidates",
-        type=read_count,
-        default=1,
-        metavar="N",
-        help="continue until this many different orbits are verified, and rank them",
-    )
-    parser.add_argument(
-        "--allow-unstable", action="store_true", help="also accept an unstable orbit"
-    )
-    add_accuracy(parser)
-    add_place(parser)
+
+
+def _add_effort(parser: argparse.ArgumentParser) -> None:
+    """Add the options that limit the work."""
     parser.add_argument(
         "--max-time",
         dest="until",
@@ -158,10 +177,6 @@ def add_search(commands: Any) -> None:
     parser.add_argument(
         "--seed", type=read_seed, default=0, help="seed of these points (default: 0)"
     )
-    parser.add_argument(
-        "--states", action="store_true", help="print every state at release and Zeno point"
-    )
-    parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
 
 
 def _run_search(options: argparse.Namespace) -> int:

@@ -84,6 +84,11 @@ def add_simulate(commands: Any) -> None:
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the states over time here")
     parser.add_argument("--events", action="store_true", help="print every impact")
+    _add_samples(parser)
+
+
+def _add_samples(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the written samples."""
     parser.add_argument(
         "--rate",
         type=read_number,

@@ -86,11 +86,8 @@ def _run_verify(options: argparse.Namespace) -> int:
         use_reference=options.model == "reference",
     )
     proved = proof_of(options, orbit, problem)
-    dynamics = api.system_of(orbit, problem, use_reference=settings.use_reference)
     with report.ProgressLine(options.interrupts.check) as progress:
-        certificate = api.verify(
-            orbit, problem=problem, settings=settings, dynamics=dynamics, on_progress=progress
-        )
+        certificate = api.verify(orbit, problem=problem, settings=settings, on_progress=progress)
     enclosure = _enclosure(options, orbit, problem, settings.tolerance)
     if options.json:
         error = certificate.orbit_error

@@ -102,18 +102,10 @@ class HybridLagrangian:
         if clock is not None:
             held = {"kinetic": kinetic, "potential": potential, "holonomic": eta}
             _require_timeless(clock, **held, gap=ca.vertcat(*gaps))
-        checked = (("gap", ca.vertcat(*gaps)), ("potential", potential), ("holonomic", eta))
-        for name, expression in checked:
-            if ca.depends_on(expression, v):
-                wanted = "must depend on the configuration only, but it depends on the velocity"
-                raise ValueError(f"Argument `{name}` {wanted}.")
+        _require_still(v, gap=ca.vertcat(*gaps), potential=potential, holonomic=eta)
         if not all(ca.depends_on(one, q) for one in gaps):
             raise ValueError("Argument `gap` must depend on the configuration, but it is constant.")
-        still = ca.SX.zeros(*v.shape)
-        rest = ca.substitute(ca.vertcat(kinetic, ca.gradient(kinetic, v)), v, still)
-        if ca.depends_on(mass_matrix, v) or not rest.is_zero():
-            raise ValueError("Argument `kinetic` must be quadratic in the velocity.")
-        _require_inertia("kinetic", mass_matrix)
+        _require_quadratic(kinetic, v, mass_matrix)
         momentum = ca.mtimes(mass_matrix, v)
         bias = (
             ca.jtimes(momentum, q, v)
@@ -183,9 +175,7 @@ class HybridLagrangian:
             if matrix.shape != (n_q, n_q):
                 wanted = f"must be of shape ({n_q}, {n_q})"
                 raise ValueError(f"Argument `{name}` {wanted}, but it is {matrix.shape}.")
-        if ca.depends_on(mass_matrix, v):
-            wanted = "must depend on the configuration only, but it depends on the velocity"
-            raise ValueError(f"Argument `mass_matrix` {wanted}.")
+        _require_still(v, mass_matrix=mass_matrix)
         energy = ca.SX(0) if potential is None else potential
         _require_shapes(q, v=v, gravity=gravity)
         _require_inertia("mass_matrix", mass_matrix)
@@ -214,6 +204,21 @@ class HybridLagrangian:
     def kinetic(self) -> ca.SX:
         r"""Kinetic energy :math:`\tfrac12 v^\top M v` [J]."""
         return ca.dot(self.v, ca.mtimes(self.mass_matrix, self.v)) / 2
+
+
+def _require_still(v: ca.SX, **expressions: ca.SX) -> None:
+    for name, expression in expressions.items():
+        if ca.depends_on(expression, v):
+            wanted = "must depend on the configuration only, but it depends on the velocity"
+            raise ValueError(f"Argument `{name}` {wanted}.")
+
+
+def _require_quadratic(kinetic: ca.SX, v: ca.SX, mass_matrix: ca.SX) -> None:
+    rest = ca.vertcat(kinetic, ca.gradient(kinetic, v))
+    rest = ca.substitute(rest, v, ca.SX.zeros(*v.shape))
+    if ca.depends_on(mass_matrix, v) or not rest.is_zero():
+        raise ValueError("Argument `kinetic` must be quadratic in the velocity.")
+    _require_inertia("kinetic", mass_matrix)
 
 
 def _gaps(gap: ca.SX | None, stops: Sequence[Stop]) -> tuple[ca.SX, ...]:

@@ -263,42 +263,7 @@ def bind(
         scale: Function that returns the characteristic scales, by default those at the starts.
     """
     p = np.array(values, dtype=np.float64)
-    contact = Call(compiled.contact, p)
-    impulse = Call(compiled.impulse, p)
-    law = ImpactLaw(*impulse(np.zeros(compiled.n_x), 2).tolist())
-    energy = Call(compiled.energy, p)
-    holonomic = Call(compiled.holonomic, p)
-
-    def weights() -> tuple[float, ...]:
-        return scaling().weights(compiled.n_x)
-
-    flights = FlowMemory(compiled.flight, lambda: scaling().flight_weights(compiled.n_x))
-
-    def flight(speed: float) -> GuardedFlow:
-        numbers = np.empty(p.size + 1)
-        numbers[:-1], numbers[-1] = p, speed
-        return CompiledFlow(compiled.flight, numbers, flights)
-
-    plain = HybridDynamics(
-        state_names=compiled.state_names,
-        n_q=compiled.n_q,
-        restitution=law.restitution,
-        speed_after=law.speed_after,
-        free=CompiledFlow(compiled.free, p, FlowMemory(compiled.free, weights)),
-        locked=CompiledFlow(compiled.locked, p, FlowMemory(compiled.locked, weights)),
-        flight=flight,
-        gap=lambda x: float(contact(x)[GAP]),
-        gap_rate=lambda x: float(contact(x)[GAP_RATE]),
-        gap_acceleration=lambda x: float(contact(x)[GAP_ACCELERATION]),
-        multiplier=lambda x: float(contact(x)[MULTIPLIER]),
-        multiplier_rate=lambda x: float(contact(x)[MULTIPLIER_RATE]),
-        reset_map=ResetCall(compiled.reset, p),
-        impulse_direction=lambda x: impulse(x, 0).copy(),
-        normal_inertia=lambda x: float(impulse(x, 1)[0]),
-        energy=lambda x: float(energy(x)[0]),
-        holonomic=lambda x: holonomic(x).copy(),
-        clock=compiled.clock,
-    )
+    plain = _plain_dynamics(compiled, p, lambda: scaling())
     fused = FusedStop(
         resting=RestingCall(compiled.resting, p),
         landed=LandingCall(compiled.landing, p),
@@ -328,4 +293,52 @@ def bind(
         differentiation=derivable,
         formulas=formulas,
         scaling=scaling,
+    )
+
+
+def _plain_dynamics(
+    compiled: CompiledSystem, p: Vector, scaling: Callable[[], OwnScale]
+) -> HybridDynamics:
+    """Return the system with one call of compiled code for each of its functions.
+
+    Args:
+        compiled: The functions.
+        p: Gains and parameters.
+        scaling: Function that returns the characteristic scales.
+    """
+    contact = Call(compiled.contact, p)
+    impulse = Call(compiled.impulse, p)
+    law = ImpactLaw(*impulse(np.zeros(compiled.n_x), 2).tolist())
+    energy = Call(compiled.energy, p)
+    holonomic = Call(compiled.holonomic, p)
+
+    def weights() -> tuple[float, ...]:
+        return scaling().weights(compiled.n_x)
+
+    flights = FlowMemory(compiled.flight, lambda: scaling().flight_weights(compiled.n_x))
+
+    def flight(speed: float) -> GuardedFlow:
+        numbers = np.empty(p.size + 1)
+        numbers[:-1], numbers[-1] = p, speed
+        return CompiledFlow(compiled.flight, numbers, flights)
+
+    return HybridDynamics(
+        state_names=compiled.state_names,
+        n_q=compiled.n_q,
+        restitution=law.restitution,
+        speed_after=law.speed_after,
+        free=CompiledFlow(compiled.free, p, FlowMemory(compiled.free, weights)),
+        locked=CompiledFlow(compiled.locked, p, FlowMemory(compiled.locked, weights)),
+        flight=flight,
+        gap=lambda x: float(contact(x)[GAP]),
+        gap_rate=lambda x: float(contact(x)[GAP_RATE]),
+        gap_acceleration=lambda x: float(contact(x)[GAP_ACCELERATION]),
+        multiplier=lambda x: float(contact(x)[MULTIPLIER]),
+        multiplier_rate=lambda x: float(contact(x)[MULTIPLIER_RATE]),
+        reset_map=ResetCall(compiled.reset, p),
+        impulse_direction=lambda x: impulse(x, 0).copy(),
+        normal_inertia=lambda x: float(impulse(x, 1)[0]),
+        energy=lambda x: float(energy(x)[0]),
+        holonomic=lambda x: holonomic(x).copy(),
+        clock=compiled.clock,
     )
