@@ -10,7 +10,7 @@ from typing import Any
 from zeno_orbits.maps import Push
 from zeno_orbits.orbits import Bound, EventOrbit
 from zeno_orbits.search.objectives import MaxPush, Objective, WidestMargin
-from zeno_orbits.search.outcome import Judgement, StartAttempt
+from zeno_orbits.search.outcome import Accepted, Judgement, StartAttempt
 from zeno_orbits.search.search_problem import listed
 from zeno_orbits.search.strength import said_of
 from zeno_orbits.verification import OrbitCertificate
@@ -20,20 +20,10 @@ AcceptEvents = Callable[[EventOrbit], Judgement]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EventCandidate:
-    """An accepted orbit of events.
-
-    Attributes:
-        orbit: The orbit.
-        score: Score of the orbit. A lower score is better.
-        certificate: The certificate of the check, if available.
-        starts: Number of starts that led to the orbit. An optimum from a single start may be local.
-    """
+class EventCandidate(Accepted):
+    """An accepted orbit of events."""
 
     orbit: EventOrbit
-    score: float
-    certificate: OrbitCertificate | None
-    starts: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

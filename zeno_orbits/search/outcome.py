@@ -43,22 +43,26 @@ Accept = Callable[[ZenoOrbit], Judgement]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
-    """An accepted orbit.
+class Accepted:
+    """The rank of an accepted orbit.
 
     Attributes:
-        orbit: The orbit.
         score: Score of the orbit. A lower score is better.
-        extents: Measured quantities of the objective and the bounds, by name.
         certificate: The certificate of the check, if available.
         starts: Number of starts that led to the orbit. An optimum from a single start may be local.
     """
 
-    orbit: ZenoOrbit
     score: float
-    extents: Mapping[str, Extent]
     certificate: OrbitCertificate | None
     starts: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate(Accepted):
+    """An accepted orbit, with the measured quantities of the objective and the bounds by name."""
+
+    orbit: ZenoOrbit
+    extents: Mapping[str, Extent]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
