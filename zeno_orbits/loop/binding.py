@@ -97,7 +97,13 @@ def view_key(mode: int, stop: int) -> int:
 
 
 def side_key(mode: int, switch: int, positive: int) -> int:
-    """Return the key of a side of a switch in a mode: ``ZL_SIDE_KEY``."""
+    """Return the key of a side of a switch in a mode: ``ZL_SIDE_KEY``.
+
+    Args:
+        mode: Index of the mode.
+        switch: Index of the switch.
+        positive: 1 for the side where the switching function is positive, otherwise 0.
+    """
     return mode << 5 | switch << 1 | positive
 
 

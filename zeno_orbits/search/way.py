@@ -171,6 +171,11 @@ def bounded_extents(
 ) -> Mapping[str, Extent]:
     """Return the range of each bounded quantity, measured on a simulated period.
 
+    Args:
+        search: The search, with its bounds.
+        values: Gains and parameters.
+        cycle: The period.
+
     Raises:
         ZenoOrbitsError: If the period cannot be measured.
     """

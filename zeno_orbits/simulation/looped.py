@@ -208,7 +208,15 @@ def _shared_memory(
 def shared_settings(
     chosen: SimulationSettings, own: OwnScale, restitution: float, n_x: int, n_q: int
 ) -> RunSettings:
-    """Return accuracy and limits of all tasks on systems with some scales and a restitution."""
+    """Return accuracy and limits of all tasks on systems with some scales and a restitution.
+
+    Args:
+        chosen: Settings of the simulation.
+        own: Characteristic scales of the systems.
+        restitution: Coefficient of restitution.
+        n_x: Number of states.
+        n_q: Number of coordinates.
+    """
     rule = chosen.completion
     tolerance = chosen.tolerance.times(own.least)
     steps = loop_steps(chosen.engine)

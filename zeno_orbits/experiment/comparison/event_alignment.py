@@ -42,7 +42,17 @@ def placed_events(
     period: float,
     average: Callable[[Vector], Vector],
 ) -> EventPlace:
-    """Return the position of the orbit that fits the signals best, or the edges without signals."""
+    """Return the position of the orbit that fits the signals best, or the edges without signals.
+
+    Args:
+        table: The orbit at even phases.
+        recording: The recording.
+        names: Names of the signals of `table`.
+        channels: Stops with a contact channel.
+        seen: The contacts of the channels.
+        period: Period of the recording [s].
+        average: Function from phases to the mean cycle of signals and channels there.
+    """
     n = len(table.values)
     grid = np.arange(n) / n
     data = average(grid)

@@ -213,7 +213,15 @@ def rough_fit(
     first: Vector,
     contacts: ContactRows = NO_CONTACTS,
 ) -> tuple[Vector, Weighed]:
-    """Return unknowns of a fit of two short rounds, the samples chosen anew for the second one."""
+    """Return unknowns of a fit of two short rounds, the samples chosen anew for the second one.
+
+    Args:
+        orbits: Predictions of orbits at unknowns.
+        samples: The recording, folded.
+        found: Period of the recording.
+        first: Initial unknowns, ``(k + 1,)``.
+        contacts: The edges of the contact channels.
+    """
     x = first
     stage = weighed(orbits, samples.without_jumps(orbits.table(x)), found, x, contacts)
     for change in _ROUGH:
