@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 from zeno_orbits.model import bundled_problems, load_problem
 
 
+@cache
 def one_stop_problems() -> dict[str, Path]:
     """Return name to path of the bundled problems with one stop and no switch."""
     return {

@@ -23,6 +23,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,7 @@ class Block:
         return int(self.mark.removeprefix("exit ")) if self.mark.startswith("exit ") else 0
 
 
+@cache
 def blocks(page: Path) -> list[Block]:
     """Return the blocks of a page, from top to bottom."""
     found: list[Block] = []
