@@ -9,7 +9,7 @@ Offers: `simulate`, `find_orbit`, `search_gains`, `verify`, `prove`, `continue_o
 `parameter_map`, `compare`, `identify`, `simulate_rig`, `plot` and the others of ``__init__.pyi``.
 
 Imports: report, experiment, precision, continuation, maps, search, proof, verification, orbits,
-simulation, loop, model, integrators, work, arrays, kinds, errors.
+simulation, loop, model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from zeno_orbits.errors import InputError, number_range, shown
-from zeno_orbits.kinds import checked
 from zeno_orbits.model import (
     Problem,
     ProblemFile,
@@ -20,7 +19,7 @@ from zeno_orbits.model import (
     split_fidelity,
 )
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit, holds_events, read_event_orbit, read_orbit
-from zeno_orbits.work import Plan, Workers
+from zeno_orbits.work import Plan, Workers, checked
 
 if TYPE_CHECKING:
     from zeno_orbits.maps import Axis as MapAxis

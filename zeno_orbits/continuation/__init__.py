@@ -8,7 +8,7 @@ Offers: `continue_orbit` and `continue_impacts`, which return a `Continuation` o
 follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, `Crew` (workers);
 `start_orbit` and `values_inside`; `orbit_amplitude` of a point of a family.
 
-Imports: search, orbits, simulation, model, work, arrays, kinds, errors.
+Imports: search, orbits, simulation, model, work, arrays, errors.
 
 To find a fault in a family, read in this order: `continuation` (the arguments), `setup` (the start
 of the family), `branch` (steps and ends), `corrector` (one point), `return_maps` (one return).

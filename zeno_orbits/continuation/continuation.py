@@ -31,12 +31,11 @@ from zeno_orbits.continuation.setup import (
 from zeno_orbits.continuation.test_functions import INSIDE
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
-from zeno_orbits.kinds import Checked
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ONE_ZENO, EventOrbit, ZenoOrbit
 from zeno_orbits.search import close_orbit, find_orbit
 from zeno_orbits.simulation import simulator_in_use
-from zeno_orbits.work import Progress, plain, silent, versions
+from zeno_orbits.work import Checked, Progress, plain, silent, versions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

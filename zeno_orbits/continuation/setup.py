@@ -19,7 +19,6 @@ from zeno_orbits.continuation.return_maps import (
 )
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.kinds import Checked
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
     Cycle,
@@ -33,6 +32,7 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.search import settle
 from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.work import Checked
 
 ONE_RETURN = 1
 

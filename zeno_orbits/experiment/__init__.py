@@ -10,7 +10,7 @@ with a recording), `identification` (parameters by least squares), `rig` (simula
 module `orbit_table` evaluates an orbit at all phases at once and masks the samples near jumps.
 `polyline` measures the distance of points from a line.
 
-Imports: search, orbits, simulation, model, integrators, work, arrays, kinds, errors.
+Imports: search, orbits, simulation, model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

@@ -11,7 +11,7 @@ integrates a `Leg` and returns a `Passage` with its `Outcome` and its `Trajector
 `GuardedFlow` is the flow, a `PlainFlow` is a flow of plain functions, and a `Tolerance` is the
 tolerance of a step.
 
-Imports: arrays, kinds, errors.
+Imports: work, arrays, errors.
 """
 
 import lazy_loader as lazy

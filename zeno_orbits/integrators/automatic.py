@@ -20,7 +20,7 @@ from zeno_orbits.integrators.engine import FAR, BoxedStep, Step
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance, flow_eigenvalues
 from zeno_orbits.integrators.radau import Radau
 from zeno_orbits.integrators.stepping import SteppingEngine
-from zeno_orbits.kinds import Checked
+from zeno_orbits.work import Checked
 
 Values = NDArray[np.complex128]
 

@@ -15,7 +15,7 @@ from zeno_orbits.integrators.engine import FAR
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 from zeno_orbits.integrators.stepping import SteppingEngine
 from zeno_orbits.integrators.steps import ExplicitStep, first_size, too_small
-from zeno_orbits.kinds import Checked
+from zeno_orbits.work import Checked
 
 SAFETY = 0.9
 SHRINK, GROW = 0.2, 8.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Collocation
 from zeno_orbits.integrators.dop853_step import error_norm, explicit_attempt, overflow
-from zeno_orbits.kinds import Checked
+from zeno_orbits.work import Checked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

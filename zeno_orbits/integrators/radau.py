@@ -16,7 +16,7 @@ from zeno_orbits.integrators.engine import FAR
 from zeno_orbits.integrators.flow import GuardedFlow, StageGuess, Tolerance
 from zeno_orbits.integrators.stepping import SteppingEngine
 from zeno_orbits.integrators.steps import RadauStep, first_size, solved, too_small
-from zeno_orbits.kinds import Checked
+from zeno_orbits.work import Checked
 
 SAFETY = 0.9
 SHRINK, GROW = 0.1, 6.0

@@ -7,7 +7,7 @@ are compared with a `KnownOrbit` of `known_orbits`; `read_map`, `write_map`, `re
 them, in the `push_units` of a direction; `recovery_of` an orbit: a `Recovery`, by
 `RecoverySettings`; `read_pushes` and `read_recovery`.
 
-Imports: orbits, simulation, loop, model, integrators, work, arrays, kinds, errors.
+Imports: orbits, simulation, loop, model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

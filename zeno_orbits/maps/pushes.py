@@ -28,7 +28,6 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, any_number, shown
-from zeno_orbits.kinds import require_kinds
 from zeno_orbits.maps.attractors import Fate
 from zeno_orbits.maps.classify import (
     approach_from,
@@ -57,6 +56,7 @@ from zeno_orbits.work import (
     Plan,
     Progress,
     Workers,
+    require_kinds,
     silent,
     spread,
     tell_part,

@@ -27,7 +27,6 @@ import numpy as np
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import InputError, SimulationError, positive_number, shown
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.kinds import require_kinds
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import (
     EventOrbit,
@@ -40,7 +39,7 @@ from zeno_orbits.orbits import (
     section_around,
 )
 from zeno_orbits.simulation import SimulationSettings, scale_of
-from zeno_orbits.work import Columns, Displayed, Progress, silent, versions
+from zeno_orbits.work import Columns, Displayed, Progress, require_kinds, silent, versions
 
 _ACCURATE = SimulationSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-11))
 _FIRST, _LEAST, _MOST = 1e-3, 1e-9, 1e9

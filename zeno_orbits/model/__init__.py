@@ -10,7 +10,7 @@ its `ParameterValues`. Functions: the `HybridDynamics` and the `CompiledSystem` 
 `OwnScale` of its quantities and its `own_time`. Parts of a model: `CompletedSystem`, `complete`,
 `HybridLagrangian`, `Clock`, `MotorBank`, the drives, and the parts of a `Rig`.
 
-Imports: integrators, arrays, kinds, errors.
+Imports: integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

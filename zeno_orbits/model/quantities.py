@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from zeno_orbits.errors import InputError, did_you_mean, finite_number
-from zeno_orbits.kinds import require_kinds
 from zeno_orbits.model.units import powers_of
+from zeno_orbits.work import require_kinds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

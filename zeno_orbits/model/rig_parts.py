@@ -13,8 +13,8 @@ from enum import Enum
 from typing import Any, ClassVar
 
 from zeno_orbits.errors import InputError, did_you_mean
-from zeno_orbits.kinds import require_kinds
 from zeno_orbits.model.quantities import Quantity, positive
+from zeno_orbits.work import require_kinds
 
 
 def _nonnegative(name: str, default: float | None, unit: str, meaning: str) -> Quantity:

@@ -9,7 +9,7 @@ an execution has); `Section`, `section_around`; `poincare_map`, `return_derivati
 `floquet_multipliers`; `ZenoOrbit`, `new_orbit`, `read_orbit`, `write_orbit`; `Bound`; `follow_path`
 (predictor-corrector steps); `at_looser_tolerance` (error estimates by a second run).
 
-Imports: simulation, model, integrators, work, arrays, kinds, errors.
+Imports: simulation, model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import InputError, OrbitFileError
-from zeno_orbits.kinds import checked
 from zeno_orbits.orbits.event_orbit import EVENT_FORMAT
 from zeno_orbits.orbits.orbit import (
     FORMAT,
@@ -20,7 +19,7 @@ from zeno_orbits.orbits.orbit import (
     one_release_phase,
 )
 from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.work import EntryError, restored, write_whole
+from zeno_orbits.work import EntryError, checked, restored, write_whole
 
 
 @checked

@@ -14,7 +14,7 @@ from enum import Enum
 from itertools import groupby
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.kinds import checked, require_kinds
+from zeno_orbits.work import checked, require_kinds
 
 
 class PhaseKind(Enum):

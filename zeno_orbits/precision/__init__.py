@@ -7,7 +7,7 @@ Offers: `simulate_to` (an execution to a wanted accuracy), `simulate_with_error`
 `difference` (of two executions); `reduction_costs` (errors of reduced models);
 `trade`, `WorkPrecision`, `read_work_precision`.
 
-Imports: search, verification, orbits, simulation, loop, model, integrators, work, arrays, kinds,
+Imports: search, verification, orbits, simulation, loop, model, integrators, work, arrays,
 errors.
 """
 

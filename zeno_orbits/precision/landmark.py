@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.kinds import checked
 from zeno_orbits.model import USUAL, OwnScale
 from zeno_orbits.simulation import Event, Execution, Impact, SwitchEvent, ZenoPoint
+from zeno_orbits.work import checked
 
 ROUNDING = 4e-15
 """Relative rounding error per event. Two runs may share it, so it is not visible in a difference.

@@ -22,7 +22,6 @@ from zeno_orbits.integrators import (
     SteppingEngine,
     engine_named,
 )
-from zeno_orbits.kinds import Checked
 from zeno_orbits.loop import program_of
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, bind
 from zeno_orbits.precision.accuracy import at_tolerance
@@ -37,7 +36,7 @@ from zeno_orbits.simulation import (
     Truncation,
     simulate,
 )
-from zeno_orbits.work import Progress, silent
+from zeno_orbits.work import Checked, Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ Offers: `figure_of` (the figure of any result) and `save_figure`. The report pag
 `line_for_watcher` (the same for a terminal or a notebook, if there is a terminal or a notebook).
 
 Imports: experiment, precision, proof, continuation, maps, search, verification, orbits, simulation,
-model, work, arrays, kinds, errors.
+model, work, arrays, errors.
 """
 
 import lazy_loader as lazy

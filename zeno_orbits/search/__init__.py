@@ -8,7 +8,7 @@ orbits, `Judgement` for checks, `StartWorkers`), `close_orbit`, `close_cycle` an
 the objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`, `LeastEnergy`, `LeastPeak`,
 `FastestContraction`, `WidestMargin`, `MaxPush`.
 
-Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, kinds, errors.
+Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

@@ -11,7 +11,6 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError, any_number
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.kinds import require_kinds
 from zeno_orbits.model import HybridDynamics, Problem, own_time
 from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed, to_next_release
 from zeno_orbits.search.recurrence import Recurrence, Recurring
@@ -28,6 +27,7 @@ from zeno_orbits.simulation import (
     is_still,
     simulate,
 )
+from zeno_orbits.work import require_kinds
 
 _DIFFERENCE = 1e-6
 """Relative step of a difference quotient. Its error affects only a small correction."""

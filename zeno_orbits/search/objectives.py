@@ -18,7 +18,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import InputError, any_number, did_you_mean, named_numbers, number_range
-from zeno_orbits.kinds import Checked, require_kinds
+from zeno_orbits.work import Checked, require_kinds
 
 if TYPE_CHECKING:
     # The help and the error messages of the command line need the words, not CasADi.

@@ -7,7 +7,7 @@ Offers: `simulate` with `SimulationSettings`. An `Execution` consists of `Arc`s 
 an `Ending`) and events `Impact`, `ZenoPoint`, `Release`. Methods to reach a Zeno point:
 `ZenoPassage`, `ZenoExtrapolation`, `Truncation`.
 
-Imports: loop, model, integrators, work, arrays, kinds, errors.
+Imports: loop, model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

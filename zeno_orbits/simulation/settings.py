@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
-from zeno_orbits.kinds import Checked
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.completion import Completion, ZenoPassage
-from zeno_orbits.work import Progress, silent
+from zeno_orbits.work import Checked, Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ combines them. `measurement` computes the range of a quantity along an orbit.
 Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `RESIDUALS`,
 `certified`, `problem_dynamics`; `measure`, `require_quantities`.
 
-Imports: orbits, simulation, model, integrators, work, arrays, kinds, errors. Never search,
+Imports: orbits, simulation, model, integrators, work, arrays, errors. Never search,
 continuation, maps, experiment or precision.
 """
 

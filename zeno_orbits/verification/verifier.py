@@ -15,7 +15,6 @@ from typing import TypeVar
 
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.kinds import Checked, checked
 from zeno_orbits.model import HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import (
     EventOrbit,
@@ -40,7 +39,7 @@ from zeno_orbits.verification.cross_checks import (
 from zeno_orbits.verification.integration import FirstCycle, Observation, observe
 from zeno_orbits.verification.residuals import escapes_of, margins_of, orbit_residuals
 from zeno_orbits.verification.second_net import sampled_guards
-from zeno_orbits.work import Progress, silent
+from zeno_orbits.work import Checked, Progress, checked, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

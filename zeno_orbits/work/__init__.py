@@ -9,12 +9,13 @@ Offers: `spread` and `spread_in_order` run a `Task` as a `Plan` says, at a `Plac
 workers; `claim`, `keeps_nothing` and `remove_checkpoint` for checkpoints; `Progress` and `silent`
 for progress reports, `portion` for a step of several, `tell_part` and `parts_told_to` for those
 from inside a chunk; `write_whole` for files; `plain` and `restored` between values and JSON;
-`versions` of the software;
+`versions` of the software; `checked`, `require_kinds` and `Checked` refuse arguments of a wrong
+kind;
 `enclosing_decimal`, `enclosing_ends`, `enclosing_disc`, `decimal_above` and `decimal_below` for
 decimals that contain exact numbers, `enclosed_decimal` for those that lie in an interval, and
 `exact_decimal` for all digits.
 
-Imports: arrays, kinds, errors.
+Imports: arrays, errors.
 """
 
 import lazy_loader as lazy

@@ -17,6 +17,9 @@ from .files import require_writable as require_writable
 from .files import write_all as write_all
 from .files import utf8 as utf8
 from .files import write_whole as write_whole
+from .kinds import Checked as Checked
+from .kinds import checked as checked
+from .kinds import require_kinds as require_kinds
 from .plan import Cluster as Cluster
 from .plan import LostPoint as LostPoint
 from .plan import Place as Place

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.kinds import Checked, require_kinds
+from zeno_orbits.work.kinds import Checked, require_kinds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

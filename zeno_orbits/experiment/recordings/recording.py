@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import DataFileError, InputError, counted
 from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
-from zeno_orbits.kinds import checked
 from zeno_orbits.model.units import in_si
-from zeno_orbits.work import ByValue
+from zeno_orbits.work import ByValue, checked
 from zeno_orbits.work.files import write_pieces
 
 FORMAT = 1

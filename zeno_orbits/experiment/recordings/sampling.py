@@ -10,9 +10,9 @@ import numpy as np
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.orbit_table import state_nodes
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
-from zeno_orbits.kinds import require_kinds
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.simulation import Execution
+from zeno_orbits.work import require_kinds
 
 MOST_SAMPLES = 10_000_000
 """Largest number of samples of a recording. Ten million samples of each state take a gigabyte."""

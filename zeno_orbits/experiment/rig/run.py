@@ -14,9 +14,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.recordings.contacts import contact_names
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
-from zeno_orbits.kinds import Checked
 from zeno_orbits.model import Contact, OwnScale, ParameterValues, Problem, Rig, own_time
-from zeno_orbits.work import ByValue
+from zeno_orbits.work import ByValue, Checked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

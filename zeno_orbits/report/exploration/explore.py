@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits.errors import InputError, named_numbers
-from zeno_orbits.kinds import checked
 from zeno_orbits.model import Problem, Quantity, locate_problem
+from zeno_orbits.work import checked
 
 _AROUND = 0.5
 """Half width of a slider without a finite range, in parts of the value."""

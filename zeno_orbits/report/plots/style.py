@@ -14,9 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from zeno_orbits.kinds import checked
 from zeno_orbits.simulation import Execution, Mode
-from zeno_orbits.work import require_picture, write_whole
+from zeno_orbits.work import checked, require_picture, write_whole
 
 COLUMN_WIDTH = 3.4
 """Width of one column of a paper [in]."""

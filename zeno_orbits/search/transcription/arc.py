@@ -9,11 +9,11 @@ import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.integrators import Collocation, radau_scheme
-from zeno_orbits.kinds import Checked
 from zeno_orbits.model import CompiledSystem, ModeFunctions
 from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
 from zeno_orbits.search.transcription.program import ProgramBuilder
 from zeno_orbits.simulation import Arc
+from zeno_orbits.work import Checked
 
 _FEW = 16
 """Number of intervals that an arc may have in addition to the steps of its simulation."""

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array
-from zeno_orbits.kinds import Checked
 from zeno_orbits.search.transcription.program import Program
+from zeno_orbits.work import Checked
 
 
 class SolveStatus(Enum):
