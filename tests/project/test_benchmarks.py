@@ -20,6 +20,7 @@ REDUCED = {
     "coverage": ("--quick", "--problems", "vibrating_table", "--workers", "1"),
     "error_over_tolerance": ("--starts", "1"),
     "every_command": ("eccentric_cam",),
+    "explore_browser": ("--changes", "3"),
     "extremes": ("pendulum in",),
     "families": ("--quick", "--workers", "1"),
     "fidelity": ("--least", "1e-3", "--runs", "1"),

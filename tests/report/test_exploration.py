@@ -46,6 +46,14 @@ def test_the_widget_follows_one_of_two_stable_orbits() -> None:
     assert followed.period < 1.95 < other.period
 
 
+def test_the_widget_follows_an_orbit_with_two_zeno_points_per_period() -> None:
+    widget = zo.explore("two_tone_table", vary={"restitution": (0.2, 0.4)})
+    for restitution in (0.25, 0.3):
+        widget.values = {"restitution": restitution}
+        assert dict(widget.view["facts"])["event sequence"] == "zeno*2"
+        assert zo.verify(widget.attractor.orbit).passed
+
+
 def test_a_motion_that_dies_out_is_named_and_left_again(pendulum: Any) -> None:
     pendulum.values = {"Kp": 2.5, "Kd": 0.5}
     assert "decays" in pendulum.view["name"]

@@ -87,11 +87,11 @@ def attractor_at(
     Args:
         problem: The problem.
         values: Gains and parameters.
-        near: Orbit at other values. The simulation starts at its release, so the result follows one
+        near: Orbit at other values. The simulation starts at its start, so the result follows one
             attractor as long as it exists. By default it starts at the starts of the problem.
     """
     # The starts of the problem are the second choice, after a continuation of the last orbit.
-    starts = problem.starts if near is None else (near.release_state, *problem.starts)
+    starts = problem.starts if near is None else (near.start_state, *problem.starts)
     moved = replace(problem, starts=starts)
     reached = close_orbit(moved, values, simulation=SimulationSettings())
     if reached.orbit is None:
