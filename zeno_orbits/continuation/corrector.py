@@ -53,7 +53,7 @@ class FamilyMetric:
 
         Args:
             period: Period of the last orbit [s].
-            longer: Longest time to wait, in periods.
+            longer: Longest time to wait for a return, in periods.
         """
         return replace(self, horizon=longer * period)
 

@@ -29,7 +29,7 @@ _SHARED = 1e-2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Way:
-    """Approach of a motion to an orbit.
+    """The returns by which a motion approaches an orbit.
 
     Attributes:
         times: Times of all returns [s].

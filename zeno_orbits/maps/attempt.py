@@ -95,7 +95,7 @@ class Attempt:
         contracts: True if the return map contracts at the start of every step, and no step reverses
             its direction.
         last_step: The last step, in scaled states, ``(n_x,)``.
-        doubtful: True if the time of the motion's period changes at a higher accuracy.
+        doubtful: True if the period of the motion changes at a higher accuracy.
         approached: True if the motion itself converges to the orbit.
     """
 

@@ -285,7 +285,12 @@ def _require_push(entry: _PushEntry, name: str) -> None:
     _require(entry.unit != "", f"{name}.unit", "a unit", "empty")
     lost = entry.largest is not None
     _require((entry.error is not None) == lost, f"{name}.error", "null like `largest`", "not")
-    _require(bool(entry.beyond) == lost, f"{name}.beyond", "empty without a loss only", "not")
+    _require(
+        bool(entry.beyond) == lost,
+        f"{name}.beyond",
+        "empty if and only if no impulse is lost",
+        "not",
+    )
     if entry.largest is not None and entry.error is not None:
         _require(entry.error >= 0.0, f"{name}.error", "at least 0", entry.error)
         within = 0.0 <= entry.largest <= entry.searched

@@ -109,7 +109,7 @@ class Ray:
             resolved = kept < inside[0] <= inside[-1] < lost.impulse
             if lost.impulse - kept <= self.error * lost.impulse or not resolved:
                 if lost.beyond is None:
-                    raise ValueError("Argument `lost` must be a loss.")
+                    raise ValueError("Argument `lost` must be an impulse that loses the orbit.")
                 return Loss(kept=kept, gone=lost.impulse, beyond=lost.beyond)
             returns = returns[-2:]
             for impulse in inside:

@@ -267,7 +267,7 @@ def _coupling(system: CompletedSystem, motor: int) -> _Coupling:
     turned = [j for j in range(rates.numel()) if not rates[j].is_zero()]
     if len(turned) != 1 or ca.depends_on(rates, system.state):
         wanted = f"must stand on a motor: the flux of current {motor} must grow with one coordinate"
-        raise InputError(f"Argument `gears` {wanted} at a constant rate, but it does not.")
+        raise InputError(f"Argument `gears` {wanted} at a constant rate.")
     emf[motor - 1] = torque[motor - 1] = rates[turned[0]]
     axis = ca.SX.zeros(mechanism.q.numel())
     axis[turned[0]] = 1

@@ -144,7 +144,7 @@ def _draw_cells(ax: Axes, found: ParameterMap) -> list[Any]:
 
 
 def _label(attractor: Attractor) -> str:
-    """Return the legend label of an attractor. All long periods share a label."""
+    """Return the legend label of an attractor. All orbits with long periods share one label."""
     if attractor.turns <= _LONGEST:
         return attractor.phrase
     return f"{attractor.fate.value}, more than {_LONGEST} turns"

@@ -148,7 +148,9 @@ def _require_axes(axes: Sequence[object]) -> None:
     for one in axes:
         if not isinstance(one, Axes):
             kind = type(one).__name__
-            raise InputError(f"Argument `axes` must be axes of matplotlib, but one is a `{kind}`.")
+            raise InputError(
+                f"Argument `axes` must be axes of matplotlib, but one of them is a `{kind}`."
+            )
 
 
 def figure_size(ax: Axes) -> Vector:
