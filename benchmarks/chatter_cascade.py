@@ -5,8 +5,8 @@ r"""Orbits with n impacts beyond the end of complete chatter, and the ratio of t
 Where the contact phase of a Zeno orbit vanishes, orbits with n impacts and no Zeno point take over.
 The window of n is the part of the parameter between two grazing orbits. At its lower end a contact
 grazes before the first impact, and at its upper end the last impact grazes. The ratio of successive
-windows tends to ``kappa``, theory (39). It deviates by a multiple of ``sigma^n``, so two ratios are
-extrapolated to the limit:
+windows tends to ``kappa``, theory (5.7). It deviates by a multiple of ``sigma^n``, so two ratios
+are extrapolated to the limit:
 
     (R_n - sigma R_{n-1}) / (1 - sigma)
 

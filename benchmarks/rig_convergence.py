@@ -3,11 +3,11 @@
     python benchmarks/rig_convergence.py [orbit.json] [--picture convergence.png]
 
 A rig with a contact that gives way settles near the reference orbit. As its stop stiffens the
-distance falls; the orders are fitted and held against theory (53). Then every other part of the
+distance falls; the orders are fitted and held against theory (6.6). Then every other part of the
 machine alone, near the stiff limit. Everything is simulated.
 
-A distance `d` over stiffnesses `k` is fitted by ``d = c k^-p``. Theory (53) expects ``p = 1/(n+1)``
-for a contact force of power `n`: 1/2 for a spring, as contacts last that long.
+A distance `d` over stiffnesses `k` is fitted by ``d = c k^-p``. Theory (6.6) expects ``p =
+1/(n+1)`` for a contact force of power `n`: 1/2 for a spring, as contacts last that long.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ def show_orders(
     """Print the fitted orders over all stiffnesses and over the stiff end.
 
     Returns:
-        Whether those that a power fits are what theory (53) says, far above the numerical error.
+        Whether those that a power fits are what theory (6.6) says, far above the numerical error.
     """
     sound = True
     stiff = [k >= stiffnesses[-1] / 10**TAIL * 0.999 for k in stiffnesses]

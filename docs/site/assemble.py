@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from commands import command_page
-from equations import direct
 from examples import examples
 from formulas import joined
 from navigation import navigation
@@ -27,7 +26,6 @@ ELSEWHERE = ("CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "CHANGELOG.md", "LICENSE",
 READ_BY_DEVELOPERS = ("tests/README.md", "benchmarks/README.md")
 REFERENCE, COMMANDS = "docs/reference.md", "docs/commands.md"
 EXAMPLES = "docs/examples.md"
-EQUATIONS = "docs/theory.md"
 
 
 def assemble(folder: Path) -> None:
@@ -48,7 +46,7 @@ def _for_sphinx(text: str) -> str:
     """Return a page whose anchors are targets, and whose links lead to pages of the site."""
     text = re.sub(r'^<a id="([^"]+)"></a>\n', r"(\1)=\n", text, flags=re.MULTILINE)
     text = re.sub(r'^- <a id="([^"]+)"></a>', r"- (\1)=\n  ", text, flags=re.MULTILINE)
-    text = joined(direct(text, (ROOT / EQUATIONS).read_text()))
+    text = joined(text)
     return text.replace("](../README.md", "](../index.md")
 
 

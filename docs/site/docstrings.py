@@ -1,18 +1,18 @@
-"""What docstrings cite becomes links: `theory (7)` the equation, `[Keller1977]_` the source."""
+"""What docstrings cite becomes links: `theory (1.7)` the equation, `[Keller1977]_` the source."""
 
 from __future__ import annotations
 
 import re
 from typing import Any
 
-_EQUATIONS = re.compile(r"theory\s\(\d+\)(?:(?:,\s|\sand\s|\sto\s|-)\(\d+\))*")
-_NUMBER = re.compile(r"\((\d+)\)")
+_EQUATIONS = re.compile(r"theory\s\(\d+\.\d+\)(?:(?:,\s|\sand\s|\sto\s|-)\(\d+\.\d+\))*")
+_NUMBER = re.compile(r"\((\d+)\.(\d+)\)")
 _KEY = re.compile(r"\[(\w+)\]_")
 
 
 def linked(text: str) -> str:
     """Return a docstring with its citations as references."""
-    text = _EQUATIONS.sub(lambda cited: _NUMBER.sub(r":ref:`(\1) <eq-\1>`", cited[0]), text)
+    text = _EQUATIONS.sub(lambda cited: _NUMBER.sub(r":ref:`(\1.\2) <eq-\1-\2>`", cited[0]), text)
     return _KEY.sub(r":ref:`[\1] <\1>`", text)
 
 

@@ -39,7 +39,7 @@ def test_verify_prints_margins_and_the_truncation_test_on_request(orbit_file: Pa
     )
     assert "release_transversality" in margins
     assert "Observed order" not in margins
-    # The order of the truncation error is 3 by theory (3).
+    # The order of the truncation error is 3 by theory (2.3).
     order = re.search(r"Observed order of the truncation error: (\S+)", truncation)
     assert order is not None
     assert abs(float(order[1]) - 3.0) < 0.1

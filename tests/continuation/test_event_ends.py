@@ -42,7 +42,7 @@ def test_the_contact_phases_of_the_clapper_vanish_where_exact_flights_say() -> N
     width = 10 * end.error + 1e-11
     assert accumulates(**FORCE, restitution=end.at.value - width)
     assert not accumulates(**FORCE, restitution=end.at.value + width)
-    # Both contact phases shrink as the power 0.6 of the distance, theory (39).
+    # Both contact phases shrink as the power 0.6 of the distance, theory (5.7).
     for stop in ("upper", "lower"):
         times = [point.margins[f"locked time, release {stop}"] for point in family.points]
         assert times[-1] < times[0]

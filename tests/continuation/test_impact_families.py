@@ -200,7 +200,7 @@ def test_orbits_with_n_impacts_follow_each_other_between_grazing_orbits() -> Non
             assert last.at.value == pytest.approx(ends[n - 2].at.value, abs=1e-10)
     widths = [a.at.value - b.at.value for a, b in pairwise(ends)]
     ratios = [a / b for a, b in pairwise(widths)]
-    # The ratios fall towards that of theory (39). The last one is still 7 % above it.
+    # The ratios fall towards that of theory (5.7). The last one is still 7 % above it.
     assert ratios[0] > ratios[1] > separatrix(e).repulsion
     assert ratios[1] == pytest.approx(separatrix(e).repulsion, rel=0.1)
 

@@ -44,6 +44,6 @@ def test_what_is_left_of_the_lock_falls_with_the_exponent(restitution: float) ->
 
 
 def test_the_exponent_is_three_fifths_where_flights_are_averaged() -> None:
-    # Theory (22): w a^(-1/3) + const a^(5/3) is kept, so a distance grows as a^(-5/3).
+    # Theory (2.8): w a^(-1/3) + const a^(5/3) is kept, so a distance grows as a^(-5/3).
     assert separatrix(0.9999).exponent == pytest.approx(0.6, abs=1e-6)
     assert separatrix(0.9999).ratio == pytest.approx(0.3 * 1e-4, rel=1e-3)

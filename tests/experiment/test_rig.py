@@ -503,7 +503,7 @@ def test_the_rig_tends_to_the_zeno_orbit_as_the_square_root_of_its_compliance(
 ) -> None:
     errors = [period_error(orbit, problem, Contact(stiffness=k)) for k in (1e4, 1e6, 1e8)]
     orders = [math.log(errors[k] / errors[k + 1]) / math.log(100) for k in range(2)]
-    # Theory (53): 1/2, the next term smaller by the contact's length over the layer of the current.
+    # Theory (6.6): 1/2, the next term smaller by the contact's length over the current's layer.
     assert orders[0] == pytest.approx(0.5, abs=0.02)
     assert orders[1] == pytest.approx(0.5, abs=0.003)
     assert abs(errors[2]) < 1e-6
@@ -512,7 +512,7 @@ def test_the_rig_tends_to_the_zeno_orbit_as_the_square_root_of_its_compliance(
 def test_each_further_contact_of_the_chatter_adds_its_length(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    """Theory (53), without a fitted number, between one stiffness and the next by 1/e^2."""
+    """Theory (6.6), without a fitted number, between one stiffness and the next by 1/e^2."""
     e, curve = 0.2, orbit_curve(orbit, problem, n_per_arc=50)
     scaled: list[float] = []
     for k in (1e7, 1e7 / e**2):

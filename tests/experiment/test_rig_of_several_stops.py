@@ -27,7 +27,7 @@ Guard = Callable[[Vector], float]
 
 
 def _number(restitution: float) -> float:
-    """Return the damping number `u` with ``u - ln(1 + u) = -e u - ln(1 - e u)``, theory (49)."""
+    """Return the damping number `u` with ``u - ln(1 + u) = -e u - ln(1 - e u)``, theory (6.2)."""
     e = restitution
 
     def missing(u: float) -> float:

@@ -329,7 +329,7 @@ def _saltation_matrix(dynamics: HybridDynamics, impact: Impact) -> Vector:
     .. math:: \Xi = R_x + \frac{(f(x^+) - R_x f(x^-))\,\nabla h^\top}{\dot h^-}, \qquad
         R_x = \frac{\partial R}{\partial x}
 
-    Source: [LeineNijmeijer2004]_, theory (25).
+    Source: [LeineNijmeijer2004]_, theory (4.3).
     """
     differentials = differentials_of(dynamics, ())
     x, n_x = impact.state_minus, len(impact.state_minus)

@@ -324,7 +324,7 @@ def test_the_orbit_shows_the_order_of_its_drive_over_two_decades(
         for landmark in ("period", "first_impact", "release"):
             errors = [costs[word, size].measured[landmark] for size in sizes]
             assert _orders(sizes, errors) == pytest.approx([order] * 2, abs=0.07), landmark
-        # In the tail flights are shorter than the layer: a logarithm comes in (theory (20)).
+        # In the tail flights are shorter than the layer: a logarithm comes in (theory (1.12)).
         for landmark in ("zeno_time", "zeno_state"):
             errors = [costs[word, size].measured[landmark] for size in sizes]
             mean = math.log(errors[0] / errors[2]) / math.log(100)

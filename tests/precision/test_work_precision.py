@@ -84,7 +84,7 @@ def test_a_tighter_tolerance_errs_less(name: str, measured: WorkPrecision) -> No
 
 
 def test_the_cut_errs_by_the_cube_of_its_speed(measured: WorkPrecision) -> None:
-    """Theory (11): ten times slower, a thousand times better, but for where impacts fall."""
+    """Theory (2.3): ten times slower, a thousand times better, but for where impacts fall."""
     coarse, fine = errors(measured, "cut")
     assert 30 * fine < coarse
 
@@ -223,7 +223,7 @@ def test_the_truth_of_a_stiff_problem_is_that_of_its_limit() -> None:
     reduced = problem.at_fidelity("quasi_static")
     left_out = reduced.dynamics(reduced.shared(values))
     without = true_landmarks(left_out, RELEASE[:4], 1.02 * PERIOD)
-    # Theory (20): the error of the reduction is of the order of L / R.
+    # Theory (1.12): the error of the reduction is of the order of L / R.
     assert abs(truth.marks[-1].time - without.marks[-1].time) < 1e-6
 
 

@@ -55,7 +55,7 @@ def _orbit(name: str, **numbers: float) -> ZenoOrbit:
 def _zeno_point(field: Field, x: Vector, e: float, pull: Callable[[float, Vector], float]) -> Any:
     """Return time, state and first impact of a sequence by hand; the gap is ``x[0]``.
 
-    The tail is that of theory (15), in the flow on the stop: first order in a speed that has
+    The tail is that of theory (2.7), in the flow on the stop: first order in a speed that has
     fallen so far that its square is rounding.
     """
     time, first, fastest = 0.0, 0.0, 0.0

@@ -200,7 +200,7 @@ def test_the_valve_flies_as_a_matrix_exponential_and_waits_as_a_coil_charges(
 
 
 def _links(p: Mapping[str, float]) -> tuple[float, float, float, float, float]:
-    """Return the letters `A` to `E` of theory (10)."""
+    """Return the letters `A` to `E` of theory (2.2)."""
     return (
         p["I1"] + p["m1"] * p["lc1"] ** 2 + p["m2"] * p["L1"] ** 2 + p.get("J_rotor", 0.0),
         p["I2"] + p["m2"] * p["lc2"] ** 2,

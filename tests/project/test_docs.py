@@ -10,7 +10,6 @@ import pytest
 import zeno_orbits as zo
 from docs.site.commands import command_page
 from docs.site.docstrings import linked
-from docs.site.equations import direct
 from docs.site.examples import examples
 from docs.site.formulas import joined
 from docs.site.navigation import navigation
@@ -52,50 +51,40 @@ def test_every_link_of_a_document_leads_somewhere(document: Path) -> None:
 def _equations() -> Counter[str]:
     """Return equation number to the number of pages that contain it, the list apart."""
     pages = [path for path in (ROOT / "docs").glob("*.md") if path != THEORY]
-    anchors = [anchor for path in pages for anchor in _anchors(path)]
-    return Counter(anchor.removeprefix("eq-") for anchor in anchors if anchor.startswith("eq-"))
+    anchors = [re.fullmatch(r"eq-(\d+)-(\d+)", name) for path in pages for name in _anchors(path)]
+    return Counter(f"{anchor[1]}.{anchor[2]}" for anchor in anchors if anchor)
 
 
 def test_the_list_of_the_theory_leads_to_every_equation_and_each_has_one_page() -> None:
-    rows = re.findall(
-        r'^\| <a id="eq-(\d+)"></a>\((\d+)\) \| \[(.+)\]\((\w+\.md)#eq-(\d+)\) \|$',
-        THEORY.read_text(),
-        re.MULTILINE,
-    )
-    numbers = [int(row[0]) for row in rows]
-    assert numbers == sorted(set(numbers))
-    for anchor, shown, title, page, target in rows:
-        assert anchor == shown == target
+    cell = r"\((\d+\.\d+)\) \[(.+)\]\((\w+\.md)#eq-(\d+)-(\d+)\)"
+    former = r'<a id="eq-(\d+)"></a>\((\d+)\)'
+    rows = re.findall(rf"^\| {cell} \| {former} \|$", THEORY.read_text(), re.MULTILINE)
+    for shown, title, page, chapter, number, anchor, old in rows:
+        assert shown == f"{chapter}.{number}"
+        assert anchor == old
         assert f"\n### ({shown}) {title}\n" in (THEORY.parent / page).read_text()
     assert set(_equations().values()) == {1}
-    assert {str(number) for number in numbers} == set(_equations())
-
-
-def test_a_page_of_the_theory_states_the_equations_that_it_contains() -> None:
-    pages = sorted((ROOT / "docs").glob("theory_*.md"))
-    assert len(pages) == 6
-    for page in pages:
-        stated = re.findall(r"This page contains the equations (.*?)\. ", _one_line(page))
-        numbers: set[int] = set()
-        for first, last in re.findall(r"\((\d+)\)(?: to \((\d+)\))?", stated[0]):
-            numbers |= set(range(int(first), int(last or first) + 1))
-        assert numbers == {int(name.removeprefix("eq-")) for name in _anchors(page)}
-        assert f"| {stated[0]} |" in THEORY.read_text()
-
-
-def test_a_link_to_the_list_of_equations_leads_past_it_on_the_site() -> None:
-    cited = "[theory (7)](theory.md#eq-7), [(65)](../docs/theory.md#eq-65), [all](theory.md)"
-    led = direct(cited, THEORY.read_text())
-    assert led == cited.replace("theory.md#eq-7", "theory_model.md#eq-7").replace(
-        "theory.md#eq-65", "theory_orbits.md#eq-65"
+    assert [row[0] for row in rows] == sorted(
+        _equations(), key=lambda number: [int(part) for part in number.split(".")]
     )
+
+
+def test_a_page_of_the_theory_numbers_its_equations_in_order() -> None:
+    pages = re.findall(r"^\| \[.*\]\((theory_\w+\.md)\) \| (.*) \|$", THEORY.read_text(), re.M)
+    assert len(pages) == 6
+    for chapter, (name, stated) in enumerate(pages, 1):
+        page = (THEORY.parent / name).read_text()
+        titles = re.findall(r"^### \((\d+\.\d+)\) ", page, re.MULTILINE)
+        assert titles == [f"{chapter}.{k}" for k in range(1, len(titles) + 1)]
+        assert stated == f"({titles[0]}) to ({titles[-1]})"
+        assert f"This page contains the equations {stated}." in page
 
 
 def test_every_equation_that_a_docstring_cites_exists() -> None:
     numbers = set(_equations())
     for source in SOURCES:
         for cited in re.findall(r"theory ((?:\(\d+\)(?:, | and |-)?)+)", source.read_text()):
-            assert set(re.findall(r"\d+", cited)) <= numbers, (source.name, cited)
+            assert set(re.findall(r"\d+\.\d+", cited)) <= numbers, (source.name, cited)
 
 
 def test_every_source_that_a_docstring_cites_is_listed() -> None:
@@ -157,8 +146,8 @@ def test_every_file_that_a_change_may_need_exists() -> None:
 
 
 def test_docstrings_cite_by_links_on_the_site() -> None:
-    cited = "As in theory (37) to (40), and theory (7). Source: [Keller1977]_."
-    links = [f":ref:`({k}) <eq-{k}>`" for k in (37, 40, 7)]
+    cited = "As in theory (5.5) to (5.8), and theory (1.7). Source: [Keller1977]_."
+    links = [f":ref:`({k}) <eq-{k.replace('.', '-')}>`" for k in ("5.5", "5.8", "1.7")]
     source = ":ref:`[Keller1977] <Keller1977>`"
     wanted = f"As in theory {links[0]} to {links[1]}, and theory {links[2]}. Source: {source}."
     assert linked(cited) == wanted

@@ -3,7 +3,7 @@
 It shares no line with `simulate`, `crossing` or the engines. It follows the motor pendulum as the
 hand-written `reference.py` states it, in seconds and radians, without rescaled flights and without
 an extrapolated Zeno limit: impacts are followed one by one until they are slower than `SLOW`, the
-next one is made plastic (theory (11): of third order), and the Zeno time adds the rest of the
+next one is made plastic (theory (2.3): of third order), and the Zeno time adds the rest of the
 geometric series. The gap is a coordinate, so gap and gap rate are set exactly after an impact.
 """
 

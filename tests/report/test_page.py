@@ -246,7 +246,7 @@ def test_the_page_names_no_other_place(page: str) -> None:
     reader = _Reader(page)
     places = {address[1:] for address in addresses if address.startswith("#")}
     # Links inside the page lead somewhere: to a section, or a law.
-    assert {"theory-15", "theory-19", "reproduce"} < places
+    assert {"theory-2.7", "theory-3.4", "reproduce"} < places
     assert places <= set(reader.ids)
     assert all(address.startswith(("data:", "#")) for address in addresses)
     assert "http" not in re.sub(r"http-equiv", "", page)

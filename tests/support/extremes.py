@@ -497,7 +497,7 @@ def _pendulum_error(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _WithoutInductance:
-    """The hand-written pendulum with the current of theory (3) put in for its state."""
+    """The hand-written pendulum with the current of theory (1.3) put in for its state."""
 
     machine: Any
 

@@ -3,8 +3,8 @@ r"""Families of periodic orbits in a gain or a parameter, stable or unstable.
 From one orbit the family is followed in both directions until it ends. Every point at which its
 character changes is located and named. A problem may derive parameters from others, such as the
 motor pendulum's calibrated constants. Derived parameters are held at their values at the start, so
-the family belongs to one machine of which one parameter changes. Source: [Keller1977]_, theory (37)
-to (40).
+the family belongs to one machine of which one parameter changes. Source: [Keller1977]_, theory
+(5.5) to (5.8).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@ r"""Points of a family of fixed points, computed by Newton's method.
 With the section coordinates `y` and the parameter `s`, a family solves :math:`P(y, s) - y = 0`.
 All distances are measured in scaled ambient coordinates,
 :math:`z = (x / \mathrm{scale}, s / \mathrm{unit})`. So every iterate gets a new chart around it,
-and iterates cannot leave a chart. Theory (37).
+and iterates cannot leave a chart. Theory (5.5).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 r"""Returns whose impact sequence is truncated: smooth at the end where the contact phase vanishes.
 
 The impact sequence that ends exactly at the release is the stable set of the fixed point of theory
-(39). There the Zeno point is not differentiable, but the first `n` impacts are. A return with a
-plastic reset at impact `n` differs from the true return by :math:`O(\sigma^{4n})`, theory (11). The
-condition :math:`r_n = r_*` has an error of :math:`O((\sigma / \kappa)^n)` in the parameter.
+(5.7). There the Zeno point is not differentiable, but the first `n` impacts are. A return with a
+plastic reset at impact `n` differs from the true return by :math:`O(\sigma^{4n})`, theory (2.3).
+The condition :math:`r_n = r_*` has an error of :math:`O((\sigma / \kappa)^n)` in the parameter.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 r"""Ends of a family: the limit at which one of its margins vanishes.
 
 At an end the family exists on one side only. The end is approached in a variable in which the
-family is smooth up to the end. The last part of the family is extrapolated. Theory (39) and (40).
+family is smooth up to the end. The last part of the family is extrapolated. Theory (5.7) and (5.8).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ Between the points the function is the Hermite cubic plus an error,
 .. math:: f = H + f[\ldots]\,x^2 (\ell - x)^2,
 
 whose divided difference is estimated from a third point. The zeros are counted only if this error
-cannot change their number. Theory (38).
+cannot change their number. Theory (5.6).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 r"""The end at which a contact phase vanishes, as the limit of truncated impact sequences.
 
 At this end the Zeno point is not differentiable. A return that is truncated after some impacts is
-differentiable on both sides of the end. Theory (39).
+differentiable on both sides of the end. Theory (5.7).
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def _cut_ever_later(
     place: int,
     near: _Near,
 ) -> Located:
-    r"""Return the limit of the points with truncated sequences on the separatrix (theory (39)).
+    r"""Return the limit of the points with truncated sequences on the separatrix (theory (5.7)).
 
     The root of :math:`1 - r_n / r_*` converges as :math:`(\sigma/\kappa)^n`, so each pair of roots
     is extrapolated to a better estimate.

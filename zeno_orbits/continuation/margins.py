@@ -2,7 +2,7 @@ r"""Margins that vanish at the end of a family, and the margin that causes the o
 
 Several margins may vanish at one point. The kind of an end must not depend on the margin that was
 followed to it. So the kind is determined from the powers with which the margins vanish together.
-Theory (40).
+Theory (5.8).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _ENTAILED: dict[Loss, dict[Loss, float]] = {
     Loss.RELEASE_RATE: {Loss.FIRST_IMPACT: 3.0, Loss.ACCELERATION: 2.0, Loss.AMPLITUDE: 3.0},
     Loss.LOCK: {Loss.ACCELERATION: 1.0, Loss.ADHESION: 2.0},
 }
-"""Margins that vanish with another margin, each with its power of that margin (theory (40)).
+"""Margins that vanish with another margin, each with its power of that margin (theory (5.8)).
 
 The amplitude vanishes with the release rate if the state changes only in the flight.
 """

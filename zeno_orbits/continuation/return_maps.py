@@ -8,7 +8,7 @@ composed:
 Orbits with a Zeno point return from release to release. Orbits without a Zeno point return from
 impact to impact. Their section is the set of states just after an impact, :math:`h = 0`,
 :math:`\dot h > 0`. Its dimension is :math:`n_x - 1` minus the number of holonomic rows. Source:
-theory (37).
+theory (5.5).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class DifferentiatedReturn:
         by_parameter: Derivative of `end` with respect to the position on the line, ``(n_x,)``.
         margins: Distance from each kind of loss.
         volume: Product of the multipliers by Liouville's formula if the orbit closes, or ``None``
-            if the formula does not apply (theory (41)).
+            if the formula does not apply (theory (5.9)).
         turns: Number of turns of the clock in that time. 0 without a steadily turning clock.
     """
 

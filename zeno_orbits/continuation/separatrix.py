@@ -8,7 +8,7 @@ in which an impact is at :math:`t = -1` and :math:`b = 1`, a flight that starts 
 
 The fixed point :math:`r_*` separates sequences that accumulate before :math:`t = 0` from sequences
 that do not. It is unstable: per impact, a distance from it grows by a factor :math:`\kappa`, while
-the remaining time shrinks by :math:`\sigma = 1 - s`. Theory (39).
+the remaining time shrinks by :math:`\sigma = 1 - s`. Theory (5.7).
 """
 
 from __future__ import annotations

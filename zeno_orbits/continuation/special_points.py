@@ -1,7 +1,7 @@
 r"""Special points inside a family: test functions and their roots.
 
 Inside a family every test function is smooth along it. A sign change between two points is
-located by computing points of the family between them. Theory (38).
+located by computing points of the family between them. Theory (5.6).
 """
 
 from __future__ import annotations

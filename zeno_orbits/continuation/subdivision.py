@@ -1,4 +1,4 @@
-"""Steps along a family, subdivided until their special points are counted. Theory (38)."""
+"""Steps along a family, subdivided until their special points are counted. Theory (5.6)."""
 
 from __future__ import annotations
 

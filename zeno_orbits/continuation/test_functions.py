@@ -2,7 +2,7 @@ r"""Test functions of special points, their derivatives along a family, and thei
 
 Every test function is smooth along a family. Its derivative is a difference quotient along a short
 part of the tangent. The error of a test function is its change at a looser tolerance.
-Theory (38).
+Theory (5.6).
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def _errors(
 def liouville_error(point: BranchPoint) -> float:
     """Return the error of the smallest multiplier according to Liouville's formula.
 
-    It is zero if the formula does not apply. Theory (41).
+    It is zero if the formula does not apply. Theory (5.9).
 
     Args:
         point: A point of a family.

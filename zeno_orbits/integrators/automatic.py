@@ -2,7 +2,7 @@
 
 Every leg begins explicitly, which a layer after an impact needs anyway. Once the decay of the
 fastest component, and no longer the accuracy, sets the step, and enough of the leg is left, the
-implicit engine takes over with a step for the slow rest (theory (23)).
+implicit engine takes over with a step for the slow rest (theory (4.1)).
 """
 
 from __future__ import annotations

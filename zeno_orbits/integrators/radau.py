@@ -1,6 +1,6 @@
 """The stiff engine: Radau IIA of order 13, whose step size is independent of fast layers' decay.
 
-Source: [HairerWanner1996]_, IV.8 for the iteration and the step control, theory (23).
+Source: [HairerWanner1996]_, IV.8 for the iteration and the step control, theory (4.1).
 """
 
 from __future__ import annotations

@@ -813,7 +813,7 @@ static int count_of(long long set) {
     return n;
 }
 
-/* The closed stops that stay closed in an impact: none of them pulls, theory (64). */
+/* The closed stops that stay closed in an impact: none of them pulls, theory (1.15). */
 static long long kept_closed(Graph *g, const double *x) {
     const zl_graph *graph = g->whole->graph;
     const int n_stops = (int)graph->n_stops;

@@ -1,4 +1,4 @@
-r"""Test whether a motion converges to an orbit of Newton's method (theory (29)).
+r"""Test whether a motion converges to an orbit of Newton's method (theory (4.7)).
 
 Newton's method also finds orbits that the motion only passes. The test therefore uses the motion
 itself: its section coordinates relative to the orbit, and the derivative :math:`A` of the return

@@ -1,4 +1,4 @@
-"""An attempt to find the attracting orbit of a motion by Newton's method (theory (29)).
+"""An attempt to find the attracting orbit of a motion by Newton's method (theory (4.7)).
 
 The loop is the same on both sections. `Crossing` contains their differences.
 """

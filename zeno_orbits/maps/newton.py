@@ -1,10 +1,10 @@
 r"""Newton's step to a periodic orbit on its section, from one return and its exact derivative.
 
 A motion over a period determines the return map :math:`P`, and the derivatives of its events
-determine :math:`P'` (theory (24)), and therefore the fixed point to second order and the
-multipliers (theory (18)).
+determine :math:`P'` (theory (4.2)), and therefore the fixed point to second order and the
+multipliers (theory (3.3)).
 The section contains the releases. If an orbit does not have a Zeno point and hence a release, it
-contains the states just after an impact (theory (41)).
+contains the states just after an impact (theory (5.9)).
 """
 
 from __future__ import annotations

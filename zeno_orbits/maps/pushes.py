@@ -5,7 +5,7 @@ An impulse of size :math:`j` acts along the generalized force :math:`r` at one i
 .. math:: v^+ = v^- + W r\, j
 
 with :math:`W` the inverse mass on the holonomic constraints. An impulse away from a closed stop
-opens it. Towards the stop, the impulse of the stop keeps the gap rate at zero (theory (7) with a
+opens it. Towards the stop, the impulse of the stop keeps the gap rate at zero (theory (1.7) with a
 plastic impact at zero speed). The impulses :math:`\Lambda` of all closed stops :math:`S` solve
 
 .. math:: \Lambda \ge 0,\qquad J_S v^+ \ge 0,\qquad \Lambda \perp J_S v^+,

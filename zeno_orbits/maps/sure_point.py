@@ -1,4 +1,4 @@
-"""A point of a map, simulated again more accurately if small errors may decide (theory (29))."""
+"""A point of a map, simulated again more accurately if small errors may decide (theory (4.7))."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 r"""Drives: the contributions of circuits and additional states to a mechanism, and circuit laws.
 
 Every drive is a `Drive`: states with their rates, a generalized force and powers. A circuit is a
-drive whose law follows from a field coenergy :math:`W(i, u, q)` (paper eq. 2, theory (60)). A bank
-of DC motors is the circuit with :math:`W = i^\top L i / 2 + i^\top K S^\top q`.
+drive whose law follows from a field coenergy :math:`W(i, u, q)` (paper eq. 2, theory (1.10)). A
+bank of DC motors is the circuit with :math:`W = i^\top L i / 2 + i^\top K S^\top q`.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class Network(NamedTuple):
 
 
 def circuit_drive(mechanism: HybridLagrangian, circuit: Circuit) -> Drive:
-    r"""Return the drive of a circuit: its currents, voltages and force (paper eq. 2, theory (60)).
+    r"""Return the drive of a circuit: currents, voltages and force (paper eq. 2, theory (1.10)).
 
     .. math:: \frac{\partial^2 W}{\partial x^2}\,\dot x
         = \begin{pmatrix} V - R\,i + A\,u \\ -A^\top i - G\,u \end{pmatrix}

@@ -1,4 +1,4 @@
-r"""Periodic forcing: time acts on a mechanism through a point on the unit circle (theory (34)).
+r"""Periodic forcing: time acts on a mechanism through a point on the unit circle (theory (1.9)).
 
 A forced problem is autonomous: its clock is the state :math:`(\cos\omega t, \sin\omega t)`. So an
 orbit closes when the clock does, after a whole number of periods of the clock, and time need not be

@@ -43,7 +43,7 @@ class ImpactLaw(NamedTuple):
         x^+ = x^- - (1 + e)\,\dot h^-\,d,\qquad d = \frac{W J^\top}{J W J^\top}
 
     Its fields are the parameters of the law. The first field is the restitution of the slowest
-    impacts, which alone determines how impacts accumulate (theory (15)).
+    impacts, which alone determines how impacts accumulate (theory (2.7)).
 
     Attributes:
         restitution: :math:`e`.

@@ -3,7 +3,7 @@ r"""Permanent-magnet DC drives: full, corrected, quasi-static, ideal torque, or 
 A drive turns a feedback law into a generalized force. It adds current states only at the fidelity
 that requires them, so a problem contains only the necessary states.
 
-Source: [HaasGahleitner2000]_, theory (2)-(4), (20) and (60).
+Source: [HaasGahleitner2000]_, theory (1.2)-(1.4), (1.12) and (1.10).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ __all__ = [
 
 
 def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
-    r"""Return the drive with its current dynamics (paper eq. 4, theory (2)).
+    r"""Return the drive with its current dynamics (paper eq. 4, theory (1.2)).
 
     .. math:: L\,\dot\imath = V(q, v) - R\,\imath - K_\omega S^\top v,\qquad F = S K_\varphi\,\imath
 
@@ -45,7 +45,7 @@ def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
 
 
 def quasi_static_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
-    r"""Return the drive in the limit :math:`L \to 0`: no current state (theory (3)).
+    r"""Return the drive in the limit :math:`L \to 0`: no current state (theory (1.3)).
 
     .. math:: \imath = R^{-1}\,(V(q, v) - K_\omega S^\top v),\qquad F = S K_\varphi\,\imath
 
@@ -65,14 +65,14 @@ def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
     r"""Return the quasi-static drive with its first correction in `L`, without current states.
 
     Let :math:`\bar\imath(q, v)` be the quasi-static current and `D` the derivative of the voltage
-    with respect to :math:`S^\top v` (theory (20)). Then
+    with respect to :math:`S^\top v` (theory (1.12)). Then
 
     .. math:: F = S K_\varphi\,\bigl(\bar\imath - R^{-1} L\,\partial_q\bar\imath\;v\bigr),
         \qquad \Delta M = S K_\varphi R^{-1} L R^{-1} (D - K_\omega) S^\top
 
     Its error is :math:`O((L/R)^2)`, including the current layer of an impact. The electrical powers
     are computed from :math:`\bar\imath`, with an error of :math:`O(L/R)`. The energy balance is
-    exact. Source: [KokotovicKhalilOReilly1999]_ for the slow manifold, theory (20).
+    exact. Source: [KokotovicKhalilOReilly1999]_ for the slow manifold, theory (1.12).
 
     Args:
         lagrangian: The mechanism.
@@ -105,7 +105,7 @@ def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
 
 
 def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque: ca.SX) -> Drive:
-    r"""Return a drive that delivers the commanded torque: :math:`F = S \tau(q, v)` (theory (4)).
+    r"""Return a drive that delivers the commanded torque: :math:`F = S \tau(q, v)` (theory (1.4)).
 
     Args:
         lagrangian: The mechanism.
@@ -140,7 +140,7 @@ def _bank_drive(
 ) -> Drive:
     r"""Return a bank of motors as the circuit that it is, its derivatives taken by hand.
 
-    Its coenergy is :math:`i^\top L\,i / 2 + i^\top K_\omega S^\top q` (theory (60)).
+    Its coenergy is :math:`i^\top L\,i / 2 + i^\top K_\omega S^\top q` (theory (1.10)).
     Torque constants other than the back-EMF constants are a converter that loses or gains power.
     """
     speed = ca.mtimes(motors.selection.T, lagrangian.v)

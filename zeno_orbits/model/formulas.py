@@ -128,7 +128,7 @@ def acceleration_formula(problem: Problem) -> Any:
     r"""Return :math:`\ddot h` at the Zeno equilibria as a formula in named states and parameters.
 
     If the gap is one of the coordinates, both the gap and the gap rate are set to zero. Otherwise
-    the formula is valid on the whole stop (theory (9)).
+    the formula is valid on the whole stop (theory (2.1)).
     """
     symbols = problem.symbols()
     system = problem.one_stop_model(symbols)

@@ -7,7 +7,7 @@ flow of the mechanism with the closed stops as holonomic constraints, with the i
 
 For every other stop `k` the pair ``(S, k)`` is a completed system with one stop: its free flow is
 the flow of `S`, its locked flow the flow of :math:`S \cup \{k\}`, its multiplier the multiplier of
-`k` in that mode. A graph of modes is made of these systems, theory (5)-(9).
+`k` in that mode. A graph of modes is made of these systems, theory (1.5)-(2.1).
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def complete(
 ) -> CompletedSystem:
     r"""Build the completed hybrid system of a mechanism, its drive, its stops and its switches.
 
-    Let :math:`W` be the inverse mass on the holonomic constraints (theory (6)) and
+    Let :math:`W` be the inverse mass on the holonomic constraints (theory (1.6)) and
     :math:`J = \partial h / \partial q`. Then
 
     .. math:: \lambda = -\ddot h_\mathrm{free} / (J W J^\top),\qquad
@@ -153,7 +153,7 @@ def complete(
             additional states, if a stop or switch is invalid, or if a piecewise input has switching
             times of the state or no `switches`.
 
-    Source: [Moreau1988]_ for the impact law, theory (6)-(9), and (20) for a corrected drive.
+    Source: [Moreau1988]_ for the impact law, theory (1.6)-(2.1), and (20) for a corrected drive.
     """
     if not lagrangian.stops:
         if restitution is None:

@@ -1,7 +1,7 @@
 r"""Complete a mechanism and its drive: guard, reset map, multiplier, locked flow, Theorem 1.
 
 Everything is an expression in the state ``x = (q, v, i)`` and the named parameters of the problem,
-gains and restitution among them. Source: [OrAmes2011]_, paper eqs (5)-(8), theory (5)-(12).
+gains and restitution among them. Source: [OrAmes2011]_, paper eqs (5)-(8), theory (1.5)-(2.4).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class CompletedSystem:
         n_q: Number of coordinates.
         state: ``x = (q, v)``, the states of the drive (currents, voltages, additional states), the
             clock of a forced problem and any ledger states, ``(n_x,)``.
-        free_flow: :math:`\dot x` off the stop, ``(n_x,)`` (theory (5)).
-        locked_flow: :math:`\dot x` on the stop, ``(n_x,)`` (theory (8)).
+        free_flow: :math:`\dot x` off the stop, ``(n_x,)`` (theory (1.5)).
+        locked_flow: :math:`\dot x` on the stop, ``(n_x,)`` (theory (1.8)).
         gap: :math:`h`.
         gap_rate: :math:`\dot h`.
         gap_acceleration: :math:`\ddot h` of the free flow, the quantity of Theorem 1.
@@ -275,7 +275,7 @@ def accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.SX
     .. math:: W = M^{-1} - M^{-1} H^\top (H M^{-1} H^\top)^{-1} H M^{-1},\qquad
         a = W (F - \mathrm{bias}) - M^{-1} H^\top (H M^{-1} H^\top)^{-1} \dot H v
 
-    with :math:`H = \partial\eta / \partial q` (theory (6)).
+    with :math:`H = \partial\eta / \partial q` (theory (1.6)).
     """
     q, v, eta = lagrangian.q, lagrangian.v, lagrangian.holonomic
     inverse_mass = ca.inv(lagrangian.mass_matrix)
@@ -297,9 +297,9 @@ def _corrected_restitution(
 
     .. math:: 1 + \tilde e = (1 + e)\,\frac{J \tilde W J^\top}{J W J^\top}
 
-    with :math:`\tilde W` the inverse mass with the added inertia (theory (20)). A negative value is
-    replaced by zero: the layer presses on the stop, and contact persists. It is NaN if the ratio is
-    below a half or above two, since the correction is then invalid. So no impact uses an invalid
+    with :math:`\tilde W` the inverse mass with the added inertia (theory (1.12)). A negative value
+    is replaced by zero: the layer presses on the stop, and contact persists. It is NaN if the ratio
+    is below a half or above two, since the correction is then invalid. So no impact uses an invalid
     value silently.
 
     Raises:

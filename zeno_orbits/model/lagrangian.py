@@ -1,6 +1,6 @@
 """Lagrangian mechanics in symbols: from energies to `M`, `C v + N`, the gap and its Jacobian.
 
-Source: [MurrayLiSastry1994]_ for the Lagrangian form, theory (1) and (6).
+Source: [MurrayLiSastry1994]_ for the Lagrangian form, theory (1.1) and (1.6).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class HybridLagrangian:
     r"""A mechanism with its stops: the tuple (Q, L, h) of [Ames2006]_, before any drive acts.
 
     The law is :math:`M(q)\,\dot v + \mathrm{bias}(q, v) = F`, with `F` the generalized force of the
-    drives, on the admissible set :math:`h(q) \ge 0` (theory (1)).
+    drives, on the admissible set :math:`h(q) \ge 0` (theory (1.1)).
 
     Attributes:
         q: Configuration symbols, ``(n_q,)``.

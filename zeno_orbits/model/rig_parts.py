@@ -28,12 +28,12 @@ def _require(part: object, quantities: tuple[Quantity, ...]) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
-    r"""A compliant stop with damping (theory (48)).
+    r"""A compliant stop with damping (theory (6.1)).
 
     .. math:: F = k\,\delta^n\,\max(0, 1 + \alpha\dot\delta),\qquad \delta = -h
 
     The damping factor follows from the problem's restitution and the speed at which a contact
-    begins (theory (49)). It is not a separate parameter.
+    begins (theory (6.2)). It is not a separate parameter.
 
     Attributes:
         stiffness: :math:`k`, force over penetration to the `n`.
@@ -65,7 +65,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Friction:
-    r"""Friction of one coordinate: :math:`-c \tanh(v / v_c) - b v` (theory (50)).
+    r"""Friction of one coordinate: :math:`-c \tanh(v / v_c) - b v` (theory (6.3)).
 
     Attributes:
         coulomb: :math:`c`, dry friction [N m].
@@ -90,7 +90,7 @@ class Friction:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gear:
-    """A gear train with backlash between a rotor and the joint that it drives (theory (50)).
+    """A gear train with backlash between a rotor and the joint that it drives (theory (6.3)).
 
     Attributes:
         rotor_inertia: Inertia on the motor side, reflected to the joint. The problem includes it in
@@ -126,7 +126,7 @@ class Switching(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bridge:
-    """The H-bridges that feed the motors, one per motor, all alike (theory (51)).
+    """The H-bridges that feed the motors, one per motor, all alike (theory (6.4)).
 
     Attributes:
         supply: Supply voltage, which limits all voltages [V].

@@ -85,7 +85,7 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
     for place, phase in enumerate(phases):
         first, event = found.events[phase[0]], found.events[phase[-1]]
         if not isinstance(event, Release):
-            # The end of a contact phase has a law of its own, theory (39).
+            # The end of a contact phase has a law of its own, theory (5.7).
             margins[Margin(loss=Loss.EVENTS, place=place)] = first.time - before
         before = event.time
         if isinstance(first, Impact):

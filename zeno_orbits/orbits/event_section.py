@@ -2,7 +2,7 @@ r"""Returns to a section after an event, their derivatives, and the orbit as a f
 
 The section is the set of states just after one kind of event. A start on it is a state of the
 section: its closed stops are projected onto zero gap and rate, and a stop that the event has just
-left onto zero gap. Newton's method solves :math:`P(x) - x = 0` with the derivative of theory (25).
+left onto zero gap. Newton's method solves :math:`P(x) - x = 0` with the derivative of theory (4.3).
 """
 
 from __future__ import annotations
@@ -292,7 +292,7 @@ def section_of_family(found: EventReturn) -> tuple[EventSection, Vector]:
     """Return the section on which a family is followed, and the state of an orbit on it.
 
     A period that starts at a Zeno point is started at the release that follows. Where the contact
-    phase vanishes, the family is smooth at the release only, theory (39).
+    phase vanishes, the family is smooth at the release only, theory (5.7).
 
     Args:
         found: The return of the orbit.

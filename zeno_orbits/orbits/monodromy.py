@@ -1,6 +1,6 @@
 r"""One period and its exact derivatives, through every impact and the Zeno point.
 
-Source: [LeineNijmeijer2004]_, theory (24) to (27).
+Source: [LeineNijmeijer2004]_, theory (4.2) to (4.5).
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def period_derivative(
     horizon: float,
     settings: SimulationSettings,
 ) -> PeriodDerivative:
-    """Return the end of a period of a shape, and its derivatives (theory (45)).
+    """Return the end of a period of a shape, and its derivatives (theory (3.6)).
 
     Args:
         dynamics: The system. It must have formulas.

@@ -1,4 +1,4 @@
-"""The phases of an execution: consecutive flights with the events that end them (theory (44))."""
+"""The phases of an execution: consecutive flights with the events that end them (theory (3.5))."""
 
 from __future__ import annotations
 

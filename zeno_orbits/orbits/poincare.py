@@ -2,7 +2,7 @@ r"""The return map of a completed system on a section, and its multipliers.
 
 The section is the set of release states, :math:`h = \dot h = \lambda = 0`. Without holonomic
 constraints its dimension is :math:`n_x - 3`. For an orbit without a release, it is the set of
-states just after an impact. Source: [OrAmes2009]_, theory (18), (45).
+states just after an impact. Source: [OrAmes2009]_, theory (3.3), (3.6).
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def section_derivative(
     .. math:: \frac{\partial (\phi \circ P \circ \phi^{-1})}{\partial y} =
         Z^\top S^{-1} \frac{\partial P}{\partial x} S Z
 
-    with the tangent `Z` and the scale `S` (theory (27)).
+    with the tangent `Z` and the scale `S` (theory (4.5)).
 
     Args:
         dynamics: The system.

@@ -1,7 +1,7 @@
 r"""Sections of a return map, their charts, and their motion with a parameter.
 
 A section is the set where some functions of the state vanish, :math:`G(x, p) = 0`: the release
-states, or the states just after an impact. Source: theory (12), (27), (44).
+states, or the states just after an impact. Source: theory (2.4), (4.5), (3.5).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.shape import OrbitShape
 
 RELEASE_ROWS = (GAP, GAP_RATE, MULTIPLIER)
-"""Conditions of a release, theory (12)."""
+"""Conditions of a release, theory (2.4)."""
 IMPACT_ROWS = (GAP,)
 """Conditions of a state just after an impact."""
 REST_ROWS = (GAP, GAP_RATE)
@@ -155,7 +155,7 @@ class Section:
 
 
 def rows_of(shape: OrbitShape, restitution: float) -> tuple[int, ...]:
-    """Return the conditions at the start of a period of a shape (theory (44))."""
+    """Return the conditions at the start of a period of a shape (theory (3.5))."""
     if shape.starts_at_release:
         return RELEASE_ROWS
     return REST_ROWS if restitution == 0.0 else IMPACT_ROWS

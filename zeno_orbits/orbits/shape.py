@@ -1,4 +1,4 @@
-r"""The shape of a periodic orbit: the phases of its period in order (theory (44)).
+r"""The shape of a periodic orbit: the phases of its period in order (theory (3.5)).
 
 A phase is a flight with the events that end it. With `e > 0`, impacts may accumulate, followed by a
 contact phase and a release (``zeno``). Otherwise the state leaves the stop after each impact

@@ -1,8 +1,8 @@
 r"""Errors of reduced models in an orbit: estimated from reduced models alone, and measured.
 
 The quasi-static model has an error of :math:`O(L/R)`, the corrected model of :math:`O((L/R)^2)`
-(theory (20)). So their difference is the error of the quasi-static model, to first order. Both
-avoid the thin boundary layers that make the full problem slow. Source: theory (20), (21).
+(theory (1.12)). So their difference is the error of the quasi-static model, to first order. Both
+avoid the thin boundary layers that make the full problem slow. Source: theory (1.12), (1.13).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class ReductionCost:
 
         For the quasi-static model the estimate is the first term that the model omits. For the
         corrected model it is the order of magnitude of that term. Each further term is assumed to
-        be at most ten times ``layer * rate`` times the previous term. Theory (20) gives its order
+        be at most ten times ``layer * rate`` times the previous term. Theory (1.12) gives its order
         but not its constant, and at the Zeno point it contains a logarithm.
         """
         return {name: self.bounded(error) for name, error in self.estimate.items()}
@@ -77,7 +77,7 @@ _CONSTANT = 10.0
 def reduction_costs(
     problem: Problem, values: ParameterValues, *, measure: bool = False
 ) -> dict[str, ReductionCost]:
-    """Return the errors of both reduced models by fidelity (theory (21)).
+    """Return the errors of both reduced models by fidelity (theory (1.13)).
 
     The difference of their orbits is the error of the quasi-static model, to first order. This
     difference times ``layer * rate`` is the order of magnitude of the corrected model's error.
@@ -200,7 +200,7 @@ def _resting_current(dynamics: HybridDynamics, release: Vector) -> Vector:
 def _current_rates(dynamics: HybridDynamics, release: Vector) -> tuple[Vector, Vector]:
     """Return the rates of the currents at zero current, and their Jacobian in the currents.
 
-    The law is linear in the currents (theory (2)), so unit currents give the derivative exactly.
+    The law is linear in the currents (theory (1.2)), so unit currents give the derivative exactly.
     """
     n_x, first = len(dynamics.state_names), 2 * dynamics.n_q
     bare = np.concatenate([release[:first], np.zeros(n_x - first)])

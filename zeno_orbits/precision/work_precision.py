@@ -127,7 +127,7 @@ class WorkPrecision(Displayed):
 
     @property
     def expected_cut_order(self) -> int:
-        """Order of the error by theory (11): 3 for releases, 1 for the Zeno points themselves."""
+        """Order of the error by theory (2.3): 3 for releases, 1 for the Zeno points themselves."""
         return 3 if self.compared == "release" else 1
 
     def as_json(self) -> dict[str, Any]:

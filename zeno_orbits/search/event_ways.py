@@ -44,7 +44,7 @@ _LOST = {
     Loss.ADHESION: "contact ends before `{}`",
     Loss.FREQUENCY: "the period tends to infinity",
 }
-"""Losses at an event. A cause precedes the margins that vanish with it (theory (40))."""
+"""Losses at an event. A cause precedes the margins that vanish with it (theory (5.8))."""
 _ATTRACTION = "attraction"
 
 

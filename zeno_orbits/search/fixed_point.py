@@ -1,9 +1,9 @@
 r"""Periods that repeat: a quasi-Newton method on the return map.
 
-On its section the orbit is the root of :math:`P(y) - y` (theory (18), (45)). The derivative of
+On its section the orbit is the root of :math:`P(y) - y` (theory (3.3), (3.6)). The derivative of
 :math:`P` is estimated from the returns, by a rank-one update per return [Broyden1965]_: a return
 costs a few times less than an exact derivative. If this iteration does not converge, for example on
-an unstable orbit, the exact derivative is computed (theory (27)).
+an unstable orbit, the exact derivative is computed (theory (4.5)).
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def close_cycle(
     With :math:`r_k = P(y_k) - y_k`, the steps solve :math:`(1 - J) s_k = r_k`. After each step,
     :math:`J \leftarrow J + (r_{k+1} - r_k - (J - 1) s_k) s_k^\top / s_k^\top s_k`. If a step does
     not halve the residual, the next step starts from the better point with the exact derivative
-    there (theory (27)). If that does not help either, the step is shortened.
+    there (theory (4.5)). If that does not help either, the step is shortened.
 
     Args:
         dynamics: The system.

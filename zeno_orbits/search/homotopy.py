@@ -1,4 +1,4 @@
-"""Continue orbits along a straight line of values, from values with a known orbit (theory (33))."""
+"""Continue orbits along a straight line of values, from a known orbit (theory (5.4))."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LOST = {
     "release_rate": "the release is not transversal",
     "attraction": "the orbit loses stability",
 }
-"""Ends of a family. A cause precedes the margins that vanish in proportion to it (theory (40))."""
+"""Ends of a family. A cause precedes the margins that vanish in proportion to it (theory (5.8))."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

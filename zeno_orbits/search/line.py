@@ -1,4 +1,4 @@
-"""Orbits along a straight line of values, up to its end or to an extrapolated loss (theory (33)).
+"""Orbits along a straight line of values, up to its end or to an extrapolated loss (theory (5.4)).
 
 An orbit of any kind is closed at each point of the line, from the secant through the last two. Its
 margins vanish where the orbit is lost.
@@ -106,7 +106,7 @@ def follow_line(
         wanted: Values at its end.
         steps: Lengths of steps, as parts of the line.
         losses: Name of each margin to the loss where it vanishes, as a clause. A cause precedes the
-            margins that vanish in proportion to it (theory (40)).
+            margins that vanish in proportion to it (theory (5.8)).
         tell: Receives progress reports.
     """
     refusal = ""

@@ -385,7 +385,7 @@ class FastestContraction(Objective):
         return LEAST_RADIUS
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return an unknown that bounds the modulus of all multipliers (theory (31))."""
+        """Return an unknown that bounds the modulus of all multipliers (theory (5.2))."""
         from zeno_orbits.search.transcription.spectral_radius import keep_radius_below, radius_of
 
         if terms.return_slope is None:
@@ -425,7 +425,7 @@ class Sampled(Objective):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WidestMargin(Sampled):
-    """The widest margin to a loss of the orbit: the largest smallest distance (theory (32)).
+    """The widest margin to a loss of the orbit: the largest smallest distance (theory (5.3)).
 
     Each free value is changed alone, in both directions, until the orbit loses its shape or becomes
     unstable. Distances are in units of the ranges, at most one, and are comparable between shapes.

@@ -8,7 +8,7 @@ one range, has the same meaning for every shape of orbit. With :math:`s_i(p)` th
 
 is solved by linear programs in a trust region. The derivative of :math:`s_i` with respect to the
 changed value is :math:`\mp 1`, as the end point is fixed. Derivatives with respect to the other
-values are difference quotients, updated after each step [Broyden1965]_. See theory (32).
+values are difference quotients, updated after each step [Broyden1965]_. See theory (5.3).
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ _STEADY = 1e-9
 
 
 def _check_period(search: SearchProblem, target: float) -> None:
-    """Reject a period that the clock of a forced problem excludes (theory (34)).
+    """Reject a period that the clock of a forced problem excludes (theory (1.9)).
 
     Raises:
         InputError: If the period is excluded. The message contains the period of the clock and the

@@ -1,4 +1,4 @@
-r"""The attractor of a motion: one definition for searches, maps, families and rigs (theory (29)).
+r"""The attractor of a motion: one definition for searches, maps, families and rigs (theory (4.7)).
 
 A motion is described by its *returns*: the states in which it meets a section. They are usually its
 releases, or its impacts if it is never released. `outcome_of` classifies the motion from its

@@ -1,6 +1,6 @@
 """Rules that complete a sequence of impacts: at its limit, extrapolated or followed, or at a cut.
 
-Source: [OrAmes2011]_ for the cut, theory (11), (15) and (22).
+Source: [OrAmes2011]_ for the cut, theory (2.3), (2.7) and (2.8).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Completion(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZenoExtrapolation(Checked):
-    """Complete at the extrapolated Zeno limit (theory (15)).
+    """Complete at the extrapolated Zeno limit (theory (2.7)).
 
     Attributes:
         tolerance: Largest estimated error of the limit, relative to ``1 + |x|``.
@@ -86,7 +86,7 @@ class ZenoPassage(Checked):
     """Complete at the Zeno limit, and omit the intermediate impacts if they are many.
 
     If more than a hundred flights remain, the curve of the impacts is followed directly to its end
-    (theory (22)). Then the number of flights does not grow as ``e`` approaches 1. If fewer flights
+    (theory (2.8)). Then the number of flights does not grow as ``e`` approaches 1. If fewer flights
     remain, or the curve cannot be followed, the method is ``ZenoExtrapolation``. The tail of such a
     Zeno point begins at the impact from which the curve was followed. ``tail`` and ``last_speed``
     belong to that impact and need not be small.

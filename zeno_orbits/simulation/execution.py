@@ -162,7 +162,7 @@ class Arc(ByValue):
         ending: Event that ended the arc.
         impact_index: Number of previous resolved impacts, the `j` of hybrid time ``(t, j)``.
         time_unit: Length of one unit of the flow's own time [s]: the impact speed in a rescaled
-            flight (theory (14)), else 1.
+            flight (theory (2.6)), else 1.
         closed: Names of the closed stops, empty for a machine with one stop.
         stop: Name of the stop whose gap the flow of a rescaled flight carries, empty for others.
         sides: Side of every kink of the formulas, in a machine with switches.

@@ -1,6 +1,6 @@
 r"""Derivatives of the events of an execution over a graph of modes.
 
-Every event is the zero of a guard :math:`g` along the flow `f` of its mode, as in theory (25):
+Every event is the zero of a guard :math:`g` along the flow `f` of its mode, as in theory (4.3):
 
 .. math:: \delta t = -\frac{\nabla g\,V + g_p Q}{\dot g}, \qquad \delta x = V + f\,\delta t
 

@@ -1,4 +1,4 @@
-r"""The curve on which the impacts of one sequence lie, as a polynomial (theory (22)).
+r"""The curve on which the impacts of one sequence lie, as a polynomial (theory (2.8)).
 
 Let :math:`z = (x_\circ, t)` be the state moved onto the stop just after an impact and its time,
 in the problem's own sizes, and :math:`w` the gap rate after it. A flight leads from :math:`(z, w)`

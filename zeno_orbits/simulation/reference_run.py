@@ -1,6 +1,6 @@
 """The reference of the compiled loop: one execution, followed event by event in Python.
 
-A flight after an impact is integrated in the scaled variables of theory (14), so none is missed
+A flight after an impact is integrated in the scaled variables of theory (2.6), so none is missed
 and none invented however slow the impact was. Source: [OrAmes2011]_ for the completion.
 """
 
@@ -388,7 +388,7 @@ class ReferenceRun:
         return True
 
     def rescaled_flight(self, start: ArcStart, speed: float) -> ArcStart | None:
-        """Follow one rescaled flight from an impact to the next (theory (14))."""
+        """Follow one rescaled flight from an impact to the next (theory (2.6))."""
         arc, end = self.follow_arc(start, self.dynamics.flight(speed), Ending.IMPACT, on_guard=True)
         if not self.reaches(arc, Ending.IMPACT):
             return self.interrupted(start, arc)

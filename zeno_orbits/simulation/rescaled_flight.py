@@ -1,4 +1,4 @@
-"""One rescaled flight from an impact to the next, not recorded (theory (14))."""
+"""One rescaled flight from an impact to the next, not recorded (theory (2.6))."""
 
 from __future__ import annotations
 

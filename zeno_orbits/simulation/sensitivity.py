@@ -5,7 +5,7 @@ perturbation `V` at an equal time it moves by
 
 .. math:: \delta t = -\frac{\nabla g\,V + g_p Q}{\dot g}, \qquad \delta x = V + f\,\delta t
 
-(theory (25)). The Zeno point moves according to the formula of its extrapolation (theory (26)).
+(theory (4.3)). The Zeno point moves according to the formula of its extrapolation (theory (4.4)).
 Every derivative has one column per state of the start and per chosen parameter. The compiled loop
 has the same formulas, and this module is their reference.
 """

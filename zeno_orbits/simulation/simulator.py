@@ -1,6 +1,6 @@
 """Completed executions, event by event: flights, impacts, Zeno point, locked arc, release, again.
 
-A flight after an impact is integrated in the scaled variables of theory (14), so none is missed
+A flight after an impact is integrated in the scaled variables of theory (2.6), so none is missed
 and none invented however slow the impact was. Source: [OrAmes2011]_ for the completion.
 """
 

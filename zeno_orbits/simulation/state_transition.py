@@ -1,4 +1,4 @@
-r"""Propagation of perturbations along an arc, in plain Python: state transition of theory (24).
+r"""Propagation of perturbations along an arc, in plain Python: state transition of theory (4.2).
 
 The perturbations use the steps of the arc itself. A DOP853 step of state and perturbation together
 is the derivative of the step. A step of Radau IIA is one linear system,

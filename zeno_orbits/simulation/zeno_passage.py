@@ -1,4 +1,4 @@
-r"""A Zeno passage at a cost that does not grow as :math:`e \to 1` (theory (22)).
+r"""A Zeno passage at a cost that does not grow as :math:`e \to 1` (theory (2.8)).
 
 A resolved impact sequence needs about :math:`\ln 1000 / (1 - e)` flights to lose three decades of
 speed. But its impacts lie on an analytic curve, which is found without the impacts. The curve is a

@@ -183,7 +183,7 @@ def _stored(dynamics: HybridDynamics, before: Vector, after: Vector) -> float:
 
 
 def imbalance(energies: Mapping[str, float]) -> float:
-    """Return the defect of the energy balance (theory (13)), relative to the largest energy."""
+    """Return the defect of the energy balance (theory (2.5)), relative to the largest energy."""
     spent = sum(value for name, value in energies.items() if name != "input_work")
     size = max(abs(value) for value in energies.values())
     return abs(energies["input_work"] - spent) / size if size > 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""Margins of an orbit of events: distances to the loss of an event (theory (65)).
+"""Margins of an orbit of events: distances to the loss of an event (theory (3.9)).
 
 They are positive along an orbit. A share relates a margin to its largest possible value.
 """
@@ -92,7 +92,7 @@ def smallest_event_share(
 
     The contact duration is relative to the period. :math:`-\ddot h` at a Zeno point is relative to
     its largest value in the contact phase. The speed of a first impact is relative to the largest
-    gap rate since the last event of its stop. Theory (32).
+    gap rate since the last event of its stop. Theory (5.3).
 
     Args:
         graph: The graph of modes.

@@ -126,7 +126,7 @@ def measured_smallest_share(dynamics: HybridDynamics, cycle: Cycle) -> float:
 
     The contact duration is relative to the period. :math:`-\ddot h` at the Zeno point is relative
     to its largest value in the contact phase. The speed of the first impact is relative to its
-    largest value in the first flight. Theory (32).
+    largest value in the first flight. Theory (5.3).
     """
     shares: list[float] = []
     for phase in cycle.phases:

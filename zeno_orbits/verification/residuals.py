@@ -1,4 +1,4 @@
-"""Residuals and margins of a periodic orbit (theory (19), (46)).
+"""Residuals and margins of a periodic orbit (theory (3.4), (3.7)).
 
 Residuals are zero and margins are positive along an orbit.
 """

@@ -2,7 +2,7 @@
 
 The check is independent of the method that found the orbit. The problem is rebuilt from the orbit's
 parameters and gains. The completed system is simulated over several periods, from the start of the
-period. The result is compared with the orbit's data. Residuals are relative (theory (19), (46)).
+period. The result is compared with the orbit's data. Residuals are relative (theory (3.4), (3.7)).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 r"""One completed execution in numbers of a given length, event by event.
 
-The laws are the simulator's: reset and rescaled flights of theory (7), (14). What is done in
+The laws are the simulator's: reset and rescaled flights of theory (1.7), (2.6). What is done in
 doubles there is done in full length here: each arc ends where its guard is zero to all digits.
 Nothing is extrapolated: impacts are resolved until the square of their speed is below rounding, and
 the Zeno point follows to first order (15).

@@ -4,7 +4,7 @@ The plane of both parameters is scaled by their ranges. Folds and flips are foll
 pseudo-arclength (`fold_flip_curve`), other special points by secants (`end_curve`). For a secant
 step, the line through the predicted point normal to the secant is taken. The special point of the
 family along that line is the next point. So a curve may run in any direction, and each of its
-points has its own error estimate. Theory (40).
+points has its own error estimate. Theory (5.8).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Curves of special points by secants in the plane of two parameters.
 
 For each step, the line through the predicted point normal to the secant is taken. The special point
-of the family along that line is the next point of the curve. Theory (40), (42).
+of the family along that line is the next point of the curve. Theory (5.8), (5.10).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@ r"""Curves of folds and flips in two parameters, by pseudo-arclength in the stat
 
 A curve may turn back in either parameter. It may also turn back at a point where two folds meet.
 There it has a cusp in the plane, but it is smooth in the space of the state and both parameters.
-Theory (40).
+Theory (5.8).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@ r"""Folds and flips as roots of one system in the state and two parameters.
 .. math:: P(y, p) - y = 0, \qquad \psi = \det(\partial_y P \mp 1) = 0
 
 The system is regular at a fold of a family and at a point where two folds meet. So its solutions
-form a smooth curve there as well. Theory (40).
+form a smooth curve there as well. Theory (5.8).
 """
 
 from __future__ import annotations

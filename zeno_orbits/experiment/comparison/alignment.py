@@ -2,7 +2,7 @@ r"""Alignment of an orbit with a recording, and a check that both show the same 
 
 The first estimate of the shift maximises the correlation of all signals together. Each signal is in
 units of its own spread, so that a wrong unit does not hide the maximum. The final value is the
-least-squares shift of the record against the orbit (theory (55)). Then every signal is compared
+least-squares shift of the record against the orbit (theory (6.8)). Then every signal is compared
 with the orbit's signal. A reversed sign or a factor equal to the factor of a unit is a mistake in
 the file and not a deviation.
 """

@@ -1,6 +1,6 @@
 """Comparison of a recording with an orbit: whether both show the same motion, and the deviations.
 
-Source: theory (54) to (57).
+Source: theory (6.7) to (6.10).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ release, flight 0 is stretched to its fitted length and multiplied by a quadrati
 stretched and multiplied by a straight line. Rebound `k` is stretched by :math:`\lambda q^{k-1}` and
 multiplied by :math:`(1 + a) q^{2(k-1)}`, so `q` is the ratio of the two restitutions. The level is
 an unknown. All cycles are fitted at once, because a fit of a single cycle is biased by its noise.
-In a copy of the orbit the deformation vanishes (theory (56)).
+In a copy of the orbit the deformation vanishes (theory (6.9)).
 """
 
 from __future__ import annotations

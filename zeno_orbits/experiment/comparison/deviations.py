@@ -5,7 +5,7 @@ phase, and not of the signals. Deviations vary little within a bin, so a bin blu
 are jackknife estimates over groups of cycles, or over groups of samples if the cycles are few. A
 value is computed with each group left out, and
 :math:`u^2 = \frac{G-1}{G} \sum_g (\theta_g - \bar\theta)^2` is multiplied by Student's factor for
-`G` groups (theory (57)).
+`G` groups (theory (6.10)).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The gap over a cycle: the orbit's own, flight by flight, and a recording's.
 
-Source: theory (56).
+Source: theory (6.9).
 """
 
 from __future__ import annotations

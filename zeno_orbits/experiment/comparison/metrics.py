@@ -1,4 +1,4 @@
-"""Contact quantities of a recording next to the orbit's quantities (theory (56))."""
+"""Contact quantities of a recording next to the orbit's quantities (theory (6.9))."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Comparisons and pictures of a recording and an orbit use this overlay.
 
-Source: theory (54), (55).
+Source: theory (6.7), (6.8).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Quantities of recorded signals and portraits next to the orbit's quantities (theory (57))."""
+"""Quantities of recorded signals and portraits next to the orbit's quantities (theory (6.10))."""
 
 from __future__ import annotations
 

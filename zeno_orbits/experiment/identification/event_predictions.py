@@ -6,7 +6,7 @@ The orbit is the fixed point of the return to an event. With the derivatives :ma
 .. math:: \frac{dx_0}{dp} = (1 - P_x)^{-1} P_p
 
 and every event and every state of the period follows from the derivatives with respect to the start
-and `p` (theory (25)).
+and `p` (theory (4.3)).
 """
 
 from __future__ import annotations

@@ -3,12 +3,12 @@ r"""Parameters of a machine from a recording, by the periodic orbit and its deri
 A settled machine shows the periodic orbit of its parameters for any initial state. So the
 prediction is the orbit itself, :math:`Y(\varphi; p)`, and its period. No initial state has to be
 fitted, and a recording of hours is folded into one cycle before the first iteration. Derivatives
-follow from the implicit function theorem for the return map (theory (58)). A fit of the recorded
+follow from the implicit function theorem for the return map (theory (6.11)). A fit of the recorded
 time series would need the initial state and would propagate derivatives through every impact.
 
 The residuals are the samples in units of their noise, and the period in units of its standard
 error. The final residuals are correlated by noise of the machine and by unmodelled effects, and the
-intervals take this correlation into account (theory (59)).
+intervals take this correlation into account (theory (6.12)).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ over the interval itself. After an impact a current passes through a layer of wi
 of a sample in this layer suggests a much better determination of the impact time than the sample
 gives, because the layer may as well be elsewhere. It also causes spurious minima. So the first fit
 excludes jumps and layers. Later fits use the samples whose residual has a curvature of less than a
-part of its noise anywhere in the interval left by the first fit (theory (59)).
+part of its noise anywhere in the interval left by the first fit (theory (6.12)).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@ r"""Optima of a fit over the stated ranges, and intervals from the profile of th
 
 Fits begin at several starts, and each chooses its samples at its own orbits. Optima are compared
 by one measure over all samples, :math:`\sum_i \min(r_i^2, c^2)` in units of one noise, because
-sums over different samples cannot be compared (theory (59)).
+sums over different samples cannot be compared (theory (6.12)).
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ The release state of the orbit satisfies :math:`y = P(y, p)` in section coordina
     \frac{\partial P}{\partial p}
 
 The derivative of the motion with respect to its initial state and `p` is propagated along the arcs
-and through every impact and the Zeno point. It gives :math:`dx(t)/dp` at all times (theory (58)).
+and through every impact and the Zeno point. It gives :math:`dx(t)/dp` at all times (theory (6.11)).
 At an event that moves by :math:`\delta t` an equal time means :math:`\delta x - f\,\delta t`.
 """
 

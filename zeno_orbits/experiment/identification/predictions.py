@@ -132,7 +132,7 @@ class OrbitPredictions(ABC, Generic[Table]):
         return data.bends(self.table(x), float(x[-1])) * gain
 
     def slopes(self, x: Vector, data: Folded) -> Slopes:
-        """Return the exact derivatives of the predicted samples (theory (58))."""
+        """Return the exact derivatives of the predicted samples (theory (6.11))."""
         unknowns, table, instruments = self.unknowns, self.table(x), self._instruments
         fold = data.predicted(table, float(x[-1]))
         slope = self._slopes(table.p.tobytes())

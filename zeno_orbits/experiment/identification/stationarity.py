@@ -8,8 +8,8 @@ Parts `A` and `B` of the cycles, with gradients :math:`g = \sum J^\top r` and in
     (\delta_A - \delta_B)
 
 is distributed like chi-square, if the noise variance is :math:`\varphi^2` times the variance of
-independent samples (theory (59)). Three pairs of parts are compared: the first cycle with the later
-cycles (a transient), the two halves (a drift), and even with odd cycles (a doubled period).
+independent samples (theory (6.12)). Three pairs of parts are compared: the first cycle with the
+later cycles (a transient), the two halves (a drift), and even with odd cycles (a doubled period).
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ values is
 The covariance is estimated in two ways. The first estimate is the scatter of whole cycles, which
 may vary within a cycle. The second estimate is the autocorrelation along the phase of the common
 residual of all cycles, which results from an inadequate model. The largest error counts: from these
-two estimates, or from independent noise (theory (59)).
+two estimates, or from independent noise (theory (6.12)).
 """
 
 from __future__ import annotations

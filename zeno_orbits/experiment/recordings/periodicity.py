@@ -4,7 +4,7 @@ The first estimate of the period is the first large peak of the joint autocorrel
 signals. Then harmonics :math:`y(t) \approx \sum_{k \le K} a_k \cos k\omega t + b_k \sin k\omega t`
 are fitted by least squares, with the period as an unknown. The fit is repeated over longer and
 longer stretches, so that no cycle is miscounted. The delay of each cycle against the average gives
-the standard error of the period (theory (54)).
+the standard error of the period (theory (6.7)).
 """
 
 from __future__ import annotations

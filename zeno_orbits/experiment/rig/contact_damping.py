@@ -1,4 +1,4 @@
-r"""Damping of a compliant contact for a given restitution, exactly (theory (49)).
+r"""Damping of a compliant contact for a given restitution, exactly (theory (6.2)).
 
 With :math:`g(z) = z - \ln(1 + z)` and the damping number :math:`u = \alpha v`, a contact that
 begins at the speed `v` ends at :math:`e v` where
@@ -6,7 +6,7 @@ begins at the speed `v` ends at :math:`e v` where
 .. math:: g(u) = g(-e u),
 
 for any stiffness, exponent and normal inertia. Source: [HuntCrossley1975]_ for the force. The
-relation is theory (49).
+relation is theory (6.2).
 """
 
 from __future__ import annotations

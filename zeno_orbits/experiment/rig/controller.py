@@ -1,7 +1,7 @@
 """The digital controller of a machine: readings, delays and pulses in order of time.
 
-Encoders round the coordinates, and rates are differences of the rounded coordinates (theory (52)).
-The pulses of an H-bridge are resolved edge by edge (theory (51)).
+Encoders round the coordinates, and rates are differences of the rounded coordinates (theory (6.5)).
+The pulses of an H-bridge are resolved edge by edge (theory (6.4)).
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def _as_fast_as(bridge: Bridge | None) -> Controller:
 
 
 class Encoders:
-    r"""Converter of true states to measured states, one reading at a time (theory (52)).
+    r"""Converter of true states to measured states, one reading at a time (theory (6.5)).
 
     .. math:: q_k = r\,\mathrm{round}\!\left(\frac{q(t_k) + \nu_k}{r}\right),\qquad
         v_k = a\,v_{k-1} + (1 - a)\,\frac{q_k - q_{k-1}}{T_s},\qquad a = e^{-T_s/\tau}

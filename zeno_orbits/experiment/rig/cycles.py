@@ -1,7 +1,7 @@
 """Cycles of a machine's run: from one release to the next, as an orbit of the model counts them.
 
 Zeno points and contact multipliers do not exist in a machine. Its *lock* is a long stretch of
-contacts in close succession. Its *release* is the end of that stretch (theory (53)).
+contacts in close succession. Its *release* is the end of that stretch (theory (6.6)).
 """
 
 from __future__ import annotations

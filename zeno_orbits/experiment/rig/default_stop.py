@@ -3,7 +3,7 @@ r"""Default stop with a stated penetration, for a problem that declares no parts
 An undamped spring of stiffness `k` is compressed by :math:`v \sqrt{m_n / k}` in an impact of speed
 `v` with the normal inertia :math:`m_n`. It is compressed by :math:`m_n a / k` under the load of a
 contact phase, where `a` is the acceleration that the stop prevents. The damping for the restitution
-(theory (49)) reduces the compression in an impact. So
+(theory (6.2)) reduces the compression in an impact. So
 :math:`k = \max(m_n v^2 / \delta^2, m_n a / \delta)` keeps the penetration below :math:`\delta`.
 """
 

@@ -1,4 +1,4 @@
-"""The forces and voltages of a rig's parts, in symbols (theory (48), (50), (51))."""
+"""The forces and voltages of a rig's parts, in symbols (theory (6.1), (6.3), (6.4))."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def contact_force(contact: Contact, damping: ca.SX, depth: ca.SX, rate: ca.SX) -
             that end a little outside.
         rate: Its time derivative.
 
-    Source: [HuntCrossley1975]_, theory (48).
+    Source: [HuntCrossley1975]_, theory (6.1).
     """
     spring = depth if contact.exponent == 1.0 else depth * ca.fabs(depth) ** (contact.exponent - 1)
     return contact.stiffness * spring * ca.fmax(0, 1 + damping * rate)

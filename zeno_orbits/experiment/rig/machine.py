@@ -2,8 +2,8 @@ r"""Functions of a machine: a flow for every set of touched stops and every bran
 
 The state is the problem's state ``(q, v, i)`` and clock, then the angle and rate of every rotor
 driven through a gear. In place of the restitution, each stop has a contact force along
-:math:`\nabla h` (theory (48)). The other parts of a rig are forces and voltages (theory (50),
-(51)). Contacts are smooth, so only a declared switch resets the state.
+:math:`\nabla h` (theory (6.1)). The other parts of a rig are forces and voltages (theory (6.3),
+(6.4)). Contacts are smooth, so only a declared switch resets the state.
 """
 
 from __future__ import annotations

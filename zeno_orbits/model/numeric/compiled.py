@@ -52,7 +52,7 @@ class CompiledSystem:
         clock: Indices of the clock in the state.
         free: The mode off the stop, in ``(x, p)``.
         locked: The mode on the stop, in ``(x, p)``.
-        flight: The rescaled flight, in ``((x, h / w^2, (dh/dt) / w), (p, w))`` (theory (14)).
+        flight: The rescaled flight, in ``((x, h / w^2, (dh/dt) / w), (p, w))`` (theory (2.6)).
         contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
         impulse: ``(x, p) -> (impulse_direction, normal_inertia, parameters of the impact law)``.
         rebound: ``(p, approach rate) -> gap rate after the impact``.
@@ -232,7 +232,7 @@ def tabulate(
 
 
 def _reset(system: CompletedSystem, approach_rate: ca.SX) -> ca.SX:
-    """Return the state after an impact: the law of impact along the impulse, theory (7).
+    """Return the state after an impact: the law of impact along the impulse, theory (1.7).
 
     The rate is given, and exact where the state holds only rounding.
     """

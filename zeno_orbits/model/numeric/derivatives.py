@@ -4,8 +4,8 @@ Along :math:`\dot y = f(y, q)` a perturbation satisfies the variational equation
 
 .. math:: \dot V = \frac{\partial f}{\partial y}\,V + \frac{\partial f}{\partial q}\,Q
 
-(theory (24)). Columns of every matrix here count states first, then the chosen parameters.
-Theory (24) to (27).
+(theory (4.2)). Columns of every matrix here count states first, then the chosen parameters.
+Theory (4.2) to (4.5).
 """
 
 from __future__ import annotations

@@ -95,8 +95,8 @@ class HybridDynamics:
         free: Flow off the stop. Its guard is the gap.
         locked: Flow on the stop. Its guard is the multiplier.
         flight: Function from the speed `w` after an impact to the rescaled flow of ``(x, h / w^2,
-            (dh/dt) / w)`` in the scaled time ``t / w``. Its guard is ``h / w^2`` (theory (14)). The
-            flow is accurate down to ``w = 0``.
+            (dh/dt) / w)`` in the scaled time ``t / w``. Its guard is ``h / w^2`` (theory (2.6)).
+            The flow is accurate down to ``w = 0``.
         gap: :math:`h(x)`.
         gap_rate: :math:`\dot h(x)`.
         gap_acceleration: :math:`\ddot h(x)` of the free flow.
@@ -238,7 +238,7 @@ class HybridDynamics:
 def plain_flight(
     free_flow: Callable[[Vector], Vector], gap_acceleration: Scalar
 ) -> Callable[[float], GuardedFlow]:
-    """Return the rescaled flights (theory (14)) of a system given by plain functions.
+    """Return the rescaled flights (theory (2.6)) of a system given by plain functions.
 
     Args:
         free_flow: Function from a state to ``dx/dt`` off the stop.

@@ -74,43 +74,43 @@ ENERGIES: Mapping[str, str] = {
 MODES: Mapping[str, str] = {"free": "off the stop", "locked": "on the stop"}
 """Mode of the orbit in plain words."""
 
-LAWS: tuple[tuple[int, str, str], ...] = (
+LAWS: tuple[tuple[str, str, str], ...] = (
     (
-        7,
+        "1.7",
         "<i>ḣ</i><sup>+</sup> = −<i>e</i> <i>ḣ</i><sup>−</sup>",
         "Newton's law of an impact: the part leaves the stop with the restitution e times the "
         "speed at which it came.",
     ),
     (
-        9,
+        "2.1",
         "<i>h</i> = <i>ḣ</i> = 0, <i>ḧ</i> &lt; 0",
         "The Zeno point (Theorem 1): near a state at rest on a stop that holds it, impacts "
         "accumulate, infinitely many in finite time.",
     ),
     (
-        12,
+        "2.4",
         "<i>λ</i> = 0, d<i>λ</i>/d<i>t</i> &lt; 0",
         "The release: the stop would have to pull, and contact ends.",
     ),
     (
-        13,
+        "2.5",
         "<i>E</i>(<i>T</i>) = <i>E</i>(0)",
         "The energy balance: over one period the losses equal the input work.",
     ),
     (
-        15,
+        "2.7",
         "<i>t</i><sub>∞</sub> − <i>t</i> ≈ 2<i>w</i> / (|<i>ḧ</i>| (1 − <i>e</i>))",
         "The time that all later flights take together, after an impact that the part leaves with "
         "the speed w: a geometric series, drawn dashed.",
     ),
     (
-        18,
+        "3.3",
         "<i>P</i>(<i>x</i>*) = <i>x</i>*, <i>μ</i> = eigenvalues of d<i>P</i>/d<i>x</i>",
         "The return map P leads from one start of a period to the next. Its multipliers are the "
         "fractions of a small push that are left after a period.",
     ),
     (
-        19,
+        "3.4",
         "|simulated − stated| / size",
         "A residual: zero for a true orbit, relative to the size of the compared values.",
     ),

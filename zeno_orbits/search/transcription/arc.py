@@ -141,7 +141,7 @@ class ArcWriter:
         )
 
     def _interval(self, mode: ModeFunctions) -> ca.Function:
-        """Return the function of a collocation step: its defects and its work (theory (17))."""
+        """Return the function of a collocation step: its defects and its work (theory (3.2))."""
         name = mode.rate.name()
         if name not in self._intervals:
             scheme = self.settings.scheme

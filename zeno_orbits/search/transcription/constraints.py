@@ -65,7 +65,7 @@ def named_numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
 def smallest_share(terms: OrbitTerms) -> ca.MX:
     r"""Declare the smallest margin, as a share of its largest possible value, and return it.
 
-    :math:`t \le` each share. The largest value is an unknown that bounds all stages (theory (32)).
+    :math:`t \le` each share. The largest value is an unknown that bounds all stages (theory (5.3)).
     """
     program = terms.program
     share = program.variable("smallest margin", 0.1, lower=-1.0, upper=1.0)[0, 0]

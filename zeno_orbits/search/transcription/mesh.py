@@ -4,7 +4,7 @@ After every impact the current has a boundary layer of width `L/R`. A uniform me
 the layer, and the program diverges. Every interval whose polynomial deviates from the guess is
 halved, which grades the mesh from the impact outwards. The method does not depend on motors.
 
-Source: [HairerWanner1996]_, theory (17).
+Source: [HairerWanner1996]_, theory (3.2).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""The derivative of a program's motion with respect to its start (theory (30)).
+r"""The derivative of a program's motion with respect to its start (theory (5.1)).
 
 The equations :math:`G(z) = 0` of a transcribed motion also hold for neighbouring motions. A
 direction :math:`\delta z` of the motion therefore solves :math:`G'(z)\,\delta z = 0`. This is the

@@ -183,7 +183,7 @@ class PhaseWriter:
     ) -> tuple[list[CollocatedArc], ca.MX, ca.MX]:
         """Declare the flights between impacts. Return them, the Zeno limit, and the last reset.
 
-        The limit is ``(time, electrical work, state)``, theory (15). It is empty without a contact
+        The limit is ``(time, electrical work, state)``, theory (2.7). It is empty without a contact
         phase.
         """
         program, n_x = self.program, self.compiled.n_x
@@ -289,7 +289,7 @@ class PhaseWriter:
     def _tail(
         self, minus: ca.MX, approach_rate: ca.MX, direction: ca.MX, time: ca.MX, work: ca.MX
     ) -> ca.MX:
-        """Return ``(time, work, state)`` at the end of the tail, to first order (theory (15))."""
+        """Return ``(time, work, state)`` at the end of the tail, to first order (theory (2.7))."""
         resting = minus - approach_rate * direction
         acceleration = self.compiled.contact_at(resting, self.p).gap_acceleration
         remaining: ca.MX = tail_time(
@@ -320,7 +320,7 @@ class PhaseWriter:
 
 
 def is_rescaled(arc: Arc, n_x: int) -> bool:
-    """Return True if an arc is a flight in rescaled variables (theory (14))."""
+    """Return True if an arc is a flight in rescaled variables (theory (2.6))."""
     return arc.flow_state_at(0.0).size > n_x
 
 

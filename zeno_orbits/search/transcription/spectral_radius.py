@@ -1,6 +1,6 @@
 r"""The derivative of the return map inside a program, and its spectral radius as rows.
 
-See theory (30) and (31). The program contains the whole section map, not a single Floquet vector:
+See theory (5.1) and (5.2). The program contains the whole section map, not a single Floquet vector:
 the map's trace and determinant are smooth at a collision of two multipliers, and bound all
 multipliers at once.
 """
@@ -58,7 +58,7 @@ def keep_radius_below(program: ProgramBuilder, jacobian: ca.MX, radius: ca.MX | 
     r"""Require the modulus of all multipliers to be at most a radius.
 
     The rows are Jury's conditions on the characteristic polynomial of :math:`A / \rho`
-    (theory (31)). For two or more multipliers they hold if and only if all multipliers lie in the
+    (theory (5.2)). For two or more multipliers they hold if and only if all multipliers lie in the
     unit disc.
 
     Args:

@@ -2,7 +2,7 @@
 
 The program uses multiple shooting over the phases of a period: usually release, first flight,
 rescaled flights, Zeno point and locked arc. Every interval is one collocation step whose last stage
-is the next node (theory (16), (17), (47)).
+is the next node (theory (3.1), (3.2), (3.8)).
 """
 
 from __future__ import annotations
