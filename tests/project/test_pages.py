@@ -64,7 +64,17 @@ LONG = {
     f"{name}.md"
     for name in (
         *("README", "accuracy", "examples", "families", "mapping", "measured_data", "no_orbit"),
-        *("export", "gallery", "own_tests", "problems", "report", "rig", "scale", "searching"),
+        *(
+            "export",
+            "gallery",
+            "own_tests",
+            "problems",
+            "prove_an_orbit",
+            "report",
+            "rig",
+            "scale",
+            "searching",
+        ),
         *("stability", "tutorial", "what_a_proof_proves", "zeno_model"),
     )
 }
