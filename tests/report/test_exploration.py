@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import random
 import sys
 from pathlib import Path
 from typing import Any
@@ -85,6 +86,16 @@ def test_a_forced_orbit_keeps_the_period_of_its_clock_and_forgets_its_start() ->
         assert orbit is not None
         assert orbit.period == pytest.approx(2 * math.pi, abs=1e-9)
         assert widget.attractor.multipliers.spectral_radius < 1e-6
+
+
+def test_every_change_of_a_forced_problem_gives_its_orbit() -> None:
+    widget = zo.explore("forced_oscillator", vary={"A": (0.9, 1.4), "restitution": (0.1, 0.5)})
+    chance = random.Random(0)
+    for _ in range(12):
+        widget.values = {"A": chance.uniform(0.9, 1.4), "restitution": chance.uniform(0.1, 0.5)}
+        # In contact the force fixes the phase of the release, so every period is a turn.
+        assert widget.attractor.orbit.period == pytest.approx(2 * math.pi, abs=1e-9)
+        assert zo.verify(widget.attractor.orbit).passed
 
 
 def test_derived_parameters_follow_a_slider_as_in_every_search() -> None:

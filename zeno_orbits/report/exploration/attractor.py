@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import SimulationError
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Multipliers, ZenoOrbit
 from zeno_orbits.report.motion import motion_of
@@ -87,9 +87,13 @@ def attractor_at(
     Args:
         problem: The problem.
         values: Gains and parameters.
-        near: Orbit at other values. The simulation starts at its start, so the result follows one
-            attractor as long as it exists. By default it starts at the starts of the problem.
+        near: Orbit at other values, which is followed to these values while it is stable. If it is
+            lost, the simulation starts at its start. By default the simulation starts at the
+            starts of the problem.
     """
+    followed = None if near is None else _followed(problem, values, near)
+    if followed is not None:
+        return followed
     # The starts of the problem are the second choice, after a continuation of the last orbit.
     starts = problem.starts if near is None else (near.start_state, *problem.starts)
     moved = replace(problem, starts=starts)
@@ -97,11 +101,34 @@ def attractor_at(
     if reached.orbit is None:
         motion = _transient(problem, values)
         return ExploredAttractor(name=reached.detail, orbit=None, multipliers=None, motion=motion)
-    motion = motion_of(reached.orbit, problem, problem.dynamics(values))
-    multipliers = multipliers_of(reached.orbit, problem)
+    return _described(problem, values, reached.orbit)
+
+
+def _followed(
+    problem: Problem, values: ParameterValues, near: ZenoOrbit
+) -> ExploredAttractor | None:
+    """Return the orbit to which Newton's method leads from an orbit at other values, if stable.
+
+    It takes a quarter of the time of a simulation.
+    """
+    try:
+        closed = close_orbit(problem, values, near=near)
+    except InputError:
+        # After a large change the state that is moved onto the section may leave a constraint.
+        return None
+    if closed.orbit is None:
+        return None
+    found = _described(problem, values, closed.orbit)
+    stable = found.multipliers is not None and found.multipliers.spectral_radius < 1.0
+    return found if stable else None
+
+
+def _described(problem: Problem, values: ParameterValues, orbit: ZenoOrbit) -> ExploredAttractor:
+    motion = motion_of(orbit, problem, problem.dynamics(values))
+    multipliers = multipliers_of(orbit, problem)
     return ExploredAttractor(
         name=_name(multipliers, is_zeno=bool(motion.zeno_points)),
-        orbit=reached.orbit,
+        orbit=orbit,
         multipliers=multipliers,
         motion=motion,
     )
