@@ -64,18 +64,9 @@ LONG = {
     f"{name}.md"
     for name in (
         *("README", "accuracy", "examples", "families", "mapping", "measured_data", "no_orbit"),
-        *(
-            "export",
-            "gallery",
-            "own_tests",
-            "problems",
-            "prove_an_orbit",
-            "report",
-            "rig",
-            "scale",
-            "searching",
-        ),
-        *("stability", "tutorial", "what_a_proof_proves", "zeno_model"),
+        *("export", "gallery", "own_tests", "problems", "prove_an_orbit", "report"),
+        *("rig", "scale", "searching"),
+        *("stability", "tutorial", "tutorial_python", "what_a_proof_proves", "zeno_model"),
     )
 }
 """Pages that take more than two seconds."""
