@@ -55,6 +55,7 @@ def test_plot_draws_the_pictures_that_an_orbit_has() -> None:
     assert all(Path(path).stat().st_size > 1000 for path in answer.data["pictures"])
 
 
+@pytest.mark.slow
 def test_figures_draws_the_mechanism_and_the_portraits() -> None:
     words = ("--kind", "mechanism", "--kind", "portraits", "--json")
     answer = ask("figures", "hopper", "-o", "figures", *words)
@@ -106,6 +107,7 @@ def test_search_refuses_options_for_machines_with_one_stop() -> None:
 IMPACT_PAIR = ("--set", "k=0", "--set", "c=0", "--set", "restitution=0.9", "--set", "omega=2")
 
 
+@pytest.mark.slow
 def test_search_ranks_attractors_that_coexist_and_prints_where_it_looked() -> None:
     words = ("search", "clapper", *IMPACT_PAIR, "--set", "A=4", "--candidates", "3")
     answer = ask(*words, "-o", "best.json")
@@ -155,6 +157,7 @@ def test_search_finds_gains_that_keep_a_bound_and_writes_their_orbit() -> None:
     assert orbit.certificate["asked"][0]["kept"]
 
 
+@pytest.mark.slow
 def test_search_finds_the_least_energy_from_a_known_orbit() -> None:
     assert ask("search", "limited_pendulum", "--set", "Kp=2.4", "-o", "known.json").code == YES
     words = ("search", "limited_pendulum", "--from", "known.json", "--set", "Kp=2.4")
@@ -173,6 +176,7 @@ def test_search_finds_the_least_energy_from_a_known_orbit() -> None:
     assert_refused(refused, "--initial", "known orbit")
 
 
+@pytest.mark.slow
 def test_search_of_one_stop_takes_the_worst_case_of_the_energy() -> None:
     words = ("search", "motor_pendulum", "--set", "Kp=2.5", "--vary", "Kd=-1.1:-0.9")
     answer = ask(*words, "--objective", "energy", "--uncertain", "R=2.95:3.05")

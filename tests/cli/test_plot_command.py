@@ -34,6 +34,7 @@ def test_plot_writes_five_pictures(orbit_file: Path, here: Path) -> None:
     assert answer.out.count("Written: ") == 5
 
 
+@pytest.mark.slow
 def test_pictures_that_cannot_all_be_drawn_are_none(orbit_data: dict[str, Any], here: Path) -> None:
     """A period too short for a Zeno point: the portraits alone could be drawn."""
     (here / "short.json").write_text(json.dumps(orbit_data | {"period": 1e-3}))

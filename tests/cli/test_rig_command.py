@@ -196,6 +196,7 @@ def test_cycles_of_a_machine_are_the_orbits_and_its_default_stop_is_stiff(tmp_pa
     assert ask("compare", path, data, "--problem", file).code == YES
 
 
+@pytest.mark.slow
 def test_a_soft_stop_is_warned_of_and_cycles_that_scatter_are_none(tmp_path: Path) -> None:
     file, path = MACHINES / "juggler.py", tmp_path / "orbit.json"
     assert ask("search", file, "-o", path).code == YES

@@ -106,6 +106,7 @@ def test_pictures_of_an_orbit_without_a_zeno_point_are_those_it_has(
     _one_line(capsys, "--kind zeno: ", "without a Zeno point")
 
 
+@pytest.mark.slow
 def test_a_family_with_several_impacts_per_period_is_followed(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.cases import fast
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import (
@@ -85,7 +86,7 @@ COPIES: dict[str, dict[str, float]] = {
 }
 
 
-@pytest.mark.parametrize("name", COPIES)
+@pytest.mark.parametrize("name", fast(3, COPIES))
 def test_the_numbers_of_a_copy_are_the_orbits_own(
     name: str, orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:
@@ -286,6 +287,7 @@ def test_signals_that_jump_are_aligned_as_well() -> None:
         assert abs(metric.data - metric.orbit) < SURE * metric.error < 0.05, metric
 
 
+@pytest.mark.slow
 def test_a_start_that_still_settles_is_named(
     orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
 ) -> None:
@@ -419,7 +421,7 @@ SHORT = [(0.0128, 0.1, 500.0), (0.0128, 0.3, 250.0), (0.015, 0.3, 480.0), (0.015
 """Amplitude of a shaken table, restitution, and samples a second: phases of few samples."""
 
 
-@pytest.mark.parametrize(("amplitude", "restitution", "rate"), SHORT)
+@pytest.mark.parametrize(("amplitude", "restitution", "rate"), fast(2, SHORT))
 def test_phases_too_short_for_the_sampling_are_not_resolved_or_right(
     amplitude: float, restitution: float, rate: float
 ) -> None:
@@ -505,7 +507,7 @@ def noisier(recording: Recording, name: str, factor: float, seed: int) -> Record
     return replace(recording, signals=signals)
 
 
-@pytest.mark.parametrize("noisy", ["distance", "speed"])
+@pytest.mark.parametrize("noisy", fast(1, ["distance", "speed"]))
 def test_errors_of_time_follow_the_noise_of_the_signals_that_tell_it(
     noisy: str, forced: tuple[Problem, ZenoOrbit, OrbitTable]
 ) -> None:
@@ -546,7 +548,7 @@ def test_a_part_of_a_cycle_is_not_called_unsettled(
     assert not any("settling" in remark for remark in compare(orbit, problem, copy).remarks)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", fast(2, range(6)))
 def test_a_period_of_few_samples_is_none_of_its_multiples(
     seed: int, shaken: tuple[Problem, ZenoOrbit, OrbitTable]
 ) -> None:

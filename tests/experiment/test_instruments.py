@@ -83,6 +83,7 @@ def test_exact_recordings_of_wrong_instruments_give_the_true_values() -> None:
     assert not set(ERRORS) & set(found.values.parameters)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.05, 30.0])
 def test_a_changed_instrument_changes_its_own_errors_alone(offset: float) -> None:
     fit = [*TRUTH, *ERRORS]
@@ -160,6 +161,7 @@ def test_unknowns_that_are_none_are_refused(
     assert reason in str(caught.value)
 
 
+@pytest.mark.slow
 def test_the_command_prints_errors_of_instruments_beside_parameters(tmp_path: Path) -> None:
     zo.write_recording(_wrong(_exact(0.01), gain=1.05, offset=0.0, rate=0.0), tmp_path / "run.csv")
     fit = "c,restitution,distance.gain=0.9:1.2,clock_rate"
@@ -170,6 +172,7 @@ def test_the_command_prints_errors_of_instruments_beside_parameters(tmp_path: Pa
     assert set(answer["parameters"]) == set(zo.load_problem(OSCILLATOR).values().parameters)
 
 
+@pytest.mark.slow
 def test_a_range_without_the_true_gain_is_named() -> None:
     # Trial steps of such a fit leave the states at which a motion can start.
     recording = _wrong(_exact(2e-3, "distance"), gain=1.5, offset=0.0, rate=0.0)
@@ -177,6 +180,7 @@ def test_a_range_without_the_true_gain_is_named() -> None:
     assert any("`distance.gain` reached an end of its range" in one for one in found.remarks)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_is_not_seen_leaves_the_others_their_intervals() -> None:
     # All forces of the oscillator are per mass, if mass, damping and spring change together.
     fit = ["m", "c", "k", "A", "restitution", "distance.gain"]

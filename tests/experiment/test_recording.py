@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
+from tests.support.cases import fast
 from zeno_orbits.errors import DataFileError, InputError
 from zeno_orbits.experiment import (
     RecordedSignal,
@@ -70,6 +71,7 @@ def test_the_lines_above_the_titles_may_be_missing(write: Write) -> None:
 numbers = st.floats(allow_nan=True, allow_infinity=False)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(numbers, numbers), min_size=2, max_size=30))
 def test_what_is_written_is_read_to_the_bit(rows: list[tuple[float, float]]) -> None:
     import tempfile
@@ -234,7 +236,7 @@ LONG = "".join(f"{k * 0.001!r},{k % 7}.25,{-k}\n" for k in range(200_000))
 """More than one piece of the reader: some 4 MB are read at a time."""
 
 
-@pytest.mark.parametrize("at", [0, 1, 100_000, 199_999])
+@pytest.mark.parametrize("at", fast(1, [100_000, 0, 1, 199_999]))
 @pytest.mark.parametrize(
     ("before", "after", "reason"),
     [

@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import RigSettings
 from zeno_orbits.integrators import Tolerance
@@ -136,17 +137,20 @@ def _end_deviation(name: str, until: float, stiffness: float, **options: Any) ->
 
 @pytest.mark.parametrize(
     ("name", "until", "stiffness", "order"),
-    [
-        # The clock decides the release: its delay is the dent, with the order 1.
-        ("clapper", 30.0, 1e5, 1.0),
-        # A dent delays every event: with the order 1/2, the duration of a contact.
-        ("hopper", 1.5, 1e7, 0.5),
-        ("limited_pendulum", 2.0, 1e5, 0.5),
-        # The samples of a clock are switches with a reset.
-        ("sampled_pendulum", 2.0, 1e5, 0.5),
-        # Heel strike exchanges the legs, and the knee is straight: a closed stop.
-        ("kneed_walker", 1.2, 1e5, 0.5),
-    ],
+    fast(
+        2,
+        [
+            # The clock decides the release: its delay is the dent, with the order 1.
+            ("clapper", 30.0, 1e5, 1.0),
+            # A dent delays every event: with the order 1/2, the duration of a contact.
+            ("hopper", 1.5, 1e7, 0.5),
+            ("limited_pendulum", 2.0, 1e5, 0.5),
+            # The samples of a clock are switches with a reset.
+            ("sampled_pendulum", 2.0, 1e5, 0.5),
+            # Heel strike exchanges the legs, and the knee is straight: a closed stop.
+            ("kneed_walker", 1.2, 1e5, 0.5),
+        ],
+    ),
 )
 def test_compliant_stops_converge_to_the_execution_with_hard_stops(
     name: str, until: float, stiffness: float, order: float

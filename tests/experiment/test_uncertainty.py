@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.support.cases import fast
 from tests.support.linear_fits import fit_of, samples, shapes
 from zeno_orbits.experiment.identification.stationarity import unsteady
 
@@ -43,7 +44,7 @@ def test_an_interval_from_the_scatter_of_cycles_is_longer() -> None:
     assert spread.half[0] / spread.errors[0] == pytest.approx(2.446912, abs=1e-5)
 
 
-@pytest.mark.parametrize(("noise", "wide"), [(white, 1.25), (remembered, 1.4)])
+@pytest.mark.parametrize(("noise", "wide"), fast(1, [(white, 1.25), (remembered, 1.4)]))
 def test_standard_errors_are_those_that_are_made(noise: object, wide: float) -> None:
     data, rng = samples(CYCLES, PER_CYCLE), np.random.default_rng(2)
     fits = [fit_of(data, noise(rng, len(data.phases))) for _ in range(MANY)]  # type: ignore[operator]
@@ -108,7 +109,7 @@ def told(change: np.ndarray, seed: int = 7, per_cycle: int = PER_CYCLE) -> objec
     return unsteady(fit_of(data, noise + change[data.groups] * shapes(data.phases)[:, 0]))
 
 
-@pytest.mark.parametrize("per_cycle", [20, 40, PER_CYCLE])
+@pytest.mark.parametrize("per_cycle", fast(1, [40, 20, PER_CYCLE]))
 def test_cycles_that_are_alike_are_steady(per_cycle: int) -> None:
     # Four comparisons with a chance of 1e-6 each. With 20 samples a cycle the median deviation of
     # the first is more than 1.5 times the others' in 5 of 100 by noise alone.

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.cases import fast
 from tests.support.commands import NO, YES, ask
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.experiment import (
@@ -76,7 +77,7 @@ SHAPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("name", GAPS)
+@pytest.mark.parametrize("name", fast(1, GAPS))
 def test_a_periodic_signal_of_another_kind_is_no_orbit(name: str, shape: str) -> None:
     problem, orbit, _ = orbit_of(name)
     found = compare(orbit, problem, only_gap(name, SHAPES[shape]))
@@ -97,7 +98,7 @@ def test_a_recording_reversed_in_time_is_no_orbit(name: str, whole: bool) -> Non
     assert "runs backward" in found.reasons[0]
 
 
-@pytest.mark.parametrize("name", GAPS)
+@pytest.mark.parametrize("name", fast(1, GAPS))
 def test_a_copy_shows_this_orbit(name: str) -> None:
     problem, orbit, _ = orbit_of(name)
     for seed in range(3):
@@ -116,7 +117,7 @@ OTHERS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "parameter", "value", "differing"), OTHERS)
+@pytest.mark.parametrize(("name", "parameter", "value", "differing"), fast(3, OTHERS))
 def test_a_machine_with_other_values_is_named_as_such(
     name: str, parameter: str, value: float, differing: set[str]
 ) -> None:

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.support.cases import fast
 from tests.support.watched import FORMULAS, watched
 from zeno_orbits.integrators import guard_bounds, has_bounds
 
@@ -13,7 +14,7 @@ ROUNDING = 1e-12
 """What bounds may miss, as part of their size: they are not rounded outwards."""
 
 
-@pytest.mark.parametrize("name", FORMULAS)
+@pytest.mark.parametrize("name", fast(12, FORMULAS))
 def test_bounds_hold_every_value_in_a_box(name: str) -> None:
     function = watched(name)
     bounds = guard_bounds(function)

@@ -379,6 +379,7 @@ def test_inputs_are_checked_before_anything_is_written() -> None:
     assert not Path("exported").exists()
 
 
+@pytest.mark.slow
 def test_the_sources_alone_give_the_same_unit(export: Export) -> None:
     # Strict C99 of another level, without Python: the digits are those of the library in the file.
     file = export("bouncing_ball")

@@ -20,6 +20,7 @@ import zeno_orbits as zo
 from tests.reference import kneed_walker
 from tests.reference.event_loop import Accuracy, simulated
 from tests.reference.several_stops import ImpactPair, TwoSided, impact_pair, two_sided
+from tests.support.cases import fast
 from tests.support.commands import MISUSE, YES, ask
 from tests.support.units import Units, in_units
 from zeno_orbits.maps import read_recovery
@@ -48,7 +49,7 @@ def length(found: zo.Recovery, change: Array) -> float:
 # A hopper, and a ceiling above it.
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", fast(1, range(3)))
 def test_a_hopper_recovers_by_its_multiplier_and_from_every_speed(seed: int) -> None:
     # The square of the speed maps to e^2 v^2 + 2 a s: every v > 0 returns, and the multiplier is
     # e^2. So the ball ends where the speed after the impact vanishes.
@@ -103,7 +104,7 @@ CEILING = zo.Problem(
 )
 
 
-@pytest.mark.parametrize("above", [0.01, 0.1, 0.5, 10.0])
+@pytest.mark.parametrize("above", fast(1, [0.1, 0.01, 0.5, 10.0]))
 def test_a_ball_ends_where_the_ceiling_is_struck(above: float) -> None:
     # The apex of a hop is v^2 / 2 g + a s / g above the floor. One that is higher than the ceiling
     # has another event sequence, although it may return to the orbit.
@@ -162,7 +163,7 @@ SHAKEN = zo.Problem(
 )
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", fast(1, range(3)))
 def test_a_ball_reaches_the_boundary_of_the_basin_and_does_not_cross_it(seed: int) -> None:
     # z' = -a z + b z^2 decays below a / b and grows above it. A release fixes all other states.
     drawn = random.Random(seed)
@@ -203,7 +204,7 @@ def beside_a_resting_mass(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(both, zo.no_drive(both))
 
 
-@pytest.mark.parametrize("section", ["release table", "zeno table"])
+@pytest.mark.parametrize("section", fast(1, ["release table", "zeno table"]))
 def test_a_stop_that_stays_closed_has_no_coordinates(section: str) -> None:
     problem = replace(
         SHAKEN,
@@ -250,8 +251,11 @@ def thrown(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
 
 @pytest.mark.parametrize(
     ("least", "most", "limit"),
-    [(0.5, 50.0, 2.5), (1.5, 50.0, 1.5), (-9.0, 50.0, 3.0), (0.5, 4.5, 1.5), (0.5, 3.5, 0.5)],
-    ids=["armed", "armed later", "falls", "held", "held shortly"],
+    fast(
+        2,
+        [(1.5, 50.0, 1.5), (0.5, 4.5, 1.5), (0.5, 50.0, 2.5), (-9.0, 50.0, 3.0), (0.5, 3.5, 0.5)],
+    ),
+    ids=["armed later", "held", "armed", "falls", "held shortly"],
 )
 def test_a_ball_ends_where_the_switch_does_not_occur(
     least: float, most: float, limit: float
@@ -307,7 +311,7 @@ def oscillators() -> list[TwoSided]:
     return stable(two_sided, rate_of, 4)
 
 
-@pytest.mark.parametrize("k", range(4))
+@pytest.mark.parametrize("k", fast(2, range(4)))
 def test_a_two_sided_oscillator_recovers_by_its_multipliers(k: int) -> None:
     o = oscillators()[k]
     numbers = {"c": o.c, "omega": o.omega, "d": o.stop, "restitution": o.restitution}
@@ -529,6 +533,7 @@ def test_a_disturbance_of_the_walker_decays_in_the_periods() -> None:
 # Clocks: a contact phase removes the whole disturbance.
 
 
+@pytest.mark.slow
 def test_a_relay_forgets_every_disturbance_in_a_period() -> None:
     orbit = zo.find_event_orbit("relay")
     found = zo.recovery(orbit)
@@ -537,6 +542,7 @@ def test_a_relay_forgets_every_disturbance_in_a_period() -> None:
     assert found.norm == pytest.approx(np.eye(2), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_ball_of_a_clapper_ends_where_its_stop_would_release_at_once() -> None:
     # On the stop d the force holds the mass against the spring while A cos(omega t) > k d. A start
     # at another phase leaves at once, without a release.
@@ -556,13 +562,16 @@ def test_the_ball_of_a_clapper_ends_where_its_stop_would_release_at_once() -> No
 
 @pytest.mark.parametrize(
     ("name", "section"),
-    [
-        ("hopper", "switch kink 1"),
-        ("hopper", "switch kink 2"),
-        ("limited_pendulum", "release stop"),
-        ("limited_pendulum", "switch kink 1"),
-        pytest.param("kneed_walker", "zeno knee", marks=pytest.mark.slow),
-    ],
+    fast(
+        2,
+        [
+            ("hopper", "switch kink 1"),
+            ("hopper", "switch kink 2"),
+            ("limited_pendulum", "release stop"),
+            ("limited_pendulum", "switch kink 1"),
+            ("kneed_walker", "zeno knee"),
+        ],
+    ),
 )
 def test_the_spectral_radius_is_the_same_from_every_section(name: str, section: str) -> None:
     settings = zo.RecoverySettings(samples=1, error=0.5)
@@ -591,6 +600,7 @@ def pressed_on_a_wall(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(mass, zo.no_drive(mass))
 
 
+@pytest.mark.slow
 def test_an_impact_that_opens_another_stop_starts_a_period_but_its_release_does_not() -> None:
     problem = replace(
         CEILING,
@@ -619,7 +629,7 @@ def test_an_impact_that_opens_another_stop_starts_a_period_but_its_release_does_
 # Units, files and refusals.
 
 
-@pytest.mark.parametrize(("name", "state"), [("hopper", "speed"), ("clapper", "cosine")])
+@pytest.mark.parametrize(("name", "state"), fast(1, [("hopper", "speed"), ("clapper", "cosine")]))
 def test_the_recovery_is_the_same_in_other_units(name: str, state: str) -> None:
     problem = zo.load_problem(name)
     settings = fine(samples=10)
@@ -636,6 +646,7 @@ def test_the_recovery_is_the_same_in_other_units(name: str, state: str) -> None:
     assert there.extents[state] == pytest.approx(factor * here.extents[state], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_recovery_of_an_orbit_of_events(tmp_path: Path) -> None:
     orbit = zo.find_event_orbit("hopper")
     path, file = tmp_path / "orbit.json", tmp_path / "recovery.json"

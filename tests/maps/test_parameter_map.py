@@ -349,6 +349,7 @@ def test_a_checkpoint_of_the_loop_is_refused_by_the_reference(
     assert "`simulator` is" in answer.err
 
 
+@pytest.mark.slow
 def test_an_interrupt_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
     out = tmp_path / "map.json"
     with interrupted_when(lambda _, part: part == 1.0):

@@ -222,6 +222,7 @@ def test_an_orbit_that_repels_is_refused_though_the_one_that_attracts_has_its_pe
         zo.largest_push(orbit, problem=problem)
 
 
+@pytest.mark.slow
 def test_pushes_that_no_simulation_can_follow_are_lost() -> None:
     orbit = zo.find_orbit_by_shooting("motor_pendulum").unwrap()
     settings = zo.PushSettings(phases=1, steps=1, reach=1e100)

@@ -16,6 +16,7 @@ import casadi as ca
 import mpmath as mp
 import pytest
 
+from tests.support.cases import fast
 from tests.support.certificates import (
     BITS,
     digest_of,
@@ -362,14 +363,17 @@ def _tail(c: Certificate) -> Any:
 
 @pytest.mark.parametrize(
     "falsify",
-    [
-        _tail_that_is_too_sure,
-        _tail_over_too_large_a_disc,
-        _tail_over_too_small_a_disc,
-        _tail_whose_impacts_are_faster,
-        _held_until_the_stop_pulls,
-        _released_where_the_stop_begins_to_press,
-    ],
+    fast(
+        2,
+        [
+            _tail_that_is_too_sure,
+            _tail_over_too_large_a_disc,
+            _tail_over_too_small_a_disc,
+            _tail_whose_impacts_are_faster,
+            _held_until_the_stop_pulls,
+            _released_where_the_stop_begins_to_press,
+        ],
+    ),
 )
 def test_a_zeno_motion_that_is_not_shown_is_refused_with_the_inequality(
     zeno: Certificate, falsify: Callable[[Certificate], str]

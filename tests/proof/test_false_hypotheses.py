@@ -11,6 +11,7 @@ import casadi as ca
 import pytest
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from tests.support.certificates import (
     digest_of,
     text_of,
@@ -176,7 +177,7 @@ ROUGH: dict[str, Callable[[Any, Any], Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", ANALYTIC)
+@pytest.mark.parametrize("name", fast(4, ANALYTIC))
 def test_a_force_that_is_analytic_and_below_every_unit_changes_no_certificate(
     impact: Certificate, name: str
 ) -> None:
@@ -184,7 +185,7 @@ def test_a_force_that_is_analytic_and_below_every_unit_changes_no_certificate(
     assert verdict.ok, verdict.claims
 
 
-@pytest.mark.parametrize("name", ROUGH)
+@pytest.mark.parametrize("name", fast(8, ROUGH))
 def test_the_same_force_with_a_jump_a_kink_or_a_pole_on_the_way_is_refused(
     impact: Certificate, name: str
 ) -> None:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, cast
 import casadi as ca
 import pytest
 
+from tests.support.cases import fast
 from tests.support.certificates import (
     BITS,
     digest_of,
@@ -102,6 +103,7 @@ def test_a_smaller_box_around_the_same_orbit_gives_its_digits(
     assert "The return map has exactly one fixed point in box 1." in verdict.lines()
 
 
+@pytest.mark.slow
 def test_a_second_pass_of_another_return_map_is_refused(
     impact: Certificate, twice: Certificate
 ) -> None:
@@ -481,6 +483,7 @@ def test_digests_tell_operations_apart() -> None:
     assert len(digests) == len(ROUGH)
 
 
+@pytest.mark.slow
 def test_a_formula_that_is_not_used_may_be_of_any_kind(zeno: Certificate) -> None:
     rough = _of_changed(zeno, lambda s: replace(s, multiplier=ca.fabs(s.multiplier)))
     assert check_proof(*rough).ok
@@ -555,10 +558,7 @@ def test_a_range_of_a_certificate_for_one_value_is_refused(zeno: Certificate) ->
 
 @pytest.mark.parametrize(
     "name",
-    [
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("m", "c")),
-        *("k", "A", "omega", "stop", "restitution"),
-    ],
+    fast(2, ("omega", "stop", "k", "A", "restitution", "m", "c")),
 )
 def test_the_orbit_of_another_value_of_a_parameter_is_refused(zeno: Certificate, name: str) -> None:
     false = copy.deepcopy(zeno)
@@ -680,7 +680,7 @@ FALSE: dict[str, Callable[[Certificate], None]] = {
 }
 
 
-@pytest.mark.parametrize("name", FALSE)
+@pytest.mark.parametrize("name", fast(14, FALSE))
 def test_a_certificate_that_is_changed_in_one_thing_is_refused(
     impact: Certificate, name: str
 ) -> None:
@@ -732,7 +732,7 @@ ENDLESS: dict[str, Callable[[Certificate], None]] = {
 }
 
 
-@pytest.mark.parametrize("name", ENDLESS)
+@pytest.mark.parametrize("name", fast(10, ENDLESS))
 def test_what_has_no_end_is_refused_at_once(impact: Certificate, name: str) -> None:
     false = copy.deepcopy(impact)
     ENDLESS[name](false)

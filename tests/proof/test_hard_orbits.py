@@ -12,6 +12,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support import hard_to_prove
+from tests.support.cases import fast
 from zeno_orbits.errors import TranslationError
 from zeno_orbits.proof import Proof, check_proof
 
@@ -40,12 +41,15 @@ def _is_that_of_the_forced_oscillator(proof: Proof) -> None:
 
 @pytest.mark.parametrize(
     "problem",
-    [
-        hard_to_prove.double_well,
-        lambda: hard_to_prove.with_gap(lambda d: d + d**2),
-        lambda: hard_to_prove.with_gap(lambda d: 3 * d),
-        lambda: hard_to_prove.with_force(lambda d: -d / float("inf")),
-    ],
+    fast(
+        2,
+        [
+            hard_to_prove.double_well,
+            lambda: hard_to_prove.with_gap(lambda d: d + d**2),
+            lambda: hard_to_prove.with_gap(lambda d: 3 * d),
+            lambda: hard_to_prove.with_force(lambda d: -d / float("inf")),
+        ],
+    ),
     ids=["unstable rest of a double well", "curved gap", "gap of slope 3", "division by infinity"],
 )
 def test_a_change_that_leaves_the_orbit_leaves_its_proof(
@@ -54,6 +58,7 @@ def test_a_change_that_leaves_the_orbit_leaves_its_proof(
     _is_that_of_the_forced_oscillator(_proved(problem()))
 
 
+@pytest.mark.slow
 def test_a_curved_guide_with_a_curved_gap_is_proved() -> None:
     assert _proved(hard_to_prove.curved_guide()).bounds is not None
 

@@ -20,6 +20,7 @@ from scipy.optimize import brentq
 
 import zeno_orbits as zo
 from tests.support import hard_to_prove, magnet_spot
+from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.orbits import OrbitPhase, PhaseKind
 
@@ -42,7 +43,10 @@ def surface() -> zo.ZenoOrbit:
 
 @pytest.mark.parametrize(
     "name",
-    ["motor_valve", "forced_oscillator", "vibrating_table", "two_tone_table", "curved_surface"],
+    fast(
+        2,
+        ["forced_oscillator", "vibrating_table", "motor_valve", "two_tone_table", "curved_surface"],
+    ),
 )
 def test_a_period_of_a_bundled_orbit_is_enclosed(name: str) -> None:
     orbit = zo.find_orbit_by_shooting(name).unwrap()

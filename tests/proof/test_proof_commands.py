@@ -41,6 +41,7 @@ def _longer(data: Any) -> None:
     claim["low"] = claim["high"]
 
 
+@pytest.mark.slow
 def test_verify_says_that_an_orbit_is_proved_if_its_certificate_is_accepted(
     files: tuple[Path, Path],
 ) -> None:
@@ -63,6 +64,7 @@ def test_a_false_certificate_fails_the_orbit_and_names_the_claim(files: tuple[Pa
     assert answer.data["proof"]["says"].startswith("Not proved: `period`")
 
 
+@pytest.mark.slow
 def test_a_certificate_of_another_orbit_is_refused(files: tuple[Path, Path]) -> None:
     orbit, proof = files
     other = _changed(orbit, "other.json", lambda data: data["parameters"].update(restitution=0.4))

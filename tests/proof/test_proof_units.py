@@ -43,6 +43,7 @@ def _require_same(name: str, units: Units) -> None:
     assert check_proof(dict(found.certificate), problem).ok
 
 
+@pytest.mark.slow
 def test_a_machine_in_other_units_is_proved_and_its_certificate_holds() -> None:
     _require_same("motor_valve", GRAMS)
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.model import CompletedSystem, load_problem
 from zeno_orbits.orbits import ZenoOrbit
@@ -55,7 +56,7 @@ def test_a_gap_that_is_no_coordinate_is_carried_and_the_certificate_holds(
 # The first call, one in the middle and the last one; the others with `-m slow`.
 @pytest.mark.parametrize(
     "other",
-    [1, 3, 6, *(pytest.param(k, marks=pytest.mark.slow) for k in (2, 4, 5))],
+    fast(2, (1, 3, 6, 2, 4, 5)),
 )
 def test_a_model_with_other_formulas_at_one_call_gets_no_theorem_about_them(
     table: ZenoOrbit, other: int
@@ -107,7 +108,7 @@ FALSE: dict[str, tuple[Any, str]] = {
 }
 
 
-@pytest.mark.parametrize("name", FALSE)
+@pytest.mark.parametrize("name", fast(4, FALSE))
 def test_what_is_no_orbit_is_not_proved(table: ZenoOrbit, surface: ZenoOrbit, name: str) -> None:
     change, claim = FALSE[name]
     # The clock alone says where the table lets go: a moved release is none, and returns to one.
@@ -132,6 +133,7 @@ def test_a_basin_is_much_larger_than_a_box_lies_in_the_sampled_ball_and_its_cert
     assert check_proof(dict(basin.certificate)).ok
 
 
+@pytest.mark.slow
 def test_a_map_that_turns_every_box_out_of_itself_gets_no_basin(surface: ZenoOrbit) -> None:
     proof = zo.prove(surface, basin=True)
     assert not proof.proved

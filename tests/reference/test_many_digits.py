@@ -152,6 +152,7 @@ def test_the_forced_oscillator_strikes_and_rests_as_its_closed_form_says() -> No
     assert abs(_mp(motion.releases[-1].time) - 2 * mp.pi) < mp.mpf(10) ** -26
 
 
+@pytest.mark.slow
 def test_the_forced_oscillators_orbit_has_the_period_two_pi() -> None:
     problem = clocked_oscillator(FORCED, attracting=True)
     orbit = extended_orbit(problem, problem.values(), (-0.8, -0.8001, 0.0, -0.5999), digits=25)

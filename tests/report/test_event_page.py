@@ -86,6 +86,7 @@ def test_the_page_of_a_false_orbit_says_so() -> None:
     assert "Not verified: do not rely on these values." in zo.report_page(false)
 
 
+@pytest.mark.slow
 def test_the_page_shows_pushes_and_recovery_of_this_orbit_only(tmp_path: Path) -> None:
     orbit, file = _orbit("hopper"), tmp_path / "recovery.json"
     recovery = zo.recovery(orbit, settings=zo.RecoverySettings(samples=5))

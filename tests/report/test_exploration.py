@@ -36,6 +36,7 @@ def test_a_slider_gives_the_orbit_that_find_orbit_verifies(pendulum: Any) -> Non
     assert shown.multipliers.spectral_radius == pytest.approx(radius, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_widget_follows_one_of_two_stable_orbits() -> None:
     # At Kp = 4.2, Kd = -1.55 a motion from the default start reaches an orbit of 2.03 s instead.
     widget = zo.explore("motor_pendulum", vary={"Kd": (-2.0, -0.5)}, gains={"Kp": 4.2})

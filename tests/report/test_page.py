@@ -410,6 +410,7 @@ def test_report_as_json_tells_where_the_page_is_and_its_weight(orbit_file: Path)
     assert data["bytes"] == Path("report.html").stat().st_size
 
 
+@pytest.mark.slow
 def test_a_false_orbit_gets_a_page_that_says_so_and_a_no(orbit_file: Path) -> None:
     orbit = read_orbit(orbit_file)
     write_orbit(replace(orbit, period=1.01 * orbit.period), orbit_file)

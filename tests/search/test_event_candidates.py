@@ -72,6 +72,7 @@ def assert_mirror_images(one: zo.EventOrbit, other: zo.EventOrbit) -> None:
         assert actual[1:] == pytest.approx(expected[1:], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_both_mirror_images_of_an_impact_pair_are_found_and_verified() -> None:
     found = zo.search_event_gains("clapper", free={}, parameters=PAIR, candidates=3)
     orbits = [one.orbit for one in found.candidates]

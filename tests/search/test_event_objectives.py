@@ -16,6 +16,7 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from tests.support.coil_hopper import COIL_HOPPER, CoilHop, wave_coil
 from zeno_orbits.orbits import (
     EventCourse,
@@ -104,6 +105,7 @@ def test_a_prescribed_amplitude_is_reached() -> None:
     assert found.free["U"] == pytest.approx(_voltage(lambda hop: hop.highest / 2, 0.2), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_an_amplitude_that_no_orbit_has_is_missed_by_a_printed_distance() -> None:
     found = _search(zo.TargetAmplitude(state="height", target=1.0), free={"U": (8.0, 12.0)})
     assert found.orbit is None
@@ -204,13 +206,16 @@ def _along(course: EventCourse, found: EventReturn, reading: Reading) -> float:
 
 @pytest.mark.parametrize(
     ("name", "parameter"),
-    [
-        pytest.param("limited_pendulum", "Kp", marks=pytest.mark.slow),
-        ("limited_pendulum", "U"),
-        ("hopper", "a"),
-        ("relay_soft", "t1"),
-        pytest.param("powered_walker", "step", marks=pytest.mark.slow),
-    ],
+    fast(
+        1,
+        [
+            ("hopper", "a"),
+            ("relay_soft", "t1"),
+            ("limited_pendulum", "U"),
+            ("limited_pendulum", "Kp"),
+            ("powered_walker", "step"),
+        ],
+    ),
 )
 def test_derivatives_along_orbits_are_those_of_differences(name: str, parameter: str) -> None:
     problem = zo.load_problem(name)

@@ -24,6 +24,7 @@ def widest(
     return result.unwrap(), extent.lowest, result.detail
 
 
+@pytest.mark.slow
 def test_the_margin_in_one_number_is_the_distance_to_the_known_end_of_the_family() -> None:
     # The force just reaches the stop at A = 0.8, and nothing ends at larger forces.
     orbit, margin, detail = widest("forced_oscillator", {"A": (0.7, 1.3)})

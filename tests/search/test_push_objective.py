@@ -200,6 +200,7 @@ def test_the_command_writes_a_verified_orbit(tmp_path: Path) -> None:
     assert ask("verify", out).code == YES
 
 
+@pytest.mark.slow
 def test_an_orbit_that_loses_no_push_is_no_larger_push_than_another() -> None:
     # The shaken ball returns from every push, and faster orbits have longer scans.
     said = ask(

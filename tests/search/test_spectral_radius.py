@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.reference.reference_orbit import MULTIPLIER
+from tests.support.cases import fast
 from tests.support.hand_made import SCALE, K, course, hand_made, rows_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
@@ -67,16 +68,19 @@ def _terms(
 
 @pytest.mark.parametrize(
     ("name", "numbers", "size"),
-    [
-        ("motor_pendulum", {}, 2),
-        ("motor_pendulum", {"Kp": 1.5, "Kd": -1.4}, 2),
-        ("motor_pendulum", {"restitution": 0.0}, 2),
-        ("motor_pendulum", {"restitution": 0.35, "L": 0.02}, 2),
-        # Beyond the end of its Zeno orbits: three impacts a period, and no release.
-        ("motor_pendulum", {"restitution": 0.5}, 4),
-        ("motor_pendulum@quasi_static", {"Kd": -0.7}, 1),
-        ("two_motors", {"Kd": -1.1}, 3),
-    ],
+    fast(
+        3,
+        [
+            ("motor_pendulum", {}, 2),
+            ("motor_pendulum", {"Kp": 1.5, "Kd": -1.4}, 2),
+            ("motor_pendulum", {"restitution": 0.0}, 2),
+            ("motor_pendulum", {"restitution": 0.35, "L": 0.02}, 2),
+            # Beyond the end of its Zeno orbits: three impacts a period, and no release.
+            ("motor_pendulum", {"restitution": 0.5}, 4),
+            ("motor_pendulum@quasi_static", {"Kd": -0.7}, 1),
+            ("two_motors", {"Kd": -1.1}, 3),
+        ],
+    ),
 )
 def test_multipliers_in_the_program_are_those_of_the_simulated_map(
     name: str, numbers: dict[str, float], size: int

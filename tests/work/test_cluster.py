@@ -181,6 +181,7 @@ def test_a_search_on_a_cluster_prints_what_it_prints_here(
     assert there.out == here.out
 
 
+@pytest.mark.slow
 def test_workers_with_other_code_are_refused(
     cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
