@@ -49,10 +49,8 @@ def add_completion(commands: Any) -> None:
 def _run_completion(options: argparse.Namespace) -> int:
     import shtab
 
-    from zeno_orbits.cli.program import build_parser
-
     names = [one.name for one in api.all_problems()]
-    parser = build_parser()
+    parser: argparse.ArgumentParser = options.program
     for action in _actions(parser):
         kind = _kind(action)
         if kind in ("file", "directory"):

@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser = build_parser()
             words = in_new_forms(sys.argv[1:] if arguments is None else arguments)
             options = parser.parse_args(words)
-            options.words = words
+            options.words, options.program = words, parser
             if options.run is None:
                 parser.print_help()
                 return MISUSE
