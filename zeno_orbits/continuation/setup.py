@@ -150,12 +150,7 @@ def start_at_release(
         parameter=parameter,
         box=box,
         section=ReleaseReturns,
-        metric=FamilyMetric(
-            # A state may be small at every event.
-            scale=cycle.execution.own.not_small(cycle.scale(), _SETTLED),
-            unit=box[1] - box[0],
-            horizon=PATIENCE * orbit.period,
-        ),
+        metric=_metric(cycle, box, orbit.period),
         simulation=settings.simulation,
     )
     return FamilyStart(setup=setup, x=x, s=_checked(problem, values, "in", parameter, box))
@@ -235,6 +230,12 @@ def start_at_impacts_of(
     return _start_of_impacts(values, parameter, box, settings, cycle, s)
 
 
+def _metric(cycle: Cycle, box: tuple[float, float], period: float) -> FamilyMetric:
+    # A state may be small at every event.
+    scale = cycle.execution.own.not_small(cycle.scale(), _SETTLED)
+    return FamilyMetric(scale=scale, unit=box[1] - box[0], horizon=PATIENCE * period)
+
+
 def _start_of_impacts(
     values: ParameterValues,
     parameter: str,
@@ -249,11 +250,7 @@ def _start_of_impacts(
         parameter=parameter,
         box=box,
         section=ImpactReturns,
-        metric=FamilyMetric(
-            scale=cycle.execution.own.not_small(cycle.scale(), _SETTLED),
-            unit=box[1] - box[0],
-            horizon=PATIENCE * cycle.period,
-        ),
+        metric=_metric(cycle, box, cycle.period),
         simulation=settings.simulation,
         n_returns=cycle.shape.n_phases,
     )

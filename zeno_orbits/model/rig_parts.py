@@ -21,13 +21,20 @@ def _nonnegative(name: str, default: float | None, unit: str, meaning: str) -> Q
     return Quantity(name=name, unit=unit, meaning=meaning, default=default, lower=0.0)
 
 
-def _require(part: object, quantities: tuple[Quantity, ...]) -> None:
-    for quantity in quantities:
-        quantity.checked(getattr(part, quantity.name))
+class Part:
+    """A part of a machine, whose numbers have ranges."""
+
+    __slots__ = ()
+    QUANTITIES: ClassVar[tuple[Quantity, ...]] = ()
+
+    def __post_init__(self) -> None:
+        """Reject values out of range."""
+        for quantity in self.QUANTITIES:
+            quantity.checked(getattr(self, quantity.name))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Contact:
+class Contact(Part):
     r"""A compliant stop with damping (theory (6.1)).
 
     .. math:: F = k\,\delta^n\,\max(0, 1 + \alpha\dot\delta),\qquad \delta = -h
@@ -58,13 +65,9 @@ class Contact:
     exponent: float = 1.0
     slowest: float = 1e-6
 
-    def __post_init__(self) -> None:
-        """Reject values out of range."""
-        _require(self, self.QUANTITIES)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Friction:
+class Friction(Part):
     r"""Friction of one coordinate: :math:`-c \tanh(v / v_c) - b v` (theory (6.3)).
 
     Attributes:
@@ -83,13 +86,9 @@ class Friction:
     viscous: float = 0.0
     creep: float = 0.01
 
-    def __post_init__(self) -> None:
-        """Reject values out of range."""
-        _require(self, self.QUANTITIES)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gear:
+class Gear(Part):
     """A gear train with backlash between a rotor and the joint that it drives (theory (6.3)).
 
     Attributes:
@@ -112,10 +111,6 @@ class Gear:
     stiffness: float = 1000.0
     loss: float = 0.0
 
-    def __post_init__(self) -> None:
-        """Reject values out of range."""
-        _require(self, self.QUANTITIES)
-
 
 class Switching(Enum):
     """Ways to follow the transistors of a bridge."""
@@ -125,7 +120,7 @@ class Switching(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bridge:
+class Bridge(Part):
     """The H-bridges that feed the motors, one per motor, all alike (theory (6.4)).
 
     Attributes:
@@ -154,7 +149,7 @@ class Bridge:
 
     def __post_init__(self) -> None:
         """Reject values out of range, and dead times that leave no time to switch."""
-        _require(self, self.QUANTITIES)
+        Part.__post_init__(self)
         if not 2 * self.dead_time * self.frequency < 1.0:
             longest = 0.5 / self.frequency
             wanted = f"must be less than half a period of the pulses, {longest:g} s"
@@ -162,7 +157,7 @@ class Bridge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Controller:
+class Controller(Part):
     """A computer that reads, and sets the voltages, at a fixed rate and holds them between.
 
     Attributes:
@@ -178,13 +173,9 @@ class Controller:
     period: float
     delay: float = 0.0
 
-    def __post_init__(self) -> None:
-        """Reject values out of range."""
-        _require(self, self.QUANTITIES)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sensors:
+class Sensors(Part):
     """Measurements of the state for a controller: rounded coordinates, and their differences.
 
     Attributes:
@@ -205,10 +196,6 @@ class Sensors:
     noise: float = 0.0
     filter_time: float = 0.0
     current_noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Reject values out of range."""
-        _require(self, self.QUANTITIES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
