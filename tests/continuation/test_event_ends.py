@@ -15,7 +15,7 @@ from tests.reference.relay_by_hand import period_by_hand, relay_by_hand
 from tests.reference.two_sided_end import accumulates
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation import ContinuationSettings, Family, SpecialPointKind, continue_orbit
-from zeno_orbits.model.library import load_problem
+from zeno_orbits.model import load_problem
 from zeno_orbits.search import find_event_orbit
 
 CLAPPER = load_problem("clapper")

@@ -15,7 +15,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from zeno_orbits.model.library import load_problem
+from zeno_orbits.model import load_problem
 from zeno_orbits.simulation import Execution, SimulationSettings, simulate
 
 OMEGA, G = 30.0, 9.81

@@ -25,9 +25,10 @@ from zeno_orbits.simulation import (
     Impact,
     SimulationSettings,
     SimulationTask,
+    settings_of_stops,
     simulator,
 )
-from zeno_orbits.simulation.looped_graph import graph_program, settings_of_stops
+from zeno_orbits.simulation.looped_graph import graph_program
 
 pytestmark = needs_compiler
 

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.searches import question_of
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ONE_ZENO, Bound, Moment, OrbitShape, PhaseKind, placed
 from zeno_orbits.search import LeastEnergy, SearchSettings, SearchStatus, TargetPeriod, confirmation
 from zeno_orbits.search.confirmation import confirm, one_cycle, tightened

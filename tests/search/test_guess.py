@@ -22,18 +22,19 @@ from tests.support.mechanisms import (
 )
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import OwnScale, own_time
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.quantities import Escape
+from zeno_orbits.model import Escape, HybridDynamics, OwnScale, Problem, load_problem, own_time
 from zeno_orbits.orbits import OrbitShape
-from zeno_orbits.search import guess
-from zeno_orbits.search.guess import FollowedMotion, SettlingSettings, back_on_constraints, settle
+from zeno_orbits.search import SettlingSettings, guess, settle
+from zeno_orbits.search.guess import FollowedMotion, back_on_constraints
 from zeno_orbits.search.recurrence import Recurring
-from zeno_orbits.simulation import Impact, Mode, SimulationSettings, ZenoExtrapolation
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation import (
+    Execution,
+    Impact,
+    Mode,
+    SimulationSettings,
+    ZenoExtrapolation,
+    simulate,
+)
 
 SHORT = SettlingSettings(horizon=30.0)
 LOCKED = oscillator_state(0.0, FORCED.stop, 0.0)

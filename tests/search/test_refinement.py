@@ -12,14 +12,17 @@ import numpy as np
 import pytest
 
 from tests.support.searches import question_of
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import Problem
+from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits import Bound
-from zeno_orbits.search import SearchSettings, SearchStatus, refinement
-from zeno_orbits.search.objectives import (
+from zeno_orbits.search import (
     FastestContraction,
     LeastEnergy,
     NearestGains,
     Objective,
+    SearchSettings,
+    SearchStatus,
+    refinement,
 )
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.refinement import least_violation, refine, solve_once

@@ -13,18 +13,18 @@ import pytest
 from tests.support.searches import question_of
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Attractor, Fate
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Bound, OrbitShape
 from zeno_orbits.search import (
     FastestContraction,
     NearestGains,
     SearchSettings,
     SearchStatus,
+    SettlingSettings,
     TargetPeriod,
     scan,
     search_gains,
 )
-from zeno_orbits.search.guess import SettlingSettings
 from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.search.scan import scan_summary, start_order, start_place
 from zeno_orbits.search.search_problem import SearchProblem, with_targets

@@ -11,7 +11,8 @@ import pytest
 
 from tests.support.searches import question_of
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import Problem
+from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits import Bound
 from zeno_orbits.search import (
     FastestContraction,

@@ -12,23 +12,23 @@ import pytest
 from tests.reference.reference_orbit import PERIOD, RELEASE
 from tests.support.searches import question_of
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits import ONE_ZENO, Bound, OrbitShape, ZenoOrbit
-from zeno_orbits.orbits.cycle import cycles
+from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.model.problem import ParameterValues
+from zeno_orbits.orbits import ONE_ZENO, Bound, OrbitShape, ZenoOrbit, cycles
 from zeno_orbits.search import (
     LeastEnergy,
     NearestGains,
     SearchSettings,
+    TargetAmplitude,
+    TargetPeriod,
+    at_ends,
     fixed_point,
     homotopy,
     strategy,
 )
 from zeno_orbits.search.guess import FollowedMotion
 from zeno_orbits.search.line import Followed
-from zeno_orbits.search.number_notes import at_ends
-from zeno_orbits.search.objectives import TargetAmplitude, TargetPeriod, TowardTarget
+from zeno_orbits.search.objectives import TowardTarget
 from zeno_orbits.search.outcome import SearchStatus, SimulatedSolution, StartOutcome
 from zeno_orbits.search.refinement import COARSE, ON_THE_WAY
 from zeno_orbits.search.search_problem import SearchProblem
@@ -36,8 +36,7 @@ from zeno_orbits.search.strategy import SearchStart
 from zeno_orbits.search.transcription import constraints
 from zeno_orbits.search.transcription.ipopt import Solution, SolveStatus
 from zeno_orbits.search.trust_region import _BOXES, LastStep, _is_held, trust_region_steps
-from zeno_orbits.simulation import SimulationSettings
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation import SimulationSettings, simulate
 
 
 def gains(**values: float) -> ParameterValues:

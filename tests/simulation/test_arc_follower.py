@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError
-from zeno_orbits.integrators import Leg, Outcome
-from zeno_orbits.integrators.engine import Passage
-from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.integrators import Leg, Outcome, Passage, Tolerance
 from zeno_orbits.model import OwnScale
+from zeno_orbits.simulation import Ending, Mode
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
-from zeno_orbits.simulation.execution import Ending, Mode
 
 OWN = OwnScale(gap=2.0, multiplier=5.0, gap_acceleration=8.0)
 TOLERANCE = Tolerance(relative=1e-7, absolute=1e-8)

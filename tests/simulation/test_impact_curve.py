@@ -11,11 +11,8 @@ import pytest
 
 from tests.support.mechanisms import bead_on_disc, fading_ball
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import RungeKutta
-from zeno_orbits.integrators.collocation import doubled_nodes, radau_nodes
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.scale import OwnScale
+from zeno_orbits.integrators import RungeKutta, Tolerance, doubled_nodes, radau_nodes
+from zeno_orbits.model import HybridDynamics, OwnScale
 from zeno_orbits.simulation import impact_curve
 from zeno_orbits.simulation.impact_curve import (
     CurveEnd,

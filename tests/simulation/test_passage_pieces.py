@@ -11,10 +11,9 @@ import pytest
 
 from tests.support.mechanisms import fading_ball
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.collocation import radau_nodes
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.scale import OwnScale
-from zeno_orbits.simulation import zeno_passage
+from zeno_orbits.integrators import radau_nodes
+from zeno_orbits.model import HybridDynamics, OwnScale
+from zeno_orbits.simulation import TailEstimate, ZenoLimit, zeno_passage
 from zeno_orbits.simulation.impact_curve import (
     CurveEnd,
     CurveLostError,
@@ -22,7 +21,6 @@ from zeno_orbits.simulation.impact_curve import (
     Piece,
     straight_piece,
 )
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 from zeno_orbits.simulation.zeno_passage import CurveStep, is_settled, pass_through
 
 TOLERANCE = 1e-12
