@@ -29,7 +29,6 @@ REDUCED = {
     "many_gains": ("--gains", "2", "--kinds", "amplitudes", "--trials", "4"),
     "map_agreement": ("--points", "3", "--grid", "4"),
     "map_speed": ("--size", "3", "--orbits", "2", "--fates", "2"),
-    "memory": ("--simulations", "20", "--searches", "2", "--problems", "3"),
     "multipliers": ("--repeats", "1"),
     "one_story": ("vibrating_table",),
     "optima": ("--only", "4", "--workers", "1"),
@@ -77,7 +76,8 @@ def run(words: list[str], path: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_every_benchmark_is_run_in_a_reduced_form() -> None:
-    assert {script.stem for script in SCRIPTS} == set(REDUCED) | TOOLS
+    # `memory` has a test of its own.
+    assert {script.stem for script in SCRIPTS} == set(REDUCED) | TOOLS | {"memory"}
 
 
 @pytest.mark.slow
@@ -99,6 +99,7 @@ def test_a_long_lived_process_keeps_little_and_leaves_nothing(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.benchmark
 @pytest.mark.parametrize("name", REDUCED)
 def test_a_benchmark_runs_to_its_end(name: str, tmp_path: Path) -> None:
     done = run([f"benchmarks/{name}.py", *REDUCED[name]], tmp_path)
