@@ -27,7 +27,7 @@ from zeno_orbits.experiment import (
     tabulate_orbit,
 )
 from zeno_orbits.experiment.comparison.alignment import aligned
-from zeno_orbits.experiment.comparison.deviations import N_BINS, between
+from zeno_orbits.experiment.comparison.deviations import N_BINS, deviations_between
 from zeno_orbits.experiment.comparison.signal_metrics import greatest
 from zeno_orbits.experiment.orbit_table import gap_coordinates
 from zeno_orbits.experiment.recordings.periodicity import periodicity
@@ -241,11 +241,11 @@ def test_what_shows_no_such_orbit_is_told_with_the_reason(
 def test_between_samples_a_deviation_is_that_around_it_and_as_unsure_as_it_changes() -> None:
     nan = math.nan
     row = np.array([nan, 1.0, nan, nan, 4.0, 4.0, nan, 2.0])
-    filled, apart = between(row)
+    filled, apart = deviations_between(row)
     # Around the end of the period: from 2 at place -1 to 1 at place 1.
     assert filled == pytest.approx([1.5, 1.0, 2.0, 3.0, 4.0, 4.0, 3.0, 2.0])
     assert apart == pytest.approx([1.0, 0.0, 3.0, 3.0, 0.0, 0.0, 2.0, 0.0])
-    filled, apart = between(np.array([nan, 3.0, nan]))
+    filled, apart = deviations_between(np.array([nan, 3.0, nan]))
     assert filled == pytest.approx([3.0, 3.0, 3.0])
     assert apart == pytest.approx([0.0, 0.0, 0.0])
 

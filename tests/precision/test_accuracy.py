@@ -29,7 +29,7 @@ from zeno_orbits.precision import (
     why_engine,
 )
 from zeno_orbits.precision.accuracy import COARSEST
-from zeno_orbits.precision.landmark import Kind, Landmark, apart, landmarks, sizes, sizes_of
+from zeno_orbits.precision.landmark import Landmark, LandmarkKind, apart, landmarks, sizes, sizes_of
 from zeno_orbits.simulation import (
     Execution,
     Release,
@@ -368,7 +368,7 @@ def test_executions_that_go_different_ways_are_infinitely_apart(machine: HybridD
 
 def test_shifted_landmarks_of_equal_count_are_far_apart(machine: HybridDynamics) -> None:
     marks = landmarks(simulate(machine, RELEASE, until=3.5 * PERIOD))
-    assert [mark.kind for mark in marks] == [Kind.RELEASE] * len(marks)
+    assert [mark.kind for mark in marks] == [LandmarkKind.RELEASE] * len(marks)
     # On a periodic orbit the states agree, so only the times tell.
     scale = sizes_of([mark.state for mark in marks])
     assert apart(marks[:-1], marks[1:], scale) > 0.3
@@ -378,12 +378,12 @@ def test_shifted_landmarks_of_equal_count_are_far_apart(machine: HybridDynamics)
 # ------------------------------------------------------------------------------- landmarks
 
 
-def mark(kind: Kind, time: float, *state: float) -> Landmark:
+def mark(kind: LandmarkKind, time: float, *state: float) -> Landmark:
     return Landmark(kind=kind, time=time, state=np.array(state))
 
 
 def test_landmarks_of_another_kind_or_number_are_infinitely_apart() -> None:
-    one, other = mark(Kind.RELEASE, 1.0, 2.0), mark(Kind.ZENO, 1.0, 2.0)
+    one, other = mark(LandmarkKind.RELEASE, 1.0, 2.0), mark(LandmarkKind.ZENO, 1.0, 2.0)
     scale = np.ones(1)
     assert apart([one], [one], scale) == 0.0
     assert math.isinf(apart([one], [other], scale))
@@ -392,9 +392,9 @@ def test_landmarks_of_another_kind_or_number_are_infinitely_apart() -> None:
 
 
 def test_nothing_that_is_no_number_is_near_anything() -> None:
-    sound, odd = mark(Kind.END, 1.0, 1.0, 1.0), mark(Kind.END, 1.0, 1.0, math.nan)
+    sound, odd = mark(LandmarkKind.END, 1.0, 1.0, 1.0), mark(LandmarkKind.END, 1.0, 1.0, math.nan)
     assert not apart([odd], [sound], np.ones(2)) <= 1.0
-    late = mark(Kind.END, math.nan, 1.0, 1.0)
+    late = mark(LandmarkKind.END, math.nan, 1.0, 1.0)
     assert not apart([late, sound], [sound, sound], np.ones(2)) <= 1.0
 
 
@@ -418,9 +418,9 @@ def test_a_state_is_measured_by_its_largest_value_and_not_by_that_at_an_impact(
 def test_a_motion_without_any_event_is_judged_by_its_end(ball: HybridDynamics) -> None:
     run = simulate(ball, (1.0, 0.0), until=0.1)
     (end,) = landmarks(run)
-    assert (end.kind, end.time) == (Kind.END, 0.1)
-    assert landmarks(simulate(ball, (1.0, 0.0), until=0.6))[0].kind is Kind.IMPACT
-    assert landmarks(simulate(ball, (1.0, 0.0), until=5.0))[0].kind is Kind.ZENO
+    assert (end.kind, end.time) == (LandmarkKind.END, 0.1)
+    assert landmarks(simulate(ball, (1.0, 0.0), until=0.6))[0].kind is LandmarkKind.IMPACT
+    assert landmarks(simulate(ball, (1.0, 0.0), until=5.0))[0].kind is LandmarkKind.ZENO
     other = simulate(ball, (1.0, 1e-3), until=0.1)
     # The largest speed of the other one is 0.98 m/s.
     assert difference(run, other) == pytest.approx(1e-3 / (0.1 * GRAVITY - 1e-3))

@@ -19,7 +19,7 @@ from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.precision import SAME_WORK, Trial, WorkPrecision, WorkPrecisionSettings, trade
 from zeno_orbits.precision import trials as trading
-from zeno_orbits.precision.landmark import Kind
+from zeno_orbits.precision.landmark import LandmarkKind
 from zeno_orbits.precision.reference import true_landmarks
 from zeno_orbits.precision.trials import engines
 from zeno_orbits.simulation import simulate
@@ -230,7 +230,7 @@ def test_the_truth_of_a_stiff_problem_is_that_of_its_limit() -> None:
 def test_the_truth_is_judged_by_the_largest_state_on_the_way(problem: Problem) -> None:
     dynamics = problem.dynamics(problem.values())
     truth = true_landmarks(dynamics, RELEASE, 1.02 * PERIOD)
-    assert {mark.kind for mark in truth.marks} == {Kind.RELEASE}
+    assert {mark.kind for mark in truth.marks} == {LandmarkKind.RELEASE}
     assert abs(truth.marks[-1].time - PERIOD) < 1e-13
     # At its releases the second link does not turn; on the way it does.
     assert np.all(truth.scale > [1.0, 1.0, 5.0, 5.0, 1.0])

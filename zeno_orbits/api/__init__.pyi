@@ -25,7 +25,7 @@ from .machines import Fit as Fit
 from .machines import RIG_TIME as RIG_TIME
 from .machines import compare as compare
 from .machines import compare_rig as compare_rig
-from .machines import counterpart_of as counterpart_of
+from .machines import counterpart_for as counterpart_for
 from .machines import crop as crop
 from .machines import identify as identify
 from .machines import machine_of as machine_of

@@ -428,7 +428,7 @@ def rig_warnings(run: RigRun, problem: Problem) -> tuple[str, ...]:
     return penetration_warnings(run, problem)
 
 
-def counterpart_of(
+def counterpart_for(
     orbit: ZenoOrbit,
     problem: Problem,
     *,

@@ -152,7 +152,7 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
     return YES if passes else NO
 
 
-def verify_events(options: argparse.Namespace) -> int:
+def run_verify_events(options: argparse.Namespace) -> int:
     """Verify an orbit file that lists events, and return the exit code.
 
     Args:

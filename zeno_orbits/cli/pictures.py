@@ -202,7 +202,7 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plo
         one=one,
         several=motion_of(orbit, problem, dynamics, periods=options.periods),
         periods=options.periods,
-        other=lambda: api.counterpart_of(
+        other=lambda: api.counterpart_for(
             _with_one_stop(orbit),
             problem,
             recording=options.data,

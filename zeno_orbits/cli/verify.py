@@ -7,7 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.event_orbits import verify_events
+from zeno_orbits.cli.event_orbits import run_verify_events
 from zeno_orbits.cli.options import (
     NO,
     YES,
@@ -74,7 +74,7 @@ def add_verify(commands: Any) -> None:
 
 def _run_verify(options: argparse.Namespace) -> int:
     if api.holds_events(options.orbit):
-        return verify_events(options)
+        return run_verify_events(options)
     if options.rigorous:
         api.require_proof_extra("Enclosures (`--rigorous`)")
     orbit, problem = orbit_and_problem(options)

@@ -115,7 +115,7 @@ class Auxiliary:
         )
 
 
-def joined(
+def joined_auxiliary(
     mechanism: HybridLagrangian, drives: Drive | Auxiliary | Sequence[Drive | Auxiliary]
 ) -> Drive:
     """Return several drives as one, their states one after the other.
@@ -140,7 +140,7 @@ def joined(
     n_q, zero = mechanism.q.numel(), ca.SX(0)
 
     def fed(source: ca.SX) -> Drive:
-        return joined(mechanism, _fed(parts, source))
+        return joined_auxiliary(mechanism, _fed(parts, source))
 
     resets = [part.states if part.after_impact is None else part.after_impact for part in parts]
     has_reset = any(part.after_impact is not None for part in parts)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.auxiliary import Auxiliary, joined
+from zeno_orbits.model.auxiliary import Auxiliary, joined_auxiliary
 from zeno_orbits.model.circuits import Circuit, Drive, Field, Network, circuit_drive, network_drive
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.motors import MotorBank
@@ -125,7 +125,7 @@ def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque
         force=force,
         input_power=ca.dot(force, lagrangian.v),
     )
-    return joined(lagrangian, source)
+    return joined_auxiliary(lagrangian, source)
 
 
 def no_drive(lagrangian: HybridLagrangian) -> Drive:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, cast
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.auxiliary import Auxiliary, joined
+from zeno_orbits.model.auxiliary import Auxiliary, joined_auxiliary
 from zeno_orbits.model.circuits import Drive
 from zeno_orbits.model.contact import ContactQuantities, ImpactLaw
 from zeno_orbits.model.lagrangian import HybridLagrangian
@@ -133,7 +133,7 @@ def completed(
         drive: Drive or additional states, or a tuple of several.
         restitution: Coefficient of restitution of the gap.
     """
-    drive = joined(lagrangian, drive)
+    drive = joined_auxiliary(lagrangian, drive)
     if drive.added_inertia.nnz():
         weighted = replace(lagrangian, mass_matrix=lagrangian.mass_matrix + drive.added_inertia)
         restitution = _corrected_restitution(lagrangian, weighted, ca.SX(restitution))

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from zeno_orbits.model.problem import Problem
 
 
-class Source(Hashable, Protocol):
+class ProblemSource(Hashable, Protocol):
     """A file of a problem that other processes can load. It can be pickled."""
 
     @property
@@ -18,7 +18,7 @@ class Source(Hashable, Protocol):
         """From changed fields to the problem of the file with these changes."""
         ...
 
-    def reduced_model(self, fidelity: str) -> Source:
+    def reduced_model(self, fidelity: str) -> ProblemSource:
         """Return the file of a reduced model."""
         ...
 
@@ -32,7 +32,7 @@ class Origin:
         declared: The problem, without the changes of ``dataclasses.replace``.
     """
 
-    file: Source
+    file: ProblemSource
     declared: Problem
 
     def reduced_model(self, fidelity: str, model: Problem) -> Problem:
@@ -45,7 +45,7 @@ class Origin:
         return with_origin(model, self.file.reduced_model(fidelity))
 
 
-def with_origin(declared: Problem, file: Source) -> Problem:
+def with_origin(declared: Problem, file: ProblemSource) -> Problem:
     """Return a problem with a reference to the file that declares it."""
     return replace(declared, origin=Origin(file=file, declared=declared))
 

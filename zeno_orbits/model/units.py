@@ -102,7 +102,7 @@ ELECTRICAL: Mapping[str, str] = {"current": "A", "voltage": "V"}
 """Unit of the states of a circuit, by their kind."""
 
 
-def is_electrical(kind: str, unit: str, units: Sequence[str]) -> bool:
+def is_electrical_unit(kind: str, unit: str, units: Sequence[str]) -> bool:
     """Return True if a unit is a current or voltage unit, or ``1`` in a scaled problem.
 
     Args:

@@ -16,8 +16,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.numeric.own_scale import Reach, constraint_sizes, reach_of
-from zeno_orbits.model.units import ELECTRICAL, is_electrical, is_rate_of
+from zeno_orbits.model.numeric.own_scale import ScaleReach, constraint_sizes, reach_of
+from zeno_orbits.model.units import ELECTRICAL, is_electrical_unit, is_rate_of
 
 _TRIALS = 24
 """States near each start at which the mass matrix is tried."""
@@ -99,7 +99,7 @@ def require_states(
             )
     places = range(2 * n_q, n_x)
     for k, kind in zip(places, system.drive.kinds, strict=False):
-        if kind and not is_electrical(kind, state_units[k], state_units):
+        if kind and not is_electrical_unit(kind, state_units[k], state_units):
             raise ValueError(
                 f"Argument `state_units` must give the {kind} `{state_names[k]}` the unit "
                 f"{ELECTRICAL[kind]}, but it is `{state_units[k]}`."
@@ -208,7 +208,9 @@ def _require_finite(formulas: Mapping[str, Any], x: Vector, p: Vector, number: i
             raise ValueError(f"Argument `model` {where}{asked}.")
 
 
-def _require_admissible(dynamics: HybridDynamics, x: Vector, reach: Reach, number: int) -> None:
+def _require_admissible(
+    dynamics: HybridDynamics, x: Vector, reach: ScaleReach, number: int
+) -> None:
     gap = dynamics.gap(x)
     if gap < -_OFF * reach.gap:
         raise ValueError(f"Start {number} must have a gap >= 0, but it is {gap:.6g}.")

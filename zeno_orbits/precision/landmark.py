@@ -20,7 +20,7 @@ ROUNDING = 4e-15
 """
 
 
-class Kind(Enum):
+class LandmarkKind(Enum):
     """Kinds of landmarks."""
 
     IMPACT = "impact"
@@ -40,7 +40,7 @@ class Landmark:
         state: State, ``(n_x,)``. At an impact, it is the state before the impact.
     """
 
-    kind: Kind
+    kind: LandmarkKind
     time: float
     state: Vector
 
@@ -114,21 +114,21 @@ def sizes_of(states: Sequence[Sequence[float] | Vector], own: OwnScale = USUAL) 
 
 def _landmark(event: Event) -> Landmark:
     if isinstance(event, Impact):
-        return Landmark(kind=Kind.IMPACT, time=event.time, state=event.state_minus)
+        return Landmark(kind=LandmarkKind.IMPACT, time=event.time, state=event.state_minus)
     if isinstance(event, SwitchEvent):
-        return Landmark(kind=Kind.SWITCH, time=event.time, state=event.state)
-    kind = Kind.ZENO if isinstance(event, ZenoPoint) else Kind.RELEASE
+        return Landmark(kind=LandmarkKind.SWITCH, time=event.time, state=event.state)
+    kind = LandmarkKind.ZENO if isinstance(event, ZenoPoint) else LandmarkKind.RELEASE
     return Landmark(kind=kind, time=event.time, state=event.state)
 
 
 def _end(execution: Execution) -> Landmark:
-    return Landmark(kind=Kind.END, time=execution.end_time, state=execution.end_state)
+    return Landmark(kind=LandmarkKind.END, time=execution.end_time, state=execution.end_state)
 
 
 def _sections_of(execution: Execution) -> list[list[Landmark]]:
     """Return the landmarks in groups. Each is impacts, then a Zeno point, a release or the end."""
     marks = [*map(_landmark, execution.events), _end(execution)]
-    cuts = [k for k, mark in enumerate(marks, start=1) if mark.kind is not Kind.IMPACT]
+    cuts = [k for k, mark in enumerate(marks, start=1) if mark.kind is not LandmarkKind.IMPACT]
     return [marks[start:stop] for start, stop in pairwise([0, *cuts])]
 
 
@@ -138,7 +138,7 @@ def _pairs(
     """Yield pairs of corresponding landmarks."""
     for (*some, mark), (*others, other) in zip(first, second, strict=False):
         yield from zip(some, others, strict=False)
-        if mark.kind is other.kind is Kind.END and len(some) != len(others):
+        if mark.kind is other.kind is LandmarkKind.END and len(some) != len(others):
             # One execution has more impacts before its end than the other.
             n = min(len(some), len(others))
             yield [*some, mark][n], [*others, other][n]
@@ -148,7 +148,7 @@ def _pairs(
 
 def _largest(pairs: Sequence[tuple[Landmark, Landmark]], scale: Vector, unit: float) -> float:
     """Return the largest relative difference within pairs, infinite for a pair of two kinds."""
-    if any(a.kind is not b.kind and Kind.END not in (a.kind, b.kind) for a, b in pairs):
+    if any(a.kind is not b.kind and LandmarkKind.END not in (a.kind, b.kind) for a, b in pairs):
         return math.inf
     times = [abs(a.time - b.time) / unit for a, b in pairs]
     states = [float(np.max(np.abs(a.state - b.state) / scale)) for a, b in pairs]

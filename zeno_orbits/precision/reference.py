@@ -13,7 +13,14 @@ from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.integrators import Automatic, Radau
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.precision.accuracy import at_tolerance
-from zeno_orbits.precision.landmark import ROUNDING, Kind, Landmark, apart, landmarks, sizes_of
+from zeno_orbits.precision.landmark import (
+    ROUNDING,
+    Landmark,
+    LandmarkKind,
+    apart,
+    landmarks,
+    sizes_of,
+)
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 _FINEST, _NEXT = 1e-14, 1e-13
@@ -66,7 +73,7 @@ def true_landmarks(dynamics: HybridDynamics, state: Sequence[float], until: floa
         )
     )
     marks = landmarks(finest)
-    if marks[0].kind is Kind.END:
+    if marks[0].kind is LandmarkKind.END:
         raise ZenoOrbitsError(
             f"There is nothing to compare: no event within {until:g} s. Choose a longer `until`."
         )

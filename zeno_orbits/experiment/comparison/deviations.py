@@ -242,7 +242,7 @@ def deviations(table: OrbitTable, time: Vector, values: Vector, where: Alignment
     )
 
 
-def between(row: Vector) -> tuple[Vector, Vector]:
+def deviations_between(row: Vector) -> tuple[Vector, Vector]:
     """Return a periodic row without gaps, and the difference of the values at each gap's ends.
 
     Args:

@@ -16,7 +16,7 @@ from zeno_orbits.experiment.comparison.deviations import (
     N_BINS,
     Deviations,
     Portrait,
-    between,
+    deviations_between,
     slope_noises,
 )
 from zeno_orbits.experiment.comparison.estimate import UNKNOWN, Estimate
@@ -149,7 +149,7 @@ def apex(found: Deviations, signal: int, sign: float) -> Estimate:
     fine: Vector = sign * found.fine[:, :, signal]
     own: Vector = fine.max(axis=1)
     noise = float(found.noise[signal])
-    row, apart = between(found.average[:, signal])
+    row, apart = deviations_between(found.average[:, signal])
     centre = _middle(own, noise)
     chosen = _around(found, signal, centre, fine)
     places = (chosen[:, None] - centre + (np.arange(FINE + 1) / FINE - 0.5)).ravel()

@@ -39,7 +39,7 @@ _RANGES = {
 """Ranges of errors by default. The range of an offset is completed from its channel."""
 
 
-class Reading(NamedTuple):
+class InstrumentReading(NamedTuple):
     """An error of an instrument.
 
     Attributes:
@@ -51,14 +51,14 @@ class Reading(NamedTuple):
     channel: str
 
 
-def reading_of(name: str) -> Reading | None:
+def reading_of(name: str) -> InstrumentReading | None:
     """Return the error that ``CHANNEL.gain``, ``CHANNEL.offset`` or ``clock_rate`` names."""
     if name == ReadingKind.CLOCK_RATE.value:
-        return Reading(ReadingKind.CLOCK_RATE, "")
+        return InstrumentReading(ReadingKind.CLOCK_RATE, "")
     channel, _, kind = name.rpartition(".")
     for one in (ReadingKind.GAIN, ReadingKind.OFFSET):
         if channel and kind == one.value:
-            return Reading(one, channel)
+            return InstrumentReading(one, channel)
     return None
 
 
@@ -109,7 +109,9 @@ class Instruments:
         return values[:, :, None] * self.gains + self.offsets
 
 
-def instruments_of(readings: Sequence[Sequence[Reading]], channels: Sequence[str]) -> Instruments:
+def instruments_of(
+    readings: Sequence[Sequence[InstrumentReading]], channels: Sequence[str]
+) -> Instruments:
     """Return the errors of the instruments that recorded some channels.
 
     Args:
@@ -118,7 +120,7 @@ def instruments_of(readings: Sequence[Sequence[Reading]], channels: Sequence[str
     """
 
     def of(kind: ReadingKind, channel: str) -> list[float]:
-        return [float(Reading(kind, channel) in own) for own in readings]
+        return [float(InstrumentReading(kind, channel) in own) for own in readings]
 
     shape = (len(channels), len(readings))
     return Instruments(
@@ -154,7 +156,7 @@ def corrected(
 
 def rough_errors(
     instruments: Instruments, channels: Sequence[str], recorded: Vector, orbit: Vector
-) -> dict[Reading, float]:
+) -> dict[InstrumentReading, float]:
     """Return gains and offsets that give recorded channels the size and the mean of an orbit's.
 
     Args:
@@ -163,7 +165,7 @@ def rough_errors(
         recorded: The channels over whole periods, ``(n, n_s)``, NaN where a sample is missing.
         orbit: The same of the orbit.
     """
-    found: dict[Reading, float] = {}
+    found: dict[InstrumentReading, float] = {}
     scaled = np.any(instruments.gains != 0.0, axis=1).tolist()
     moved = np.any(instruments.offsets != 0.0, axis=1).tolist()
     for s, channel in enumerate(channels):
@@ -171,6 +173,6 @@ def rough_errors(
         middle, usual = (float(np.mean(row)) if moved[s] else 0.0 for row in rows)
         sizes = [float(np.std(row) if moved[s] else np.sqrt(np.mean(row**2))) for row in rows]
         gain = sizes[0] / sizes[1] if scaled[s] and min(sizes) > 0.0 else 1.0
-        found[Reading(ReadingKind.GAIN, channel)] = gain
-        found[Reading(ReadingKind.OFFSET, channel)] = middle - gain * usual
+        found[InstrumentReading(ReadingKind.GAIN, channel)] = gain
+        found[InstrumentReading(ReadingKind.OFFSET, channel)] = middle - gain * usual
     return found

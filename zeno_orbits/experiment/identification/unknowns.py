@@ -11,8 +11,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.identification.instruments import (
+    InstrumentReading,
     Instruments,
-    Reading,
     ReadingKind,
     instruments_of,
     reading_of,
@@ -44,7 +44,7 @@ class Unknown:
         return "+".join(self.names)
 
     @property
-    def readings(self) -> tuple[Reading, ...]:
+    def readings(self) -> tuple[InstrumentReading, ...]:
         """The errors of instruments, empty for parameters."""
         found = map(reading_of, self.names)
         return tuple(one for one in found if one is not None)
@@ -70,7 +70,7 @@ class Unknowns:
     base: Vector
     places: tuple[int, ...]
     ties: Vector
-    readings: tuple[tuple[Reading, ...], ...]
+    readings: tuple[tuple[InstrumentReading, ...], ...]
     start: Vector
     scale: Vector
     lower: Vector

@@ -5,7 +5,7 @@ from .cycles import SettledRig as SettledRig
 from .cycles import cut_cycles as cut_cycles
 from .default_stop import default_rig as default_rig
 from .cycles import rig_cycles as rig_cycles
-from .run import Record as Record
+from .run import RigRecord as RigRecord
 from .run import RigRun as RigRun
 from .run import RigSettings as RigSettings
 from .run import Touch as Touch

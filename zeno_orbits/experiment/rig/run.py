@@ -151,7 +151,7 @@ def contacts_at(touches: Sequence[Touch], stops: Sequence[str], times: Vector) -
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Record:
+class RigRecord:
     """Readings of the machine's own controller: simulated, not measured.
 
     Attributes:
@@ -169,7 +169,7 @@ class Record:
     contacts: Vector
     outputs: Vector
 
-    def part(self, rows: slice, zero: float) -> Record:
+    def part(self, rows: slice, zero: float) -> RigRecord:
         """Return some readings.
 
         Args:
@@ -177,7 +177,7 @@ class Record:
             zero: Time origin of the result [s].
         """
         kept = {one.name: getattr(self, one.name)[rows] for one in fields(self)}
-        return replace(Record(**kept), times=self.times[rows] - zero)
+        return replace(RigRecord(**kept), times=self.times[rows] - zero)
 
 
 _ELECTRIC = ("A", "V")
@@ -226,7 +226,7 @@ class RigRun(ByValue):
     current: Vector
     voltage: Vector
     touches: tuple[Touch, ...]
-    record: Record
+    record: RigRecord
 
     def __repr__(self) -> str:
         """Return one line: the span of time and the number of contacts."""

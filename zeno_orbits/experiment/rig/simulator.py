@@ -25,7 +25,7 @@ from zeno_orbits.experiment.rig.machine import machine
 from zeno_orbits.experiment.rig.modes import RigGuard, RigMode, damping_numbers
 from zeno_orbits.experiment.rig.run import (
     SPACING,
-    Record,
+    RigRecord,
     RigRun,
     RigSettings,
     Touch,
@@ -470,7 +470,7 @@ class _Follower:
             record=self._record(np.array(times), y, current),
         )
 
-    def _record(self, times: Vector, states: Vector, current: Vector) -> Record:
+    def _record(self, times: Vector, states: Vector, current: Vector) -> RigRecord:
         """Return the readings of the controller, or evenly spaced states without a controller."""
         n_q, n_x = self._machine.n_q, self._machine.n_x
         if self._loop is None:
@@ -481,7 +481,7 @@ class _Follower:
             if chosen:
                 table = self._problem.output_values(self._values, states[even, :n_x])
                 outputs = table[:, chosen]
-            return Record(
+            return RigRecord(
                 times=times[even],
                 coordinates=states[even, :n_q],
                 currents=current[even],
@@ -491,7 +491,7 @@ class _Follower:
         read = [entry for entry in self._loop.log if entry[0] >= self._settings.keep_from]
         width = (len(read), -1)
         at = np.array([entry[0] for entry in read])
-        return Record(
+        return RigRecord(
             times=at,
             coordinates=np.array([entry[1][:n_q] for entry in read]).reshape(*width),
             currents=np.array([entry[2] for entry in read]).reshape(*width),

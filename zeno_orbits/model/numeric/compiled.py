@@ -37,7 +37,7 @@ from zeno_orbits.model.numeric.differentials import (
     DifferentiableFunctions,
     derivative_formulas,
 )
-from zeno_orbits.model.numeric.hybrid_dynamics import Formulas, FusedStop, HybridDynamics
+from zeno_orbits.model.numeric.hybrid_dynamics import BoundFormulas, FusedStop, HybridDynamics
 from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import USUAL, OwnScale
 
@@ -286,7 +286,7 @@ def bind(
             plain, compiled.starts, compiled.state_units, compiled.clock, compiled.further
         )
 
-    formulas = Formulas(system=compiled, values=p, parts=plain.formula_parts)
+    formulas = BoundFormulas(system=compiled, values=p, parts=plain.formula_parts)
     return replace(
         plain,
         fused_stop=fused,

@@ -69,7 +69,7 @@ class FusedStop:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Formulas:
+class BoundFormulas:
     """The formulas of a system with parameter values, for evaluation outside of Python.
 
     Attributes:
@@ -139,7 +139,7 @@ class HybridDynamics:
     holonomic: Callable[[Vector], Vector]
     fused_stop: FusedStop | None = None
     differentiation: Differentiation | None = None
-    formulas: Formulas | None = None
+    formulas: BoundFormulas | None = None
     clock: tuple[int, ...] = ()
     scaling: Callable[[], OwnScale] = usual
 

@@ -67,7 +67,7 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reach:
+class ScaleReach:
     """Distance that a problem covers from its start, in its own units and not rounded.
 
     Attributes:
@@ -166,7 +166,7 @@ def reach_of(
     units: Sequence[str],
     clock: Sequence[int] = (),
     branch: Callable[[Vector], HybridDynamics] | None = None,
-) -> Reach:
+) -> ScaleReach:
     """Return the reach of a problem, which is the scales of `own_scale` before rounding.
 
     Args:
@@ -191,7 +191,7 @@ def reach_of(
     largest = np.maximum(np.maximum(places, velocities * time), accelerations * time * time)
     largest = _alike(largest, units)
     gap = np.float64(max(_gap_reach(dynamics, x, largest) for x in states))
-    return Reach(states=np.append(largest, largest / time), gap=float(gap), time=float(time))
+    return ScaleReach(states=np.append(largest, largest / time), gap=float(gap), time=float(time))
 
 
 def _alike(sizes: Vector, units: Sequence[str], fixed: float = 1.0) -> Vector:
