@@ -13,6 +13,7 @@ from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.balls import Ball, exact_fraction, fraction_text, product
 from zeno_orbits.proof.fixed_point import JudgedBox
+from zeno_orbits.proof.section import SectionStart
 from zeno_orbits.proof.theorem import (
     Bounds,
     MultiplierDisc,
@@ -83,6 +84,26 @@ def _claimed(x: Ball, bits: int) -> ProvedInterval:
     return ProvedInterval(low=low * unit, high=high * unit)
 
 
+def coordinates_of(
+    problem: Problem, units: Sequence[float], start: SectionStart
+) -> dict[str, ProvedInterval]:
+    """Return the coordinates of a box in the states of the problem, keyed by state.
+
+    Args:
+        problem: The problem.
+        units: Units of the prover's states.
+        start: The start over the box.
+    """
+    coordinates: dict[str, ProvedInterval] = {}
+    for k, centre, offset in zip(start.places, start.centre, start.at.U, strict=False):
+        middle, radius = exact_fraction(centre), exact_fraction(offset.rad())
+        unit = Fraction(units[k])
+        coordinates[problem.state_names[k]] = ProvedInterval(
+            low=unit * (middle - radius), high=unit * (middle + radius)
+        )
+    return coordinates
+
+
 def proved_box(problem: Problem, units: Sequence[float], found: JudgedBox) -> ProvedBox:
     """Return a box in the states of the problem.
 
@@ -91,16 +112,8 @@ def proved_box(problem: Problem, units: Sequence[float], found: JudgedBox) -> Pr
         units: Units of the prover's states.
         found: The evaluated box.
     """
-    coordinates: dict[str, ProvedInterval] = {}
-    places = zip(found.start.places, found.start.centre, found.start.at.U, strict=False)
-    for k, centre, offset in places:
-        middle, radius = exact_fraction(centre), exact_fraction(offset.rad())
-        unit = Fraction(units[k])
-        coordinates[problem.state_names[k]] = ProvedInterval(
-            low=unit * (middle - radius), high=unit * (middle + radius)
-        )
     return ProvedBox(
-        coordinates=coordinates,
+        coordinates=coordinates_of(problem, units, found.start),
         included=found.returned.included,
         norm=double_above(exact_fraction(found.discs.norm.upper().mid())),
     )

@@ -287,18 +287,74 @@ def settle_impacts(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, 
     Raises:
         ProofError: If the accumulation of impacts is not proved.
     """
+    n, gap, rate = system.n, system.gap, system.rate
+    at, box = stage.at, stage.at.box
+    found = polydisc(system, box)
+    c, speed, speed_now = found.c, found.speed, box[rate].abs_upper()
+    left, off = 1 - found.rho, speed - speed_now
+    image = list(at.m)
+    w = at.middle_box[rate].abs_upper()
+    rows = identity(n).table()
+    for i in range(n):
+        rows[i][gap] = ZERO
+        reach = c[i] / left
+        image[i] = image[i] + symmetric(reach * w)
+        for j in range(n):
+            if j == rate:
+                rows[i][j] = symmetric(reach * (1 + speed_now / off))
+            elif j != gap and not c[i].is_zero():
+                rows[i][j] = rows[i][j] + symmetric(reach * speed_now / found.delta[j])
+    for i in (gap, rate):
+        rows[i], image[i] = [ZERO] * n, ZERO
+    result = at.mapped(image, matrix(rows, n), system.turning_rows(None), stage.metric)
+    time = stage.time.later((found.longest * speed_now / left).union(ZERO))
+    numbers = {"radius": found.radius, "speed": speed}
+    record = ProofRecord(kind="tail", numbers=numbers, orders=(), result=result)
+    return record, stage.next(result, Departure.LOCKED, time)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Polydisc:
+    """A polydisc on which all further impacts are bounded.
+
+    Attributes:
+        radius: Radii around the states, ``(n,)``.
+        speed: Largest gap rate.
+        c: Bounds of the motion from impact to impact, per gap rate, ``(n,)``.
+        rho: Bound of the ratio of successive gap rates.
+        longest: Bound of the duration of a flight, per gap rate.
+        delta: Remaining part of the radii, ``(n,)``.
+    """
+
+    radius: list[Ball]
+    speed: Ball
+    c: list[Ball]
+    rho: Ball
+    longest: Ball
+    delta: list[Ball]
+
+
+def polydisc(system: BallSystem, box: Sequence[Ball]) -> Polydisc:
+    """Return a polydisc around states just after an impact.
+
+    Args:
+        system: The problem.
+        box: The states, ``(n,)``.
+
+    Raises:
+        ProofError: If the accumulation of impacts is not proved.
+    """
     reason = ""
     for share in _RADII:
         try:
-            return _settled(system, stage, share)
+            return _polydisc(system, box, share)
         except ProofError as error:
             reason = error.reason
     raise ProofError("zeno_point", reason)
 
 
-def _settled(system: BallSystem, stage: ProofStage, share: float) -> tuple[ProofRecord, ProofStage]:
-    n, gap, rate = system.n, system.gap, system.rate
-    at, box = stage.at, stage.at.box
+def _polydisc(system: BallSystem, box: Sequence[Ball], share: float) -> Polydisc:
+    gap, rate = system.gap, system.rate
     speed_now = box[rate].abs_upper()
     radius = [arb(share) * (1 + x.abs_upper()) for x in box]
     radius = [arb(float(one.mid())) for one in radius]
@@ -315,31 +371,12 @@ def _settled(system: BallSystem, stage: ProofStage, share: float) -> tuple[Proof
     else:
         raise ProofError("zeno_point", "no polydisc holds the tail")
     c, rho, longest, delta = found
-    left = 1 - rho
-    off = speed - speed_now
-    require_proved(bool(off > 0), "zeno_point", "the gap rate exceeds that of the polydisc")
+    faster = bool(speed - speed_now > 0)
+    require_proved(faster, "zeno_point", "the gap rate exceeds that of the polydisc")
     real = [x + arb(0, r) for x, r in zip(box, radius, strict=True)]
     lowest = system.impact(real).restitution
     require_proved(bool(lowest >= 0), "zeno_point", "the restitution is not proved to be positive")
-    image = list(at.m)
-    w = at.middle_box[rate].abs_upper()
-    rows = identity(n).table()
-    for i in range(n):
-        rows[i][gap] = ZERO
-        reach = c[i] / left
-        image[i] = image[i] + symmetric(reach * w)
-        for j in range(n):
-            if j == rate:
-                rows[i][j] = symmetric(reach * (1 + speed_now / off))
-            elif j != gap and not c[i].is_zero():
-                rows[i][j] = rows[i][j] + symmetric(reach * speed_now / delta[j])
-    for i in (gap, rate):
-        rows[i], image[i] = [ZERO] * n, ZERO
-    result = at.mapped(image, matrix(rows, n), system.turning_rows(None), stage.metric)
-    time = stage.time.later((longest * speed_now / left).union(ZERO))
-    numbers = {"radius": radius, "speed": speed}
-    record = ProofRecord(kind="tail", numbers=numbers, orders=(), result=result)
-    return record, stage.next(result, Departure.LOCKED, time)
+    return Polydisc(radius=radius, speed=speed, c=c, rho=rho, longest=longest, delta=delta)
 
 
 def _bounds(

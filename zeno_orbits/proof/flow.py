@@ -126,6 +126,7 @@ class FlowStep:
         box: Box that contains all motions over the step, ``(n,)``.
         series: Over the start.
         rest: Coefficient of the remainder for a point, ``(n,)``.
+        low_rest: The same at the order of the derivative, ``(n,)``.
         derivative_rest: Coefficient of the remainder for the derivative.
     """
 
@@ -134,6 +135,7 @@ class FlowStep:
     box: list[Ball]
     series: FlowSeries
     rest: list[Ball]
+    low_rest: list[Ball]
     derivative_rest: Matrix
 
     def point(self, series: list[Series], time: Ball) -> list[Ball]:
@@ -191,6 +193,7 @@ def enclose(
         box=box,
         series=series,
         rest=[coefficients[order + 1] for coefficients in over.states],
+        low_rest=[coefficients[last] for coefficients in over.states],
         derivative_rest=rest_v,
     )
 

@@ -79,18 +79,21 @@ class BallProgram:
             values.append(_VALUES[name](values[a], values[b]) if fixed is None else fixed)
         return [[values[place] for place in output] for output in self.outputs]
 
-    def flow_series(self, x: Sequence[Ball], order: int) -> list[Series]:
+    def flow_series(
+        self, x: Sequence[Any], order: int, empty: Callable[[], Any] = list
+    ) -> list[Series]:
         """Return the series of the flow from a state, and of all operations in the flow.
 
         Args:
             x: State, ``(n,)``.
             order: Order of the last coefficient of the states.
+            empty: Maker of an empty series.
 
         Returns:
             One series for each operation, empty for operations outside the flow: first the states
             to ``order``, then the other operations to ``order - 1``.
         """
-        series: list[Series] = [[] for _ in self.operations]
+        series: list[Any] = [empty() for _ in self.operations]
         for k in range(self.n):
             series[k].append(x[k])
         steps = [self._stepper(k, series) for k in self._online]

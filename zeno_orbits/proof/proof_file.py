@@ -14,9 +14,10 @@ import flint
 from zeno_orbits.errors import InputError, ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import ZERO, Ball, Matrix, exact_text, half_width, mapped
+from zeno_orbits.proof.balls import ZERO, Ball, Matrix, exact_text, half_width, mapped, matrix
 from zeno_orbits.proof.checker.balls import NotProved
 from zeno_orbits.proof.checker.certificate import read_system
+from zeno_orbits.proof.polynomial_walk import PolynomialPass, PolynomialRecord, PolynomialSet
 from zeno_orbits.proof.section import SectionStart
 from zeno_orbits.proof.sets import BallSet, ProofRecord
 from zeno_orbits.proof.walk import ProofPassage
@@ -68,7 +69,31 @@ class CertificateWriter:
             "R": _texts_by(mapped(one.R, half_width), ones, self._inputs),
         }
 
-    def record(self, one: ProofRecord) -> dict[str, Any]:
+    def polynomial_set(self, one: PolynomialSet) -> dict[str, Any]:
+        """Return a set of polynomials as data."""
+        with flint.ctx.workprec(2 * flint.ctx.prec + _OWN_BITS):
+            p = [
+                [flint.arb(float(c)) * unit + (0 if k else shift) for k, c in enumerate(x.c)]
+                for x, unit, shift in zip(one.p, self._units, self._shift, strict=True)
+            ]
+        ones = [1.0] * self._system.n
+        frame = matrix([[flint.arb(float(x)) for x in row] for row in one.frame], len(ones))
+        return {
+            "p": [_texts(row) for row in p],
+            "Q": _texts_by(frame, self._units, ones),
+            "r": [exact_text(flint.arb(float(x))) for x in one.r],
+        }
+
+    def polynomial_pass(self, one: PolynomialPass) -> dict[str, Any]:
+        """Return the enclosure of one period in polynomials as data."""
+        return {
+            "degree": one.first.p[0].basis.degree,
+            "box": self._box(one.start),
+            "start": self.polynomial_set(one.first),
+            "records": [self.record(record) for record in one.records],
+        }
+
+    def record(self, one: ProofRecord | PolynomialRecord) -> dict[str, Any]:
         """Return a record as data."""
         numbers = {name: _texts(value) for name, value in one.numbers.items()}
         if one.kind == "tail":
@@ -76,10 +101,20 @@ class CertificateWriter:
             numbers["radius"] = [exact_text(radius[k] * units[k]) for k in self._tail_places()]
             numbers["speed"] = exact_text(one.numbers["speed"] * units[self._system.rate])
         orders = {"orders": list(one.orders)} if one.orders else {}
-        return {"kind": one.kind, **numbers, **orders, "set": self.set_of(one.result)}
+        polynomial = isinstance(one.result, PolynomialSet)
+        result = self.polynomial_set(one.result) if polynomial else self.set_of(one.result)
+        return {"kind": one.kind, **numbers, **orders, "set": result}
 
     def passage(self, start: SectionStart, passage: ProofPassage) -> dict[str, Any]:
         """Return the enclosure of one period as data."""
+        return {
+            "box": self._box(start),
+            "start": self.set_of(start.at),
+            "records": [self.record(one) for one in passage.records],
+        }
+
+    def _box(self, start: SectionStart) -> dict[str, Any]:
+        """Return the box of a start as data."""
         d, units = len(start.places), self._system.units
         radii = [u.rad() * unit for u, unit in zip(start.at.U[:d], self._inputs, strict=False)]
         centre = [x * unit for x, unit in zip(start.centre, self._inputs, strict=False)]
@@ -88,11 +123,7 @@ class CertificateWriter:
             "centre": [exact_text(x.mid()) for x in around],
             "radius": [exact_text(x.rad()) for x in around],
         }
-        return {
-            "box": {"centre": _texts(centre), "radius": _texts(radii), "others": others},
-            "start": self.set_of(start.at),
-            "records": [self.record(one) for one in passage.records],
-        }
+        return {"centre": _texts(centre), "radius": _texts(radii), "others": others}
 
     def _tail_places(self) -> list[int]:
         """Return the states with a radius in a polydisc: all except an additional gap state."""
@@ -122,6 +153,7 @@ def certificate(
     system: BallSystem,
     passes: Sequence[tuple[SectionStart, ProofPassage]],
     claims: Sequence[Mapping[str, Any]],
+    basin: Sequence[PolynomialPass] = (),
 ) -> dict[str, Any]:
     """Return the certificate of a proof.
 
@@ -132,6 +164,7 @@ def certificate(
         system: The problem in balls.
         passes: Enclosures of one period, with their starts.
         claims: The claims, with numbers as texts.
+        basin: Enclosures of one period in polynomials, from a large box to ever smaller boxes.
     """
     writer = CertificateWriter(system, passes[0][0].places)
     return {
@@ -144,6 +177,7 @@ def certificate(
         },
         "passes": [writer.passage(start, passage) for start, passage in passes],
         "claims": [dict(claim) for claim in claims],
+        **({"basin": [writer.polynomial_pass(one) for one in basin]} if basin else {}),
         "versions": proof_versions(),
     }
 

@@ -15,15 +15,19 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.balls import Ball
+from zeno_orbits.proof.basin import large_sets
+from zeno_orbits.proof.checker.certificate import check_proof
 from zeno_orbits.proof.claims import (
     CLOSE,
     claims_of,
+    coordinates_of,
     proof_bounds,
     proved_box,
     require_numbers,
 )
 from zeno_orbits.proof.fixed_point import JudgedBox, judge
 from zeno_orbits.proof.orbit_walk import LEAST_SIZE, prover_state, require_fit, walked
+from zeno_orbits.proof.polynomial_walk import PolynomialPass
 from zeno_orbits.proof.proof_file import certificate, check_bits, proof_versions, require_hypotheses
 from zeno_orbits.proof.section import SectionStart, section_places, start_on_section
 from zeno_orbits.proof.theorem import Proof
@@ -40,7 +44,7 @@ _FINE = 4e-15
 _BITS = 96
 _ENLARGEMENTS = 12
 """Largest number of larger boxes that are tried for a basin."""
-_GROWTH, _WORTH = 100.0, 1.2
+_GROWTH, _WORTH = 100.0, 2.0
 """First and smallest factor from a box to a larger box."""
 _THINNEST = 0.01
 """Smallest ratio by which a side of the box is shortened relative to the others."""
@@ -53,8 +57,8 @@ class ProofSettings:
     Attributes:
         radius: Radius of a single box, relative to the size of each coordinate. None chooses a box
             automatically, and a much smaller box in it for the digits.
-        basin: True for a box that is mapped into its interior and is as large as the enclosures
-            allow.
+        basin: True for a set of initial states that is mapped into its interior and is as large as
+            the enclosures allow.
         bits: Precision of the ball arithmetic [bits].
         walk: Settings of the steps.
     """
@@ -101,12 +105,17 @@ def prove(
             system = BallSystem(problem, values, over, orbit.period)
             require_hypotheses(problem, values, over, system)
             found = _found(orbit, problem, system, over, settings, on_progress)
+            sets: list[PolynomialPass] = []
             if settings.basin:
                 found = _enlarged(orbit, system, found, settings, on_progress)
+                sets = large_sets(orbit, system, found, on_progress)
             passes = [found]
             if found.by_krawczyk and found.start.places and not over and settings.radius is None:
                 passes += _refined(orbit, system, found, settings, on_progress)
-            proof = _proof(orbit, problem, values, over, system, passes)
+            proof = _proof(orbit, problem, values, over, system, passes, sets)
+        if sets:
+            on_progress("check the set of initial states", 0.0)
+            proof = _with_basin(proof, problem, system, sets[0])
     except ProofError as error:
         proof = Proof(
             problem=problem.name,
@@ -216,6 +225,22 @@ def _enlarged(
     return largest
 
 
+def _with_basin(proof: Proof, problem: Problem, system: BallSystem, first: PolynomialPass) -> Proof:
+    """Return a proof with the set of initial states in its certificate, if the checker accepts it.
+
+    Polynomials are computed in doubles, so only the checker proves a set.
+    """
+    claims = {claim.name: claim.ok for claim in check_proof(proof.certificate, problem).claims}
+    kept = dict(proof.certificate)
+    if not claims.get("basin"):
+        del kept["basin"]
+        return replace(proof, certificate=kept)
+    attracted = claims.get("attraction", False)
+    kept["basin"] = kept["basin"] if attracted else kept["basin"][:1]
+    shown = coordinates_of(problem, system.units, first.start)
+    return replace(proof, certificate=kept, basin=shown, attracted=attracted)
+
+
 def _refined(
     orbit: ZenoOrbit,
     system: BallSystem,
@@ -252,8 +277,9 @@ def _proof(
     over: Mapping[str, float],
     system: BallSystem,
     passes: list[JudgedBox],
+    sets: list[PolynomialPass],
 ) -> Proof:
-    """Return the theorem of a box, with digits from a smaller box."""
+    """Return the theorem of a box, with digits from a smaller box, and unchecked larger sets."""
     fine, numbers = passes[-1], [float(x) for x in values.vector]
     bits = check_bits(system, numbers)
     bounds = proof_bounds(problem, system, fine, bits)
@@ -270,7 +296,7 @@ def _proof(
         stable=bool(fine.start.places) and (fine.discs.stable or passes[0].returned.included),
         repelling=fine.discs.repelling,
         bounds=bounds,
-        certificate=certificate(problem, values, over, system, ways, claims),
+        certificate=certificate(problem, values, over, system, ways, claims, sets),
         n_records=sum(len(one.passage.records) for one in passes),
         wall_time=0.0,
         versions=proof_versions(),

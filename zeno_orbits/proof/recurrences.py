@@ -43,8 +43,9 @@ def _nothing(k: int) -> None:
     """Append nothing, since the sine also appends the cosine."""
 
 
-def _dot(x: Series, y: Series) -> Ball:
-    return sum(map(mul, x, y), ZERO)
+def _dot(x: Any, y: Any) -> Any:
+    # Series of polynomials form all products together.
+    return y.dot(x) if hasattr(y, "dot") else sum(map(mul, x, y), ZERO)
 
 
 def _add(x: Series, y: Series, out: Series) -> Callable[[int], None]:

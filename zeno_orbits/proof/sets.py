@@ -154,11 +154,11 @@ class BallSet:
         )
         directions = np.array([[float(moved[i, k].mid()) for k in range(n)] for i in range(n)])
         directions = directions * lengths / metric[:, None]
-        frame[np.ix_(rows, rows)] = metric[rows, None] * _orthogonal(directions[rows])
+        frame[np.ix_(rows, rows)] = metric[rows, None] * orthogonal(directions[rows])
         return matrix([[arb(float(x)) for x in row] for row in frame], n)
 
 
-def _orthogonal(directions: Vector) -> Vector:
+def orthogonal(directions: Vector) -> Vector:
     """Return an orthogonal matrix by QR decomposition with column pivoting.
 
     Each column is the direction with the longest component orthogonal to the previous columns. If a

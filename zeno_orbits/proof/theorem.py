@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
@@ -127,6 +127,9 @@ class Proof:
         reason: Reason of the failure.
         boxes: The box of the theorem, then optionally a smaller box in it, from which enclosures
             and stability are taken.
+        basin: Set of initial states that the return map maps into its interior, as intervals of the
+            coordinates. Empty unless `--basin` was given and the checker accepted the set.
+        attracted: True if every execution from this set is proved to converge to the orbit.
         values: Gain or parameter to value.
         over: Gain or parameter to the middle and radius of its interval.
         held: Derived parameters that depend on one of `over` by default, and keep their values.
@@ -144,6 +147,8 @@ class Proof:
     claim: str = ""
     reason: str = ""
     boxes: tuple[ProvedBox, ...] = ()
+    basin: Mapping[str, ProvedInterval] = field(default_factory=dict[str, ProvedInterval])
+    attracted: bool = False
     values: Mapping[str, float]
     over: Mapping[str, tuple[float, float]]
     held: tuple[str, ...] = ()
@@ -173,6 +178,15 @@ class Proof:
             for box in self.boxes[:1]
             for name, one in box.coordinates.items()
         }
+
+    @property
+    def initial_states(self) -> dict[str, float]:
+        """Coordinate to the half-width of the largest set that the return map maps into itself.
+
+        It is `basin`, or box 1 if the return map maps it into its interior.
+        """
+        box = self.boxes[0].coordinates if self.inside else {}
+        return {name: float((one.high - one.low) / 2) for name, one in (self.basin or box).items()}
 
     @property
     def inside(self) -> bool:
@@ -218,6 +232,9 @@ class Proof:
             ],
             "parameters": dict(self.values),
             "over": {name: list(ends) for name, ends in self.over.items()},
+            "basin": {name: one.text for name, one in self.basin.items()},
+            "basin_contains": {name: one.inner_text for name, one in self.basin.items()},
+            "attracted": self.attracted,
             "inside": self.inside,
             "stable": self.stable,
             "repelling": self.repelling,
@@ -250,12 +267,14 @@ class Proof:
             )
         lines += [f"  disc        {disc.text}" for disc in self.bounds.multipliers]
         known = ", ".join(f"{name} {version}" for name, version in self.versions.items())
+        widest = "the set of initial states" if self.basin else "box 1"
         lines += [
             "",
             f"Proof: {self.n_records} inclusions in ball arithmetic, found in"
             f" {self.wall_time:.0f} s.",
             f"Trusted: the formulas of the problem; {known}; this program.",
-            "Not claimed: motions that start outside box 1; that the real machine has this orbit.",
+            f"Not claimed: motions that start outside {widest}; that the real machine has this"
+            " orbit.",
         ]
         return lines
 
@@ -281,6 +300,12 @@ class Proof:
         elif self.repelling:
             where = "one multiplier lies outside the unit circle"
             found.append(f"(5) The fixed point of P is unstable ({where}).")
+        if self.basin:
+            to = " Every execution from it converges to the periodic orbit."
+            found.append(
+                "(6) P maps the set of initial states into its interior."
+                + (to if self.attracted else "")
+            )
         return found
 
     def _hypotheses(self) -> list[str]:
@@ -305,6 +330,11 @@ class Proof:
                 lines.append(f"Box {number} contains {within}.")
             else:
                 lines.append(f"Box {number} is a single point of the section.")
+        if self.basin:
+            around = ", ".join(f"{name} = {one.text}" for name, one in self.basin.items())
+            within = ", ".join(f"{name} = {one.inner_text}" for name, one in self.basin.items())
+            lines.append(f"The set of initial states lies in {around}.")
+            lines.append(f"The set of initial states contains {within}.")
         return lines
 
     def _contraction(self) -> str:

@@ -7,7 +7,7 @@ only at the expected events.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -268,7 +268,8 @@ def _move(
             continue
         image, derivative = step.point(points, exact), step.derivative(exact)
         end = image[system.gap] + product(derivative, stage.at.deviation)[system.gap]
-        reason = _contact(system, flow, stage, step, None if meets else end)
+        before, until = stage.at.box, None if meets else end
+        reason = contact_reason(system, flow, stage.departure, before, step.box, until)
         reason = reason or system.undefined(step.box)
         if reason:
             shortened = True
@@ -354,34 +355,40 @@ def _orders(size: float, usual: float, settings: WalkSettings, n: int) -> tuple[
     return max(k, enough(settings.rest, settings.orders[0])), k
 
 
-def _contact(
-    system: BallSystem, flow: BallFlow, stage: ProofStage, step: FlowStep, end: Ball | None
+def contact_reason(
+    system: BallSystem,
+    flow: BallFlow,
+    departure: Departure,
+    start: Sequence[Ball],
+    box: Sequence[Ball],
+    end: Ball | None,
 ) -> str:
     """Return the contact condition that is not proved on a step, or an empty text.
 
     Args:
         system: The problem.
         flow: The flow of the mode.
-        stage: The set at the start of the step.
-        step: The step.
+        departure: Mode, and position relative to the stop, at the start of the step.
+        start: Box of the states at the start.
+        box: Box that contains all motions over the step.
         end: Gap at the end of the step, or None if the step must cross the guard.
     """
-    if stage.departure is Departure.LOCKED:
-        multiplier, gradient, speeds = flow.guard(step.box)
+    if departure is Departure.LOCKED:
+        multiplier, gradient, speeds = flow.guard(box)
         slope = sum((g * f for g, f in zip(gradient, speeds, strict=True)), ZERO)
         if end is None:
-            holds, what = _is_clear(-slope), f"to fall at the release ({slope})"
+            holds, what = is_clear(-slope), f"to fall at the release ({slope})"
         else:
-            holds, what = _is_clear(multiplier), f"positive on the stop ({multiplier})"
+            holds, what = is_clear(multiplier), f"positive on the stop ({multiplier})"
         return "" if holds else f"`multiplier` is not proved {what}"
-    if stage.departure is Departure.RELEASED:
-        jerk = _jerk(flow, step.box, system.rate)
-        left = _is_clear(jerk) and end is not None
+    if departure is Departure.RELEASED:
+        jerk = _jerk(flow, box, system.rate)
+        left = is_clear(jerk) and end is not None
         return "" if left else f"`d3h/dt3` is not proved positive at the release ({jerk})"
-    gap, rate = step.box[system.gap], step.box[system.rate]
-    struck, start = stage.departure is Departure.STRUCK, stage.at.box
+    gap, rate = box[system.gap], box[system.rate]
+    struck = departure is Departure.STRUCK
     away = bool(start[system.rate if struck else system.gap] > 0)
-    hump = away and _is_clear(-flow.rate(step.box)[system.rate])
+    hump = away and is_clear(-flow.rate(box)[system.rate])
     if end is None:
         once = hump or (away and not struck and bool(rate < 0))
         return "" if once else "`gap` is not proved to fall once only before an impact"
@@ -390,11 +397,11 @@ def _contact(
     return "" if clear or over else "`gap` is not proved positive in flight"
 
 
-def _is_clear(x: Ball) -> bool:
+def is_clear(x: Ball) -> bool:
     """Return True if an interval is positive even after a widening by `_CLEAR`."""
     return bool(x.mid() > _CLEAR * x.rad())
 
 
-def _jerk(flow: BallFlow, box: list[Ball], rate: int) -> Ball:
+def _jerk(flow: BallFlow, box: Sequence[Ball], rate: int) -> Ball:
     """Return the third derivative of the gap over a box."""
     return 2 * flow.point_series(box, 2)[rate][2]

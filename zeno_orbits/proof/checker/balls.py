@@ -6,6 +6,8 @@ Vectors and matrices are NumPy arrays of balls.
 from __future__ import annotations
 
 import re
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, cast
@@ -139,6 +141,20 @@ def require(holds: bool, failure: str) -> None:
     """Raise `NotProved` unless a condition holds."""
     if not holds:
         raise NotProved(failure)
+
+
+@contextmanager
+def fitting_together() -> Generator[None]:
+    """Raise an input error for data that do not have the structure of a certificate."""
+    try:
+        yield
+    except InputError:
+        raise
+    except NotProved as failure:
+        raise InputError(f"The certificate's problem cannot be proved: {failure}.") from None
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        what = "an entry is missing or has the wrong type"
+        raise InputError(f"The certificate is invalid: {what}.") from error
 
 
 sizes: Any = np.frompyfunc(lambda x: x.size, 1, 1)

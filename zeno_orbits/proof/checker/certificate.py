@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -15,11 +14,21 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, bundled_problems, load_problem
-from zeno_orbits.proof.checker.balls import Array, Ball, NotProved, entries, number, require
+from zeno_orbits.proof.checker.balls import (
+    Array,
+    Ball,
+    NotProved,
+    entries,
+    fitting_together,
+    number,
+    require,
+)
+from zeno_orbits.proof.checker.basin import RECORDS as POLYNOMIAL_RECORDS
+from zeno_orbits.proof.checker.basin import proved_image
 from zeno_orbits.proof.checker.claims import Passage, of_one_orbit, show
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
 from zeno_orbits.proof.checker.formulas import formulas_of
-from zeno_orbits.proof.checker.lanes import HIGHEST, require_rounding
+from zeno_orbits.proof.checker.lanes import orders_of, require_rounding
 from zeno_orbits.proof.checker.motion import (
     Flow,
     Place,
@@ -45,7 +54,7 @@ _RECORDS = {
     "tail": ("radius", "speed"),
 }
 _BITS = range(64, 1025)
-_MOST = {"passes": 4, "claims": 20_000, "records": 50_000}
+_MOST = {"passes": 4, "basin": 16, "claims": 20_000, "records": 50_000}
 _LARGEST = 1 << 29
 """Largest size of a certificate file [B]."""
 _CHUNK = 300
@@ -66,7 +75,7 @@ def check_proof(
             numbers of this machine do not round as the bounds assume.
     """
     require_rounding()
-    with _fitting_together():
+    with fitting_together():
         data = _read(certificate)
         problem = _problem(data["problem"], problem)
         system, over, theorem = read_system(data, problem)
@@ -91,21 +100,17 @@ def check_proof(
         if not boxes:
             raise InputError("The certificate must have a pass.")
         theorem = _about(theorem, section, boxes, passages, problem.state_names)
+        if "basin" in data:
+            parts = _listed(data, "basin")
+            sets = [Box.of(system, section, part["box"], over) for part in parts]
+            found = _basin(system, section, parts, sets, passages)
+            verdicts += found
+            theorem = replace(
+                theorem,
+                basin=_coordinates(section, sets[0], problem.state_names),
+                attracted=len(found) > 1 and found[1].ok,
+            )
     return ProofVerdict(theorem=theorem, claims=tuple(verdicts))
-
-
-@contextmanager
-def _fitting_together() -> Generator[None]:
-    """Raise an input error for data that do not have the structure of a certificate."""
-    try:
-        yield
-    except InputError:
-        raise
-    except NotProved as failure:
-        raise InputError(f"The certificate's problem cannot be proved: {failure}.") from None
-    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        what = "an entry is missing or has the wrong type"
-        raise InputError(f"The certificate is invalid: {what}.") from error
 
 
 def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
@@ -116,7 +121,8 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
             certificate = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"File `{path}` is not a certificate ({error}).") from None
-    entries(certificate, *_TOP)
+    basin = ("basin",) if "basin" in certificate else ()
+    entries(certificate, *_TOP, *basin)
     data = cast("Mapping[str, Any]", certificate)
     kind, bits = (data["format"], data["kind"]), data["bits"]
     if kind != (2, "zeno_orbits proof") or type(bits) is not int or bits not in _BITS:
@@ -214,7 +220,7 @@ def _passage(
 ) -> Passage:
     """Prove the start, each record separately, and the return, or raise an error."""
     plastic = _is_plastic(system)
-    stations = _stations(section, records, plastic=plastic)
+    stations = _stations(section, records, _RECORDS, plastic=plastic)
     sets = [start, *(record["set"] for record in records)]
     first, last = (_set(system, box, data) for data in (sets[0], sets[-1]))
     try:
@@ -252,13 +258,15 @@ def _set(system: System, box: Box, data: Any) -> Enclosure:
     return Enclosure.of(data, box.spread, len(system.z), system.bits)
 
 
-def _stations(section: Section, records: Sequence[Any], *, plastic: bool) -> list[Place]:
+def _stations(
+    section: Section, records: Sequence[Any], kinds: Mapping[str, tuple[str, ...]], *, plastic: bool
+) -> list[Place]:
     """Return the position of each record in the motion, after a check of their order."""
     mode, began = "free", "release" if section.end == "cross" else "impact"
     stations = list[Place]()
     for k, record in enumerate(records):
         kind = record["kind"]
-        entries(record, "kind", "set", *_RECORDS[kind])
+        entries(record, "kind", "set", *kinds[kind])
         possible = {"impact"} if mode == "closed" else {"step", "cross"}
         if (mode, began) == ("free", "impact"):
             possible.add("tail")
@@ -285,13 +293,7 @@ def _about(
     names: Sequence[str],
 ) -> Theorem:
     """Return the theorem with its section, its boxes and the numbers of events per period."""
-
-    def coordinates(box: Box) -> dict[str, tuple[Fraction, Fraction]]:
-        pairs = zip(box.centre, box.spread, strict=True)
-        exact = [(centre.ends()[0], spread.ends()[1]) for centre, spread in pairs]
-        return dict(zip((names[k] for k in section.places), exact, strict=False))
-
-    outer, *inner = (coordinates(box) for box in boxes)
+    outer, *inner = (_coordinates(section, box, names) for box in boxes)
     theorem = replace(theorem, section=section.text, box=outer, smaller=tuple(inner))
     first = passages[0]
     if isinstance(first, str):
@@ -305,6 +307,53 @@ def _about(
         plastic=plastic,
         inside=not first.leaves("inclusion"),
     )
+
+
+def _coordinates(
+    section: Section, box: Box, names: Sequence[str]
+) -> dict[str, tuple[Fraction, Fraction]]:
+    """Return middle and radius of each coordinate of a box."""
+    pairs = zip(box.centre, box.spread, strict=True)
+    exact = [(centre.ends()[0], spread.ends()[1]) for centre, spread in pairs]
+    return dict(zip((names[k] for k in section.places), exact, strict=False))
+
+
+def _basin(
+    system: System,
+    section: Section,
+    parts: Sequence[Any],
+    sets: Sequence[Box],
+    passages: Sequence[Passage | str],
+) -> list[ClaimVerdict]:
+    """Check that the return map takes a set into its interior, and then into the first box.
+
+    The image of each set lies in the interior of the set itself or in the next set. The image of
+    the last set may lie in the first box, which must be contracted.
+    """
+    try:
+        first, images = of_one_orbit(passages)[0], list[Array]()
+        for k, (part, box) in enumerate(zip(parts, sets, strict=True)):
+            entries(part, "degree", "box", "start", "records")
+            records = _listed(part, "records")
+            stations = _stations(section, records, POLYNOMIAL_RECORDS, plastic=_is_plastic(system))
+            same = _word(stations, records) == first.word
+            require(same, f"set {k} belongs to another return map")
+            images.append(proved_image(system, section, box, part, stations))
+        away = sets[0].leaves(section, images[0])
+        require(not away, away)
+    except NotProved as failure:
+        return [ClaimVerdict("basin", False, str(failure))]
+    count = sum(len(part["records"]) for part in parts)
+    told = f"the return map takes the set into its interior, {count} inclusions"
+    found = [ClaimVerdict("basin", True, told)]
+    steps = zip([*sets[1:], first.box], images, strict=True)
+    away = next((gone for box, image in steps if (gone := box.leaves(section, image))), "")
+    away = away or first.leaves("inclusion")
+    # Without further sets, attraction is not claimed.
+    if len(parts) > 1 or not away:
+        told = away or f"the return map takes the set into box 1 in {len(parts)} steps"
+        found.append(ClaimVerdict("attraction", not away, told))
+    return found
 
 
 def _word(stations: Sequence[Place], records: Sequence[Any]) -> tuple[int, int]:
@@ -336,7 +385,7 @@ def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[in
         For every record, midpoint and radius of its time and then of the time's derivatives, or the
         reason why it is not proved.
     """
-    with _fitting_together():
+    with fitting_together():
         olds = [_set(system, box, before) for _, before, _ in tasks]
         steps = _flows(system, olds, tasks)
         found = list[list[list[int]] | str]()
@@ -359,9 +408,9 @@ def _mapped(
 ) -> Mapped:
     """Return the image of the set before a record."""
     if record["kind"] == "impact":
-        return struck(system, old)
+        return struck(system, old.hull, old.m)
     if record["kind"] == "tail":
-        return accumulated(system, old, record)
+        return accumulated(system, old.hull, old.m, record)
     if isinstance(step, str):
         raise NotProved(step)
     return (
@@ -378,10 +427,7 @@ def _flows(
     groups: dict[tuple[Any, ...], list[int]] = {}
     for k, (place, _, record) in enumerate(tasks):
         if "orders" in record:
-            high, low = record["orders"]
-            sound = type(high) is type(low) is int
-            if not (sound and 0 < min(high, low) <= max(high, low) < HIGHEST):
-                raise InputError(f"The certificate's orders must be from 1 to {HIGHEST - 1}.")
+            high, low = orders_of(record)
             groups.setdefault((place[0], record["kind"], high, low), []).append(k)
     found: dict[int, Flow | str] = {}
     for (mode, kind, *orders), places in groups.items():

@@ -33,16 +33,29 @@ from zeno_orbits.proof.checker.series import function_at
 
 HIGHEST = 100
 """Highest order."""
-_REAL = np.longdouble
-_UNIT, _UP, _TINY = float(np.finfo(_REAL).eps) / 2, 1 + 2.0**-40, 2.0**-1000
-_SUM = 2.0**7 * _UNIT
-_MOST_TERMS = int(2.0**-41 / _UNIT)
+REAL = np.longdouble
+UNIT, UP, TINY = float(np.finfo(REAL).eps) / 2, 1 + 2.0**-40, 2.0**-1000
+_SUM = 2.0**7 * UNIT
+MOST_TERMS = int(2.0**-41 / UNIT)
 """Largest number of summands for which the computed sum bounds the exact sum."""
 _BITS = 100
 """Number of bits after the binary point in the computation of functions."""
 
 
-def require_rounding(info: Any = np.finfo(_REAL)) -> None:  # noqa: B008
+def orders_of(record: Mapping[str, Any]) -> tuple[int, int]:
+    """Return the orders of a record, for a point and for the derivative.
+
+    Raises:
+        InputError: If an order is not allowed.
+    """
+    high, low = record["orders"]
+    sound = type(high) is type(low) is int
+    if not (sound and 0 < min(high, low) <= max(high, low) < HIGHEST):
+        raise InputError(f"The certificate's orders must be from 1 to {HIGHEST - 1}.")
+    return high, low
+
+
+def require_rounding(info: Any = np.finfo(REAL)) -> None:  # noqa: B008
     """Raise an error for hardware numbers that do not round by half a unit in the last place.
 
     Args:
@@ -68,7 +81,7 @@ class Lanes:
 
     def __add__(self, other: Any) -> Lanes:
         c = self.c + other.c
-        return Lanes(c, (self.r + other.r + 2 * _UNIT * abs(c)) * _UP)
+        return Lanes(c, (self.r + other.r + 2 * UNIT * abs(c)) * UP)
 
     def __sub__(self, other: Any) -> Lanes:
         return self + Lanes(-other.c, other.r)
@@ -78,7 +91,7 @@ class Lanes:
 
     def __truediv__(self, other: Any) -> Lanes:
         c, least = self.c / other.c, abs(other.c) - other.r
-        r = (self.r + abs(c) * other.r + _TINY) / least * _UP + 4 * _UNIT * abs(c) + _TINY
+        r = (self.r + abs(c) * other.r + TINY) / least * UP + 4 * UNIT * abs(c) + TINY
         return Lanes(c, np.where(least > 0, r, np.inf))
 
     def hull(self) -> Lanes:
@@ -88,18 +101,18 @@ class Lanes:
         size = (abs(self.c) + self.r).sum(axis=0)
         c = (low + high) / 2
         moved = (self.c[1:] != 0) | (self.r[1:] != 0)
-        r = ((high - low) / 2 + self.r[0]) * _UP + _SUM * size + _TINY
+        r = ((high - low) / 2 + self.r[0]) * UP + _SUM * size + TINY
         return Lanes(c, np.where(moved.any(axis=0), r, self.r[0]))
 
     def total(self) -> Lanes:
         """Return the sums along axis 0."""
         size = abs(self.c).sum(axis=0)
-        share = (len(self.c) + 4) * _UNIT
-        return Lanes(self.c.sum(axis=0), (self.r.sum(axis=0) + share * size) * _UP + _TINY)
+        share = (len(self.c) + 4) * UNIT
+        return Lanes(self.c.sum(axis=0), (self.r.sum(axis=0) + share * size) * UP + TINY)
 
     def wider(self) -> Lanes:
         """Return intervals that are wider by a fixed factor."""
-        return Lanes(self.c, self.r * 1.125 + _TINY)
+        return Lanes(self.c, self.r * 1.125 + TINY)
 
     def then(self, last: Lanes) -> Lanes:
         """Return terms with one term appended along axis 0."""
@@ -107,7 +120,7 @@ class Lanes:
 
     def inside(self, other: Lanes) -> Any:
         """Return True for each interval that lies in the interior of the other interval."""
-        return (abs(self.c - other.c) + self.r) * _UP < other.r
+        return (abs(self.c - other.c) + self.r) * UP < other.r
 
     def balls(self, bits: int) -> Array:
         """Return the intervals as balls."""
@@ -130,10 +143,10 @@ def where(which: Any, these: Lanes, others: Lanes) -> Lanes:
 
 def _products(apply: Callable[..., Any], n: int, x: Lanes, y: Lanes) -> Lanes:
     """Return sums of products with n terms."""
-    require(n + 16 < _MOST_TERMS, f"a sum of {n} products has no bound on this processor")
+    require(n + 16 < MOST_TERMS, f"a sum of {n} products has no bound on this processor")
     a = abs(y.c)
-    r = apply(abs(x.c), y.r + (n + 4) * _UNIT * a) + apply(x.r, a + y.r)
-    return Lanes(apply(x.c, y.c), r * _UP + _TINY)
+    r = apply(abs(x.c), y.r + (n + 4) * UNIT * a) + apply(x.r, a + y.r)
+    return Lanes(apply(x.c, y.c), r * UP + TINY)
 
 
 def matmul(x: Lanes, y: Lanes) -> Lanes:
@@ -163,18 +176,18 @@ def _interval(ball: Ball) -> tuple[Any, Any]:
     unit = 1 << ball.bits
     first = ball.m / unit
     n, d = first.as_integer_ratio()
-    c = _REAL(first) + _REAL((ball.m * d - (n << ball.bits)) / (d << ball.bits))
+    c = REAL(first) + REAL((ball.m * d - (n << ball.bits)) / (d << ball.bits))
     n, d = c.as_integer_ratio()
     # Rounding error of the midpoint, rounded up.
     off = abs(ball.m * d - (n << ball.bits))
     r = ball.r + -(-off // d)
-    return c, _REAL(np.nextafter(r / unit, np.inf) if r else 0.0)
+    return c, REAL(np.nextafter(r / unit, np.inf) if r else 0.0)
 
 
 def lanes_of(balls: Any) -> Lanes:
     """Return arrays of balls as intervals."""
     balls = np.asarray(balls, dtype=object)
-    pairs = np.array([_interval(ball) for ball in balls.ravel()], dtype=_REAL)
+    pairs = np.array([_interval(ball) for ball in balls.ravel()], dtype=REAL)
     return Lanes(*np.moveaxis(pairs.reshape(*balls.shape, 2), -1, 0))
 
 
@@ -210,7 +223,7 @@ def coefficients(
     shape = longer + 1, L
     moving = {place for place, node in zip(flow.z, flow.rates, strict=True) if node is not None}
     for place in {*plan, *inputs}:
-        known[place] = Lanes(np.zeros(shape, _REAL), np.zeros(shape, _REAL))
+        known[place] = Lanes(np.zeros(shape, REAL), np.zeros(shape, REAL))
     for place, one in inputs.items():
         known[place].c[0], known[place].r[0] = one.c, one.r
     for place in plan:
@@ -232,7 +245,7 @@ def coefficients(
                 rate = known[node][k] * part
                 known[place].c[k + 1], known[place].r[k + 1] = rate.c, rate.r
     states = _stacked([known[place] for place in flow.z])
-    zero = np.zeros(shape, _REAL)
+    zero = np.zeros(shape, REAL)
     known[-1] = Lanes(zero, zero)
     rows = [known[-1 if place is None else place][:order] for place in flat]
     entries, whole = _stacked(rows), (order, L, n, n)
@@ -247,7 +260,7 @@ def _stacked(lanes: Sequence[Lanes]) -> Lanes:
 
 def _derivative(J: Lanes, h: Lanes, order: int) -> Lanes:
     """Return coefficients of the solution of ``V' = J V`` that starts at the identity."""
-    V = Lanes(*(np.zeros((order + 1, *J.c.shape[1:]), _REAL) for _ in range(2)))
+    V = Lanes(*(np.zeros((order + 1, *J.c.shape[1:]), REAL) for _ in range(2)))
     V.c[0] = np.eye(J.c.shape[-1])
     for k in range(order):
         wide = [np.concatenate(list(part[: k + 1]), axis=-1) for part in (J.c, J.r)]
@@ -274,7 +287,7 @@ def _next(
         if n == 0:
             found = (function_at(node[1], ball) for ball in u[0].balls(_BITS))
             return lanes_of([*found])
-        weights = Lanes(np.arange(1, n + 1, dtype=_REAL).reshape(-1, 1), 0.0)
+        weights = Lanes(np.arange(1, n + 1, dtype=REAL).reshape(-1, 1), 0.0)
         return _convolved(u[1 : n + 1] * weights, g[:n]) / _number(n)
     x, y = known[node[1]], known[node[-1]]
     if name == "neg":

@@ -89,29 +89,11 @@ def flows(
         whole: True if only the ends of the steps are needed.
     """
     rates, (high, low) = system.flow[mode], orders
-    flow, h = LaneFlow(system.graph, system.z, rates, system.slopes[mode]), lanes_of(steps)
+    flow, h = lane_flow(system, mode), lanes_of(steps)
     moving = np.array([node is not None for node in rates])
-    fixed = {k: lanes_of([ball] * len(olds)) for k, ball in system.constants.items()}
-
-    def inputs(box: Lanes) -> dict[int, Lanes]:
-        return fixed | {place: box[:, k] for k, place in enumerate(system.z)}
-
-    x, V = coefficients(flow, inputs(lanes_of([old.hull for old in olds])), h, low, low)
-    reach, reach_V = x.hull(), V.hull()
-    found = np.zeros(len(olds), dtype=bool)
-    box, box_V, rest_V = reach, reach_V, reach_V
-    for _ in range(_SWEEPS):
-        wide = moving & ~found[:, None]
-        box = where(wide, reach.wider(), box)
-        box_V = where(~found[:, None, None], reach_V.wider(), box_V)
-        over, over_V = coefficients(flow, inputs(box), h, low + 1, low + 1)
-        rest_V = matmul(over_V[low + 1], box_V)
-        reach, reach_V = x.then(over[low + 1]).hull(), V.then(rest_V).hull()
-        inside = reach.inside(box) | ~moving
-        found = inside.all(axis=1) & reach_V.inside(box_V)[:, moving].all(axis=(1, 2))
-        if found.all():
-            break
-    over, _ = coefficients(flow, inputs(reach), h, 0, high + 1)
+    sets = lanes_of([old.hull for old in olds])
+    x, V = coefficients(flow, all_inputs(system, sets), h, low, low)
+    found, reach, rest_V, _, over = held(system, mode, orders, x, V, h)
     made = list[Flow | str]()
     slopes = V.then(rest_V)
     for k, (old, step) in enumerate(zip(olds, steps, strict=True)):
@@ -121,12 +103,74 @@ def flows(
         slope = (slopes[:, k].total()[None] if whole else slopes[:, k]).balls(system.bits)
         slope[:, ~moving] = 0 * slope[:, ~moving]
         slope[0, ~moving] = system.identity[~moving]
-        ends = over[high + 1, k].balls(system.bits)
+        ends = over[k].balls(system.bits)
         ends[~moving] = system.nothing[~moving]
         point = taylor(system.graph, system.z, rates, system.at(old.m), step, high)
         series = np.concatenate([point, ends[:, None]], axis=1)
         made.append(Flow(old, step, series, np.moveaxis(slope, 0, -1), reach[k].balls(system.bits)))
     return made
+
+
+def lane_flow(system: System, mode: str) -> LaneFlow:
+    """Return the flow of a mode."""
+    return LaneFlow(system.graph, system.z, system.flow[mode], system.slopes[mode])
+
+
+def all_inputs(system: System, box: Lanes) -> dict[int, Lanes]:
+    """Return all inputs over boxes of states, ``(L, N)``."""
+    count = len(box.c)
+    fixed = {k: lanes_of([ball] * count) for k, ball in system.constants.items()}
+    return fixed | {place: box[:, k] for k, place in enumerate(system.z)}
+
+
+class Held(NamedTuple):
+    """A-priori boxes of steps.
+
+    Attributes:
+        found: True for each step with a box.
+        reach: All motions over the steps, ``(L, N)``.
+        rest_slope: Remainders of the derivatives, ``(L, N, N)``.
+        rest_x: Remainders of the motions at the order of the derivatives, ``(L, N)``.
+        rest: Remainders of the motions of points, ``(L, N)``.
+    """
+
+    found: Any
+    reach: Lanes
+    rest_slope: Lanes
+    rest_x: Lanes
+    rest: Lanes
+
+
+def held(system: System, mode: str, orders: Sequence[int], x: Lanes, V: Lanes, h: Lanes) -> Held:
+    """Return a-priori boxes from the terms of the flow and of its derivative over sets.
+
+    Args:
+        system: The system of the certificate.
+        mode: The mode.
+        orders: Orders for a point and for the derivative.
+        x: Terms of the states over the sets, ``(low + 1, L, N)``.
+        V: Terms of the derivatives, ``(low + 1, L, N, N)``.
+        h: The steps, ``(L,)``.
+    """
+    flow, (high, low) = lane_flow(system, mode), orders
+    moving = np.array([node is not None for node in system.flow[mode]])
+    reach, reach_V = x.hull(), V.hull()
+    found = np.zeros(len(h.c), dtype=bool)
+    box, box_V, rest_V = reach, reach_V, reach_V
+    for _ in range(_SWEEPS):
+        wide = moving & ~found[:, None]
+        box = where(wide, reach.wider(), box)
+        box_V = where(~found[:, None, None], reach_V.wider(), box_V)
+        over, over_V = coefficients(flow, all_inputs(system, box), h, low + 1, low + 1)
+        rest_V = matmul(over_V[low + 1], box_V)
+        reach, reach_V = x.then(over[low + 1]).hull(), V.then(rest_V).hull()
+        inside = reach.inside(box) | ~moving
+        found = inside.all(axis=1) & reach_V.inside(box_V)[:, moving].all(axis=(1, 2))
+        if found.all():
+            break
+    rest_x = over[low + 1]
+    over, _ = coefficients(flow, all_inputs(system, reach), h, 0, high + 1)
+    return Held(found, reach, rest_V, rest_x, over[high + 1])
 
 
 def _horner(series: Array, part: Ball) -> Array:
@@ -147,7 +191,8 @@ def stepped(system: System, place: Place, flow: Flow) -> Mapped:
     """
     point, slope, box = flow.at(flow.h)
     system.require_defined(flow.box)
-    _require_apart(system, place, flow, box)
+    is_open = system.gap(box).low > 0
+    require_apart(system, place, flow.old.hull, flow.box, is_open=is_open)
     return Mapped(point, slope, flow.h, system.nothing)
 
 
@@ -174,7 +219,8 @@ def crossed(system: System, place: Place, flow: Flow, record: Mapping[str, Any])
     _, slope, box = flow.at(between(a.low, b.high, bits))
     if free:
         gradient, rate = system.identity[system.gap_row] * system.unit, system.gap_rate(box)
-        _require_apart(system, place, flow, flow.at(a)[2], last=True)
+        is_open = system.gap(flow.at(a)[2]).low > 0
+        require_apart(system, place, flow.old.hull, flow.box, is_open=is_open, last=True)
     else:
         gradient = -system.gradient("acceleration", box)[0]
         rate, falling = (-system.value("locked_jerk", where)[0] for where in (box, flow.box))
@@ -199,55 +245,65 @@ def _guard(system: System, flow: Flow, time: Ball, *, whole: bool, free: bool) -
     return value + flow.old.moved(gradient @ slope) if whole else value
 
 
-def _require_apart(
-    system: System, place: Place, flow: Flow, end: Array, *, last: bool = False
+def require_apart(
+    system: System, place: Place, start: Array, box: Array, *, is_open: bool, last: bool = False
 ) -> None:
-    """Check that the gap (in flight) or the contact force (in contact) stays positive."""
+    """Check that the gap (in flight) or the contact force (in contact) stays positive.
+
+    Args:
+        system: The system of the certificate.
+        place: Position of the record in the motion.
+        start: Box of the states at the start.
+        box: Box that contains all motions over the step.
+        is_open: True if the gap is positive at the end of the step, or just before a crossing.
+        last: True for a step with a crossing.
+    """
     if place.mode == "locked":
-        pull = system.value("acceleration", flow.box)[0]
+        pull = system.value("acceleration", box)[0]
         if pull.high >= 0:
             raise NotProved(f"the multiplier may be {(-pull).shown()} times the normal inertia")
         return
-    start, gap, rate = flow.old.hull, system.gap(flow.box), system.gap_rate(flow.box)
+    gap, rate = system.gap(box), system.gap_rate(box)
     thrown = place.began == "impact" and system.gap_rate(start).low > 0
-    open_first, open_last = thrown or system.gap(start).low > 0, system.gap(end).low > 0
+    open_first = thrown or system.gap(start).low > 0
     if (
         (gap.low > 0 and not last)
-        or (rate.high < 0 and open_last)
+        or (rate.high < 0 and is_open)
         or (rate.low > 0 and open_first and not last)
-        or (open_first and open_last and system.value("acceleration", flow.box)[0].high < 0)
-        or (place.began == "release" and not last and system.value("jerk", flow.box)[0].low > 0)
+        or (open_first and is_open and system.value("acceleration", box)[0].high < 0)
+        or (place.began == "release" and not last and system.value("jerk", box)[0].low > 0)
     ):
         return
     raise NotProved(f"the gap may close: it is {gap.shown()}")
 
 
-def struck(system: System, old: Enclosure) -> Mapped:
+def struck(system: System, box: Array, m: Array) -> Mapped:
     """Return the state after an impact: ``x - (1 + e) hdot D(x)``.
 
     Args:
         system: The system of the certificate.
-        old: The set before it.
+        box: Box of the states before it.
+        m: A state in the box.
     """
-    n_x, row, box = system.n_x, system.rate_row, old.hull
-    e, at_point = system.value("law", box)[0], system.value("law", old.m)[0]
+    n_x, row = system.n_x, system.rate_row
+    e, at_point = system.value("law", box)[0], system.value("law", m)[0]
     e_slope, rate_slope = system.gradient("law", box)[0], system.identity[row] * system.unit
     rate, along = system.gap_rate(box), system.value("direction", box)
     fall = (e + 1) * rate
     fall = between(min(fall.low, 0), max(fall.high, 0), system.bits)
     system.require_defined(np.concatenate([box[:n_x] - along * fall, box[n_x:]]))
     drop = system.gradient("direction", box) * rate + np.outer(along, rate_slope)
-    point, slope = old.m.copy(), system.identity
-    speed = (at_point + 1) * system.gap_rate(old.m)
-    point[:n_x] = point[:n_x] - system.value("direction", old.m) * speed
+    point, slope = m.copy(), system.identity
+    speed = (at_point + 1) * system.gap_rate(m)
+    point[:n_x] = point[:n_x] - system.value("direction", m) * speed
     slope[:n_x] = slope[:n_x] - drop * (e + 1) - np.outer(along, e_slope) * rate
     point[system.gap_row], slope[system.gap_row] = system.stop, system.nothing
-    point[row], slope[row] = -(at_point * old.m[row]), e_slope * -box[row]
+    point[row], slope[row] = -(at_point * m[row]), e_slope * -box[row]
     slope[row, row] = slope[row, row] - e
     return Mapped(point, slope, Ball(0, 0, system.bits), system.nothing)
 
 
-def accumulated(system: System, old: Enclosure, record: Mapping[str, Any]) -> Mapped:
+def accumulated(system: System, box: Array, m: Array, record: Mapping[str, Any]) -> Mapped:
     """Return the Zeno point of all remaining impacts, by the lemma of the Zeno tail.
 
     All bounds are upper ends of intervals of mpmath, over the complex polydisc of the record. The
@@ -255,10 +311,11 @@ def accumulated(system: System, old: Enclosure, record: Mapping[str, Any]) -> Ma
 
     Args:
         system: The system of the certificate.
-        old: The set before it.
+        box: Box of the states before it.
+        m: A state in the box.
         record: Its entries.
     """
-    bits, box, n_x, inner = system.bits, old.hull, system.n_x, system.inner
+    bits, n_x, inner = system.bits, system.n_x, system.inner
     speed, w = number(record["speed"], bits), system.gap_rate(box)
     require(w.low > 0 and w.high < speed.m, f"the speed after the impact is {w.shown()}")
     radius = numbers(record["radius"], (len(inner),), bits)
@@ -278,7 +335,7 @@ def accumulated(system: System, old: Enclosure, record: Mapping[str, Any]) -> Ma
     require(bool(left > 0), f"the impacts may not decay: their ratio is {e * kappa}")
     fast, room = interval(speed), interval(Ball(speed.m - w.high, 0, bits))
     w = interval(w).b
-    point, slope = old.m.copy(), system.identity
+    point, slope = m.copy(), system.identity
     c = [flight * bound[i] + (1 + e) * kappa * bound[n_x + i] for i in range(n_x)]
     reach = [fast * (flight * bound[i] + c[i] / left) for i in range(n_x)]
     reach += [0] * (len(inner) - n_x)

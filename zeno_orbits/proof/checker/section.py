@@ -101,11 +101,58 @@ class Box(NamedTuple):
             radii(reach, n, bits),
         )
 
+    def leaves(self, section: Section, image: Array) -> str:
+        """Return how a box of states leaves the interior of this box, or an empty text.
+
+        Args:
+            section: The section.
+            image: The states, ``(N,)``.
+        """
+        for k, x, centre, reach in zip(
+            section.places, image[section.places], self.centre, self.spread, strict=False
+        ):
+            if (x - centre).size >= reach.r:
+                return f"state {k} leaves the set: {(x - centre).shown()}"
+        parts = image[section.others], self.others, self.others_spread
+        for k, x, centre, reach in zip(section.others, *parts, strict=True):
+            if (x - centre).size > reach.r:
+                return f"state {k} does not return to the section: {(x - centre).shown()}"
+        return ""
+
     def holds(self, other: Box) -> bool:
         """Return True if another box lies in this box."""
         centres, spreads, others, reaches = zip(self, other, strict=True)
         pairs = [*zip(*centres, *spreads, strict=True), *zip(*others, *reaches, strict=True)]
         return all(abs(c.m - a.m) + d.r <= b.r for a, c, b, d in pairs)
+
+
+def newton_of(system: System, section: Section, box: Box) -> tuple[Any, Any]:
+    """Return Newton's operator on the conditions of a section, and the map to all states.
+
+    The operator returns the other states minus a middle, if within reach of it, and their
+    derivative, for all coordinates together. Its arguments are the middle, the reach, and the
+    coordinates minus those of the centre of the box.
+    """
+    n = len(section.others)
+    inner = [*section.places, *system.inner[system.n_x :]]
+
+    def state(coordinates: Array, others: Array) -> Array:
+        z = system.nothing
+        z[system.gap_row] = system.stop
+        z[inner], z[section.others] = coordinates, others
+        return z
+
+    def newton(middle: Array, reach: Array, spread: Array) -> tuple[Array, Array]:
+        around, at = state(box.centre + spread, middle + reach), state(box.centre, middle)
+        rows = [system.gradient(k, around)[row] for k, row in section.equations]
+        slopes = np.array(rows, dtype=object).reshape(n, len(around))
+        rest = np.array([system.value(k, at)[row] for k, row in section.equations], dtype=object)
+        by_u = slopes[:, inner]
+        right = np.concatenate([(rest + by_u @ spread)[:, None], by_u], axis=1)
+        found = -solved(slopes[:, section.others], right)
+        return found[:, 0], found[:, 1:]
+
+    return newton, state
 
 
 def require_start(system: System, section: Section, box: Box, start: Enclosure) -> None:
@@ -120,25 +167,8 @@ def require_start(system: System, section: Section, box: Box, start: Enclosure) 
         box: The box.
         start: The set.
     """
-    n, D = len(section.others), len(box.spread)
-    inner = [*section.places, *system.inner[system.n_x :]]
-
-    def state(coordinates: Array, others: Array) -> Array:
-        z = system.nothing
-        z[system.gap_row] = system.stop
-        z[inner], z[section.others] = coordinates, others
-        return z
-
-    def newton(middle: Array, reach: Array, spread: Array) -> tuple[Array, Array]:
-        """Return the other states minus a middle, if within reach of it, and their derivative."""
-        around, at = state(box.centre + spread, middle + reach), state(box.centre, middle)
-        rows = [system.gradient(k, around)[row] for k, row in section.equations]
-        slopes = np.array(rows, dtype=object).reshape(n, len(around))
-        rest = np.array([system.value(k, at)[row] for k, row in section.equations], dtype=object)
-        by_u = slopes[:, inner]
-        right = np.concatenate([(rest + by_u @ spread)[:, None], by_u], axis=1)
-        found = -solved(slopes[:, section.others], right)
-        return found[:, 0], found[:, 1:]
+    D, inner = len(box.spread), [*section.places, *system.inner[system.n_x :]]
+    newton, state = newton_of(system, section, box)
 
     def narrowed(spread: Array) -> tuple[Array, Array]:
         middle, left, slope = box.others, *newton(box.others, box.others_spread, box.spread)

@@ -41,6 +41,8 @@ class Theorem:
         plastic: True if the restitution is zero. A single impact then starts contact.
         inside: True if the return map takes the first box into its interior, by the mean value
             form. Then it contracts the box (see `ProofVerdict.conclusions`).
+        basin: Set of initial states of the section, empty without one.
+        attracted: True if the return map takes this set into the first box, which it contracts.
     """
 
     problem: str
@@ -55,6 +57,8 @@ class Theorem:
     zeno_points: int = 0
     plastic: bool = False
     inside: bool = False
+    basin: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict[str, Any])
+    attracted: bool = False
 
     @property
     def kind(self) -> str:
@@ -81,6 +85,7 @@ class Theorem:
                 f"Box {k} of the section: {_shown(box)}."
                 for k, box in enumerate((self.box, *self.smaller), 1)
             ),
+            *([f"Set of initial states: {_shown(self.basin)}."] if self.basin else []),
             f"In a period: {impacts}, {_counted(self.zeno_points, held)}, "
             f"{_counted(self.releases, 'release')}.",
         ]
@@ -200,6 +205,10 @@ class ProofVerdict:
         if "repelling" in known:
             lines.append("The fixed point of the return map is unstable: one multiplier lies")
             lines[-1] += f" outside the unit circle, in the disc {known['repelling']}."
+        if "basin" in known:
+            lines.append("The return map takes the set of initial states into its interior.")
+        if self.theorem.attracted:
+            lines.append("Every execution from the set converges to the periodic orbit.")
         return lines
 
     def lines(self) -> list[str]:

@@ -169,16 +169,17 @@ def print_recovery(found: Recovery) -> None:
 
 
 def print_basin(proof: Proof, sampled: Recovery) -> None:
-    """Print the proved box of initial states beside the ball of the same orbit that was sampled."""
-    print_lines(["", "P maps box 1 into its interior. Its half-widths, beside the sampled ball:"])
+    """Print the proved set of initial states beside the ball of the same orbit that was sampled."""
+    name = "the set of initial states" if proof.basin else "box 1"
+    print_lines(["", f"P maps {name} into its interior. Half-widths, beside the sampled ball:"])
     columns: list[Column[tuple[str, float]]] = [
         text_column("state", lambda row: row[0]),
-        number_column("box 1", lambda row: f"{row[1]:.3g}"),
+        number_column("proved", lambda row: f"{row[1]:.3g}"),
         number_column("ball", lambda row: f"{sampled.extents[row[0]]:.3g}"),
-        number_column("ratio", lambda row: f"{row[1] / sampled.extents[row[0]]:.1g}"),
+        number_column("ratio", lambda row: f"{row[1] / sampled.extents[row[0]]:.2g}"),
         text_column("unit", lambda row: sampled.units[row[0]]),
     ]
-    print_table(columns, [(name, half) for name, (_, half) in proof.box.items()])
+    print_table(columns, list(proof.initial_states.items()))
 
 
 def _range(values: Sequence[float]) -> str:

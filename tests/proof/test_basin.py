@@ -1,0 +1,187 @@
+"""Sets of initial states: proved by polynomials, confirmed by simulations, refused if changed."""
+
+from __future__ import annotations
+
+import copy
+import json
+import random
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.certificates import mutate
+from zeno_orbits.errors import InputError
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.proof import check_proof
+from zeno_orbits.proof.checker import basin as judged
+from zeno_orbits.proof.checker import certificate as first_box
+
+pytest.importorskip("flint")
+pytestmark = pytest.mark.slow
+
+Certificate = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def orbit() -> ZenoOrbit:
+    return zo.find_orbit_by_shooting("solenoid").unwrap()
+
+
+@pytest.fixture(scope="module")
+def proof(orbit: ZenoOrbit) -> zo.Proof:
+    return zo.prove(orbit, basin=True)
+
+
+@pytest.fixture(scope="module")
+def certificate(proof: zo.Proof) -> Certificate:
+    return json.loads(json.dumps(proof.certificate))
+
+
+@pytest.fixture(scope="module")
+def short(certificate: Certificate) -> Certificate:
+    """Return a certificate of one box and its sets, which claims existence alone."""
+    claims = [one for one in certificate["claims"] if one["name"] == "exists" and one["pass"] == 0]
+    return certificate | {"passes": certificate["passes"][:1], "claims": claims}
+
+
+@pytest.fixture
+def remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Prove no record twice, and none after one that fails: a change concerns few of them."""
+    for module, name in ((judged, "_failures"), (first_box, "_proved")):
+        monkeypatch.setattr(module, name, _remembered(getattr(module, name)))
+        monkeypatch.setattr(module, "_CHUNK", 10**6)
+
+
+def _remembered(prove: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
+    known = dict[str, Any]()
+
+    def proved(system: Any, about: Any, tasks: Sequence[Any]) -> list[Any]:
+        numbers = repr((system.constants, system.unit, system.stop, about))
+        keys = [numbers + repr(task) for task in tasks]
+        new = [k for k, key in enumerate(keys) if key not in known]
+        for k, one in zip(new, prove(system, about, [tasks[k] for k in new]), strict=True):
+            known[keys[k]] = one
+        return [known[key] for key in keys]
+
+    return proved
+
+
+def test_a_set_is_at_least_one_percent_of_the_sampled_ball_and_attracts(
+    orbit: ZenoOrbit, proof: zo.Proof, certificate: Certificate
+) -> None:
+    ball = zo.recovery(orbit)
+    assert proof.attracted
+    for name, half in proof.initial_states.items():
+        assert 0.01 * ball.extents[name] < half < ball.extents[name]
+    verdict = check_proof(certificate)
+    assert verdict.ok
+    for name, (middle, radius) in verdict.theorem.basin.items():
+        assert proof.basin[name].low == middle - radius
+        assert proof.basin[name].high == middle + radius
+    assert "Every execution from the set converges to the periodic orbit." in verdict.lines()
+
+
+def test_executions_from_a_set_return_into_it(orbit: ZenoOrbit, proof: zo.Proof) -> None:
+    (name, one), *_ = proof.basin.items()
+    middle, half = float((one.low + one.high) / 2), float((one.high - one.low) / 2)
+    for share in (-1.0, -0.5, 0.3, 1.0):
+        sine = middle + share * half
+        start = dict(orbit.start_state) | {name: sine, "cosine": -np.sqrt(1 - sine**2)}
+        run = zo.simulate("solenoid", start=start, gains=orbit.gains, until=1.02 * orbit.period)
+        released = [event for event in run.releases if event.time > 0.5 * orbit.period]
+        assert len(released) == 1
+        assert abs(released[0].state[run.state_names.index(name)] - middle) < half
+
+
+@pytest.mark.usefixtures("remembered")
+def test_none_of_100_changed_sets_is_accepted(short: Certificate) -> None:
+    assert check_proof(short).ok
+    chance = random.Random(5)
+    for number in range(100):
+        mutant = copy.deepcopy(short)
+        _falsify(mutant["basin"], chance, number)
+        assert not _accepted(mutant), number
+
+
+@pytest.mark.usefixtures("remembered")
+def test_of_100_random_changes_those_accepted_leave_the_set_as_it_is(
+    short: Certificate,
+) -> None:
+    assert check_proof(short).ok
+    chance, accepted = random.Random(7), 0
+    for _ in range(100):
+        mutant = copy.deepcopy(short)
+        mutate(mutant["basin"], chance)
+        if mutant != short and _accepted(mutant):
+            accepted += 1
+            old, new = (_intervals(one["basin"][0]["box"]) for one in (short, mutant))
+            for (a, r), (b, q) in zip(old, new, strict=True):
+                assert abs(a - b) + q <= r * (1 + Fraction(1, 50))
+    # Last digits of a set may change within its slack.
+    assert accepted < 60
+
+
+def _accepted(mutant: Certificate) -> bool:
+    try:
+        return check_proof(mutant).ok
+    except InputError:
+        return False
+
+
+def _falsify(sets: list[Any], chance: random.Random, number: int) -> None:
+    """Change a number of a set by far more than its slack, or a record."""
+    one = chance.choice(sets)
+    records = one["records"]
+    k = chance.randrange(1, len(records))
+    moving = [record for record in records if record["kind"] in ("step", "cross")]
+    record = chance.choice(moving)
+    kind = number % 10
+    if kind == 0:
+        sets[0]["box"]["radius"] = [_scaled(x, 8) for x in sets[0]["box"]["radius"]]
+    elif kind == 1:
+        record["set"]["r"] = [_scaled(x, Fraction(1, 2)) for x in record["set"]["r"]]
+    elif kind == 2:
+        row = record["set"]["p"][chance.choice(_moved(record))]
+        row[1] = _scaled(row[1], Fraction(101, 100))
+    elif kind == 3:
+        del records[k]
+    elif kind == 4:
+        record["time"][0] = _scaled(record["time"][0], Fraction(99, 100))
+    elif kind == 5:
+        cross = chance.choice([one for one in records if one["kind"] == "cross"])
+        cross["spare"] = _scaled(cross["spare"], Fraction(1, 64))
+    elif kind == 6:
+        record["h"] = _scaled(record["h"], Fraction(1, 2))
+    elif kind == 7:
+        one["start"]["p"][-1][0] = _scaled(one["start"]["p"][-1][0], Fraction(101, 100))
+    elif kind == 8:
+        records.insert(k, copy.deepcopy(records[k]))
+    else:
+        tail = next(one for one in records if one["kind"] == "tail")
+        tail["speed"] = _scaled(tail["speed"], Fraction(1, 2**20))
+
+
+def _moved(record: Mapping[str, Any]) -> list[int]:
+    """Return the states whose polynomials have a term that matters."""
+    rows = [(abs(_value(row[1])), k) for k, row in enumerate(record["set"]["p"])]
+    return [max(rows)[1]]
+
+
+def _intervals(box: Mapping[str, Any]) -> list[tuple[Fraction, Fraction]]:
+    pairs = zip(box["centre"], box["radius"], strict=True)
+    return [(_value(centre), _value(radius)) for centre, radius in pairs]
+
+
+def _value(text: str) -> Fraction:
+    mantissa, exponent = text.replace("0x", "").split("p")
+    return int(mantissa, 16) * Fraction(2) ** int(exponent)
+
+
+def _scaled(text: str, factor: Fraction | int) -> str:
+    """Return a number of a certificate times a factor, rounded to a multiple of 2^-200."""
+    units = round(_value(text) * factor * 2**200)
+    return f"{'-' if units < 0 else ''}0x{abs(units):x}p-200"
