@@ -89,7 +89,7 @@ def test_a_map_names_orbits_of_sequences_of_impacts_that_never_rest(
 
 @pytest.mark.parametrize(
     ("acceleration", "restitution"),
-    # Accelerations that differ by 1e-11 and 1e-9 lead to orbits of 55 and 49 turns, and of 41 and 37.
+    # Accelerations 1e-11 and 1e-9 apart lead to orbits of 55 and 49 turns, and of 41 and 37.
     [(3.1370182435847345, 0.4571881775820836), (3.235843897609703, 0.5494770912424607)],
 )
 def test_a_map_names_no_period_that_its_own_errors_decide(
