@@ -128,6 +128,16 @@ def test_the_own_time_of_a_problem_is_that_of_its_clock_or_its_slowest_oscillati
     assert falling == pytest.approx(2 * math.pi / math.sqrt(9.81))
 
 
+@pytest.mark.parametrize("rounding", [1e-17, -1e-17])
+def test_a_start_on_the_ground_has_the_own_time_of_one_a_rounding_beside_it(
+    rounding: float,
+) -> None:
+    ball = load_problem("bouncing_ball")
+    dynamics = ball.dynamics(ball.values())
+    exact, rounded = (own_time(dynamics, np.array([at, 1.0])) for at in (0.0, rounding))
+    assert rounded == exact
+
+
 def test_a_link_on_its_stop_does_not_rest_while_a_slow_current_grows() -> None:
     # The inductance is a hundred times the valve's own: the current takes seconds to lift the link.
     valve = load_problem("motor_valve")

@@ -40,7 +40,7 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
 
     It is :math:`2 \pi / |\mu|` with the smallest oscillating eigenvalue :math:`\mu` of the free
     flow, which includes the eigenvalues of the clock. Without an oscillation it is
-    :math:`2 \pi \sqrt{|q| / |\ddot q|}`.
+    :math:`2 \pi \sqrt{|q| / |\ddot q|}`, or 1 s if the coordinates are zero or rounding.
 
     Args:
         dynamics: The system.
@@ -63,7 +63,10 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
         return float(2 * math.pi / np.min(turning))
     size = float(np.max(np.abs(state[:n_q])))
     pull = float(np.max(np.abs(dynamics.free.rate(state)[n_q : 2 * n_q])))
-    return 2 * math.pi * math.sqrt(size / pull) if size > 0.0 and pull > 0.0 else 1.0
+    # Coordinates at an impact are rounding, if they are zero.
+    speed = float(np.max(np.abs(state[n_q : 2 * n_q])))
+    known = pull > 0.0 and size > _ROUNDED * speed**2 / pull
+    return 2 * math.pi * math.sqrt(size / pull) if known and size > 0.0 else 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
