@@ -50,9 +50,7 @@ def test_a_search_returns_the_orbit_that_the_motion_settles_to(
 
 
 def test_an_orbit_is_not_refused_for_what_errors_of_the_check_itself_grow_to() -> None:
-    values = shaken(THIRTEEN, 30.0)
-    near = find_orbit(TABLE, values).unwrap()
-    orbit = close_orbit(TABLE, values, near=near, simulation=FINEST).unwrap()
+    orbit = close_orbit(TABLE, shaken(THIRTEEN, 30.0), simulation=FINEST).unwrap()
     assert len(orbit.impacts) > 25
     # Local errors of 1e-12 are 1e-8 at its last impacts.
     assert verify(orbit, TABLE).passed

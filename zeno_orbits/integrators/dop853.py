@@ -14,9 +14,10 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.engine import FAR
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 from zeno_orbits.integrators.stepping import SteppingEngine
-from zeno_orbits.integrators.steps import SAFETY, ExplicitStep, first_size, too_small
+from zeno_orbits.integrators.steps import ExplicitStep, first_size, too_small
 from zeno_orbits.work import Checked
 
+SAFETY = 0.9
 SHRINK, GROW = 0.2, 8.0
 EXPONENT = -1 / 8
 

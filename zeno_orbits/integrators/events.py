@@ -17,7 +17,6 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.engine import Step, light_value
-from zeno_orbits.integrators.steps import ExplicitStep
 
 Guard = tuple[float, float]
 """A guard and its time derivative."""
@@ -144,9 +143,6 @@ def polished(flow: Guarded, step: Step, offset: float) -> float:
         step: The step that contains the root.
         offset: Root of the dense output, counted from the start of the step [s].
     """
-    if isinstance(step, ExplicitStep):
-        # A state inside is the end of a true step already.
-        return offset
     for _ in range(4):
         value, rate = flow.guard(step.end_at(offset))
         change = -value / rate if rate < 0.0 else 0.0
@@ -161,8 +157,8 @@ def polished(flow: Guarded, step: Step, offset: float) -> float:
     return offset
 
 
-DOUBLES = 1e-8
-"""After a last change below this part of the step, Newton's method leaves about rounding."""
+DOUBLES = 1e-9
+"""After a last change below this part of the step, Newton's method leaves less than rounding."""
 
 POLISH = 1e-3
 """Newton's method moves a root of the dense output by no more than this part of the step."""

@@ -5,17 +5,11 @@ typedef struct {
     const Machine *m;
     const double *before, *slope, *after, *slope_after, *guard_after;
     const double *coefficients; /* of an implicit step, else null */
-    double ended[1 + ZL_MOST];  /* where the last step from its start ended, and how */
+    double ended[1 + ZL_MOST];  /* where the last implicit step from its start ended, and how */
 } Step;
 
-/* Keep where a step from the start ended, and how. */
-static void keep_end(Step *step, double offset, const double *state) {
-    step->ended[0] = offset;
-    memcpy(step->ended + 1, state, (size_t)step->m->run->leg.n_y * sizeof(double));
-}
-
 /* The state inside a step as dense output has it, and the guard there. */
-static void dense(Step *step, double offset, double *state, double *pair) {
+static void dense(const Step *step, double offset, double *state, double *pair) {
     const int n = (int)step->m->run->leg.n_y;
     int i;
     if (offset == step->curve.size) {
@@ -28,13 +22,10 @@ static void dense(Step *step, double offset, double *state, double *pair) {
         double value[ZL_MOST];
         polynomial_at(step->coefficients, n, offset / step->curve.size, value);
         for (i = 0; i < n; i++) state[i] = step->before[i] + value[i];
-    } else if (offset == step->ended[0]) {
-        memcpy(state, step->ended + 1, (size_t)n * sizeof(double));
     } else {
         double slopes[12][ZL_MOST];
         memcpy(slopes[0], step->slope, (size_t)n * sizeof(double));
         explicit_state(step->m, step->before, offset, slopes, state);
-        keep_end(step, offset, state);
     }
     guard_at(step->m, state, pair);
 }
@@ -49,7 +40,8 @@ static void true_end(Step *step, double offset, double *state, double *pair) {
         memcpy(state, found.after, bytes);
         pair[0] = found.guard[0];
         pair[1] = found.guard[1];
-        keep_end(step, offset, found.after);
+        step->ended[0] = offset;
+        memcpy(step->ended + 1, found.after, bytes);
         return;
     }
     dense(step, offset, state, pair);
@@ -70,7 +62,7 @@ static void leg_end(Step *step, double offset, double *state) {
     const int n = (int)step->m->run->leg.n_y;
     double shift = offset - step->ended[0], slope[ZL_MOST], pair[2];
     int i;
-    if (!step->coefficients || !(fabs(shift) <= DOUBLES * step->curve.size)) {
+    if (!(fabs(shift) <= DOUBLES * step->curve.size)) {
         true_end(step, offset, state, pair);
         return;
     }
@@ -169,7 +161,7 @@ static void bounds_between(const Curve *curve, const Place *left, const Place *r
 }
 
 static void state_inside(const Curve *curve, double offset, double *state, double *pair) {
-    dense((Step *)(void *)(uintptr_t)(const void *)curve, offset, state, pair);
+    dense((const Step *)(const void *)curve, offset, state, pair);
 }
 
 /* Where in a step the guard of a leg first falls; NaN if it does not. */
@@ -255,49 +247,15 @@ static int goes_over(Leg *leg, const double *before, const double *after, double
     return 1;
 }
 
-/* A first step from a state and two derivatives of its slope; 0 if the flow is not finite. */
-static double first_size(const Machine *m) {
-    const Leg *leg = &m->run->leg;
-    const int n = (int)leg->n_y;
-    double sizes[ZL_MOST], near[ZL_MOST], first[ZL_MOST], second[ZL_MOST], pair[2];
-    double floor = leg->absolute / leg->relative, rate = 0.0, most = 0.0, small, part, decay = 0.0;
-    double amplitude = 0.0;
+/* A first step from the sizes of state and slope; 0 if the flow is not finite. */
+static double first_size(const Leg *leg) {
+    double floor = leg->absolute / leg->relative, ratio = 0.0;
     int i;
-    for (i = 0; i < n; i++)
+    for (i = 0; i < leg->n_y; i++)
         if (!isfinite(leg->slope[i])) return 0.0;
-    for (i = 0; i < n; i++) {
-        sizes[i] = floor + fabs(leg->y[i]);
-        rate = greater(rate, fabs(leg->slope[i]) / sizes[i]);
-    }
-    if (!(rate > 1e-5)) return 1e-3;
-    small = SMALL_CHANGE / rate;
-    for (i = 0; i < n; i++) near[i] = leg->y[i] + small * leg->slope[i];
-    guard_at(m, near, pair);
-    if (!(leg->guard[0] > small * greater(fabs(leg->guard[1]), fabs(pair[1])) ||
-          fabs(pair[1] - leg->guard[1]) <= leg->guard[1] / 2))
-        return small;
-    rate_at(m, near, first);
-    for (i = 0; i < n; i++) near[i] += small * first[i];
-    rate_at(m, near, second);
-    /* The decay whose steps have the largest error. */
-    for (i = 0; i < n; i++) {
-        double change = first[i] - leg->slope[i], next = second[i] - first[i] - change;
-        double jerk = fabs(next) / sizes[i] / small;
-        double turn = fabs(change) / sizes[i] + TURNING * fabs(next) / sizes[i];
-        double fast = jerk / turn, squared = fast * fast;
-        if (!isfinite(next)) return small;
-        if (jerk * squared * squared * fast > most) {
-            most = jerk * squared * squared * fast;
-            decay = fast;
-            amplitude = turn / small / squared;
-        }
-    }
-    if (!(most < INFINITY)) return small;
-    if (most == 0.0) return small / SMALL_CHANGE;
-    part = leg->relative / amplitude;
-    part = lesser(pow(part / DECAY_ERROR, 1.0 / 8.0), pow(part / SHORT_ERROR, 1.0 / 6.0));
-    part *= EXPLICIT_SAFETY / decay;
-    return lesser(greater(part, small * SMALL_CHANGE), small / SMALL_CHANGE);
+    for (i = 0; i < leg->n_y; i++)
+        ratio = greater(ratio, fabs(leg->slope[i]) / (floor + fabs(leg->y[i])));
+    return ratio > 1e-5 ? 0.01 / ratio : 1e-3;
 }
 
 /* Rescale the flights to another speed after an impact. */
@@ -335,7 +293,7 @@ static int begin_leg(const Machine *m, int mode, double unit, const double *y, d
     leg->first_polynomial = run->n_polynomials;
     guard_at(m, leg->y, leg->guard);
     rate_at(m, leg->y, leg->slope);
-    leg->size = first_size(m);
+    leg->size = first_size(leg);
     if (leg->size == 0.0) return 0;
     leg->size = lesser(leg->size, leg->implicit ? leg->largest_implicit : leg->largest_explicit);
     return 1;
@@ -514,7 +472,7 @@ static int step_leg(const Machine *m) {
     rate_at(m, after, slope_after);
     step.curve.look = look_inside;
     step.curve.size = size;
-    step.curve.exact = !was_implicit;
+    step.curve.exact = 0;
     step.m = m;
     step.before = leg->y;
     step.slope = leg->slope;

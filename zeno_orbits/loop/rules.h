@@ -5,7 +5,7 @@
 #define CUBIC_STEPS 4
 #define HALVINGS 50
 #define TINY 8.881784197001252e-16
-#define DOUBLES 1e-08
+#define DOUBLES 1e-09
 #define POLISH 0.001
 
 /* integrators/following.py */
@@ -34,10 +34,6 @@
 #define MOST_ITERATIONS 12
 #define NEWTON_SHARE 0.01
 #define NEWTON_FLOOR 0.001
-#define SMALL_CHANGE 0.01
-#define TURNING 0.015625
-#define DECAY_ERROR 6.5634e-07
-#define SHORT_ERROR 2.6995e-07
 #define SLACK 0.125
 #define ROUNDED 1.7763568394002505e-15
 

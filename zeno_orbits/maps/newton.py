@@ -327,7 +327,9 @@ def newton_step(section: Section, run: PeriodRun, n: int, jacobian: Vector | Non
         LinAlgError: If a multiplier is one.
     """
     image = section.coordinates(run.returns[n - 1].state)
-    if jacobian is None:
+    if jacobian is None and section.dimension == 0:
+        jacobian = np.zeros((0, 0))
+    elif jacobian is None:
         jacobian = section.components(run.by_state(n) @ section.lift)
     solved = np.linalg.solve(np.eye(section.dimension) - jacobian, image)
     z = np.asarray(solved, dtype=np.float64)
