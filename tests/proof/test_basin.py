@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-import numpy as np
 import pytest
 
 import zeno_orbits as zo
@@ -85,16 +84,26 @@ def test_a_set_is_at_least_one_percent_of_the_sampled_ball_and_attracts(
     assert "Every execution from the set converges to the periodic orbit." in verdict.lines()
 
 
-def test_executions_from_a_set_return_into_it(orbit: ZenoOrbit, proof: zo.Proof) -> None:
-    (name, one), *_ = proof.basin.items()
-    middle, half = float((one.low + one.high) / 2), float((one.high - one.low) / 2)
+def test_simulated_returns_lie_within_the_proved_remainder_of_the_polynomials(
+    orbit: ZenoOrbit, certificate: Certificate
+) -> None:
+    first, last = certificate["basin"][0], certificate["basin"][0]["records"][-1]["set"]
+    ((middle, half),) = _intervals(first["box"])
+    (place,) = certificate["section"]["places"]
+    frame, r = last["Q"][place], last["r"]
+    remainder = sum(abs(_value(x)) * _value(size) for x, size in zip(frame, r, strict=True))
     for share in (-1.0, -0.5, 0.3, 1.0):
-        sine = middle + share * half
-        start = dict(orbit.start_state) | {name: sine, "cosine": -np.sqrt(1 - sine**2)}
+        rows = first["start"]["p"]
+        start = {name: _at(row, share) for name, row in zip(orbit.start_state, rows, strict=True)}
         run = zo.simulate("solenoid", start=start, gains=orbit.gains, until=1.02 * orbit.period)
-        released = [event for event in run.releases if event.time > 0.5 * orbit.period]
-        assert len(released) == 1
-        assert abs(released[0].state[run.state_names.index(name)] - middle) < half
+        (end,) = [one.state for one in run.releases if one.time > 0.5 * orbit.period]
+        assert abs(end[place] - middle) < half
+        assert abs(end[place] - _at(last["p"][place], share)) < remainder
+
+
+def _at(row: Sequence[str], s: float) -> float:
+    """Return a polynomial of one variable."""
+    return sum(float(_value(c)) * s**k for k, c in enumerate(row))
 
 
 @pytest.mark.usefixtures("remembered")

@@ -78,8 +78,9 @@ def prove(
         over: Gain or parameter to the radius of its interval. The proof covers the whole interval.
         radius: Radius of the box on the section, relative to the size of each coordinate. The
             default is chosen automatically.
-        basin: True for a box that the return map maps into its interior, as large as the
-            enclosures allow. Every execution from it converges to the orbit.
+        basin: True for a set of initial states that the return map maps into its interior, as
+            large as the enclosures allow. The result also states whether every execution from it
+            is proved to converge to the orbit.
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:

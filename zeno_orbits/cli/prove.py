@@ -60,8 +60,8 @@ def add_prove(commands: Any) -> None:
     parser.add_argument(
         "--basin",
         action="store_true",
-        help="prove a box of initial states that converge to the orbit, as large as the enclosures "
-        "allow",
+        help="prove a set of initial states that the return map maps into itself, as large as the "
+        "enclosures allow",
     )
     parser.add_argument(
         "--interval",

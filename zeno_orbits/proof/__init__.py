@@ -6,6 +6,7 @@ Krawczyk's operator then shows that exactly one orbit passes through the box. Th
 order of the computation: `expressions` and `program` (equations in balls), `flow` (one step),
 `sets`, `section`, `events` (with the Zeno tail), `walk` (one period), `orbit_walk` (from an orbit
 file), `fixed_point`, `claims`, `prover`. `enclosure` encloses one period without a fixed point.
+`basin` searches large sets of initial states, which `polynomials` and `polynomial_walk` enclose.
 `checker` checks certificates and shares no module with the prover. `replay` simulates a certificate
 with the problem's hand-written model.
 

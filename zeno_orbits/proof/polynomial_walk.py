@@ -475,7 +475,7 @@ class PolynomialWalk:
 
 def _at(series: Sequence[Any], time: Polynomial, rest: Sequence[Ball] | None = None) -> list[Any]:
     """Return the sums of series at a time, with the coefficients of their remainders."""
-    found = []
+    found = list[Any]()
     for k, one in enumerate(series):
         value: Any = Polynomial.constant(time.basis, 0.0, float(rest[k]) if rest else 0.0)
         for j in range(one.n - 1, -1, -1):

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product as choices
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from flint import arb
@@ -275,9 +275,10 @@ class PolynomialBlock:
     def dot(self, others: Any) -> Polynomial:
         """Return the sum of the products with as many other coefficients."""
         if isinstance(others, list):
-            c = np.array([one.c for one in others]).reshape(-1, self.basis.n)
-            r = np.array([one.r for one in others])
-            s = np.abs(c).sum(axis=1)
+            given = cast("list[Polynomial]", others)
+            c: Any = np.array([one.c for one in given]).reshape(-1, self.basis.n)
+            r: Any = np.array([one.r for one in given])
+            s: Any = np.abs(c).sum(axis=1)
         else:
             c, r, s = others.c, others.r, others.s
         n = min(len(c), len(self.c))

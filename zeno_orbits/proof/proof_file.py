@@ -101,8 +101,8 @@ class CertificateWriter:
             numbers["radius"] = [exact_text(radius[k] * units[k]) for k in self._tail_places()]
             numbers["speed"] = exact_text(one.numbers["speed"] * units[self._system.rate])
         orders = {"orders": list(one.orders)} if one.orders else {}
-        polynomial = isinstance(one.result, PolynomialSet)
-        result = self.polynomial_set(one.result) if polynomial else self.set_of(one.result)
+        set_ = one.result
+        result = self.set_of(set_) if isinstance(set_, BallSet) else self.polynomial_set(set_)
         return {"kind": one.kind, **numbers, **orders, "set": result}
 
     def passage(self, start: SectionStart, passage: ProofPassage) -> dict[str, Any]:

@@ -185,8 +185,8 @@ class Proof:
 
         It is `basin`, or box 1 if the return map maps it into its interior.
         """
-        box = self.boxes[0].coordinates if self.inside else {}
-        return {name: float((one.high - one.low) / 2) for name, one in (self.basin or box).items()}
+        shown = self.boxes[0].coordinates if self.inside and not self.basin else self.basin
+        return {name: float((one.high - one.low) / 2) for name, one in shown.items()}
 
     @property
     def inside(self) -> bool:

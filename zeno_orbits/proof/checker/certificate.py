@@ -121,9 +121,9 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
             certificate = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"File `{path}` is not a certificate ({error}).") from None
-    basin = ("basin",) if "basin" in certificate else ()
-    entries(certificate, *_TOP, *basin)
     data = cast("Mapping[str, Any]", certificate)
+    optional = ("basin",) if "basin" in data else ()
+    entries(data, *_TOP, *optional)
     kind, bits = (data["format"], data["kind"]), data["bits"]
     if kind != (2, "zeno_orbits proof") or type(bits) is not int or bits not in _BITS:
         known = "The certificate must be of format 2 and of 64 to 1024 bits"

@@ -156,19 +156,18 @@ def held(system: System, mode: str, orders: Sequence[int], x: Lanes, V: Lanes, h
     moving = np.array([node is not None for node in system.flow[mode]])
     reach, reach_V = x.hull(), V.hull()
     found = np.zeros(len(h.c), dtype=bool)
-    box, box_V, rest_V = reach, reach_V, reach_V
+    box, box_V, rest_x, rest_V = reach, reach_V, reach, reach_V
     for _ in range(_SWEEPS):
         wide = moving & ~found[:, None]
         box = where(wide, reach.wider(), box)
         box_V = where(~found[:, None, None], reach_V.wider(), box_V)
         over, over_V = coefficients(flow, all_inputs(system, box), h, low + 1, low + 1)
-        rest_V = matmul(over_V[low + 1], box_V)
-        reach, reach_V = x.then(over[low + 1]).hull(), V.then(rest_V).hull()
+        rest_x, rest_V = over[low + 1], matmul(over_V[low + 1], box_V)
+        reach, reach_V = x.then(rest_x).hull(), V.then(rest_V).hull()
         inside = reach.inside(box) | ~moving
         found = inside.all(axis=1) & reach_V.inside(box_V)[:, moving].all(axis=(1, 2))
         if found.all():
             break
-    rest_x = over[low + 1]
     over, _ = coefficients(flow, all_inputs(system, reach), h, 0, high + 1)
     return Held(found, reach, rest_V, rest_x, over[high + 1])
 

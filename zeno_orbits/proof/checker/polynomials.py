@@ -145,9 +145,10 @@ class Polys:
 
     def scaled(self, by: Lanes) -> Polys:
         """Return products with numbers, ``(...)``."""
-        size = abs(np.asarray(by.c))
+        c: Any = np.asarray(by.c)
+        size: Any = abs(c)
         r = self.size * (by.r + 5 * UNIT * size) + self.r * (size + by.r)
-        return Polys(self.of, self.c * np.asarray(by.c)[..., None], r * UP + TINY)
+        return Polys(self.of, self.c * c[..., None], r * UP + TINY)
 
 
 def _product(pairs: str, sums: str, n: int, x: Polys, y: Polys) -> Polys:
@@ -224,8 +225,9 @@ def poly_series(
     if not slopes:
         return states, None
     zero = Polys(of, np.zeros((order + 1, L, of.n), REAL), np.zeros((order + 1, L), REAL))
-    J = _stacked([zero if place is None else nodes.known[place] for place in flat])
-    J = Polys(of, J.c.reshape(order + 1, L, n, n, of.n), J.r.reshape(order + 1, L, n, n))
+    flat_J = _stacked([zero if place is None else nodes.known[place] for place in flat])
+    shape = order + 1, L, n, n
+    J = Polys(of, flat_J.c.reshape(*shape, of.n), flat_J.r.reshape(shape))
     V = Polys(of, np.zeros_like(J.c), np.zeros_like(J.r))
     V.c[0, ..., 0] = np.eye(n)
     for k in range(order):
