@@ -145,7 +145,7 @@ def test_instruments_alone_are_calibrated_with_known_parameters() -> None:
     [
         ({"c": None, "angle.gain": None}, "a recorded channel (distance, speed), but it names `an"),
         ({"c": None, "distance.slope": None}, "but it names `distance.slope`"),
-        ({"c": None, "contact.gain": None}, "`contact.gain`: a contact channel has no gain and no"),
+        ({"c": None, "contact.gain": None}, "`contact.gain`: a contact channel lacks gain and"),
         (["c", "c"], "must name `c` once, not twice"),
         ({"c+distance.gain": None}, "ties `c+distance.gain`"),
         ({"distance.gain+speed.offset": None}, "ties `distance.gain+speed.offset`"),

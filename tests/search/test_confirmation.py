@@ -217,7 +217,7 @@ def test_a_solution_that_simulation_follows_is_an_orbit(
     ("shape", "words"),
     [
         (ONE_ZENO, "From its release the simulation reaches no Zeno point with a later release."),
-        (TWICE, "From its start the simulation has no period of shape `zeno*2` follows."),
+        (TWICE, "The simulation from its start does not follow the shape `zeno*2`."),
     ],
 )
 def test_a_solution_without_a_period_is_not_followed(

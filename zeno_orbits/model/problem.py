@@ -597,7 +597,7 @@ def _compiled_graph(problem: Problem) -> CompiledGraph:
     try:
         graph = system.graph or graph_of_one_stop(system)
     except ValueError as error:
-        raise InputError(f"Argument `problem`: `{problem.name}` has no graph: {error}") from error
+        raise InputError(f"Argument `problem`: `{problem.name}` lacks a graph: {error}") from error
     return CompiledGraph(
         graph=graph,
         symbols=symbols,

@@ -70,7 +70,7 @@ def confirm(
     if cycle is None:
         detail = "From its release the simulation reaches no Zeno point with a later release."
         if not shape.has_one_release:
-            detail = f"From its start the simulation has no period of shape `{shape.text}` follows."
+            detail = f"The simulation from its start does not follow the shape `{shape.text}`."
         return replace(outcome, status=SearchStatus.NOT_FOLLOWED, detail=detail)
     differs = _difference(cycle, unknowns)
     if isinstance(objective, Target):

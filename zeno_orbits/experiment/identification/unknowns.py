@@ -114,7 +114,7 @@ class Unknowns:
                     wanted = f"must name a recorded channel ({has})"
                     named = f"`{channel}.{kind.value}`"
                     if channel.partition(".")[0] == CONTACT:
-                        named += ": a contact channel has no gain and no offset"
+                        named += ": a contact channel lacks gain and offset"
                     raise InputError(f"Argument `fit` {wanted}, but it names {named}.")
         return instruments_of(self.readings, channels)
 

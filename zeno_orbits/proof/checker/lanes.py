@@ -143,7 +143,7 @@ def where(which: Any, these: Lanes, others: Lanes) -> Lanes:
 
 def _products(apply: Callable[..., Any], n: int, x: Lanes, y: Lanes) -> Lanes:
     """Return sums of products with n terms."""
-    require(n + 16 < MOST_TERMS, f"a sum of {n} products has no bound on this processor")
+    require(n + 16 < MOST_TERMS, f"the rounding of {n} products is not bounded on this processor")
     a = abs(y.c)
     r = apply(abs(x.c), y.r + (n + 4) * UNIT * a) + apply(x.r, a + y.r)
     return Lanes(apply(x.c, y.c), r * UP + TINY)

@@ -163,7 +163,10 @@ def _product(pairs: str, sums: str, n: int, x: Polys, y: Polys) -> Polys:
     """
     of = x.of
     terms = n * of.n**2
-    require(terms + 16 < MOST_TERMS, f"a sum of {terms} products has no bound on this processor")
+    require(
+        terms + 16 < MOST_TERMS,
+        f"the rounding of {terms} products is not bounded on this processor",
+    )
     every = np.einsum(pairs, x.c, y.c)
     c = np.zeros(every.shape[:-1], REAL)
     for i, (with_it, places) in enumerate(of.targets):
