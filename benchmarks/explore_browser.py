@@ -3,7 +3,7 @@
     python benchmarks/explore_browser.py --changes 30
 
 A notebook shows the widget of each problem. A change sets one slider to a random value of its
-range, and ends when the browser has drawn the result. It needs JupyterLab, Selenium, Chromium and
+range, and ends with the frame that shows the result. It needs JupyterLab, Selenium, Chromium and
 chromedriver. Without them the script prints the missing part.
 """
 
@@ -50,11 +50,11 @@ const [low, high] = [Number(input.min), Number(input.max)];
 const begun = performance.now();
 new MutationObserver((_, observer) => {
   observer.disconnect();
-  requestAnimationFrame(() => requestAnimationFrame(() => done({
+  requestAnimationFrame(() => done({
     seconds: (performance.now() - begun) / 1000,
     python: Number(root.dataset.seconds),
     name: root.querySelector(".name").textContent,
-  })));
+  }));
 }).observe(root.querySelector(".name"), { childList: true });
 input.value = low + share * (high - low);
 input.dispatchEvent(new Event("input"));
