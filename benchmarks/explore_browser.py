@@ -22,7 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -74,7 +74,7 @@ def notebook(problems: list[str]) -> dict[str, Any]:
         "import zeno_orbits as zo",
         *(f"zo.explore('{name}'{PROBLEMS[name]})" for name in problems),
     ]
-    cells = [
+    cells: list[dict[str, Any]] = [
         {"cell_type": "code", "id": f"cell-{k}", "metadata": {}, "outputs": [], "source": source}
         | {"execution_count": None}
         for k, source in enumerate(sources)
@@ -84,7 +84,7 @@ def notebook(problems: list[str]) -> dict[str, Any]:
 
 
 @contextmanager
-def laboratory(folder: Path) -> Iterator[str]:
+def laboratory(folder: Path) -> Generator[str]:
     """Run JupyterLab in a folder, and yield its address with the token."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -111,7 +111,7 @@ def laboratory(folder: Path) -> Iterator[str]:
 
 
 @contextmanager
-def browser() -> Iterator[Any]:
+def browser() -> Generator[Any]:
     """Yield a headless Chromium."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
@@ -151,7 +151,7 @@ def measured(driver: Any, index: int, changes: int, seed: int) -> list[dict[str,
 
 def main() -> int:
     """Print the times of every problem. Returns 1 if a median is above the bound."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--problems", nargs="+", default=[*PROBLEMS], choices=[*PROBLEMS])
     parser.add_argument("--changes", type=int, default=30, help="changes per problem")
     parser.add_argument("--seed", type=int, default=0)

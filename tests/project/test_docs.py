@@ -22,10 +22,6 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 SOURCES = sorted([*(ROOT / "zeno_orbits").rglob("*.py"), *(ROOT / "problems").rglob("*.py")])
 
 
-def _one_line(document: Path) -> str:
-    return " ".join(document.read_text().split())
-
-
 def _anchors(document: Path) -> set[str]:
     return set(re.findall(r'<a id="([^"]+)"></a>', document.read_text()))
 
