@@ -22,7 +22,6 @@ from .inputs import known_problem as known_problem
 from .inputs import problem_of as problem_of
 from .inputs import split_numbers as split_numbers
 from .machines import Fit as Fit
-from .machines import RIG_TIME as RIG_TIME
 from .machines import compare as compare
 from .machines import compare_rig as compare_rig
 from .machines import counterpart_for as counterpart_for

@@ -1,12 +1,9 @@
 from .contact_damping import damping_number as damping_number
 from .contact_damping import effective_restitution as effective_restitution
-from .cycles import RigCycle as RigCycle
 from .cycles import SettledRig as SettledRig
 from .cycles import cut_cycles as cut_cycles
 from .default_stop import default_rig as default_rig
 from .cycles import rig_cycles as rig_cycles
-from .run import RigRecord as RigRecord
 from .run import RigRun as RigRun
 from .run import RigSettings as RigSettings
-from .run import Touch as Touch
 from .simulator import simulate_rig as simulate_rig
