@@ -28,13 +28,8 @@ from zeno_orbits.simulation import (
     SimulationSettings,
     SimulationTask,
     ZenoExtrapolation,
-    by_reference,
-    event_shifts,
     motion_of,
-    simulate,
-    state_after,
 )
-from zeno_orbits.simulation.looped import by_loop
 
 pytestmark = needs_compiler
 
@@ -219,38 +214,3 @@ def test_states_and_numbers_that_are_no_motion_end_in_numbers() -> None:
         start.state[rng.integers(5)] = special
         motions = motion_of(walk, run, start)
         assert len(motions.shifts) == len(run.arcs)
-
-
-def test_events_of_the_loop_and_of_the_reference_have_the_same_derivatives() -> None:
-    problem = zo.load_problem("motor_pendulum")
-    dynamics = problem.dynamics(problem.values())
-    start = np.array(problem.state_vector(problem.starts[0]))
-    task = SimulationTask(dynamics=dynamics, state=start, until=4.0, settings=CHATTER)
-    walk = _walk(dynamics, ())
-    found, expected = (
-        event_shifts(walk, run, walk.at_start()) for run in (by_loop(task), by_reference(task))
-    )
-    assert found.shape == (len(by_loop(task).events), 2, 2 + start.size, start.size)
-    assert np.all(np.isfinite(found))
-    sizes = np.max(np.abs(expected), axis=(1, 2, 3), keepdims=True)
-    # The loop and the reference differ by rounding in implicit steps.
-    assert np.max(np.abs(found - expected) / sizes) < 1e-9
-
-
-def test_events_move_as_their_derivatives_say() -> None:
-    problem = zo.load_problem("motor_pendulum")
-    dynamics = problem.dynamics(problem.values())
-    start = np.array(problem.state_vector(problem.starts[0]))
-    walk, step = _walk(dynamics, ()), 1e-6
-
-    def events(state: Vector) -> Vector:
-        run = simulate(dynamics, state, until=2.5, settings=CHATTER)
-        return np.array([[event.time, *state_after(event)] for event in run.events])
-
-    moved = event_shifts(
-        walk, simulate(dynamics, start, until=2.5, settings=CHATTER), walk.at_start()
-    )[:, 1][:, [0, *range(2, 2 + start.size)]]
-    for k in (0, 2):
-        shift = step * np.eye(start.size)[k]
-        difference = (events(start + shift) - events(start - shift)) / (2 * step)
-        assert moved[..., k] == pytest.approx(difference, rel=1e-5, abs=1e-5)

@@ -318,15 +318,6 @@ def test_a_state_that_is_not_admissible_is_refused(
         simulate(ball(0.5), state, until=1.0)
 
 
-def test_a_state_that_continues_a_motion_may_be_off_by_its_errors(ball: Pendulum) -> None:
-    # A ball just after an impact, below the floor by an error of its motion.
-    state, rise = (-1e-10, 1.0), 2 * 1.0 / GRAVITY
-    with pytest.raises(InputError, match="gap >= 0"):
-        simulate(ball(0.5), state, until=1.0)
-    run = simulate(ball(0.5), state, until=1.0, goes_on=True)
-    assert run.impacts[0].time == pytest.approx(rise, abs=1e-9)
-
-
 @pytest.mark.parametrize("until", [0.0, -1.0, math.nan, math.inf])
 def test_a_horizon_that_is_not_a_positive_time_is_refused(ball: Pendulum, until: float) -> None:
     with pytest.raises(InputError, match="`until` must be a positive number of seconds"):

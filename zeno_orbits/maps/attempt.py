@@ -5,7 +5,7 @@ The loop is the same on both sections. `Crossing` contains their differences.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,18 +13,16 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps.approach import all_come_nearer, is_approached, places_on_the_way
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.crossings import Follower
+from zeno_orbits.maps.crossings import Follower, Released, Struck
 from zeno_orbits.maps.newton import (
     RELEASES,
     Crossing,
+    DisplacedStates,
     FixedPoint,
-    PeriodRun,
-    chart_at,
+    bundle_at,
     newton_step,
-    period_run,
 )
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits import Section
 
 _MOST_ITERATIONS = 12
 _SHRINKS = 0.9
@@ -70,6 +68,13 @@ class Accuracy:
         return _LOCAL_ERRORS * self.motion
 
 
+SAME = 1e-8
+"""Two releases are the same if they differ by less than this part of the period or the time limit.
+
+Rounding has then put the start in contact.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Lost:
     """This attempt found no orbit to which the motion converges."""
@@ -85,12 +90,12 @@ class Attempt:
         crossing: The events that define the section.
         span: Approximate time of a period [s].
         period: Number of returns per period.
-        section: Chart of the section, with the initial state as its centre.
-        final: True if the motions run at the accuracy of the orbit.
+        bundle: Initial states of the lanes.
+        final: True if the lanes run at the accuracy of the orbit.
         origin: The state of the motion at the start of the iteration, ``(n_x,)``.
         earlier: The state of the motion a period before, ``(n_x,)``.
         before: Length of the previous step. Infinite before the first step.
-        jacobian: Derivative from the previous step, if it is still accurate enough.
+        jacobian: Derivative from the previous bundle, for a lane without neighbours.
         iterations: Number of steps so far.
         contracts: True if the return map contracts at the start of every step, and no step reverses
             its direction.
@@ -104,7 +109,7 @@ class Attempt:
     crossing: Crossing = RELEASES
     span: float
     period: int
-    section: Section
+    bundle: DisplacedStates
     final: bool = False
     origin: Vector
     earlier: Vector
@@ -115,18 +120,22 @@ class Attempt:
     last_step: Vector | None = None
     doubtful: bool = False
     approached: bool = False
-    _run: PeriodRun = field(init=False)
+    _lanes: list[list[Released | Struck]] = field(
+        init=False, default_factory=list[list[Released | Struck]]
+    )
 
     def run(self) -> Attractor | Lost:
         """Return the orbit to which the motion converges, or `Lost`."""
-        answer: Attractor | Lost | None = None
-        while answer is None:
-            run = self._period_from(self.section.centre, final=self.final)
-            if run is None:
+        answer: Vector | Attractor | Lost = self.bundle.states
+        while isinstance(answer, np.ndarray):
+            error = self.accuracy.orbit if self.final else self.accuracy.motion
+            lanes = [self._returns(state, error) for state in answer]
+            if not all(lanes):
                 return Lost()
-            self._run = run
+            self._lanes = lanes
+            cycles = [self.crossing.cycle(self.dynamics, events) for events in lanes]
             try:
-                point = newton_step(self.section, run, self.period, self.jacobian)
+                point = newton_step(self.dynamics, self.bundle.section, cycles, self.jacobian)
             except (np.linalg.LinAlgError, ZenoOrbitsError):
                 return Lost()
             answer = self._stepped(point)
@@ -137,15 +146,35 @@ class Attempt:
         """The system."""
         return self.follower.dynamics
 
-    def _period_from(self, state: Vector, *, final: bool) -> PeriodRun | None:
-        """Return the motion over a period from a state, or ``None`` if it does not return."""
-        error = self.accuracy.orbit if final else self.accuracy.motion
-        return period_run(
-            self.follower, self.crossing, state, self.period, span=self.span, error=error
-        )
+    def _returns(self, state: Vector, error: float) -> list[Released | Struck]:
+        """Return the returns of a period of the motion from a state, or an empty list."""
+        releases = self.period if self.crossing is RELEASES else np.inf
+        found = self._first(state, error, releases)
+        if len(found) + 1 == releases:
+            # Rounding has put the start in contact, which adds an immediate release.
+            found = self._first(state, error, releases + 1)
+        return found if len(found) == self.period else []
 
-    def _stepped(self, point: FixedPoint) -> Attractor | Lost | None:
-        """Return the conclusion after a Newton step, or ``None`` after preparing a further step."""
+    def _first(self, state: Vector, error: float, releases: float) -> list[Released | Struck]:
+        """Return the first returns of the motion from a state, at most a period."""
+        found: list[Released | Struck] = []
+        strikes = self.crossing is not RELEASES
+        crossings = self.follower.crossings(
+            state, until=2 * self.span, error=error, releases=releases, strikes=strikes
+        )
+        for event in crossings:
+            if isinstance(event, self.crossing.event) and event.time > SAME * self.span:
+                found.append(event)
+                if len(found) == self.period:
+                    break
+        return found
+
+    def _next(self, *, neighbours: bool) -> Vector:
+        """Return the states of the next step: the bundle, or its centre with a known `A`."""
+        return self.bundle.states if neighbours else self.bundle.states[:1]
+
+    def _stepped(self, point: FixedPoint) -> Vector | Attractor | Lost:
+        """Continue after a Newton step: with a further step, a higher accuracy, or a conclusion."""
         accuracy = self.accuracy
         self.iterations += 1
         if not (np.all(np.isfinite(point.jacobian)) and np.isfinite(point.distance)):
@@ -165,12 +194,8 @@ class Attempt:
         least = min((abs(1 - value) for value in point.multipliers), default=1.0)
         straight = coarse and point.distance < _STRAIGHT * least
         try:
-            if straight:
-                # The derivative belongs to the coordinates of this chart.
-                self.section = replace(self.section, centre=point.state)
-            else:
-                scale = self.section.scale
-                self.section = chart_at(self.dynamics, self.crossing.rows, point.state, scale)
+            scale = self.bundle.section.scale
+            self.bundle = bundle_at(self.dynamics, self.crossing.rows, point.state, scale)
         except ZenoOrbitsError:
             return Lost()
         final = self.final or not coarse
@@ -179,14 +204,14 @@ class Attempt:
         self.before = point.distance if self.final == final else np.inf
         self.final = final
         self.jacobian = point.jacobian if straight else None
-        return None
+        return self._next(neighbours=not straight)
 
     def _note_contraction(self, point: FixedPoint) -> None:
         """Record whether the motion may follow the path of the iteration to the orbit.
 
         If the return map contracts all along a straight path, the motion follows it to its end.
         """
-        section = self.section
+        section = self.bundle.section
         step = (point.state - section.centre) / section.scale
         before = self.last_step
         turns = before is not None and float(step @ before) < 0.0 and point.distance > _COARSE
@@ -195,17 +220,17 @@ class Attempt:
 
     def _vanishes(self, point: FixedPoint) -> bool:
         """Return True if the iteration leads to an amplitude of zero."""
-        scale = self.section.scale
+        scale = self.bundle.section.scale
         left = float(np.max(np.abs(point.state) / scale))
         return left < _VANISHED * float(np.max(np.abs(self.origin) / scale))
 
-    def _accepted(self, point: FixedPoint) -> Attractor | Lost | None:
+    def _accepted(self, point: FixedPoint) -> Vector | Attractor | Lost:
         """Return the orbit if it is stable and the motion converges to it."""
         if not point.spectral_radius < 1.0:
             return Lost()
         shorter = self._shorter_period()
         if not self.approached:
-            section, jacobian = self.section, point.jacobian
+            section, jacobian = self.bundle.section, point.jacobian
             centre = section.coordinates(point.state)
             before = section.coordinates(self.earlier) - centre
             after = section.coordinates(self.origin) - centre
@@ -221,12 +246,12 @@ class Attempt:
                     return Lost()
         return self._concluded(point, shorter)
 
-    def _concluded(self, point: FixedPoint, shorter: int) -> Attractor | None:
+    def _concluded(self, point: FixedPoint, shorter: int) -> Vector | Attractor:
         """Return the orbit of the motion, or repeat the search with fewer returns per period."""
         self.approached = True
         if shorter < self.period:
             self.period, self.before = shorter, np.inf
-            return None
+            return self._next(neighbours=True)
         return self._orbit(point)
 
     def _leads_there(self, point: FixedPoint, places: Vector) -> bool:
@@ -236,7 +261,7 @@ class Attempt:
             point: The orbit.
             places: Test points relative to the orbit, in section coordinates, ``(n, m)``.
         """
-        section = self.section
+        section = self.bundle.section
         centre = section.coordinates(point.state)
         images: list[Vector] = []
         for place in places:
@@ -244,10 +269,10 @@ class Attempt:
                 state = section.state(self.dynamics, centre + place)
             except ZenoOrbitsError:
                 return False
-            run = self._period_from(state, final=True)
-            if run is None:
+            returns = self._returns(state, self.accuracy.orbit)
+            if not returns:
                 return False
-            images.append(section.coordinates(run.returns[-1].state) - centre)
+            images.append(section.coordinates(returns[-1].state) - centre)
         return all_come_nearer(places, np.array(images), point.jacobian)
 
     def _shorter_period(self) -> int:
@@ -257,14 +282,15 @@ class Attempt:
         a return and this start is therefore not sufficient. Section coordinates alone are also not
         sufficient, since they may not exist for a distant return.
         """
-        returns = self._run.returns
-        start, scale = self.section.centre, self.section.scale
+        lanes = self._lanes
+        start, scale = self.bundle.section.centre, self.bundle.section.scale
         for period in range(1, self.period):
-            away = float(np.max(np.abs(returns[period - 1].state - start) / scale))
+            away = float(np.max(np.abs(lanes[0][period - 1].state - start) / scale))
             if self.period % period or not away < self.accuracy.near:
                 continue
+            cycles = [self.crossing.cycle(self.dynamics, events[:period]) for events in lanes]
             try:
-                point = newton_step(self.section, self._run, period, None)
+                point = newton_step(self.dynamics, self.bundle.section, cycles, None)
             except (np.linalg.LinAlgError, ZenoOrbitsError):
                 continue
             if point.distance <= self.accuracy.exact:

@@ -3,25 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits import extrapolated
-from zeno_orbits.simulation import (
-    Event,
-    Execution,
-    Impact,
-    MotionEnd,
-    Release,
-    SimulationSettings,
-    simulate,
-    transient_settings,
-    watched,
-)
+from zeno_orbits.simulation import Event, Impact, MotionEnd, Release, watched
 
 _NO_IMPACT = 1e-12
 """Largest gap rate of a state near a release, in units of the problem's characteristic gap rate."""
@@ -105,47 +92,16 @@ class Follower:
             goes_on=goes_on,
         )
         start = state if goes_on else None
-        return crossings_of(self.dynamics, events, start, strikes=strikes, seen=seen)
-
-    def executed(
-        self, state: Vector, *, until: float, error: float, releases: int | None = None
-    ) -> Execution | None:
-        """Return the execution of a motion with all impacts, or ``None`` if it is interrupted.
-
-        Args:
-            state: Initial state, exactly or nearly a state of an earlier motion, ``(n_x,)``.
-            until: End time [s].
-            error: Relative local error of a step.
-            releases: Number of releases after which the execution ends.
-        """
-        far = () if self.bounds is None else tuple(self.bounds[: self.dynamics.n_q].tolist())
-        try:
-            return simulate(
-                self.dynamics,
-                state,
-                until=until,
-                releases=releases,
-                settings=_impact_by_impact(error, far),
-                goes_on=True,
-            )
-        except (InputError, SimulationError):
-            return None
+        return _crossings(self.dynamics, events, start, strikes=strikes, seen=seen)
 
 
-@lru_cache(maxsize=64)
-def _impact_by_impact(error: float, far: tuple[float, ...]) -> SimulationSettings:
-    """Return the settings of a motion with all impacts, whose derivatives are exact."""
-    settings = transient_settings(error, far)
-    return replace(settings, completion=extrapolated(settings))
-
-
-def crossings_of(
+def _crossings(
     dynamics: HybridDynamics,
-    events: Iterable[Event | MotionEnd],
+    events: Iterator[Event | MotionEnd],
     start: Vector | None,
     *,
     strikes: bool,
-    seen: Callable[[Event], None] | None = None,
+    seen: Callable[[Event], None] | None,
 ) -> Iterator[Released | Struck | MotionEnd]:
     """Yield the crossings of a motion.
 

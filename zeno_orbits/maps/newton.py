@@ -1,8 +1,8 @@
-r"""Newton's step to a periodic orbit on its section, from one return and its exact derivative.
+r"""Newton's step to a periodic orbit on its section, from returns of neighbouring motions.
 
-A motion over a period determines the return map :math:`P`, and the derivatives of its events
-determine :math:`P'` (theory (4.2)), and therefore the fixed point to second order and the
-multipliers (theory (3.3)).
+A *bundle* starts from a state of the section and from states displaced by :math:`\epsilon` along
+each section coordinate. The returns determine :math:`P` and its derivative, and therefore the fixed
+point to second order and the multipliers (theory (3.3)).
 The section contains the releases. If an orbit does not have a Zeno point and hence a release, it
 contains the states just after an impact (theory (5.9)).
 """
@@ -11,43 +11,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.errors import SimulationError
-from zeno_orbits.maps.crossings import Follower, Released, Struck, crossings_of
+from zeno_orbits.maps.crossings import Released, Struck
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits import (
-    IMPACT_ROWS,
-    RELEASE_ROWS,
-    Section,
-    differentials_of,
-    projected,
-    section_around,
-)
-from zeno_orbits.simulation import (
-    Event,
-    Execution,
-    Impact,
-    Perturbations,
-    Release,
-    ZenoPoint,
-    event_shifts,
-    transient_settings,
-)
+from zeno_orbits.orbits import IMPACT_ROWS, RELEASE_ROWS, Section, projected, section_around
 
-_OFF = 3e-7
-"""Largest distance of a state from its section, in scaled states."""
+_DISPLACED = 1e-6
+"""Displacement in scaled section coordinates.
 
-SAME = 1e-8
-"""Two releases are the same if they differ by less than this part of the period or the time limit.
-
-Rounding has then put the start in contact.
+Neighbours usually have the same sequence of steps, with nearly the same sizes. Errors of the
+integration then cancel in a difference. If a neighbour has another sequence, the difference
+contains its local error.
 """
+
+_OFF = 0.3 * _DISPLACED
+"""Largest distance of a state from its section for accurate differences, in scaled states."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisplacedStates:
+    """A state of a section and its displaced neighbours.
+
+    Attributes:
+        section: The chart around the state.
+        states: The state, then one neighbour per section coordinate, ``(m + 1, n_x)``.
+    """
+
+    section: Section
+    states: Vector
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,35 +69,33 @@ class FixedPoint:
             square.
         jacobian: Derivative of the return map, ``(m, m)``.
         state: The fixed point, ``(n_x,)``.
-        cycle: Function that returns the period from the fixed point.
+        numbers: Period and margins at the fixed point.
     """
 
     distance: float
     jacobian: Vector
     state: Vector
-    cycle: Callable[[], PeriodReturn]
-
-    @cached_property
-    def numbers(self) -> Vector:
-        """Period and margins at the fixed point. They need the derivative of the motion."""
-        return self.cycle().numbers
+    numbers: Vector
 
     @cached_property
     def multipliers(self) -> tuple[complex, ...]:
         """Eigenvalues of the derivative, the largest first."""
         return eigenvalues(self.jacobian)
 
-    @cached_property
+    @property
     def spectral_radius(self) -> float:
         """Largest modulus of a multiplier."""
         return max((abs(value) for value in self.multipliers), default=0.0)
 
 
-def chart_at(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector) -> Section:
-    """Return a chart of a section around a state.
+def bundle_at(
+    dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector
+) -> DisplacedStates:
+    """Return a state of a section and its neighbours.
 
     The state may be off its section by the drift of the flow from the stop. If this distance is not
-    small, the centre of the chart is the projected state.
+    small compared with a displacement, the state is projected to the section, as are its
+    neighbours.
 
     Args:
         dynamics: The system.
@@ -113,10 +108,11 @@ def chart_at(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: 
     """
     x = x if rows == RELEASE_ROWS else projected(dynamics, rows, x, scale)
     section = section_around(dynamics, rows, x, scale)
+    eye = _DISPLACED * np.eye(section.dimension)
     centre = section.state(dynamics, np.zeros(section.dimension))
-    if not np.max(np.abs(centre - x) / scale) < _OFF:
-        return replace(section, centre=centre)
-    return section
+    off = np.max(np.abs(centre - x) / scale)
+    states = [x if off < _OFF else centre, *(section.state(dynamics, row) for row in eye)]
+    return DisplacedStates(section=section, states=np.array(states))
 
 
 def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> PeriodReturn:
@@ -180,162 +176,33 @@ IMPACTS = Crossing(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class PeriodRun:
-    """A motion over a period from a state of the section.
-
-    Attributes:
-        dynamics: The system.
-        crossing: The events that define the section.
-        state: The initial state, ``(n_x,)``.
-        execution: The motion. It may extend beyond the period.
-        returns: The returns of the period, in order.
-        error: Relative local error of a step.
-    """
-
-    dynamics: HybridDynamics
-    crossing: Crossing
-    state: Vector
-    execution: Execution
-    returns: Sequence[Released | Struck]
-    error: float
-
-    @cached_property
-    def _shifts(self) -> Vector:
-        """Derivatives of the events, ``(n, 2, 2 + n_x, n_x)``."""
-        perturbations = Perturbations(
-            dynamics=self.dynamics,
-            differentials=differentials_of(self.dynamics, ()),
-            n_parameters=0,
-            tolerance=transient_settings(self.error).tolerance,
-        )
-        execution, first = self.execution, 0
-        start = perturbations.at_start()
-        if self.crossing is IMPACTS:
-            start = perturbations.launched(self.state)
-        elif execution.events[0].time < SAME * self.returns[-1].time:
-            # The free flow carries a perturbation of a start that rounding has put in contact.
-            first = 1
-        return event_shifts(perturbations, execution, start, first=first)
-
-    def by_state(self, n: int) -> Vector:
-        """Return the derivative of a return by the initial state, ``(n_x, n_x)``.
-
-        Args:
-            n: Number of the return, from 1.
-
-        Raises:
-            SimulationError: If the stop is touched without an impact before.
-        """
-        time = self.returns[n - 1].time
-        place = [event.time for event in self.execution.events].index(time)
-        found = self._shifts[place, 1, 2:]
-        if not np.all(np.isfinite(found)):
-            raise SimulationError(
-                "The derivative of the return is undefined",
-                time=time,
-                state=tuple(self.state.tolist()),
-            )
-        return found
-
-    def cycle(self, n: int, step: Vector) -> PeriodReturn:
-        """Return the first returns as a period of the motion from a neighbouring state.
-
-        Args:
-            n: Number of returns.
-            step: Difference of the neighbouring state, ``(n_x,)``. The period and the events change
-                to first order.
-        """
-        returns = self.returns[:n]
-        if not np.any(step):
-            return self.crossing.cycle(self.dynamics, returns)
-        end, pairs = returns[-1].time, zip(self.execution.events, self._shifts @ step, strict=True)
-        events = [_moved(event, *moves) for event, moves in pairs if event.time <= end]
-        moved = crossings_of(self.dynamics, events, self.state, strikes=self.crossing is IMPACTS)
-        kept = [one for one in moved if isinstance(one, self.crossing.event)][-n:]
-        return self.crossing.cycle(self.dynamics, kept)
-
-
-def _moved(event: Impact | ZenoPoint | Release, before: Vector, after: Vector) -> Event:
-    """Return an event of the motion from a neighbouring state.
-
-    Args:
-        event: The event.
-        before: Change of its time, its gap rate and its state before it, ``(2 + n_x,)``.
-        after: The same after it.
-    """
-    time = event.time + float(after[0])
-    if isinstance(event, Impact):
-        return Impact(
-            time=time,
-            state_minus=event.state_minus + before[2:],
-            state_plus=event.state_plus + after[2:],
-            approach_rate=event.approach_rate + float(before[1]),
-        )
-    return replace(event, time=time, state=event.state + after[2:])
-
-
-def period_run(
-    follower: Follower, crossing: Crossing, state: Vector, count: int, *, span: float, error: float
-) -> PeriodRun | None:
-    """Return the motion over a period, or ``None`` if it returns fewer times in twice a span.
-
-    Args:
-        follower: Simulator of the motions.
-        crossing: The events that define the section.
-        state: Initial state, ``(n_x,)``.
-        count: Number of returns per period.
-        span: Approximate time of a period [s].
-        error: Relative local error of a step.
-    """
-    releases = crossing is RELEASES
-    follow = partial(follower.executed, state, until=2 * span, error=error)
-    for more in (0, 1) if releases else (0,):
-        execution = follow(releases=count + more if releases else None)
-        if execution is None:
-            return None
-        found = crossings_of(follower.dynamics, execution.events, state, strikes=not releases)
-        returns = [
-            one for one in found if isinstance(one, crossing.event) and one.time > SAME * span
-        ]
-        if len(returns) >= count:
-            return PeriodRun(
-                dynamics=follower.dynamics,
-                crossing=crossing,
-                state=state,
-                execution=execution,
-                returns=returns[:count],
-                error=error,
-            )
-        if len(returns) < count - 1:
-            return None
-        # Rounding has put the start in contact, which adds an immediate release.
-    return None
-
-
-def newton_step(section: Section, run: PeriodRun, n: int, jacobian: Vector | None) -> FixedPoint:
+def newton_step(
+    dynamics: HybridDynamics,
+    section: Section,
+    cycles: Sequence[PeriodReturn],
+    jacobian: Vector | None,
+) -> FixedPoint:
     """Return Newton's step from the centre of a section.
 
     Args:
+        dynamics: The system.
         section: The chart around the state that returned.
-        run: The motion from this state.
-        n: Number of returns per period.
-        jacobian: Derivative of the return map in this chart, or ``None`` to compute it.
-
-    Raises:
-        SimulationError: If the derivative is undefined, or the section ends before the fixed point.
-        LinAlgError: If a multiplier is one.
+        cycles: Return of the state, then the returns of its neighbours, if available.
+        jacobian: Derivative of the return map, for a state without neighbours.
     """
-    image = section.coordinates(run.returns[n - 1].state)
-    if jacobian is None and section.dimension == 0:
-        jacobian = np.zeros((0, 0))
-    elif jacobian is None:
-        jacobian = section.components(run.by_state(n) @ section.lift)
+    image = section.coordinates(cycles[0].state)
+    numbers = cycles[0].numbers
+    rates = np.zeros((len(numbers), section.dimension))
+    if jacobian is None:
+        columns = [(section.coordinates(c.state) - image) / _DISPLACED for c in cycles[1:]]
+        jacobian = np.stack(columns, axis=1) if columns else np.zeros((0, 0))
+        slopes = [(c.numbers - numbers) / _DISPLACED for c in cycles[1:]]
+        rates = np.stack(slopes, axis=1) if slopes else rates
     solved = np.linalg.solve(np.eye(section.dimension) - jacobian, image)
     z = np.asarray(solved, dtype=np.float64)
     return FixedPoint(
         distance=float(np.max(np.abs(z), initial=0.0)),
         jacobian=jacobian,
-        state=section.state(run.dynamics, z),
-        cycle=partial(run.cycle, n, section.lift @ z),
+        state=section.state(dynamics, z),
+        numbers=numbers + rates @ z,
     )

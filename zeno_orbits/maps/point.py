@@ -11,11 +11,11 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps.approach import Way, steps_towards
-from zeno_orbits.maps.attempt import Accuracy, Attempt, Lost
+from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.crossings import Follower, Struck
 from zeno_orbits.maps.known import KnownOrbit, Recognition
-from zeno_orbits.maps.newton import IMPACTS, RELEASES, SAME, Crossing, chart_at
+from zeno_orbits.maps.newton import IMPACTS, RELEASES, Crossing, bundle_at
 from zeno_orbits.model import own_time
 from zeno_orbits.simulation import (
     LOOK_BACK,
@@ -215,15 +215,15 @@ class Point:
         now, before = self._returns[-1], self._returns[-1 - period]
         sizes = [one.state for one in self._returns[-LOOK_BACK:]]
         scale = scale_of(sizes, self._units, self._usual)
-        section = chart_at(self._dynamics, RELEASES.rows, now.state, scale)
-        if not np.all(np.isfinite(section.centre)):
+        bundle = bundle_at(self._dynamics, RELEASES.rows, now.state, scale)
+        if not np.all(np.isfinite(bundle.states)):
             return None
         attempt = Attempt(
             follower=self._follower,
             accuracy=self._accuracy,
             span=now.time - before.time,
             period=period,
-            section=section,
+            bundle=bundle,
             origin=now.state,
             earlier=before.state,
         )
@@ -244,7 +244,7 @@ class Point:
         """Record the approach of the motion to the result of an attempt."""
         state = np.array([found.state[name] for name in self._dynamics.state_names])
         events = self._returns if attempt.crossing is RELEASES else self._strikes
-        scale = attempt.section.scale
+        scale = attempt.bundle.section.scale
         way = self._way(attempt.crossing, events, attempt.period, state, scale)
         self.way = replace(way, doubtful=attempt.doubtful)
 
@@ -337,10 +337,10 @@ class Point:
         self._looked[period] = change
         last, before = self._strikes[-1], self._strikes[-1 - period]
         try:
-            section = chart_at(self._dynamics, IMPACTS.rows, last.state, scale)
+            bundle = bundle_at(self._dynamics, IMPACTS.rows, last.state, scale)
         except (ZenoOrbitsError, np.linalg.LinAlgError):
             return None
-        if not np.all(np.isfinite(section.centre)):
+        if not np.all(np.isfinite(bundle.states)):
             return None
         attempt = Attempt(
             follower=self._follower,
@@ -348,7 +348,7 @@ class Point:
             crossing=IMPACTS,
             span=last.time - before.time,
             period=period,
-            section=section,
+            bundle=bundle,
             final=True,
             origin=last.state,
             earlier=before.state,

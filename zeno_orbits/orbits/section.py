@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
+from zeno_orbits.arrays import Vector, null_space
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GAP, GAP_RATE, MULTIPLIER, HybridDynamics
 from zeno_orbits.orbits.monodromy import differentials_of
@@ -206,15 +206,12 @@ def section_of(gradient: Vector, centre: Vector, scale: Vector) -> Section:
         scale: Size of each state, ``(n_x,)``.
     """
     sizes = _row_sizes(gradient)
-    left, values, right = np.linalg.svd(gradient / sizes, full_matrices=True)
-    rank = int(np.sum(values > _RANK * np.max(values, initial=0.0)))
-    inverse = (right[:rank].T / values[:rank]) @ left[:, :rank].T
     return Section(
         rows=(),
         centre=centre,
         scale=scale,
-        tangent=right[rank:].T,
-        normal=inverse / sizes[:, 0],
+        tangent=null_space(gradient / sizes, rcond=_RANK),
+        normal=_pseudo_inverse(gradient, sizes),
         drift=np.zeros((centre.size, 0)),
     )
 

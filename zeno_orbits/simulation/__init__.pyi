@@ -59,7 +59,6 @@ from .simulator import by_reference as by_reference
 from .simulator import simulate as simulate
 from .simulator import simulator_in_use as simulator_in_use
 from .tangent import course_of as course_of
-from .tangent import event_shifts as event_shifts
 from .tangent import EventMotions as EventMotions
 from .tangent import motion_of as motion_of
 from .zeno_limit import TailEstimate as TailEstimate

@@ -177,11 +177,11 @@ def scale_of(states: Sequence[Vector], units: Sequence[str], usual: Vector | flo
         usual: Usual size of each state in the problem, ``(n_x,)``. It makes states of different
             units comparable.
     """
-    largest: Vector = np.abs(np.array(states)).max(axis=0) / usual
-    alike: Vector = np.where(_same_unit(tuple(units)), largest, 0.0).max(axis=1)
+    largest = np.max(np.abs(np.array(states)), axis=0) / usual
+    alike = np.max(np.where(_same_unit(tuple(units)), largest, 0.0), axis=1)
     largest = np.maximum(largest, _NEAR_ZERO * alike)
     # A coordinate that contact keeps at zero is rounding, if no other state has its unit.
-    overall = float(largest.max()) or 1.0
+    overall = float(np.max(largest)) or 1.0
     return np.where(largest > _ROUNDING * overall, largest, overall) * usual
 
 

@@ -38,7 +38,6 @@ def simulate(
     impacts: int | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
-    goes_on: bool = False,
 ) -> Execution:
     """Return the completed execution from an admissible state, locked or free.
 
@@ -51,8 +50,6 @@ def simulate(
         impacts: Number of impacts that end a flight, after which to stop, by default unlimited.
         settings: Accuracy. The defaults aim at an error of 1e-11 per period.
         on_progress: Called with the simulated part of the time.
-        goes_on: True if the state continues an earlier execution of a system with one stop, or is
-            near a state of it. It may then violate its constraints by the errors of that execution.
 
     Raises:
         InputError: If the state is not admissible or the horizon is not a positive number.
@@ -75,7 +72,6 @@ def simulate(
         most_impacts=math.inf if impacts is None else impacts,
         settings=settings or SimulationSettings(),
         on_progress=on_progress,
-        goes_on=goes_on,
     )
     if graph is not None:
         return by_graph_loop(task, graph) or by_graph(task, graph)
@@ -133,7 +129,7 @@ def by_reference(task: SimulationTask) -> Execution:
 
 def _followed(run: ReferenceRun, task: SimulationTask) -> Execution:
     """Return the execution of a run, phase by phase to its end."""
-    start = run.admitted(task.state, checked=not task.goes_on)
+    start = run.admitted(task.state)
     try:
         while start is not None:
             start = run.after_phase(start)

@@ -13,7 +13,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.loop import Record, TangentProgram, Track, binding, program_of, tangent_of
-from zeno_orbits.simulation.execution import Arc, Execution, Mode, ZenoPoint
+from zeno_orbits.simulation.execution import Arc, Execution, Mode
 from zeno_orbits.simulation.recorded import LoopTrajectory, record_of
 from zeno_orbits.simulation.sensitivity import (
     ArcShifts,
@@ -72,53 +72,6 @@ def motion_of(
             for one in program.follow(track, first, rows)[first:]
         ]
     return EventMotions(shifts=dict(zip(map(id, execution.arcs[first:]), shifts, strict=False)))
-
-
-def event_shifts(
-    perturbations: Perturbations, execution: Execution, start: EventShift, *, first: int = 0
-) -> Vector:
-    """Return the derivatives of the events of an execution, ``(n, 2, 2 + n_x, m)``.
-
-    Of each event there are rows of its time, of the gap rate and of the states, before the event
-    and after it. They are NaN from the first arc on that has no derivatives.
-
-    Args:
-        perturbations: The equations of perturbations.
-        execution: The execution.
-        start: Derivatives of the start of its first arc that counts.
-        first: Index of that arc.
-    """
-    rows = np.concatenate([[start.time, start.rate], start.state])
-    compiled = _compiled(perturbations, execution)
-    record = record_of(execution)
-    if compiled is None or record is None:
-        arcs = execution.arcs[first:]
-        found = perturbations.along(execution, start, first)
-        shifts = np.array([[_rows(one.start), _rows(one.end), _rows(one.after)] for one in found])
-        locked = [arc.mode is Mode.LOCKED for arc in arcs]
-        begins, ends = ([one.start_time for one in arcs], [one.end_time for one in arcs])
-    else:
-        program, track = compiled
-        shifts = program.follow(track, first, rows)[first:]
-        arcs_of = record.arcs[first:]
-        locked = (arcs_of[:, 0] == binding.LOCKED).tolist()
-        begins, ends = arcs_of[:, 1].tolist(), arcs_of[:, 2].tolist()
-    after = {ends[k]: shifts[k, 1:] for k in range(len(shifts))}
-    limits = {begins[k]: shifts[k, [0, 0]] for k in range(len(shifts)) if locked[k]}
-    nothing = np.full((2, *rows.shape), np.nan)
-    events = execution.events
-    return np.array(
-        [
-            limits.get(event.time, after.get(event.time, nothing))
-            if isinstance(event, ZenoPoint)
-            else after.get(event.time, nothing)
-            for event in events
-        ]
-    )
-
-
-def _rows(shift: EventShift) -> Vector:
-    return np.concatenate([[shift.time, shift.rate], shift.state])
 
 
 def _shift(rows: Vector) -> EventShift:
