@@ -330,8 +330,9 @@ def _basin(
     The image of each set lies in the interior of the set itself or in the next set. The image of
     the last set may lie in the first box, which must be contracted.
     """
+    images, failed = list[Array](), ""
     try:
-        first, images = of_one_orbit(passages)[0], list[Array]()
+        first = of_one_orbit(passages)[0]
         for k, (part, box) in enumerate(zip(parts, sets, strict=True)):
             entries(part, "degree", "box", "start", "records")
             records = _listed(part, "records")
@@ -339,16 +340,18 @@ def _basin(
             same = _word(stations, records) == first.word
             require(same, f"set {k} belongs to another return map")
             images.append(proved_image(system, section, box, part, stations))
-        away = sets[0].leaves(section, images[0])
-        require(not away, away)
+            away = sets[0].leaves(section, images[0])
+            require(not away, away)
     except NotProved as failure:
-        return [ClaimVerdict("basin", False, str(failure))]
-    count = sum(len(part["records"]) for part in parts)
-    told = f"the return map takes the set into its interior, {count} inclusions"
+        failed = f"set {len(images)}: {failure}"
+        if len(images) < 1 or sets[0].leaves(section, images[0]):
+            return [ClaimVerdict("basin", False, failed)]
+    told = f"the return map takes the set into its interior, {len(parts[0]['records'])} inclusions"
     found = [ClaimVerdict("basin", True, told)]
-    steps = zip([*sets[1:], first.box], images, strict=True)
+    first = of_one_orbit(passages)[0]
+    steps = zip([*sets[1:], first.box], images, strict=False)
     away = next((gone for box, image in steps if (gone := box.leaves(section, image))), "")
-    away = away or first.leaves("inclusion")
+    away = failed or away or first.leaves("inclusion")
     # Without further sets, attraction is not claimed.
     if len(parts) > 1 or not away:
         told = away or f"the return map takes the set into box 1 in {len(parts)} steps"
