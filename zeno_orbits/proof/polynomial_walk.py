@@ -37,8 +37,10 @@ _REST, _DERIVATIVE_REST = 1e-12, 1e-5
 """Largest remainder of a step for a point and for the derivative, relative to their sizes."""
 _WIDER, _NEW_WIDER = 1 + 1e-3, 2.0
 """Factors of propagated and new remainders, so that the checker's arithmetic confirms them."""
+_REST_WIDER = 8.0
+"""Factor of Taylor remainders of points: the checker's a-priori box is another box."""
 _LEAST = 4e-15
-"""Smallest new remainder, relative to the state: rounding of doubles."""
+"""Rounding of doubles, relative to the states before and after a record."""
 _SLOWEST = 1e-13
 """Gap rate below which the Zeno tail replaces the remaining impacts, relative to the fastest."""
 _CLOSE = 1.25
@@ -140,7 +142,10 @@ class PolynomialSet:
         directions = moved * self.r / metric[:, None]
         frame[np.ix_(rows, rows)] = metric[rows, None] * orthogonal(directions[rows])
         back = np.linalg.inv(frame)
-        new = np.array([one.r + _LEAST * one.size for one in image])
+        sizes = np.array([one.size for one in self.p])
+        # Terms may cancel, such as those of the gap acceleration at a release.
+        rounding = np.abs(mids) @ sizes + np.array([one.size for one in image])
+        new = np.array([one.r for one in image]) + _LEAST * rounding
         around = np.abs(back) @ (_NEW_WIDER * rads @ np.abs(self.frame) @ self.r + _NEW_WIDER * new)
         r = np.abs(back @ moved) @ self.r * _WIDER + around
         return PolynomialSet(p=[Polynomial(basis, one.c, 0.0) for one in image], frame=frame, r=r)
@@ -296,7 +301,7 @@ class PolynomialWalk:
             self._reason = f"the remainder of a step is too large ({excess:.1e})"
             return False
         self._limited = False
-        image = _at(points, time, [r.abs_upper() for r in step.rest])
+        image = _at(points, time, [_REST_WIDER * r.abs_upper() for r in step.rest])
         rest = [r.abs_upper() for r in step.derivative_rest.entries()]
         slopes = _matrix_of(_at(whole[n:], time.reduced(self._low), rest), n)
         start = self.set.box
