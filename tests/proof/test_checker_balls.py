@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import random
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from zeno_orbits.proof.checker import lanes
 from zeno_orbits.proof.checker.balls import Ball, NotProved, exactly, solved
 from zeno_orbits.proof.checker.formulas import Graph
 from zeno_orbits.proof.checker.lanes import Lanes, matmul, require_rounding
+from zeno_orbits.proof.checker.polynomials import Polys, composed, monomials
 from zeno_orbits.proof.checker.series import (
     complex_values,
     function_at,
@@ -260,3 +262,45 @@ def test_functions_of_large_arguments_are_enclosed(bits: int) -> None:
                 found = function_at(name, unit)
                 truth = getattr(mp, name)(mp.mpf(unit.low) / 2**bits) * mp.mpf(2) ** bits
                 assert found.low <= truth <= found.high, (name, u)
+
+
+def test_monomials_of_many_variables_are_counted_without_listing_all_powers() -> None:
+    of = monomials(21, 2)
+    assert of.n == math.comb(23, 2)
+    assert sum(of.exponents[-1]) == 2
+
+
+def _polynomial(chance: random.Random) -> Polys:
+    """Return a polynomial of two variables and degree 3, with a remainder, away from zero."""
+    of = monomials(2, 3)
+    c = np.array(
+        [[chance.uniform(-1.0, 1.0) * 2.0 ** chance.randint(-30, -12) for _ in range(of.n)]]
+    )
+    c[0, 0] = chance.uniform(1.0, 2.0)
+    return Polys(of, c.astype(lanes.REAL), np.array([2.0**-20], lanes.REAL))
+
+
+def _exact(x: Polys, at: tuple[Fraction, Fraction]) -> Fraction:
+    """Return the value of a polynomial without its remainder."""
+    total = Fraction(0)
+    for c, (i, j) in zip(x.c[0], x.of.exponents, strict=True):
+        first = float(c)
+        total += (Fraction(first) + Fraction(float(c - first))) * at[0] ** i * at[1] ** j
+    return total
+
+
+@pytest.mark.parametrize("name", ["mul", "sin", "exp", "log", "sqrt", ""])
+def test_a_value_of_polynomials_stays_within_the_remainder_of_the_result(name: str) -> None:
+    chance = random.Random(4)
+    with mp.workdps(40):
+        for _ in range(20):
+            x, y = _polynomial(chance), _polynomial(chance)
+            found = x * y if name == "mul" else composed(name, x)
+            at = (Fraction(chance.choice([-1, 1])), Fraction(chance.randint(-8, 8), 8))
+            rest = chance.choice([-1, 1]) * mp.mpf(2) ** -20
+            u, v = (mp.fraction(*_exact(one, at).as_integer_ratio()) + rest for one in (x, y))
+            truth = {"mul": u * v, "": 1 / u}[name] if name in ("mul", "") else getattr(mp, name)(u)
+            miss = abs(truth - mp.fraction(*_exact(found, at).as_integer_ratio()))
+            assert miss <= float(found.r[0])
+            # The remainder is a small multiple of those of the arguments.
+            assert float(found.r[0]) < 16 * 2.0**-20

@@ -155,6 +155,9 @@ def fitting_together() -> Generator[None]:
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         what = "an entry is missing or has the wrong type"
         raise InputError(f"The certificate is invalid: {what}.") from error
+    except (RecursionError, MemoryError) as error:
+        what = "its entries are nested too deeply, or too large"
+        raise InputError(f"The certificate is invalid: {what}.") from error
 
 
 sizes: Any = np.frompyfunc(lambda x: x.size, 1, 1)

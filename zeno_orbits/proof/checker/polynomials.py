@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import product as choices
+from itertools import combinations_with_replacement as choices
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,8 +63,10 @@ class Monomials(NamedTuple):
 @cache
 def monomials(n_variables: int, degree: int) -> Monomials:
     """Return the monomials of some variables up to a degree."""
-    every = choices(range(degree + 1), repeat=n_variables)
-    found = sorted((one for one in every if sum(one) <= degree), key=lambda one: (sum(one), one))
+    variables = range(n_variables)
+    factors = (one for k in range(degree + 1) for one in choices(variables, k))
+    every = (tuple(map(one.count, variables)) for one in factors)
+    found = sorted(every, key=lambda one: (sum(one), one))
     places, targets = {one: k for k, one in enumerate(found)}, list[tuple[Any, Any]]()
     above = np.ones((len(found), len(found)), REAL)
     for i, a in enumerate(found):
