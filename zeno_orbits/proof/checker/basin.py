@@ -130,7 +130,13 @@ class PolyImage:
 
 
 def require_inside(old: PolySet, image: PolyImage, new: PolySet) -> None:
-    """Check that a set contains the image of the set before a record."""
+    """Check that a set contains the image of the set before a record (Lemma 12).
+
+    Args:
+        old: The set before the record.
+        image: Its image.
+        new: The set after the record.
+    """
     n = len(old.P)
     inverse = solved(new.Q, exactly(np.eye(n, dtype=int), new.E[0].bits))
     found = sizes(inverse @ (image.P - new.P)).sum(axis=1)

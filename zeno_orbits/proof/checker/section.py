@@ -132,6 +132,11 @@ def newton_of(system: System, section: Section, box: Box) -> tuple[Any, Any]:
     The operator returns the other states minus a middle, if within reach of it, and their
     derivative, for all coordinates together. Its arguments are the middle, the reach, and the
     coordinates minus those of the centre of the box.
+
+    Args:
+        system: The system of the certificate.
+        section: Its section.
+        box: The box.
     """
     n = len(section.others)
     inner = [*section.places, *system.inner[system.n_x :]]
