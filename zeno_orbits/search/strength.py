@@ -177,7 +177,6 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
         values: Values of an orbit that satisfies the bounds.
         cycle: One simulated period of the orbit.
     """
-    low, high = np.array(list(search.free.values())).T
     best, slack = _measured(search, values, cycle)
     if best.push is None:
         values, cycle = _most_kept(search, values, cycle)
@@ -186,7 +185,7 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
         # There is nothing to compare. A longer scan of another orbit is no larger push.
         return best
     size = best.impulse or 1.0
-    start = (np.array([values.number(name) for name in search.free]) - low) / (high - low)
+    start = _in_unit_box(search, values)
     kept = {start.tobytes(): (best.impulse, slack)}
 
     def evaluated(z: Vector) -> tuple[float, Vector]:
@@ -194,7 +193,7 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
         nonlocal best
         key = np.asarray(z).tobytes()
         if key not in kept:
-            there = _moved(search, best, np.clip(low + z * (high - low), low, high))
+            there = _moved(search, best, z)
             if there is None:
                 return kept.setdefault(key, (0.0, np.full(len(search.bounds), -1.0)))
             found, slack = there
@@ -215,6 +214,19 @@ def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> S
     return best
 
 
+def _in_unit_box(search: SearchProblem, values: ParameterValues) -> Vector:
+    """Return the free values in units of their ranges, ``(k,)``."""
+    low, high = np.array(list(search.free.values())).T
+    return (np.array([values.number(name) for name in search.free]) - low) / (high - low)
+
+
+def _from_unit_box(search: SearchProblem, values: ParameterValues, z: Vector) -> ParameterValues:
+    """Return the values with free values in units of their ranges."""
+    low, high = np.array(list(search.free.values())).T
+    numbers = np.clip(low + z * (high - low), low, high)
+    return values.replaced(dict(zip(search.free, numbers.tolist(), strict=True)))
+
+
 def _most_kept(
     search: SearchProblem, values: ParameterValues, cycle: Cycle
 ) -> tuple[ParameterValues, Cycle]:
@@ -222,14 +234,18 @@ def _most_kept(
 
     The search ends at the first orbit that all corners keep, with the bounds.
     """
-    low, high = np.array(list(search.free.values())).T
-    best, farthest = (values, cycle), _kept_part(search, values, cycle)
+    first = _kept_part(search, values, cycle)
+    best, farthest = (values, cycle), first
+    if first >= 1.0:
+        return best
+    start = _in_unit_box(search, values)
 
     def kept(z: Vector) -> float:
         nonlocal best, farthest
+        if np.array_equal(z, start):
+            return first
         here, near = best
-        named = dict(zip(search.free, np.clip(low + z * (high - low), low, high), strict=True))
-        wanted = here.replaced({name: float(value) for name, value in named.items()})
+        wanted = _from_unit_box(search, here, z)
         path = follow(search, near, here, wanted, attracting=True)
         if path.orbit is None or not path.arrived or not all_kept(search, wanted, path.orbit):
             return -path.left
@@ -241,7 +257,6 @@ def _most_kept(
             raise EnoughError
         return part
 
-    start = (np.array([values.number(name) for name in search.free]) - low) / (high - low)
     with suppress(EnoughError):
         highest(kept, start, None)
     return best
@@ -287,13 +302,12 @@ class EnoughError(Exception):
     """An orbit was found that ends the search."""
 
 
-def _moved(search: SearchProblem, best: Strength, free: Vector) -> tuple[Strength, Vector] | None:
+def _moved(search: SearchProblem, best: Strength, z: Vector) -> tuple[Strength, Vector] | None:
     """Return the least push at other values, and the distances from the bounds.
 
     Return ``None`` if the orbit is lost on the way there.
     """
-    named = dict(zip(search.free, free.tolist(), strict=True))
-    wanted = best.values.replaced(named)
+    wanted = _from_unit_box(search, best.values, z)
     path = follow(search, best.cycle, best.values, wanted, attracting=True)
     if path.orbit is None or not path.arrived:
         return None
