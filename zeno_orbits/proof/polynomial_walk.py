@@ -28,7 +28,7 @@ from zeno_orbits.proof.polynomials import Basis, Polynomial, PolynomialSeries
 from zeno_orbits.proof.program import BallProgram
 from zeno_orbits.proof.section import SectionStart
 from zeno_orbits.proof.sets import Departure, balanced, orthogonal
-from zeno_orbits.proof.walk import Tell, contact_reason, is_clear
+from zeno_orbits.proof.walk import Tell, contact_reason, excess_of, is_clear
 
 _ORDERS = (20, 12)
 _LOW_DEGREE = 2
@@ -295,7 +295,7 @@ class PolynomialWalk:
         step = enclose(flow.ball, series, size, (order, order_v))
         if step is None:
             return False
-        excess = self._excess(step, metric)
+        excess = excess_of(step, metric, _REST, _DERIVATIVE_REST)
         self._growth = max(0.25, min(2.0, 0.9 * excess ** (-1 / (order_v + 1))))
         if excess > 1.0:
             self._reason = f"the remainder of a step is too large ({excess:.1e})"
@@ -417,20 +417,6 @@ class PolynomialWalk:
             table[system.gap] = [ZERO] * n
             slopes = matrix(table, n)
         return image, slopes, spare
-
-    def _excess(self, step: FlowStep, metric: Vector) -> float:
-        order, order_v = step.orders
-        far, near = step.size ** (order + 1), step.size ** (order_v + 1)
-        worst = 1e-12
-        for one, x in zip(step.rest, step.box, strict=True):
-            worst = max(
-                worst, float((one * far).abs_upper()) / (_REST * (1e-3 + float(x.abs_upper())))
-            )
-        n = len(metric)
-        for k, one in enumerate(step.derivative_rest.entries()):
-            allowed = _DERIVATIVE_REST * metric[k // n] / metric[k % n]
-            worst = max(worst, float((one * near).abs_upper()) / allowed)
-        return worst
 
     def _strike(self) -> None:
         system, x = self._system, self.set.p

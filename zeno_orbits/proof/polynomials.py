@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product as choices
+from itertools import combinations_with_replacement as choices
 from typing import Any, cast
 
 import numpy as np
@@ -42,10 +42,10 @@ class Basis:
     @classmethod
     def of(cls, n_variables: int, degree: int) -> Basis:
         """Return the monomials up to a degree, in order of their degrees."""
-        every = choices(range(degree + 1), repeat=n_variables)
-        found = sorted(
-            (one for one in every if sum(one) <= degree), key=lambda one: (sum(one), one)
-        )
+        variables = range(n_variables)
+        factors = (one for k in range(degree + 1) for one in choices(variables, k))
+        every = (tuple(map(one.count, variables)) for one in factors)
+        found = sorted(every, key=lambda one: (sum(one), one))
         place = {one: k for k, one in enumerate(found)}
         kept = np.zeros((len(found), len(found), len(found)))
         for i, a in enumerate(found):

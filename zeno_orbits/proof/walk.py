@@ -262,7 +262,7 @@ def _move(
         if step is None:
             size = size / 2
             continue
-        excess = _excess(step, settings, stage.metric)
+        excess = excess_of(step, stage.metric, settings.rest, settings.derivative_rest)
         if excess > 1.0 and size > least:
             size = max(least, size * max(0.25, 0.9 * excess ** (-1 / (orders[1] + 1))))
             continue
@@ -321,18 +321,25 @@ def _dyadic(size: float) -> Ball:
     return arb(math.ldexp(math.floor(mantissa * 4096), exponent - 12))
 
 
-def _excess(step: FlowStep, settings: WalkSettings, metric: Vector) -> float:
-    """Return the largest remainder of a step as a multiple of the allowed remainder."""
+def excess_of(step: FlowStep, metric: Vector, rest: float, derivative_rest: float) -> float:
+    """Return the largest remainder of a step as a multiple of the allowed remainder.
+
+    Args:
+        step: The step.
+        metric: Units of the states in which the flow is balanced, ``(n,)``.
+        rest: Allowed remainder for a point, relative to the size of each state.
+        derivative_rest: Allowed remainder for the derivative, in these units.
+    """
     order, order_v = step.orders
     far, near = step.size ** (order + 1), step.size ** (order_v + 1)
     worst = 1e-12
     for one, x in zip(step.rest, step.box, strict=True):
-        allowed = settings.rest * (1e-3 + float(x.abs_upper()))
+        allowed = rest * (1e-3 + float(x.abs_upper()))
         worst = max(worst, float((one * far).abs_upper()) / allowed)
     entries = step.derivative_rest.entries()
     n = len(metric)
     for k, one in enumerate(entries):
-        allowed = settings.derivative_rest * metric[k // n] / metric[k % n]
+        allowed = derivative_rest * metric[k // n] / metric[k % n]
         worst = max(worst, float((one * near).abs_upper()) / allowed)
     return worst
 

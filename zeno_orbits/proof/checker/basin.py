@@ -198,21 +198,13 @@ def poly_flows(
     h = lanes_of([step for step, _ in steps])
     parts = Polys.from_balls(of, np.array([time / step for step, time in steps], dtype=object))
 
-    def inputs(sets: Polys) -> dict[int, Polys]:
-        count = len(olds)
-        fixed = {
-            place: Polys.constant(sets.of, lanes_of([ball] * count))
-            for place, ball in system.constants.items()
-        }
-        return fixed | {place: sets[:, k] for k, place in enumerate(system.z)}
-
     wide = _joined([old.wide.to(less) for old in olds])
-    x, V = poly_series(flow, inputs(wide), h, low, slopes=True)
+    x, V = poly_series(flow, _inputs(system, wide), h, low, slopes=True)
     if V is None:
         raise NotProved("the derivative is missing")
     bounds = held(system, mode, orders, x.range, V.range, h)
     points, _ = poly_series(
-        flow, inputs(_joined([old.polys for old in olds])), h, high, slopes=False
+        flow, _inputs(system, _joined([old.polys for old in olds])), h, high, slopes=False
     )
     rest = Polys.constant(of, bounds.rest)
     rest_x = Polys.constant(less, bounds.rest_x)
@@ -249,6 +241,15 @@ def poly_flows(
         box = bounds.reach[k].balls(bits)
         made.append(PolyFlow(old, step, time, box, image, late, leaving[k]))
     return made
+
+
+def _inputs(system: System, sets: Polys) -> dict[int, Polys]:
+    """Return all inputs over sets of states, ``(L, N)``."""
+    fixed = {
+        place: Polys.constant(sets.of, lanes_of([ball] * len(sets.c)))
+        for place, ball in system.constants.items()
+    }
+    return fixed | {place: sets[:, k] for k, place in enumerate(system.z)}
 
 
 def _joined(sets: Sequence[Polys]) -> Polys:
@@ -329,11 +330,7 @@ def _values(system: System, name: str, of: Monomials, P: Array) -> Array:
 
 def _polynomials(system: System, name: str, of: Monomials, P: Array) -> Array:
     """Return nodes at polynomials, as coefficients ``(n, M)``."""
-    z = Polys.from_balls(of, P)
-    inputs = {
-        place: Polys.constant(of, lanes_of([ball])) for place, ball in system.constants.items()
-    }
-    inputs |= {place: z[k : k + 1] for k, place in enumerate(system.z)}
+    inputs = _inputs(system, Polys.from_balls(of, P[None]))
     found = poly_values(system.graph, inputs, system.nodes[name])
     return np.array([one[0].balls(system.bits) for one in found], dtype=object)
 
