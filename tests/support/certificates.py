@@ -10,7 +10,7 @@ import copy
 import hashlib
 import operator
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -368,6 +368,17 @@ def impact_oscillator(
         others = {"centre": [text_of(start[2])], "radius": [text_of(mp.mpf("1e-6"))]}
         section = {"conditions": ["gap"], "places": [1, 3]}
         return made.certificate(section, others, claims)
+
+
+def mutants(
+    certificate: Mapping[str, Any], count: int, seed: int, part: str = ""
+) -> Iterator[dict[str, Any]]:
+    """Yield copies of a certificate with one changed entry, of one part or of the whole."""
+    chance = random.Random(seed)
+    for _ in range(count):
+        mutant: dict[str, Any] = copy.deepcopy(dict(certificate))
+        mutate(mutant[part] if part else mutant, chance)
+        yield mutant
 
 
 def mutate(data: Any, chance: random.Random) -> None:
