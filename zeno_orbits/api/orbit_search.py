@@ -141,7 +141,7 @@ def search_gains(
     from zeno_orbits.search import SearchSettings as Settings
     from zeno_orbits.search import search
 
-    known = known_problem(problem)
+    known = _with_one_stop(known_problem(problem))
     orbit = None if near is None else _near(near, known)
     shared = plan_of(workers, plan)
     spread = None
@@ -350,7 +350,7 @@ def find_orbit_by_shooting(
     """
     from zeno_orbits.search import closing
 
-    known = known_problem(problem)
+    known = _with_one_stop(known_problem(problem))
     if start is not None:
         known.state_vector(start)
         known = replace(known, starts=(dict(start),))
@@ -399,6 +399,16 @@ class Verified:
         elif self.accuracy is not None and not certificate.orbit_error <= self.accuracy:
             objection = f"Its numbers are certain to {certificate.orbit_error:.1e} only."
         return Judgement(objection=objection, certificate=certificate)
+
+
+def _with_one_stop(problem: Problem) -> Problem:
+    """Refuse a machine with several stops or switches, and return the problem."""
+    if problem.has_graph:
+        raise InputError(
+            f"Argument `problem`: `{problem.name}` has several stops or switches: use "
+            "`find_event_orbit` or `search_event_gains`."
+        )
+    return problem
 
 
 def start_values(
