@@ -76,6 +76,7 @@ class Theorem:
         ]
         held = "plastic contact" if self.plastic else "Zeno point"
         impacts = f"{_counted(self.impacts, 'impact')} proved one by one"
+        basin = f"Set of initial states in the section: {_shown(self.basin)}."
         return [
             f"Problem `{self.problem}`, formulas {self.digest}.",
             f"Parameters, the doubles nearest to: {numbers}.",
@@ -85,7 +86,7 @@ class Theorem:
                 f"Box {k} of the section: {_shown(box)}."
                 for k, box in enumerate((self.box, *self.smaller), 1)
             ),
-            *([f"Set of initial states: {_shown(self.basin)}."] if self.basin else []),
+            *([basin] if self.basin else []),
             f"In a period: {impacts}, {_counted(self.zeno_points, held)}, "
             f"{_counted(self.releases, 'release')}.",
         ]
