@@ -44,6 +44,11 @@ def test_every_link_of_a_document_leads_somewhere(document: Path) -> None:
             assert anchor in _anchors(path), target
 
 
+def test_no_two_documents_have_an_anchor_of_one_name() -> None:
+    named = Counter(name for document in DOCUMENTS for name in _anchors(document))
+    assert [name for name, n in named.items() if n > 1] == []
+
+
 def _equations() -> Counter[str]:
     """Return equation number to the number of pages that contain it, the list apart."""
     pages = [path for path in (ROOT / "docs").glob("*.md") if path != THEORY]
