@@ -7,12 +7,14 @@ import json
 import random
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import zeno_orbits as zo
 from tests.support.certificates import mutants
+from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof import check_proof
@@ -45,6 +47,15 @@ def short(certificate: Certificate) -> Certificate:
     """Return a certificate of one box and its sets, which claims existence alone."""
     claims = [one for one in certificate["claims"] if one["name"] == "exists" and one["pass"] == 0]
     return certificate | {"passes": certificate["passes"][:1], "claims": claims}
+
+
+def test_an_orbit_whose_section_is_a_single_point_is_proved_without_a_set(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "orbit.json"
+    zo.write_orbit(zo.find_orbit_by_shooting("forced_oscillator").unwrap(), path)
+    assert main(["prove", str(path), "--basin"]) == 0
+    assert "The section of the orbit is a single point." in capsys.readouterr().out
 
 
 @pytest.fixture

@@ -104,7 +104,7 @@ def _run_prove(options: argparse.Namespace) -> int:
         print_json(data)
     else:
         report.print_lines(proof.lines())
-        if sampled is not None:
+        if options.basin and proof.proved:
             report.print_basin(proof, sampled)
         if written is not None:
             say_written(options, [written])

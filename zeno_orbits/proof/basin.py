@@ -53,7 +53,7 @@ def large_sets(
 
     Trial sets shrink by a constant factor until the image of a set lies in its interior. The list
     contains only this set if the images are not proved to reach the box. It is empty without a
-    set that is larger than the box.
+    set that is larger than the box, and if the section is a single point.
 
     Args:
         orbit: The orbit.
@@ -62,11 +62,13 @@ def large_sets(
         on_progress: Called with the stage and the part of it that is done.
     """
     d = len(found.start.places)
+    if not d:
+        return []
     box = np.array([float(one.rad()) for one in found.start.at.U])
     sizes = [max(abs(float(found.start.at.m[k].mid())), LEAST_SIZE) for k in found.start.places]
     factor = _LARGEST / float(np.max(box[:d] / np.array(sizes)))
     sets: list[PolynomialPass] = []
-    while factor > 1.0 and d:
+    while factor > 1.0:
         radii = np.concatenate([factor * box[:d], box[d:]])
         tried = _pass(orbit, system, found, radii, on_progress)
         if tried is not None and bool(np.all(_image(tried)[:d] < _WITHIN * radii[:d])):

@@ -168,8 +168,16 @@ def print_recovery(found: Recovery) -> None:
         print_table(extent_columns(found), extents)
 
 
-def print_basin(proof: Proof, sampled: Recovery) -> None:
-    """Print the proved set of initial states beside the ball of the same orbit that was sampled."""
+def print_basin(proof: Proof, sampled: Recovery | None) -> None:
+    """Print the proved set of initial states beside the ball of the same orbit that was sampled.
+
+    Args:
+        proof: The proof.
+        sampled: The ball, or ``None`` if the section is a single point.
+    """
+    if sampled is None:
+        print_lines(["", "The section of the orbit is a single point."])
+        return
     name = "the set of initial states" if proof.basin else "box 1"
     print_lines(["", f"P maps {name} into its interior. Half-widths, beside the sampled ball:"])
     columns: list[Column[tuple[str, float]]] = [
