@@ -41,7 +41,7 @@ from zeno_orbits.search import (
     find_orbit,
     search_gains,
 )
-from zeno_orbits.search.guess import settle
+from zeno_orbits.search.shooting.guess import settle
 from zeno_orbits.verification.verifier import verify
 from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, spread_in_order, versions
 

@@ -116,7 +116,7 @@ from .search.objectives import LeastEnergy as MinEnergy
 from .search.objectives import LeastPeak as MinPeak
 from .report.exploration.explore import explore as explore
 from .search.objectives import MaxPush as MaxPush
-from .search.event_outcome import EventSearchResult as EventSearchResult
+from .search.events.outcome import EventSearchResult as EventSearchResult
 from .search.objectives import MinBounceTime as MinBounceTime
 from .search.objectives import MinImpactLoss as MinImpactLoss
 from .search.objectives import NearestGains as NearestGains

@@ -44,12 +44,12 @@ from zeno_orbits.search import (
     SearchStatus,
     close_cycle,
     close_orbit,
-    closing,
     cycle_near,
     find_orbit,
     search_gains,
 )
-from zeno_orbits.search import fixed_point as closed_cycles
+from zeno_orbits.search.shooting import closing
+from zeno_orbits.search.shooting import fixed_point as closed_cycles
 from zeno_orbits.simulation import SimulationSettings, Truncation, ZenoExtrapolation, simulate
 from zeno_orbits.verification import VerificationSettings, verify
 

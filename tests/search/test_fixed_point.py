@@ -12,7 +12,8 @@ import pytest
 
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.orbits import ONE_ZENO, OrbitShape
-from zeno_orbits.search import ClosedCycle, close_cycle, close_near, cycle_near, fixed_point
+from zeno_orbits.search import ClosedCycle, close_cycle, close_near, cycle_near
+from zeno_orbits.search.shooting import fixed_point
 from zeno_orbits.simulation import SimulationSettings
 
 SETTINGS = SimulationSettings()

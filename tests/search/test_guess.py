@@ -24,9 +24,10 @@ from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import Escape, HybridDynamics, OwnScale, Problem, load_problem, own_time
 from zeno_orbits.orbits import OrbitShape
-from zeno_orbits.search import SettlingSettings, guess, settle
-from zeno_orbits.search.guess import FollowedMotion, back_on_constraints
-from zeno_orbits.search.recurrence import Recurring
+from zeno_orbits.search import SettlingSettings, settle
+from zeno_orbits.search.shooting import guess
+from zeno_orbits.search.shooting.guess import FollowedMotion, back_on_constraints
+from zeno_orbits.search.shooting.recurrence import Recurring
 from zeno_orbits.simulation import (
     Execution,
     Impact,

@@ -12,7 +12,12 @@ import pytest
 
 from zeno_orbits.model import OwnScale
 from zeno_orbits.orbits import ONE_ZENO, OrbitShape, PhaseKind
-from zeno_orbits.search.recurrence import MOST_IMPACTS, Recurrence, TimedImpact, _as_returns
+from zeno_orbits.search.shooting.recurrence import (
+    MOST_IMPACTS,
+    Recurrence,
+    TimedImpact,
+    _as_returns,
+)
 from zeno_orbits.simulation import PERIODS, Impact
 
 ZENO_TWICE = OrbitShape.parsed("zeno*2")

@@ -22,16 +22,16 @@ from zeno_orbits.search import (
     TargetAmplitude,
     TargetPeriod,
     at_ends,
-    fixed_point,
-    homotopy,
     strategy,
 )
-from zeno_orbits.search.guess import FollowedMotion
-from zeno_orbits.search.line import Followed
+from zeno_orbits.search.homotopy import homotopy
+from zeno_orbits.search.homotopy.line import Followed
 from zeno_orbits.search.objectives import TowardTarget
 from zeno_orbits.search.outcome import SearchStatus, SimulatedSolution, StartOutcome
 from zeno_orbits.search.refinement import COARSE, ON_THE_WAY
 from zeno_orbits.search.search_problem import SearchProblem
+from zeno_orbits.search.shooting import fixed_point
+from zeno_orbits.search.shooting.guess import FollowedMotion
 from zeno_orbits.search.strategy import SearchStart
 from zeno_orbits.search.transcription import constraints
 from zeno_orbits.search.transcription.ipopt import Solution, SolveStatus

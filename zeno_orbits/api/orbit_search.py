@@ -348,7 +348,7 @@ def find_orbit_by_shooting(
     Raises:
         InputError: If a name is unknown or a value is out of range.
     """
-    from zeno_orbits.search import closing
+    from zeno_orbits.search.shooting import closing
 
     known = _with_one_stop(known_problem(problem))
     if start is not None:

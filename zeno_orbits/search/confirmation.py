@@ -29,11 +29,11 @@ from zeno_orbits.orbits import (
     placed,
     round_again,
 )
-from zeno_orbits.search.closing import escape_of, named
 from zeno_orbits.search.objectives import Objective, Target
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
+from zeno_orbits.search.shooting.closing import escape_of, named
 from zeno_orbits.search.transcription.transcribe import labels_of, start_block
 from zeno_orbits.simulation import (
     Extent,

@@ -19,10 +19,10 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Accuracy, Attractor, Fate, attractors_at
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind, cycle_of, objection_to, placed
-from zeno_orbits.search.closing import orbit_of
-from zeno_orbits.search.guess import SettlingSettings
 from zeno_orbits.search.objectives import Target
 from zeno_orbits.search.search_problem import SearchProblem, clipped
+from zeno_orbits.search.shooting.closing import orbit_of
+from zeno_orbits.search.shooting.guess import SettlingSettings
 from zeno_orbits.simulation import Extent, simulate
 from zeno_orbits.verification import measure
 

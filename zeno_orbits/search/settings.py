@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from zeno_orbits.search.guess import SettlingSettings
+from zeno_orbits.search.shooting.guess import SettlingSettings
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.ipopt import IpoptSettings
 from zeno_orbits.work import Checked

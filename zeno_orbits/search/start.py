@@ -8,11 +8,11 @@ from dataclasses import replace
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, Cycle, ZenoOrbit, objection_to
-from zeno_orbits.search.cycle_ways import CycleWays
+from zeno_orbits.search.homotopy.margins import CycleWays
+from zeno_orbits.search.homotopy.persistence import persistence
 from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.objectives import PERSISTENCE, PUSH, MaxPush, NearestGains
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
-from zeno_orbits.search.persistence import persistence
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import SearchStart, beside, from_cycle, from_start

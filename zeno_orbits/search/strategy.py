@@ -17,16 +17,14 @@ from zeno_orbits.orbits import (
     gone_round_twice,
     round_again,
 )
-from zeno_orbits.search.closing import escape_of, orbit_of
 from zeno_orbits.search.confirmation import one_cycle
-from zeno_orbits.search.cycle_ways import CycleWays
-from zeno_orbits.search.fixed_point import close_near
-from zeno_orbits.search.guess import FollowedMotion, settle
-from zeno_orbits.search.homotopy import follow
-from zeno_orbits.search.line import Followed
+from zeno_orbits.search.homotopy.best_on_line import all_kept, best_on_the_way, kept_and_exceeded
+from zeno_orbits.search.homotopy.homotopy import follow
+from zeno_orbits.search.homotopy.line import Followed
+from zeno_orbits.search.homotopy.margins import CycleWays
+from zeno_orbits.search.homotopy.persistence import Persistence, widest
 from zeno_orbits.search.objectives import MaxPush, NearestGains, Target, TowardTarget
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
-from zeno_orbits.search.persistence import Persistence, widest
 from zeno_orbits.search.refinement import (
     COARSE,
     ON_THE_WAY,
@@ -36,9 +34,11 @@ from zeno_orbits.search.refinement import (
 )
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
+from zeno_orbits.search.shooting.closing import escape_of, orbit_of
+from zeno_orbits.search.shooting.fixed_point import close_near
+from zeno_orbits.search.shooting.guess import FollowedMotion, settle
 from zeno_orbits.search.strength import Strength, strongest
 from zeno_orbits.search.trust_region import LastStep, trust_region_steps
-from zeno_orbits.search.way import all_kept, best_on_the_way, kept_and_exceeded
 from zeno_orbits.simulation import SimulationSettings
 
 _NOT_FOLLOWED = FollowedMotion(cycle=None, reason="no orbit is near")

@@ -10,7 +10,6 @@ import numpy as np
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import RELEASE_ROWS, Bound
-from zeno_orbits.search.guess import settle
 from zeno_orbits.search.objectives import (
     LEAST_RADIUS,
     FastestContraction,
@@ -20,6 +19,7 @@ from zeno_orbits.search.objectives import (
     TargetPeriod,
 )
 from zeno_orbits.search.search_problem import SearchProblem
+from zeno_orbits.search.shooting.guess import settle
 from zeno_orbits.simulation import steady_turn
 from zeno_orbits.verification import require_quantities
 

@@ -13,7 +13,7 @@ from zeno_orbits.errors import InputError, RunawayError, SimulationError, any_nu
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, Problem, own_time
 from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed, to_next_release
-from zeno_orbits.search.recurrence import Recurrence, Recurring
+from zeno_orbits.search.shooting.recurrence import Recurrence, Recurring
 from zeno_orbits.simulation import (
     OSCILLATIONS,
     WAITING,

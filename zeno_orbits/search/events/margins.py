@@ -28,9 +28,9 @@ from zeno_orbits.orbits import (
     section_of_family,
     sequence_of,
 )
-from zeno_orbits.search.event_points import EventPoint, OrbitsOverValues
-from zeno_orbits.search.line import Followed, LinePoint, between, follow_line
-from zeno_orbits.search.persistence import WAY
+from zeno_orbits.search.events.points import EventPoint, OrbitsOverValues
+from zeno_orbits.search.homotopy.line import Followed, LinePoint, between, follow_line
+from zeno_orbits.search.homotopy.persistence import WAY
 from zeno_orbits.work import Progress, silent
 
 _LOST = {

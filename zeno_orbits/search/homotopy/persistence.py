@@ -24,7 +24,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import StepControl
-from zeno_orbits.search.line import Followed
+from zeno_orbits.search.homotopy.line import Followed
 from zeno_orbits.simulation import Extent
 
 T = TypeVar("T")

@@ -10,11 +10,11 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Cycle, ZenoOrbit, excess
-from zeno_orbits.search.homotopy import follow
-from zeno_orbits.search.line import Followed
-from zeno_orbits.search.persistence import WAY
+from zeno_orbits.search.homotopy.best_on_line import bounded_extents
+from zeno_orbits.search.homotopy.homotopy import follow
+from zeno_orbits.search.homotopy.line import Followed
+from zeno_orbits.search.homotopy.persistence import WAY
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.search.way import bounded_extents
 from zeno_orbits.simulation import Extent
 
 

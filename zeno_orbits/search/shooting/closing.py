@@ -29,8 +29,8 @@ from zeno_orbits.orbits import (
     placed,
     round_again,
 )
-from zeno_orbits.search.fixed_point import close_cycle, cycle_near
-from zeno_orbits.search.guess import SettlingSettings, settle
+from zeno_orbits.search.shooting.fixed_point import close_cycle, cycle_near
+from zeno_orbits.search.shooting.guess import SettlingSettings, settle
 from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation
 from zeno_orbits.work import Progress, silent
 

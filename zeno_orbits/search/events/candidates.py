@@ -15,8 +15,8 @@ import numpy as np
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventOrbit, EventReturn, orbit_event_name
-from zeno_orbits.search.event_outcome import AcceptEvents, EventCandidate, EventSearchResult
-from zeno_orbits.search.event_search import return_near
+from zeno_orbits.search.events.event_search import return_near
+from zeno_orbits.search.events.outcome import AcceptEvents, EventCandidate, EventSearchResult
 from zeno_orbits.search.outcome import Judgement, StartAttempt
 from zeno_orbits.search.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.search.settings import SearchStatus

@@ -33,10 +33,17 @@ from zeno_orbits.orbits import (
     orbit_event_name,
     require_event_quantity,
 )
-from zeno_orbits.search.event_candidates import judged, ranked_candidates
-from zeno_orbits.search.event_optimum import PRECISION, Optimum, Trial, along_edges, least_worst
-from zeno_orbits.search.event_outcome import AcceptEvents, EventSearchResult
-from zeno_orbits.search.event_points import (
+from zeno_orbits.search.events.candidates import judged, ranked_candidates
+from zeno_orbits.search.events.event_search import (
+    event_orbit_of,
+    require_no_other_start,
+    return_near,
+    settled_return,
+)
+from zeno_orbits.search.events.margins import EventWays
+from zeno_orbits.search.events.optimum import PRECISION, Optimum, Trial, along_edges, least_worst
+from zeno_orbits.search.events.outcome import AcceptEvents, EventSearchResult
+from zeno_orbits.search.events.points import (
     DIFFERENCED,
     RADIUS,
     EventPoint,
@@ -44,13 +51,7 @@ from zeno_orbits.search.event_points import (
     OrbitsOverValues,
     Slope,
 )
-from zeno_orbits.search.event_search import (
-    event_orbit_of,
-    require_no_other_start,
-    return_near,
-    settled_return,
-)
-from zeno_orbits.search.event_ways import EventWays
+from zeno_orbits.search.homotopy.persistence import widest
 from zeno_orbits.search.objectives import (
     FastestContraction,
     LeastEnergy,
@@ -66,7 +67,6 @@ from zeno_orbits.search.objectives import (
     WorstCase,
     corners_of,
 )
-from zeno_orbits.search.persistence import widest
 from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.strength import EnoughError, highest, push_of
 from zeno_orbits.search.transcription.constraints import size_of

@@ -18,9 +18,9 @@ from zeno_orbits.orbits import (
     floquet_multipliers,
     placed,
 )
-from zeno_orbits.search.fixed_point import close_cycle
-from zeno_orbits.search.line import Followed, LinePoint, between, follow_line
+from zeno_orbits.search.homotopy.line import Followed, LinePoint, between, follow_line
 from zeno_orbits.search.search_problem import SearchProblem
+from zeno_orbits.search.shooting.fixed_point import close_cycle
 from zeno_orbits.simulation import SimulationSettings, scale_of
 
 _STEPS = StepControl(first=0.25, shortest=1e-4)

@@ -35,7 +35,7 @@ from zeno_orbits.orbits import (
     multipliers_of_return,
     orbit_event_name,
 )
-from zeno_orbits.search.event_search import indices_of, settled_return
+from zeno_orbits.search.events.event_search import indices_of, settled_return
 from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.verification import EVENT_MARGINS, SHARE, measured_margin

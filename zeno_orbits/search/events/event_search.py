@@ -25,8 +25,8 @@ from zeno_orbits.orbits import (
     near_return,
     orbit_event_name,
 )
-from zeno_orbits.search.closing import named
-from zeno_orbits.search.line import LinePoint, between, follow_line
+from zeno_orbits.search.homotopy.line import LinePoint, between, follow_line
+from zeno_orbits.search.shooting.closing import named
 from zeno_orbits.simulation import Execution, SimulationSettings, simulate, state_before
 from zeno_orbits.work import Progress, silent, versions
 
