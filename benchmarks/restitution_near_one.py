@@ -33,9 +33,9 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import GuardedFlow, Leg, Passage, RungeKutta, Step, Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.simulation.completion import Completion, ZenoExtrapolation, ZenoPassage
 from zeno_orbits.simulation.execution import ZenoPoint
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation.zeno.completion import Completion, ZenoExtrapolation, ZenoPassage
 
 RESTITUTIONS = (0.9, 0.99, 0.999, 0.9999, 0.99999)
 MOST_BY_IMPACTS = 0.999

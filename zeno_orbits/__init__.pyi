@@ -126,7 +126,7 @@ from .search.objectives import WidestMargin as MaxMargin
 from .search.outcome import OrbitNotFoundError as OrbitNotFoundError
 from .search.outcome import SearchResult as SearchResult
 from .search.settings import SearchSettings as SearchSettings
-from .simulation.completion import Truncation as Truncation
+from .simulation.zeno.completion import Truncation as Truncation
 from .simulation.execution import Execution as Execution
 from .simulation.execution import SwitchEvent as SwitchEvent
 from .simulation.simulator import SimulationSettings as SimulationSettings

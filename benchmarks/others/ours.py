@@ -14,8 +14,8 @@ from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation.zeno.completion import ZenoExtrapolation
 
 
 def settings(accuracy: float, engine: Engine | None = None) -> SimulationSettings:

@@ -28,7 +28,7 @@ from zeno_orbits.simulation import (
     settings_of_stops,
     simulator,
 )
-from zeno_orbits.simulation.looped_graph import graph_program
+from zeno_orbits.simulation.compiled.graph_executions import graph_program
 
 pytestmark = needs_compiler
 

@@ -32,15 +32,12 @@ from zeno_orbits.model.numeric import graph_dynamics
 from zeno_orbits.simulation import (
     accumulations,
     arc_follower,
-    completion,
     event_rules,
     graph_run,
     reference_run,
-    rescaled_flight,
     small_hops,
-    zeno_limit,
-    zeno_passage,
 )
+from zeno_orbits.simulation.zeno import completion, rescaled_flight, zeno_limit, zeno_passage
 
 pytestmark = needs_compiler
 

@@ -24,7 +24,7 @@ from zeno_orbits.search import (
     at_ends,
     strategy,
 )
-from zeno_orbits.search.homotopy import homotopy
+from zeno_orbits.search.homotopy.homotopy import homotopy
 from zeno_orbits.search.homotopy.line import Followed
 from zeno_orbits.search.objectives import TowardTarget
 from zeno_orbits.search.outcome import SearchStatus, SimulatedSolution, StartOutcome

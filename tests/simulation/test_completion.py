@@ -20,8 +20,8 @@ from zeno_orbits.simulation import (
     ZenoExtrapolation,
     ZenoLimit,
     ZenoPassage,
-    completion,
 )
+from zeno_orbits.simulation.zeno import completion
 
 WEIGHT, FADING = 10.0, 5.0
 """At the clock `y` the weight is 10 - 5 y."""

@@ -13,8 +13,8 @@ from tests.support.mechanisms import bead_on_disc, fading_ball
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import RungeKutta, Tolerance, doubled_nodes, radau_nodes
 from zeno_orbits.model import HybridDynamics, OwnScale
-from zeno_orbits.simulation import impact_curve
-from zeno_orbits.simulation.impact_curve import (
+from zeno_orbits.simulation.zeno import impact_curve
+from zeno_orbits.simulation.zeno.impact_curve import (
     CurveEnd,
     CurveLostError,
     ImpactCurve,
@@ -28,7 +28,7 @@ from zeno_orbits.simulation.impact_curve import (
     start_at,
     straight_piece,
 )
-from zeno_orbits.simulation.rescaled_flight import Flight, rescaled_flights
+from zeno_orbits.simulation.zeno.rescaled_flight import Flight, rescaled_flights
 
 FINE = Tolerance(relative=1e-14, absolute=1e-15)
 ROUNDING = 1e-12

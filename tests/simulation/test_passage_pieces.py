@@ -13,15 +13,16 @@ from tests.support.mechanisms import fading_ball
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import radau_nodes
 from zeno_orbits.model import HybridDynamics, OwnScale
-from zeno_orbits.simulation import TailEstimate, ZenoLimit, zeno_passage
-from zeno_orbits.simulation.impact_curve import (
+from zeno_orbits.simulation import TailEstimate, ZenoLimit
+from zeno_orbits.simulation.zeno import zeno_passage
+from zeno_orbits.simulation.zeno.impact_curve import (
     CurveEnd,
     CurveLostError,
     ImpactCurve,
     Piece,
     straight_piece,
 )
-from zeno_orbits.simulation.zeno_passage import CurveStep, is_settled, pass_through
+from zeno_orbits.simulation.zeno.zeno_passage import CurveStep, is_settled, pass_through
 
 TOLERANCE = 1e-12
 EPS = 2.0**-52

@@ -14,7 +14,7 @@ from tests.reference.closed_forms import FORCED
 from tests.support.mechanisms import fading_ball, falling_away, forced_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import RungeKutta, SciPy, Stepper, Tolerance
-from zeno_orbits.simulation.rescaled_flight import rescaled_flights
+from zeno_orbits.simulation.zeno.rescaled_flight import rescaled_flights
 
 FINE = Tolerance(relative=1e-14, absolute=1e-15)
 

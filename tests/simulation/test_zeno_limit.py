@@ -29,7 +29,13 @@ from zeno_orbits.simulation import (
     spread_nodes,
     tail_time,
 )
-from zeno_orbits.simulation.zeno_limit import N_NODES, NODE_RATIO, combine, limit_slopes, tail_from
+from zeno_orbits.simulation.zeno.zeno_limit import (
+    N_NODES,
+    NODE_RATIO,
+    combine,
+    limit_slopes,
+    tail_from,
+)
 
 ROUNDING = 1e-13
 

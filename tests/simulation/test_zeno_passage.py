@@ -36,9 +36,9 @@ from zeno_orbits.simulation import (
     ZenoPoint,
     simulate,
 )
-from zeno_orbits.simulation.impact_curve import CurveEnd, ImpactCurve
-from zeno_orbits.simulation.rescaled_flight import Flight, rescaled_flights
-from zeno_orbits.simulation.zeno_passage import is_settled, pass_through
+from zeno_orbits.simulation.zeno.impact_curve import CurveEnd, ImpactCurve
+from zeno_orbits.simulation.zeno.rescaled_flight import Flight, rescaled_flights
+from zeno_orbits.simulation.zeno.zeno_passage import is_settled, pass_through
 
 FINE = Tolerance(relative=1e-14, absolute=1e-15)
 TOLERANCE = 1e-12

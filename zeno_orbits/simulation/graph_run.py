@@ -39,7 +39,6 @@ from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.simulation.accumulations import Accumulations
 from zeno_orbits.simulation.admission import require_admissible
 from zeno_orbits.simulation.arc_follower import ArcStart, launched
-from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.event_rules import stop_holds
 from zeno_orbits.simulation.execution import (
     Arc,
@@ -65,7 +64,8 @@ from zeno_orbits.simulation.interruptions import (
 )
 from zeno_orbits.simulation.recorded import LoopTrajectory
 from zeno_orbits.simulation.reference_run import ImpactSequence, ReferenceRun, is_slack
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
+from zeno_orbits.simulation.zeno.completion import ZenoExtrapolation
+from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit
 
 _WAS_CLOSED = 1e-9
 """Relative threshold below which a stop that was closed still has zero gap and gap rate."""

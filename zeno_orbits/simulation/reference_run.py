@@ -36,7 +36,7 @@ from zeno_orbits.simulation.interruptions import (
 )
 from zeno_orbits.simulation.settings import SimulationSettings
 from zeno_orbits.simulation.small_hops import small_hop
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, tail_from
+from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, tail_from
 
 _STEADY = 1e-9
 """Part of the problem's own rate of the multiplier below which that decides nothing."""

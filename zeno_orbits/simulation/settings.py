@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation.completion import Completion, ZenoPassage
+from zeno_orbits.simulation.zeno.completion import Completion, ZenoPassage
 from zeno_orbits.work import Checked, Progress, silent
 
 

@@ -18,11 +18,11 @@ from zeno_orbits.integrators import Engine
 from zeno_orbits.loop import loop_library
 from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
+from zeno_orbits.simulation.compiled.executions import by_loop, pieces_by_loop, serves
+from zeno_orbits.simulation.compiled.graph_executions import looped
+from zeno_orbits.simulation.compiled.legs import LegFollower
 from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.graph_run import GraphRun
-from zeno_orbits.simulation.legs import LegFollower
-from zeno_orbits.simulation.looped import by_loop, pieces_by_loop, serves
-from zeno_orbits.simulation.looped_graph import looped
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask

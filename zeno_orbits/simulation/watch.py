@@ -15,11 +15,11 @@ from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.attractor import has_left, is_still, keeps_holding
-from zeno_orbits.simulation.completion import ZenoPassage
 from zeno_orbits.simulation.execution import Event, Impact
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
 from zeno_orbits.simulation.simulator import pieces
+from zeno_orbits.simulation.zeno.completion import ZenoPassage
 
 _PHASES = 64
 """Phases of the clock in which a motion at rest is looked at."""

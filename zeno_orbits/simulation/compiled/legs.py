@@ -18,7 +18,7 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.loop import LegProgram, LegRecord, LegSettings, binding, leg_program
 from zeno_orbits.model import CompiledFlow, ModeFunctions, unguarded
-from zeno_orbits.simulation.loop_steps import loop_steps
+from zeno_orbits.simulation.compiled.steps import loop_steps
 from zeno_orbits.simulation.recorded import FlowOfLeg, LoopTrajectory
 
 

@@ -24,8 +24,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Nodes, doubled_nodes, radau_nodes
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation.rescaled_flight import Flight
-from zeno_orbits.simulation.zeno_limit import tail_time
+from zeno_orbits.simulation.zeno.rescaled_flight import Flight
+from zeno_orbits.simulation.zeno.zeno_limit import tail_time
 
 _NUDGE = 1e-5
 """Relative step of the differences. It is far above the rounding of a slope, which `1 - e`

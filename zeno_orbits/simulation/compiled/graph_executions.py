@@ -35,6 +35,13 @@ from zeno_orbits.loop import (
 )
 from zeno_orbits.model import CompiledGraph, GraphDynamics, ModeFunctions, OwnScale
 from zeno_orbits.simulation.admission import require_admissible
+from zeno_orbits.simulation.compiled.executions import (
+    COMPLETIONS,
+    curve_limit,
+    interruption,
+    run_settings,
+)
+from zeno_orbits.simulation.compiled.steps import loop_steps
 from zeno_orbits.simulation.execution import Arc, Event, Mode
 from zeno_orbits.simulation.graph_run import GraphRun
 from zeno_orbits.simulation.interruptions import (
@@ -47,11 +54,9 @@ from zeno_orbits.simulation.interruptions import (
     undefined_guard,
     undetermined_contact,
 )
-from zeno_orbits.simulation.loop_steps import loop_steps
-from zeno_orbits.simulation.looped import COMPLETIONS, curve_limit, interruption, run_settings
 from zeno_orbits.simulation.recorded import RecordedExecution, arc_of, events_of
 from zeno_orbits.simulation.settings import SimulationTask
-from zeno_orbits.simulation.zeno_limit import ZenoLimit
+from zeno_orbits.simulation.zeno.zeno_limit import ZenoLimit
 
 _KINDS = {binding.IMPACT: "impact", binding.RELEASE: "release", binding.SWITCH: "switch"}
 

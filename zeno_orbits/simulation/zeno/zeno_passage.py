@@ -26,7 +26,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import USUAL, HybridDynamics, OwnScale
-from zeno_orbits.simulation.impact_curve import (
+from zeno_orbits.simulation.zeno.impact_curve import (
     CurveEnd,
     CurveLostError,
     ImpactCurve,
@@ -40,8 +40,8 @@ from zeno_orbits.simulation.impact_curve import (
     start_at,
     straight_piece,
 )
-from zeno_orbits.simulation.rescaled_flight import Flight
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
+from zeno_orbits.simulation.zeno.rescaled_flight import Flight
+from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit
 
 _FEW, _SOME, _MANY = 4, 8, 16
 """Nodes of a piece: to see its shape, usually enough, and most."""

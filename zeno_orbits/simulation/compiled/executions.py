@@ -16,14 +16,7 @@ from zeno_orbits.integrators import RungeKutta, Step, Tolerance, not_finite, too
 from zeno_orbits.loop import Detail, LoopRun, RunSettings, binding, program_of
 from zeno_orbits.model import OwnScale
 from zeno_orbits.simulation.admission import require_admissible
-from zeno_orbits.simulation.completion import (
-    FINEST,
-    FixedImpacts,
-    PlasticAfter,
-    Truncation,
-    ZenoExtrapolation,
-    ZenoPassage,
-)
+from zeno_orbits.simulation.compiled.steps import loop_steps
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.interruptions import (
     does_not_accumulate,
@@ -34,13 +27,20 @@ from zeno_orbits.simulation.interruptions import (
     runs_away,
     too_many_steps,
 )
-from zeno_orbits.simulation.loop_steps import loop_steps
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.recorded import RecordedExecution, RecordedRun, events_of
-from zeno_orbits.simulation.rescaled_flight import Flight, rescaled_flights
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
-from zeno_orbits.simulation.zeno_limit import ZenoLimit
-from zeno_orbits.simulation.zeno_passage import pass_through
+from zeno_orbits.simulation.zeno.completion import (
+    FINEST,
+    FixedImpacts,
+    PlasticAfter,
+    Truncation,
+    ZenoExtrapolation,
+    ZenoPassage,
+)
+from zeno_orbits.simulation.zeno.rescaled_flight import Flight, rescaled_flights
+from zeno_orbits.simulation.zeno.zeno_limit import ZenoLimit
+from zeno_orbits.simulation.zeno.zeno_passage import pass_through
 from zeno_orbits.work import silent
 
 _STEPS, _EVENTS = 256, 12

@@ -26,6 +26,9 @@ from zeno_orbits.model import (
     GraphDynamics,
     GraphMode,
 )
+from zeno_orbits.simulation.derivatives.sensitivity import Bounce, Carry, EventShift, Perturbations
+from zeno_orbits.simulation.derivatives.state_transition import carried_within
+from zeno_orbits.simulation.derivatives.tangent import carried_by_loop, course_of_arc
 from zeno_orbits.simulation.execution import (
     Arc,
     Ending,
@@ -37,9 +40,6 @@ from zeno_orbits.simulation.execution import (
     SwitchEvent,
     ZenoPoint,
 )
-from zeno_orbits.simulation.sensitivity import Bounce, Carry, EventShift, Perturbations
-from zeno_orbits.simulation.state_transition import carried_within
-from zeno_orbits.simulation.tangent import carried_by_loop, course_of_arc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,9 +29,9 @@ from zeno_orbits.model import (
     FlowDifferential,
     HybridDynamics,
 )
+from zeno_orbits.simulation.derivatives.state_transition import carried
 from zeno_orbits.simulation.execution import Arc, Ending, Execution, Impact, Mode, ZenoPoint
-from zeno_orbits.simulation.state_transition import carried
-from zeno_orbits.simulation.zeno_limit import (
+from zeno_orbits.simulation.zeno.zeno_limit import (
     TailEstimate,
     estimate_tail,
     limit_slopes,

@@ -14,9 +14,9 @@ from zeno_orbits.errors import positive_number
 from zeno_orbits.integrators import RungeKutta, Stepper, Tolerance
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.event_rules import is_geometric
-from zeno_orbits.simulation.rescaled_flight import rescaled_flights
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, combine, extrapolate
-from zeno_orbits.simulation.zeno_passage import is_settled, pass_through
+from zeno_orbits.simulation.zeno.rescaled_flight import rescaled_flights
+from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, combine, extrapolate
+from zeno_orbits.simulation.zeno.zeno_passage import is_settled, pass_through
 from zeno_orbits.work import Checked, require_kinds
 
 _FIRST_TRY = 6

@@ -13,14 +13,14 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.loop import Record, TangentProgram, Track, binding, program_of, tangent_of
-from zeno_orbits.simulation.execution import Arc, Execution, Mode
-from zeno_orbits.simulation.recorded import LoopTrajectory, record_of
-from zeno_orbits.simulation.sensitivity import (
+from zeno_orbits.simulation.derivatives.sensitivity import (
     ArcShifts,
     EventShift,
     Perturbations,
 )
-from zeno_orbits.simulation.state_transition import courses, trusted
+from zeno_orbits.simulation.derivatives.state_transition import courses, trusted
+from zeno_orbits.simulation.execution import Arc, Execution, Mode
+from zeno_orbits.simulation.recorded import LoopTrajectory, record_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,0 +1,1 @@
+"""The Zeno limit: the end of an impact sequence, extrapolated, followed or truncated."""
