@@ -14,7 +14,7 @@ import pytest
 from tests.support.units import Units, in_units
 from zeno_orbits import Problem, Quantity
 from zeno_orbits.cli import main
-from zeno_orbits.cli.problems import template
+from zeno_orbits.cli.commands.problems import template
 from zeno_orbits.errors import ProblemFileError
 from zeno_orbits.model import (
     Clock,

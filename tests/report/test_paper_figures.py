@@ -672,7 +672,7 @@ def test_an_ffmpeg_that_fails_is_heard(
 
 
 def test_the_command_offers_every_kind_there_is() -> None:
-    from zeno_orbits.cli import pictures
+    from zeno_orbits.cli.commands import pictures
 
     assert tuple(PAPER) == pictures._FIGURES
 

@@ -8,27 +8,27 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 import zeno_orbits
-from zeno_orbits.cli.cache import add_cache
-from zeno_orbits.cli.completion import add_completion
-from zeno_orbits.cli.continue_command import add_continue
-from zeno_orbits.cli.costs import add_fidelity, add_trade
-from zeno_orbits.cli.export import add_export
-from zeno_orbits.cli.map import add_map
+from zeno_orbits.cli.commands.cache import add_cache
+from zeno_orbits.cli.commands.completion import add_completion
+from zeno_orbits.cli.commands.continue_command import add_continue
+from zeno_orbits.cli.commands.costs import add_fidelity, add_trade
+from zeno_orbits.cli.commands.export import add_export
+from zeno_orbits.cli.commands.map import add_map
+from zeno_orbits.cli.commands.pictures import add_figures, add_plot
+from zeno_orbits.cli.commands.problems import add_conditions, add_new, add_problems
+from zeno_orbits.cli.commands.prove import add_prove
+from zeno_orbits.cli.commands.push import add_push
+from zeno_orbits.cli.commands.recordings import add_compare, add_identify
+from zeno_orbits.cli.commands.recovery import add_recovery
+from zeno_orbits.cli.commands.report_command import add_report
+from zeno_orbits.cli.commands.rig import add_rig
+from zeno_orbits.cli.commands.search import add_search
+from zeno_orbits.cli.commands.simulate import add_simulate
+from zeno_orbits.cli.commands.verify import add_verify
 from zeno_orbits.cli.old_forms import in_new_forms
 from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser, print_json
-from zeno_orbits.cli.pictures import add_figures, add_plot
-from zeno_orbits.cli.problems import add_conditions, add_new, add_problems
 from zeno_orbits.cli.process import Interrupts, patient_streams
-from zeno_orbits.cli.prove import add_prove
-from zeno_orbits.cli.push import add_push
-from zeno_orbits.cli.recordings import add_compare, add_identify
-from zeno_orbits.cli.recovery import add_recovery
-from zeno_orbits.cli.report_command import add_report
-from zeno_orbits.cli.rig import add_rig
-from zeno_orbits.cli.search import add_search
-from zeno_orbits.cli.simulate import add_simulate
 from zeno_orbits.cli.typed import as_typed
-from zeno_orbits.cli.verify import add_verify
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.report import terminal as report
 

@@ -7,7 +7,8 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.event_orbits import run_verify_events
+from zeno_orbits.cli.commands.event_orbits import run_verify_events
+from zeno_orbits.cli.commands.prove import add_proof, proof_of
 from zeno_orbits.cli.options import (
     NO,
     YES,
@@ -18,7 +19,6 @@ from zeno_orbits.cli.options import (
     print_json,
 )
 from zeno_orbits.cli.parsing import read_count, read_share
-from zeno_orbits.cli.prove import add_proof, proof_of
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:

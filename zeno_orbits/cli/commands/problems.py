@@ -90,7 +90,7 @@ def add_new(commands: Any) -> None:
 def template(*, with_motor: bool, with_circuit: bool = False) -> str:
     """Return a problem file that works, whose problem is called NAME."""
     name = "motor" if with_motor else "circuit" if with_circuit else "periodic_force"
-    path = Path(__file__).parent / "templates" / f"{name}.py.txt"
+    path = Path(__file__).parents[1] / "templates" / f"{name}.py.txt"
     return path.read_text(encoding="utf-8")
 
 

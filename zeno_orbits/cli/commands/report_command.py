@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.event_orbits import needs_one_stop
+from zeno_orbits.cli.commands.event_orbits import needs_one_stop
+from zeno_orbits.cli.commands.prove import add_proof, proof_of
 from zeno_orbits.cli.options import (
     NO,
     YES,
@@ -19,7 +20,6 @@ from zeno_orbits.cli.options import (
     say_written,
 )
 from zeno_orbits.cli.parsing import read_count, read_share
-from zeno_orbits.cli.prove import add_proof, proof_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import utf8, write_whole

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.event_orbits import asks_for_events, search_events
+from zeno_orbits.cli.commands.event_orbits import asks_for_events, search_events
 from zeno_orbits.cli.options import (
     add_accuracy,
     add_command,

@@ -1,0 +1,1 @@
+"""The commands. Each module contains one command, or several commands with the same input."""
