@@ -91,9 +91,9 @@ from .model.stops import Switch as Switch
 from .model.waveforms import harmonics as harmonics
 from .model.waveforms import piecewise as piecewise
 from .orbits.bounds import Bound as Bound
-from .orbits.event_orbit import EventOrbit as EventOrbit
-from .orbits.event_orbit_file import read_event_orbit as read_event_orbit
-from .orbits.event_orbit_file import write_event_orbit as write_event_orbit
+from .orbits.events.event_orbit import EventOrbit as EventOrbit
+from .orbits.events.event_orbit_file import read_event_orbit as read_event_orbit
+from .orbits.events.event_orbit_file import write_event_orbit as write_event_orbit
 from .orbits.orbit import ZenoOrbit as ZenoOrbit
 from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.orbit_file import read_orbit as read_orbit

@@ -16,6 +16,8 @@ FORMAT = 2
 """Version of the file format. It is the newest version that this code can read."""
 ONE_RELEASE = 1
 """Version of the format for orbits with exactly one Zeno point and one release."""
+EVENT_FORMAT = 3
+"""Version of the format of orbit files that list events."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import InputError, OrbitFileError
-from zeno_orbits.orbits.event_orbit import EVENT_FORMAT
 from zeno_orbits.orbits.orbit import (
+    EVENT_FORMAT,
     FORMAT,
     ONE_RELEASE,
     OrbitImpact,

@@ -13,8 +13,8 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.model import GraphDynamics, HybridDynamics
-from zeno_orbits.orbits.event_orbit import orbit_event_name, phases_of_events
-from zeno_orbits.orbits.event_section import EventReturn, fall_at
+from zeno_orbits.orbits.events.event_orbit import orbit_event_name, phases_of_events
+from zeno_orbits.orbits.events.section import EventReturn, fall_at
 from zeno_orbits.simulation import (
     Arc,
     Impact,

@@ -22,8 +22,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import CompiledGraph, GraphDynamics, GraphMode
-from zeno_orbits.orbits.event_quantities import Reading
-from zeno_orbits.orbits.event_section import EventReturn
+from zeno_orbits.orbits.events.quantities import Reading
+from zeno_orbits.orbits.events.section import EventReturn
 from zeno_orbits.simulation import ArcPassage, Extent, ZenoPoint, signal, signal_names
 
 ENERGY = "energy"

@@ -17,8 +17,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
-from zeno_orbits.orbits.event_orbit import EventOrbit
-from zeno_orbits.orbits.event_section import EventReturn, SectionMode, event_return, largest_states
+from zeno_orbits.orbits.events.event_orbit import EventOrbit
+from zeno_orbits.orbits.events.section import EventReturn, SectionMode, event_return, largest_states
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.section import (
     IMPACT_ROWS,

@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
-from zeno_orbits.orbits.event_orbit import orbit_event_name, sequence_of
+from zeno_orbits.orbits.events.event_orbit import orbit_event_name, sequence_of
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.section import RELEASE_ROWS, projected
 from zeno_orbits.simulation import (

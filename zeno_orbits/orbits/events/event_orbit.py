@@ -7,11 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits.orbit import EVENT_FORMAT
 from zeno_orbits.simulation import Event, ZenoPoint, event_name
 from zeno_orbits.work import Columns, Displayed, by_name
-
-EVENT_FORMAT = 3
-"""Version of the format of orbit files that list events."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -36,7 +36,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import GraphDynamics, unknown
-from zeno_orbits.orbits.event_section import EventReturn
+from zeno_orbits.orbits.events.section import EventReturn
 from zeno_orbits.simulation import (
     Event,
     EventShift,

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import OrbitFileError
-from zeno_orbits.orbits.event_orbit import EVENT_FORMAT, EventOrbit, OrbitEvent, sequence_of
+from zeno_orbits.orbits.events.event_orbit import EventOrbit, OrbitEvent, sequence_of
+from zeno_orbits.orbits.orbit import EVENT_FORMAT
 from zeno_orbits.orbits.orbit_file import plain_data
 from zeno_orbits.work import EntryError, restored, write_whole
 

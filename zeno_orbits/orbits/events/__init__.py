@@ -1,0 +1,1 @@
+"""Periodic orbits as sequences of events, for machines with several stops or switches."""
