@@ -12,10 +12,10 @@ from flint import arb, ctx
 import zeno_orbits as zo
 from tests.reference.many_digits.execution import extended_execution
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.section import section_places, start_on_section
-from zeno_orbits.proof.sets import ProofStage
-from zeno_orbits.proof.walk import ProofPassage, WalkSettings, walk
+from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.section import section_places, start_on_section
+from zeno_orbits.proof.integration.sets import ProofStage
+from zeno_orbits.proof.integration.walk import ProofPassage, WalkSettings, walk
 
 _BITS = 128
 _TRUE = arb("1e-19")

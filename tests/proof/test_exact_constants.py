@@ -11,7 +11,7 @@ pytest.importorskip("flint")
 
 from flint import arb, ctx
 
-from zeno_orbits.proof.ball_system import BallSystem
+from zeno_orbits.proof.integration.ball_system import BallSystem
 
 
 def test_a_derivative_is_no_rounded_sum_of_powers_of_two() -> None:

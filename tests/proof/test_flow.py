@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from flint import arb, ctx
 
-from zeno_orbits.proof.balls import matrix
-from zeno_orbits.proof.flow import BallFlow, enclose
-from zeno_orbits.proof.sets import start_set
+from zeno_orbits.proof.arithmetic.balls import matrix
+from zeno_orbits.proof.integration.flow import BallFlow, enclose
+from zeno_orbits.proof.integration.sets import start_set
 
 
 def _linear(rate: float) -> BallFlow:

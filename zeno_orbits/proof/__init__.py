@@ -2,11 +2,10 @@
 
 The motions from a box on the release section are enclosed over one period in balls (midpoint-radius
 intervals with outward rounding), through every impact, the Zeno point and the contact phase.
-Krawczyk's operator then shows that exactly one orbit passes through the box. The modules, in the
-order of the computation: `expressions` and `program` (equations in balls), `flow` (one step),
-`sets`, `section`, `events` (with the Zeno tail), `walk` (one period), `orbit_walk` (from an orbit
-file), `fixed_point`, `claims`, `prover`. `enclosure` encloses one period without a fixed point.
-`basin` searches large sets of initial states, which `polynomials` and `polynomial_walk` enclose.
+Krawczyk's operator then shows that exactly one orbit passes through the box. The packages and
+modules, in the order of the computation: `arithmetic` (equations in balls), `integration` (one
+period, with impacts and the Zeno tail), `fixed_point`, `claims`, `prover`. `enclosure` encloses
+one period without a fixed point. `basin` searches large sets of initial states.
 `checker` checks certificates and shares no module with the prover. `replay` simulates a certificate
 with the problem's hand-written model.
 

@@ -6,7 +6,7 @@ from .enclosure import enclose_period as enclose_period
 from .extra import require_flint as require_flint
 from .period_enclosure import EnclosedEvent as EnclosedEvent
 from .period_enclosure import PeriodEnclosure as PeriodEnclosure
-from .program import BallProgram as BallProgram
+from .arithmetic.program import BallProgram as BallProgram
 from .replay import check_proof_of as check_proof_of
 from .proof_file import write_proof as write_proof
 from .prover import ProofSettings as ProofSettings

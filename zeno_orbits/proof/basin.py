@@ -16,19 +16,19 @@ from flint import arb
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import ZERO, Ball, matrix
+from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, matrix
+from zeno_orbits.proof.arithmetic.polynomials import Basis, Polynomial
 from zeno_orbits.proof.fixed_point import JudgedBox
-from zeno_orbits.proof.orbit_walk import LEAST_SIZE
-from zeno_orbits.proof.polynomial_walk import (
+from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.orbit_walk import LEAST_SIZE
+from zeno_orbits.proof.integration.polynomial_walk import (
     Phase,
     PolynomialPass,
     PolynomialSet,
     PolynomialWalk,
 )
-from zeno_orbits.proof.polynomials import Basis, Polynomial
-from zeno_orbits.proof.section import SectionStart, start_on_section
-from zeno_orbits.proof.walk import PassageKind, ProofPassage
+from zeno_orbits.proof.integration.section import SectionStart, start_on_section
+from zeno_orbits.proof.integration.walk import PassageKind, ProofPassage
 from zeno_orbits.work import Progress
 
 _LARGEST = 2.0

@@ -10,10 +10,10 @@ from flint import arb
 
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.proof.ball_system import BallSystem, require_proved
-from zeno_orbits.proof.balls import Ball, exact_fraction, fraction_text, product
+from zeno_orbits.proof.arithmetic.balls import Ball, exact_fraction, fraction_text, product
 from zeno_orbits.proof.fixed_point import JudgedBox
-from zeno_orbits.proof.section import SectionStart
+from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.integration.section import SectionStart
 from zeno_orbits.proof.theorem import (
     Bounds,
     MultiplierDisc,

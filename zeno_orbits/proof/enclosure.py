@@ -17,16 +17,16 @@ from flint import arb, ctx
 from zeno_orbits.errors import InputError, ProofError, TranslationError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import OrbitPhase, ZenoOrbit
-from zeno_orbits.proof.ball_system import BallSystem, require_proved
-from zeno_orbits.proof.balls import Ball, all_finite, exact_fraction
+from zeno_orbits.proof.arithmetic.balls import Ball, all_finite, exact_fraction
 from zeno_orbits.proof.claims import own_state
-from zeno_orbits.proof.orbit_walk import LEAST_SIZE, prover_state, require_fit, walked
+from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.integration.orbit_walk import LEAST_SIZE, prover_state, require_fit, walked
+from zeno_orbits.proof.integration.section import SectionStart, section_places, start_on_section
+from zeno_orbits.proof.integration.sets import ProofStage
+from zeno_orbits.proof.integration.walk import PassageKind, ProofPassage, WalkSettings
 from zeno_orbits.proof.period_enclosure import EnclosedEvent, PeriodEnclosure
 from zeno_orbits.proof.proof_file import require_hypotheses
-from zeno_orbits.proof.section import SectionStart, section_places, start_on_section
-from zeno_orbits.proof.sets import ProofStage
 from zeno_orbits.proof.theorem import ProvedInterval, double_above
-from zeno_orbits.proof.walk import PassageKind, ProofPassage, WalkSettings
 from zeno_orbits.work import Progress, silent
 
 _RADII = (1e-11, 1e-14)

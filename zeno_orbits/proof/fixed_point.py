@@ -20,9 +20,17 @@ import numpy as np
 from flint import acb, acb_mat, arb
 
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.balls import Ball, Matrix, identity, mapped, matrix, middle, product
-from zeno_orbits.proof.section import SectionStart
-from zeno_orbits.proof.walk import ProofPassage
+from zeno_orbits.proof.arithmetic.balls import (
+    Ball,
+    Matrix,
+    identity,
+    mapped,
+    matrix,
+    middle,
+    product,
+)
+from zeno_orbits.proof.integration.section import SectionStart
+from zeno_orbits.proof.integration.walk import ProofPassage
 
 _SPARE = 1.5
 """Factor by which a box is taken larger than its image."""

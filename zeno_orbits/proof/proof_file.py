@@ -13,14 +13,26 @@ import flint
 
 from zeno_orbits.errors import InputError, ProofError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import ZERO, Ball, Matrix, exact_text, half_width, mapped, matrix
+from zeno_orbits.proof.arithmetic.balls import (
+    ZERO,
+    Ball,
+    Matrix,
+    exact_text,
+    half_width,
+    mapped,
+    matrix,
+)
 from zeno_orbits.proof.checker.balls import NotProved
 from zeno_orbits.proof.checker.certificate import read_system
-from zeno_orbits.proof.polynomial_walk import PolynomialPass, PolynomialRecord, PolynomialSet
-from zeno_orbits.proof.section import SectionStart
-from zeno_orbits.proof.sets import BallSet, ProofRecord
-from zeno_orbits.proof.walk import ProofPassage
+from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.polynomial_walk import (
+    PolynomialPass,
+    PolynomialRecord,
+    PolynomialSet,
+)
+from zeno_orbits.proof.integration.section import SectionStart
+from zeno_orbits.proof.integration.sets import BallSet, ProofRecord
+from zeno_orbits.proof.integration.walk import ProofPassage
 from zeno_orbits.work import versions, write_whole
 
 FORMAT = 2

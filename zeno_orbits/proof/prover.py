@@ -14,8 +14,7 @@ from flint import arb, ctx
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import Ball
+from zeno_orbits.proof.arithmetic.balls import Ball
 from zeno_orbits.proof.basin import large_sets
 from zeno_orbits.proof.checker.certificate import check_proof
 from zeno_orbits.proof.claims import (
@@ -27,12 +26,13 @@ from zeno_orbits.proof.claims import (
     require_numbers,
 )
 from zeno_orbits.proof.fixed_point import JudgedBox, judge
-from zeno_orbits.proof.orbit_walk import LEAST_SIZE, prover_state, require_fit, walked
-from zeno_orbits.proof.polynomial_walk import PolynomialPass
+from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.orbit_walk import LEAST_SIZE, prover_state, require_fit, walked
+from zeno_orbits.proof.integration.polynomial_walk import PolynomialPass
+from zeno_orbits.proof.integration.section import SectionStart, section_places, start_on_section
+from zeno_orbits.proof.integration.walk import WalkSettings
 from zeno_orbits.proof.proof_file import certificate, check_bits, proof_versions, require_hypotheses
-from zeno_orbits.proof.section import SectionStart, section_places, start_on_section
 from zeno_orbits.proof.theorem import Proof
-from zeno_orbits.proof.walk import WalkSettings
 from zeno_orbits.work import Progress, silent
 
 _RADII = (1e-9, 1e-12, 1e-14)

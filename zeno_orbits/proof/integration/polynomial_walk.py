@@ -20,15 +20,15 @@ from flint import arb
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.ball_system import BallSystem, require_proved
-from zeno_orbits.proof.balls import UNIT, ZERO, Ball, Matrix, matrix
-from zeno_orbits.proof.events import polydisc
-from zeno_orbits.proof.flow import BallFlow, FlowSeries, FlowStep, enclose
-from zeno_orbits.proof.polynomials import Basis, Polynomial, PolynomialSeries
-from zeno_orbits.proof.program import BallProgram
-from zeno_orbits.proof.section import SectionStart
-from zeno_orbits.proof.sets import Departure, balanced, orthogonal
-from zeno_orbits.proof.walk import Tell, contact_reason, excess_of, is_clear
+from zeno_orbits.proof.arithmetic.balls import UNIT, ZERO, Ball, Matrix, matrix
+from zeno_orbits.proof.arithmetic.polynomials import Basis, Polynomial, PolynomialSeries
+from zeno_orbits.proof.arithmetic.program import BallProgram
+from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.integration.events import polydisc
+from zeno_orbits.proof.integration.flow import BallFlow, FlowSeries, FlowStep, enclose
+from zeno_orbits.proof.integration.section import SectionStart
+from zeno_orbits.proof.integration.sets import Departure, balanced, orthogonal
+from zeno_orbits.proof.integration.walk import Tell, contact_reason, excess_of, is_clear
 
 _ORDERS = (20, 12)
 _LOW_DEGREE = 2

@@ -19,7 +19,7 @@ from flint import arb
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.balls import Ball
+from zeno_orbits.proof.arithmetic.balls import Ball
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,17 @@ from flint import arb
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import ZERO, Ball, product
-from zeno_orbits.proof.events import cross, meeting_guess, settle_impacts, strike
-from zeno_orbits.proof.flow import BallFlow, FlowStep, enclose
-from zeno_orbits.proof.sets import BallTime, Departure, ProofRecord, ProofStage, balanced
+from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, product
+from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.events import cross, meeting_guess, settle_impacts, strike
+from zeno_orbits.proof.integration.flow import BallFlow, FlowStep, enclose
+from zeno_orbits.proof.integration.sets import (
+    BallTime,
+    Departure,
+    ProofRecord,
+    ProofStage,
+    balanced,
+)
 
 _NEAR = 1e-3
 """Gap rate, in its unit, below which flights are short and their rows must keep their precision."""

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from operator import mul
 from typing import Any
 
-from zeno_orbits.proof.balls import ZERO, Ball
+from zeno_orbits.proof.arithmetic.balls import ZERO, Ball
 
 Series = list[Any]
 """Coefficients of a series, lowest power first."""

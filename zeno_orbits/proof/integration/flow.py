@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import casadi as ca
 from flint import arb, ctx
 
-from zeno_orbits.proof.balls import (
+from zeno_orbits.proof.arithmetic.balls import (
     UNIT,
     ZERO,
     Ball,
@@ -26,8 +26,8 @@ from zeno_orbits.proof.balls import (
     scaled,
     within,
 )
-from zeno_orbits.proof.program import BallProgram
-from zeno_orbits.proof.recurrences import Series
+from zeno_orbits.proof.arithmetic.program import BallProgram
+from zeno_orbits.proof.arithmetic.recurrences import Series
 
 _WIDER = 1 + 1 / 16
 """Factor by which the box of a step is wider than the range of its series."""

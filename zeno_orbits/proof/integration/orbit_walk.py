@@ -10,13 +10,13 @@ from flint import arb
 from zeno_orbits.errors import InputError, ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ZenoOrbit, digest_of, same_equations
-from zeno_orbits.proof.ball_system import BallSystem, require_proved
-from zeno_orbits.proof.balls import Ball
-from zeno_orbits.proof.expressions import stop_identities
-from zeno_orbits.proof.program import BallProgram
-from zeno_orbits.proof.section import SectionStart
-from zeno_orbits.proof.sets import ProofStage
-from zeno_orbits.proof.walk import ProofPassage, WalkSettings, walk
+from zeno_orbits.proof.arithmetic.balls import Ball
+from zeno_orbits.proof.arithmetic.expressions import stop_identities
+from zeno_orbits.proof.arithmetic.program import BallProgram
+from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.integration.section import SectionStart
+from zeno_orbits.proof.integration.sets import ProofStage
+from zeno_orbits.proof.integration.walk import ProofPassage, WalkSettings, walk
 from zeno_orbits.work import Progress
 
 LEAST_SIZE = 1e-3

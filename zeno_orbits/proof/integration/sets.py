@@ -22,7 +22,7 @@ from scipy.linalg import qr
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.balls import (
+from zeno_orbits.proof.arithmetic.balls import (
     ZERO,
     Ball,
     Matrix,

@@ -13,9 +13,9 @@ import casadi as ca
 from flint import arb, arb_series, ctx
 
 from zeno_orbits.errors import TranslationError
-from zeno_orbits.proof.balls import ONE, ZERO, Ball
-from zeno_orbits.proof.expressions import operation_name
-from zeno_orbits.proof.recurrences import (
+from zeno_orbits.proof.arithmetic.balls import ONE, ZERO, Ball
+from zeno_orbits.proof.arithmetic.expressions import operation_name
+from zeno_orbits.proof.arithmetic.recurrences import (
     OPERATIONS,
     SLOPES,
     Series,

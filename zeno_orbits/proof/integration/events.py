@@ -25,8 +25,7 @@ from itertools import pairwise
 from flint import acb, arb
 
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.ball_system import BallSystem, require_proved
-from zeno_orbits.proof.balls import (
+from zeno_orbits.proof.arithmetic.balls import (
     ONE,
     ZERO,
     Ball,
@@ -38,9 +37,10 @@ from zeno_orbits.proof.balls import (
     product,
     symmetric,
 )
-from zeno_orbits.proof.flow import FlowStep
-from zeno_orbits.proof.recurrences import Series
-from zeno_orbits.proof.sets import Departure, ProofRecord, ProofStage
+from zeno_orbits.proof.arithmetic.recurrences import Series
+from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.integration.flow import FlowStep
+from zeno_orbits.proof.integration.sets import Departure, ProofRecord, ProofStage
 
 _SPARE = 1.25
 """Factor by which a window is widened, so that the checker's arithmetic also confirms it."""

@@ -11,10 +11,10 @@ from flint import arb
 
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.proof.balls import ZERO, Ball, Matrix, column, identity, matrix
-from zeno_orbits.proof.expressions import proof_expressions
-from zeno_orbits.proof.flow import BallFlow
-from zeno_orbits.proof.program import BallProgram
+from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, Matrix, column, identity, matrix
+from zeno_orbits.proof.arithmetic.expressions import proof_expressions
+from zeno_orbits.proof.arithmetic.program import BallProgram
+from zeno_orbits.proof.integration.flow import BallFlow
 
 _FAST = 1e-3
 """Gap rate, in its unit, above which it shares the frame of the other states."""

@@ -1,0 +1,1 @@
+"""Ball arithmetic: intervals, Taylor coefficients, polynomials and programs of formulas."""
