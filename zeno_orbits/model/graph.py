@@ -17,8 +17,8 @@ from dataclasses import dataclass, field, fields, replace
 
 import casadi as ca
 
-from zeno_orbits.model.auxiliary import Auxiliary
-from zeno_orbits.model.circuits import Drive
+from zeno_orbits.model.drives.auxiliary import Auxiliary
+from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
 from zeno_orbits.model.kinks import branched
 from zeno_orbits.model.lagrangian import HybridLagrangian

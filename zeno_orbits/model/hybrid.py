@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, cast
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.auxiliary import Auxiliary, joined_auxiliary
-from zeno_orbits.model.circuits import Drive
 from zeno_orbits.model.contact import ContactQuantities, ImpactLaw
+from zeno_orbits.model.drives.auxiliary import Auxiliary, joined_auxiliary
+from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.lagrangian import HybridLagrangian
 
 if TYPE_CHECKING:

@@ -13,10 +13,17 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.auxiliary import Auxiliary, joined_auxiliary
-from zeno_orbits.model.circuits import Circuit, Drive, Field, Network, circuit_drive, network_drive
+from zeno_orbits.model.drives.auxiliary import Auxiliary, joined_auxiliary
+from zeno_orbits.model.drives.circuits import (
+    Circuit,
+    Drive,
+    Field,
+    Network,
+    circuit_drive,
+    network_drive,
+)
+from zeno_orbits.model.drives.motors import MotorBank
 from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.motors import MotorBank
 
 __all__ = [
     "Auxiliary",

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.model.circuits import Circuit, Drive, formula_of, require_symbols
+from zeno_orbits.model.drives.circuits import Circuit, Drive, formula_of, require_symbols
+from zeno_orbits.model.drives.motors import MotorBank
 from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.motors import MotorBank
 
 _MAY_BE_LEFT_OUT = ("force", "input_power", "loss", "stored_energy", "after_impact")
 

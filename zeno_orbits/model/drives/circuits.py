@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, cast
 
 import casadi as ca
 
+from zeno_orbits.model.drives.motors import MotorBank
 from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.motors import MotorBank
 
 Entries = tuple[tuple[str, ca.SX], ...]
 

@@ -1,0 +1,1 @@
+"""Drives: circuits, motors and further states that act on a mechanism."""
