@@ -24,7 +24,7 @@ from zeno_orbits.continuation import (
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
 from zeno_orbits.continuation.families import whole_curve
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn
-from zeno_orbits.continuation.special_points import INSIDE, located_near
+from zeno_orbits.continuation.special_points.special_points import INSIDE, located_near
 from zeno_orbits.continuation.two_parameters.boundary import half_boundary
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError

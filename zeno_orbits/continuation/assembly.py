@@ -14,7 +14,7 @@ from zeno_orbits.continuation.families import Family, FamilyPoint, SpecialPoint,
 from zeno_orbits.continuation.margins import ENDS
 from zeno_orbits.continuation.return_maps import ImpactReturns
 from zeno_orbits.continuation.setup import ONE_RETURN, Setup
-from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import EventSection, Loss, Margin
 

@@ -20,14 +20,14 @@ from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.margins import Threat, stages, threats
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, ReturnMap
-from zeno_orbits.continuation.special_points import Located, arclength
-from zeno_orbits.continuation.subdivision import (
+from zeno_orbits.continuation.special_points.special_points import Located, arclength
+from zeno_orbits.continuation.special_points.subdivision import (
     Subdivision,
     counted_zeros,
     signs_kept_to,
     subdivided,
 )
-from zeno_orbits.continuation.test_functions import with_course
+from zeno_orbits.continuation.special_points.test_functions import with_course
 from zeno_orbits.errors import ZenoOrbitsError, counted
 from zeno_orbits.orbits import Loss, PathStep, StepControl, StepError, follow_path, returns_to_start
 from zeno_orbits.work import Progress

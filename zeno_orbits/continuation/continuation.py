@@ -28,7 +28,7 @@ from zeno_orbits.continuation.setup import (
     start_at_impacts_of,
     start_at_release,
 )
-from zeno_orbits.continuation.test_functions import INSIDE
+from zeno_orbits.continuation.special_points.test_functions import INSIDE
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem

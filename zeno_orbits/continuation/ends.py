@@ -17,8 +17,8 @@ from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correc
 from zeno_orbits.continuation.lock_end import locate_cut
 from zeno_orbits.continuation.margins import ENDS, Threat, causes, stages
 from zeno_orbits.continuation.return_maps import ReturnMap
-from zeno_orbits.continuation.special_points import Located
-from zeno_orbits.continuation.subdivision import neville
+from zeno_orbits.continuation.special_points.special_points import Located
+from zeno_orbits.continuation.special_points.subdivision import neville
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.orbits import Loss, Margin
 

@@ -18,8 +18,8 @@ from zeno_orbits.continuation.cut_return_map import cut_after
 from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.separatrix import separatrix
-from zeno_orbits.continuation.special_points import Located
-from zeno_orbits.continuation.test_functions import with_course
+from zeno_orbits.continuation.special_points.special_points import Located
+from zeno_orbits.continuation.special_points.test_functions import with_course
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.orbits import Loss, Margin
 

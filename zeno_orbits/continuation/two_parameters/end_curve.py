@@ -19,7 +19,12 @@ from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.lock_end import locate_cut_near
 from zeno_orbits.continuation.margins import ENDS, Stage, Threat, meeting
 from zeno_orbits.continuation.return_maps import ReturnMap
-from zeno_orbits.continuation.special_points import INSIDE, Located, TestFunction, located_near
+from zeno_orbits.continuation.special_points.special_points import (
+    INSIDE,
+    Located,
+    TestFunction,
+    located_near,
+)
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError, counted
 from zeno_orbits.orbits import Loss, Margin, PathStep, StepError, follow_path

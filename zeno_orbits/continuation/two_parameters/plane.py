@@ -9,7 +9,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric
 from zeno_orbits.continuation.return_maps import ReturnMap
-from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.orbits import Line, StepControl
 from zeno_orbits.work import Progress
 

@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.return_maps import ReturnMap
-from zeno_orbits.continuation.test_functions import (
+from zeno_orbits.continuation.special_points.test_functions import (
     INSIDE,
     TestFunction,
     multiplier_change,

@@ -10,10 +10,15 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, Course, FamilyMetric, correct
-from zeno_orbits.continuation.hermite import Count, Node, zeros_between
 from zeno_orbits.continuation.return_maps import ReturnMap
-from zeno_orbits.continuation.special_points import Located, arclength, locate_inside, place_between
-from zeno_orbits.continuation.test_functions import KINDS, with_course
+from zeno_orbits.continuation.special_points.hermite import Count, Node, zeros_between
+from zeno_orbits.continuation.special_points.special_points import (
+    Located,
+    arclength,
+    locate_inside,
+    place_between,
+)
+from zeno_orbits.continuation.special_points.test_functions import KINDS, with_course
 from zeno_orbits.orbits import StepError
 
 
