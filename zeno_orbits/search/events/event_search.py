@@ -2,7 +2,7 @@
 
 The values of gains and parameters are fixed. The motion is simulated until it nearly repeats at
 an event, and the return to this event is solved for its fixed point. A known orbit needs no
-simulation. `event_gains` varies values.
+simulation. `gains` varies values.
 """
 
 from __future__ import annotations
