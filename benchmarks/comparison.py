@@ -22,11 +22,11 @@ from pathlib import Path
 import numpy as np
 
 from zeno_orbits.experiment import (
+    ComparisonVerdict,
     RecordedSignal,
     Recording,
     Sampling,
-    Verdict,
-    compare,
+    compare_recording,
     sampled,
 )
 from zeno_orbits.experiment.recordings.recording import cut
@@ -135,8 +135,8 @@ def scores(one: Machine, recording: Recording) -> Iterator[Score]:
     Raises:
         ValueError: If the verdict is that the recording shows no orbit of the machine.
     """
-    found = compare(one.orbit, one.problem, recording)
-    if found.verdict is Verdict.NO_ORBIT:
+    found = compare_recording(one.orbit, one.problem, recording)
+    if found.verdict is ComparisonVerdict.NO_ORBIT:
         raise ValueError(f"Argument `recording` must show the orbit, but {found.reasons}.")
     known = {"restitution seen": one.orbit.parameters["restitution"]}
     for metric in found.metrics:

@@ -49,7 +49,7 @@ from zeno_orbits.experiment import (
     Source,
     UnfittableError,
     Unknown,
-    identify,
+    fit_parameters,
 )
 from zeno_orbits.experiment.orbit_table import tabulate_orbit
 from zeno_orbits.model.library import load_problem
@@ -251,7 +251,7 @@ class Judge:
         problem, sought = load_problem(point["problem"]), self.sought(point["problem"])
         began = time.process_time()
         try:
-            found = identify(problem, problem.values(), recording, sought)
+            found = fit_parameters(problem, problem.values(), recording, sought)
         except UnfittableError as error:
             return {"refused": str(error)}
         if not all(math.isfinite(one.error) for one in found.fitted):

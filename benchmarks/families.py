@@ -28,7 +28,7 @@ from zeno_orbits.continuation import (
     SecondParameter,
     SpecialCurve,
     SpecialPointKind,
-    continue_orbit,
+    family_of_orbit,
     start_orbit,
 )
 from zeno_orbits.model.library import locate_problem
@@ -71,7 +71,7 @@ def families(problem: Problem, crew: Crew, *, curves: bool) -> dict[str, Continu
         second = None
         if curves and other is not None:
             second = SecondParameter(name=other, box=boxes[other], kinds=KINDS)
-        found[name] = continue_orbit(
+        found[name] = family_of_orbit(
             problem,
             orbit,
             name,
@@ -92,7 +92,7 @@ def families(problem: Problem, crew: Crew, *, curves: bool) -> dict[str, Continu
 def inner_curves(problem: Problem, found: dict[str, Continuation], crew: Crew) -> Continuation:
     """Return the S-shaped family in Kd at a higher Kp, with its folds and flips that are new."""
     kp, kd = INNER
-    inner = continue_orbit(
+    inner = family_of_orbit(
         problem,
         start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": kd})),
         "Kd",

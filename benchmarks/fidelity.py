@@ -34,7 +34,7 @@ from zeno_orbits.precision.reduced_models import (
     orbit_near,
     reduction_costs,
 )
-from zeno_orbits.search import find_orbit
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation.simulator import simulate
 
 INDUCTANCES = (2e-2, 6e-3, 2e-3, 6e-4, 2e-4, 6e-5, 2e-5, 6e-6)
@@ -108,7 +108,7 @@ def measure(problem: Problem, inductances: Sequence[float], n_runs: int) -> list
     }
     compiled = {name: one.compiled() for name, one in {"full": problem, **models}.items()}
     static = models[QUASI_STATIC]
-    orbit = find_orbit(static, static.values()).unwrap()
+    orbit = orbit_at_gains(static, static.values()).unwrap()
     release = np.array(static.state_vector(orbit.release_state))
     rows: list[Row] = []
     last: dict[str, Row] = {}

@@ -25,11 +25,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tests.reference.many_digits.fixed_point import extended_orbit
-from zeno_orbits.continuation import continue_orbit, start_orbit
+from zeno_orbits.continuation import family_of_orbit, start_orbit
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.monodromy import return_derivative
-from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map
+from zeno_orbits.orbits.poincare import orbit_multipliers, poincare_map
 from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 
@@ -90,7 +90,7 @@ def time_family(repeats: int) -> float:
     """Return the least processor time of the family in the restitution, warm [s]."""
     problem = load_problem("motor_pendulum")
     orbit = start_orbit(problem, problem.values())
-    call = partial(continue_orbit, problem, orbit, "restitution", (0.0, 0.5))
+    call = partial(family_of_orbit, problem, orbit, "restitution", (0.0, 0.5))
     return 1e-3 * least_times([call], repeats)[0]
 
 
@@ -121,7 +121,7 @@ def main() -> None:
             )
 
         def multipliers(system: Any, settings: SimulationSettings = settings) -> Any:
-            return floquet_multipliers(system, x, scale=scale, period=period, settings=settings)
+            return orbit_multipliers(system, x, scale=scale, period=period, settings=settings)
 
         def mapped(settings: SimulationSettings = settings) -> object:
             return poincare_map(dynamics, x, horizon=horizon, settings=settings)

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 import casadi as ca
 
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.search import find_orbit
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation.simulator import simulate
 
 PROBLEMS = ("bouncing_ball", "vibrating_table", "motor_valve", "motor_pendulum", "two_motors")
@@ -80,9 +80,9 @@ def cost_of(name: str, runs: int) -> Cost:
     if name in NO_ORBIT:
         start, until, solving = problem.state_vector(problem.starts[0]), NO_ORBIT[name], None
     else:
-        orbit = find_orbit(problem, values).unwrap()
+        orbit = orbit_at_gains(problem, values).unwrap()
         start, until = problem.state_vector(orbit.release_state), orbit.period
-        solving = median_time(lambda: find_orbit(problem, values).unwrap(), runs)
+        solving = median_time(lambda: orbit_at_gains(problem, values).unwrap(), runs)
     return Cost(
         problem=name,
         states=len(problem.state_names),

@@ -38,8 +38,8 @@ from zeno_orbits.search import (
     NearestGains,
     Objective,
     SearchResult,
-    find_orbit,
-    search_gains,
+    orbit_at_gains,
+    search_orbits,
 )
 from zeno_orbits.search.shooting.guess import settle
 from zeno_orbits.verification.verifier import verify
@@ -124,11 +124,11 @@ class Judge:
 def _free(wrong: ParameterValues, objective: Objective) -> SearchResult:
     problem = pendulum()
     judge = Verified(problem=problem)
-    return search_gains(problem, wrong, free=BOX, objective=objective, accept=judge)
+    return search_orbits(problem, wrong, free=BOX, objective=objective, accept=judge)
 
 
 SEARCHES: Mapping[str, Callable[[ParameterValues, ParameterValues, Any], SearchResult]] = {
-    "fixed": lambda values, _, __: find_orbit(pendulum(), values),
+    "fixed": lambda values, _, __: orbit_at_gains(pendulum(), values),
     "default": lambda _, wrong, __: _free(wrong, NearestGains(target={})),
     "nearest": lambda _, wrong, target: _free(wrong, NearestGains(target=target)),
     "contraction": lambda _, wrong, __: _free(wrong, FastestContraction()),

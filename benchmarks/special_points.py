@@ -55,8 +55,8 @@ from zeno_orbits.continuation import (
     ContinuationSettings,
     Family,
     SpecialPointKind,
-    continue_impacts,
-    continue_orbit,
+    family_of_impacts,
+    family_of_orbit,
 )
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.library import load_problem
@@ -279,12 +279,12 @@ class Families:
                 state = problem.state_vector(
                     {"speed": -first[1], "cosine": math.cos(first[0]), "sine": math.sin(first[0])}
                 )
-                found = continue_impacts(problem, values, state, parameter, box, settings=settings)
+                found = family_of_impacts(problem, values, state, parameter, box, settings=settings)
             else:
                 orbit = close_orbit(problem, values, shape=ONE_ZENO).orbit
                 if orbit is None:
                     return {**told, "none": "no orbit to start from"}
-                found = continue_orbit(problem, orbit, parameter, box, settings=settings)
+                found = family_of_orbit(problem, orbit, parameter, box, settings=settings)
         except (ZenoOrbitsError, LostError) as error:
             return {**told, "none": str(error)}
         told["seconds"] = time.process_time() - began
@@ -426,7 +426,7 @@ class Marginal:
         begun = start.z
         state = {"speed": -begun[1], "cosine": math.cos(begun[0]), "sine": math.sin(begun[0])}
         settings = ContinuationSettings(doublings=0)
-        (family,) = continue_impacts(
+        (family,) = family_of_impacts(
             problem, values, problem.state_vector(state), "omega", (2.25, omega), settings=settings
         ).families
         last = max((family.first, family.last), key=lambda end: end.at.value)

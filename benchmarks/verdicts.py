@@ -35,7 +35,13 @@ from coverage import CASES, Judge
 from support.spreading import add_options, arriving
 
 from tests.support.recordings_of import recording_of
-from zeno_orbits.experiment import Recording, Sampling, Verdict, compare, sampled
+from zeno_orbits.experiment import (
+    ComparisonVerdict,
+    Recording,
+    Sampling,
+    compare_recording,
+    sampled,
+)
 from zeno_orbits.experiment.recordings.recording import cut
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.search import close_orbit
@@ -214,7 +220,7 @@ NONE: Mapping[str, tuple[str, Callable[[], Recording]]] = {
     ),
 }
 """The recordings that show no orbit: the problem that each is compared with, and the recording."""
-YES = {Verdict.THIS_ORBIT, Verdict.OTHER_VALUES}
+YES = {ComparisonVerdict.THIS_ORBIT, ComparisonVerdict.OTHER_VALUES}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,7 +245,7 @@ def told(name: str, recording: Recording) -> dict[str, str]:
     """Return the verdict on a recording and its first reason."""
     problem = load_problem(name)
     orbit = close_orbit(problem, problem.values()).unwrap()
-    found = compare(orbit, problem, recording)
+    found = compare_recording(orbit, problem, recording)
     reasons = [*found.reasons, *found.unresolved, *(one.name for one in found.differences)]
     return {"verdict": found.verdict.value, "reason": reasons[0] if reasons else ""}
 
@@ -285,7 +291,7 @@ def main() -> int:
     for point, one in zip(points, some, strict=True):
         if one.get("verdict") not in words:
             print(f"    {point}: {one}")
-    false_no = counts[Verdict.NO_ORBIT.value]
+    false_no = counts[ComparisonVerdict.NO_ORBIT.value]
     print(
         f"{false_yes} false yes of {len(none)}; {false_no} false no of {len(some)}: "
         + ", ".join(f"{n} {word}" for word, n in counts.items())

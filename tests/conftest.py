@@ -14,7 +14,7 @@ from hypothesis import settings
 from tests.support.processes import Commands
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.search import SearchResult, find_orbit
+from zeno_orbits.search import SearchResult, orbit_at_gains
 from zeno_orbits.verification import OrbitCertificate, problem_dynamics, verify
 
 # Matrices are small: threads of linear algebra would only wait for each other.
@@ -49,7 +49,7 @@ def problem() -> Problem:
 @pytest.fixture(scope="session")
 def found(problem: Problem) -> SearchResult:
     """The search at the published gains."""
-    return find_orbit(problem, problem.values())
+    return orbit_at_gains(problem, problem.values())
 
 
 @pytest.fixture(scope="session")

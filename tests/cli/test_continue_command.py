@@ -224,7 +224,7 @@ def test_giving_up_is_an_answer_of_no(
 ) -> None:
     lost = replace(family(SpecialPointKind.GAVE_UP).last, detail="the tangent turns too fast")
     found = Continuation(families=(replace(family(SpecialPointKind.BOUND), last=lost),))
-    monkeypatch.setattr("zeno_orbits.continuation.continue_impacts", lambda *_, **__: found)
+    monkeypatch.setattr("zeno_orbits.continuation.family_of_impacts", lambda *_, **__: found)
     assert main(["continue", *IMPACTS, "--parameter", "A=0.5:1.1"]) == 1
     told = capsys.readouterr().out
     assert "gave up: the tangent turns too fast" in told

@@ -207,7 +207,7 @@ def test_an_accuracy_that_the_orbit_misses_is_a_no_of_the_search(
     assert contents(here) == {}
 
 
-@pytest.mark.parametrize("where", ["search.search.search_gains", "verification.verifier.verify"])
+@pytest.mark.parametrize("where", ["search.search.search_orbits", "verification.verifier.verify"])
 def test_an_interrupted_search_says_so_and_writes_nothing(
     where: str, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

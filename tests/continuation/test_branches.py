@@ -15,7 +15,7 @@ from zeno_orbits.continuation.branch import Branch, follow_branch
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits import Line, Loss, Margin, Section
+from zeno_orbits.orbits import Line, Margin, MarginKind, Section
 from zeno_orbits.work import silent
 
 
@@ -161,7 +161,9 @@ def test_an_end_is_extrapolated_in_what_vanishes_there() -> None:
         return y + (ca.sqrt(s - 0.25) + s - 0.25 - y) / 2
 
     grazing = Formula(
-        function=formula(image, 1), margins={Margin(loss=Loss.FIRST_IMPACT): margin}, least=0.25
+        function=formula(image, 1),
+        margins={Margin(loss=MarginKind.FIRST_IMPACT): margin},
+        least=0.25,
     )
     metric = FamilyMetric(scale=np.ones(1), unit=1.0, horizon=1.0)
     start = first_point(grazing, metric, np.array([0.75]), 0.5, rising=False)

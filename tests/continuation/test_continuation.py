@@ -20,7 +20,7 @@ from zeno_orbits.continuation import (
     SecondParameter,
     SpecialCurve,
     SpecialPointKind,
-    continue_orbit,
+    family_of_orbit,
     orbit_amplitude,
     start_orbit,
 )
@@ -74,7 +74,7 @@ def only(continuation_families: tuple[Family, ...]) -> Family:
 def test_the_forced_oscillator_loses_its_release_where_the_force_just_reaches_the_stop() -> None:
     # The stop lets go where A cos t < stop, which happens at all for A > 0.8 only.
     orbit = oscillator_orbit()
-    family = only(continue_orbit(OSCILLATOR, orbit, "A", (0.5, 1.2), settings=COARSE).families)
+    family = only(family_of_orbit(OSCILLATOR, orbit, "A", (0.5, 1.2), settings=COARSE).families)
     assert family.first.kind is SpecialPointKind.RELEASE_LOST
     assert family.first.at.value == pytest.approx(0.8, abs=1e-9)
     assert abs(family.first.at.value - 0.8) < 10 * family.first.error < 1e-9
@@ -110,7 +110,7 @@ def still_locks(stop: float) -> bool:
 
 def test_the_locked_arc_of_the_forced_oscillator_vanishes_where_the_closed_form_says() -> None:
     orbit, box = oscillator_orbit(), (-0.9, 0.2)
-    family = only(continue_orbit(OSCILLATOR, orbit, "stop", box, settings=COARSE).families)
+    family = only(family_of_orbit(OSCILLATOR, orbit, "stop", box, settings=COARSE).families)
     low, high = 0.05, 0.15
     assert still_locks(low)
     assert not still_locks(high)
@@ -127,7 +127,7 @@ def test_a_locked_arc_that_vanishes_after_a_few_impacts_is_found_by_later_ones()
     # Cut after two impacts, the sequence is on the separatrix far beyond the end.
     buzzer = zo.load_problem(Path(__file__).parents[1] / "support" / "machines" / "buzzer.py")
     orbit = close_orbit(buzzer, buzzer.values()).unwrap()
-    family = only(continue_orbit(buzzer, orbit, "omega", (15.0, 25.0)).families)
+    family = only(family_of_orbit(buzzer, orbit, "omega", (15.0, 25.0)).families)
     assert family.last.kind is SpecialPointKind.LOCK_VANISHES
     assert family.last.error < 1e-7
     low, high = 24.0, 24.5
@@ -144,7 +144,7 @@ def test_a_locked_arc_that_vanishes_after_a_few_impacts_is_found_by_later_ones()
 @pytest.mark.slow
 def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> None:
     orbit = pendulum_orbit(restitution=0.4)
-    family = only(continue_orbit(PENDULUM, orbit, "restitution", (0.0, 0.5)).families)
+    family = only(family_of_orbit(PENDULUM, orbit, "restitution", (0.0, 0.5)).families)
     assert family.first.kind is SpecialPointKind.BOUND
     # Not a rounding error below it, where no restitution is.
     assert family.first.at.value == 0.0
@@ -172,7 +172,7 @@ def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits()
 
     # Where 1e-5 of the restitution is left, and some milliseconds of the lock.
     orbit, value = pendulum_orbit(restitution=0.41), 0.41678
-    point = only(continue_orbit(PENDULUM, orbit, "restitution", (0.4, value)).families).points[-1]
+    point = only(family_of_orbit(PENDULUM, orbit, "restitution", (0.4, value)).families).points[-1]
     assert point.margins["locked time"] < 2e-3
     values = PENDULUM.values(parameters={"restitution": value})
     exact = extended_orbit(PENDULUM, values, list(point.state.values()), digits=15)
@@ -184,7 +184,7 @@ def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits()
 def test_periods_of_the_family_in_the_restitution_are_those_measured_beforehand() -> None:
     orbit = pendulum_orbit(restitution=0.1)
     box = (0.0, 0.1)
-    family = only(continue_orbit(PENDULUM, orbit, "restitution", box, settings=COARSE).families)
+    family = only(family_of_orbit(PENDULUM, orbit, "restitution", box, settings=COARSE).families)
     assert family.points[0].period == pytest.approx(1.82033892548, abs=1e-10)
     assert family.points[-1].period == pytest.approx(1.81767797277, abs=1e-10)
 
@@ -192,7 +192,7 @@ def test_periods_of_the_family_in_the_restitution_are_those_measured_beforehand(
 @pytest.mark.slow
 def test_at_the_fold_in_the_damping_gain_differences_have_a_multiplier_of_one() -> None:
     orbit = pendulum_orbit(Kd=-1.6)
-    family = only(continue_orbit(PENDULUM, orbit, "Kd", (-1.7, -1.55)).families)
+    family = only(family_of_orbit(PENDULUM, orbit, "Kd", (-1.7, -1.55)).families)
     (fold,) = family.special
     assert fold.kind is SpecialPointKind.FOLD
     assert fold.error < 1e-10
@@ -266,7 +266,7 @@ def projected_release(dynamics: HybridDynamics, x: np.ndarray) -> np.ndarray:
 @pytest.mark.slow
 def test_the_amplitude_vanishes_where_the_linearized_pendulum_neither_grows_nor_shrinks() -> None:
     orbit = pendulum_orbit(Kd=-0.3)
-    family = only(continue_orbit(PENDULUM, orbit, "Kd", (-0.35, 0.0)).families)
+    family = only(family_of_orbit(PENDULUM, orbit, "Kd", (-0.35, 0.0)).families)
     assert family.last.kind is SpecialPointKind.AMPLITUDE_ZERO
     assert family.last.error < 1e-8
     value, step = family.last.at.value, 1e-3
@@ -293,7 +293,7 @@ def test_a_boundary_in_two_parameters_is_where_the_closed_form_says() -> None:
     second = SecondParameter(
         name="stop", box=(-0.82, -0.78), kinds=(SpecialPointKind.RELEASE_LOST,)
     )
-    found = continue_orbit(OSCILLATOR, oscillator_orbit(), "A", (0.7, 1.1), second=second)
+    found = family_of_orbit(OSCILLATOR, oscillator_orbit(), "A", (0.7, 1.1), second=second)
     (boundary,) = found.boundaries
     assert boundary.names == ("A", "stop")
     sums = np.array(boundary.x) + np.array(boundary.y)
@@ -318,12 +318,12 @@ def test_a_range_that_is_none_is_refused(
     parameter: str, box: tuple[float, float], reason: str
 ) -> None:
     with pytest.raises(InputError, match=reason):
-        continue_orbit(PENDULUM, pendulum_orbit(), parameter, box)
+        family_of_orbit(PENDULUM, pendulum_orbit(), parameter, box)
 
 
 def test_an_orbit_of_another_problem_and_one_that_does_not_close_are_refused() -> None:
     with pytest.raises(InputError, match="must be of problem `motor_pendulum`"):
-        continue_orbit(PENDULUM, oscillator_orbit(), "Kd", (-2.0, 0.0))
+        family_of_orbit(PENDULUM, oscillator_orbit(), "Kd", (-2.0, 0.0))
     closing = close_orbit(PENDULUM, PENDULUM.values())
     orbit = closing.unwrap()
     cycle = close_cycle(
@@ -336,7 +336,7 @@ def test_an_orbit_of_another_problem_and_one_that_does_not_close_are_refused() -
 def test_derived_numbers_are_held_when_another_one_changes() -> None:
     orbit = pendulum_orbit()
     box = (0.198, 0.202)
-    family = only(continue_orbit(PENDULUM, orbit, "L1", box, settings=COARSE).families)
+    family = only(family_of_orbit(PENDULUM, orbit, "L1", box, settings=COARSE).families)
     assert family.parameters["J_rotor"] == orbit.parameters["J_rotor"]
     # Calibrated anew the pendulum would be another one, with another orbit.
     follow = PENDULUM.values(parameters={"L1": 0.202})
@@ -354,7 +354,7 @@ def test_derived_numbers_are_held_when_another_one_changes() -> None:
 @pytest.mark.slow
 def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
     orbit = pendulum_orbit(Kp=4.3, Kd=-1.35)
-    found = continue_orbit(PENDULUM, orbit, "Kd", (-1.7, -1.3))
+    found = family_of_orbit(PENDULUM, orbit, "Kd", (-1.7, -1.3))
     family, *doubled = found.families
     flips = [point for point in family.special if point.kind is SpecialPointKind.FLIP]
     assert [one.n_returns for one in doubled] == [2, 2]
@@ -393,7 +393,7 @@ def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
 def test_the_amplitude_of_a_point_is_half_the_travel_of_the_state_that_the_problem_names() -> None:
     orbit = oscillator_orbit()
     settings = ContinuationSettings(steps=FamilySteps(first=0.2, longest=0.4, most=1))
-    family = only(continue_orbit(OSCILLATOR, orbit, "A", (0.5, 1.5), settings=settings).families)
+    family = only(family_of_orbit(OSCILLATOR, orbit, "A", (0.5, 1.5), settings=settings).families)
     point = next(point for point in family.points if point.value == pytest.approx(1.0, abs=1e-12))
     # In closed form: the first flight goes farthest from the stop.
     motion = StoppedOscillator(damping=1.9, stop=-0.8, restitution=0.5)

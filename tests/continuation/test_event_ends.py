@@ -14,9 +14,9 @@ import zeno_orbits as zo
 from tests.reference.relay_by_hand import period_by_hand, relay_by_hand
 from tests.reference.two_sided_end import accumulates
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation import ContinuationSettings, Family, SpecialPointKind, continue_orbit
+from zeno_orbits.continuation import ContinuationSettings, Family, SpecialPointKind, family_of_orbit
 from zeno_orbits.model import load_problem
-from zeno_orbits.search import find_event_orbit
+from zeno_orbits.search import settled_event_orbit
 
 CLAPPER = load_problem("clapper")
 FORCE = {"amplitude": 5.0, "omega": 0.3, "damping": 0.1}
@@ -26,9 +26,9 @@ def _family(
     problem: zo.Problem, parameter: str, box: tuple[float, float], **parameters: float
 ) -> Family:
     """Return the family of the orbit of a problem at its defaults, or at other parameters."""
-    orbit = find_event_orbit(problem, problem.values(parameters=parameters))
+    orbit = settled_event_orbit(problem, problem.values(parameters=parameters))
     once = ContinuationSettings(doublings=0)
-    (family,) = continue_orbit(problem, orbit, parameter, box, settings=once).families
+    (family,) = family_of_orbit(problem, orbit, parameter, box, settings=once).families
     return family
 
 
@@ -49,11 +49,11 @@ def test_the_contact_phases_of_the_clapper_vanish_where_exact_flights_say() -> N
 
 
 def test_a_family_through_a_contact_phase_starts_at_its_release() -> None:
-    orbit = find_event_orbit(CLAPPER, CLAPPER.values(parameters={"restitution": 0.3}))
+    orbit = settled_event_orbit(CLAPPER, CLAPPER.values(parameters={"restitution": 0.3}))
     assert orbit.section.startswith("zeno ")
     few = ContinuationSettings(doublings=0)
     box = (0.2999, 0.3001)
-    (family,) = continue_orbit(CLAPPER, orbit, "restitution", box, settings=few).families
+    (family,) = family_of_orbit(CLAPPER, orbit, "restitution", box, settings=few).families
     point = family.points[0]
     # A release is at rest on a stop, where the force equals that of the spring.
     assert abs(point.state["place"]) == pytest.approx(1.0, abs=1e-12)

@@ -16,8 +16,8 @@ from zeno_orbits.continuation import (
     Family,
     FamilySteps,
     SpecialPointKind,
-    continue_impacts,
-    continue_orbit,
+    family_of_impacts,
+    family_of_orbit,
 )
 from zeno_orbits.continuation.continuation import continue_from
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
@@ -27,7 +27,7 @@ from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.setup import FamilyStart, Setup
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import load_problem
-from zeno_orbits.search import find_orbit
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import silent
 
@@ -112,7 +112,7 @@ def test_longer_steps_find_the_same_points() -> None:
 @pytest.mark.slow
 def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
     values = OSCILLATOR.values(parameters={**COCO, "stop": 0.0, "omega": 2.5})
-    found = continue_impacts(
+    found = family_of_impacts(
         OSCILLATOR,
         values,
         OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0}),
@@ -158,7 +158,7 @@ def test_numbers_of_steps_and_giving_up_are_named_results() -> None:
 def test_a_motion_that_rests_on_the_stop_has_no_family_of_impacts() -> None:
     values = OSCILLATOR.values(parameters={"A": 0.5})
     with pytest.raises((SimulationError, InputError)):
-        continue_impacts(
+        family_of_impacts(
             OSCILLATOR,
             values,
             OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0}),
@@ -173,7 +173,7 @@ ONCE = ContinuationSettings(doublings=0)
 def impacts_of(stop: float, box: tuple[float, float]) -> Family:
     values = OSCILLATOR.values(parameters={"stop": stop})
     start = OSCILLATOR.state_vector({"cosine": 1.0})
-    return continue_impacts(OSCILLATOR, values, start, "stop", box, settings=ONCE).families[0]
+    return family_of_impacts(OSCILLATOR, values, start, "stop", box, settings=ONCE).families[0]
 
 
 @pytest.mark.slow
@@ -206,10 +206,10 @@ def test_orbits_with_n_impacts_follow_each_other_between_grazing_orbits() -> Non
 
 
 def test_an_orbit_with_two_impacts_from_the_search_is_followed() -> None:
-    orbit = find_orbit(OSCILLATOR, OSCILLATOR.values(parameters={"stop": 0.2})).unwrap()
+    orbit = orbit_at_gains(OSCILLATOR, OSCILLATOR.values(parameters={"stop": 0.2})).unwrap()
     assert orbit.shape.text == "impact*2"
     few = ContinuationSettings(steps=FamilySteps(most=2), doublings=0)
-    (family,) = continue_orbit(OSCILLATOR, orbit, "stop", (0.1, 0.3), settings=few).families
+    (family,) = family_of_orbit(OSCILLATOR, orbit, "stop", (0.1, 0.3), settings=few).families
     assert family.n_returns == 2
     near = min(family.points, key=lambda point: abs(point.value - 0.2))
     assert near.period == pytest.approx(2 * math.pi, abs=1e-10)

@@ -32,7 +32,7 @@ from zeno_orbits.continuation.setup import Setup, start_at_release
 from zeno_orbits.continuation.two_parameters.plane import CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import Line, Loss, Margin, Section, ZenoOrbit
+from zeno_orbits.orbits import Line, Margin, MarginKind, Section, ZenoOrbit
 from zeno_orbits.work import plain, restored, silent
 
 OSCILLATOR = load_problem("forced_oscillator")
@@ -122,9 +122,9 @@ def way(powers: Mapping[Margin, float], *, left: float = 0.0) -> list[Stage]:
     ]
 
 
-RELEASE, ACCELERATION = Margin(loss=Loss.RELEASE_RATE), Margin(loss=Loss.ACCELERATION)
-FIRST, NEAR = Margin(loss=Loss.FIRST_IMPACT), Margin(loss=Loss.NEAR_MISS)
-AMPLITUDE, LOCK = Margin(loss=Loss.AMPLITUDE), Margin(loss=Loss.LOCK)
+RELEASE, ACCELERATION = Margin(loss=MarginKind.RELEASE_RATE), Margin(loss=MarginKind.ACCELERATION)
+FIRST, NEAR = Margin(loss=MarginKind.FIRST_IMPACT), Margin(loss=MarginKind.NEAR_MISS)
+AMPLITUDE, LOCK = Margin(loss=MarginKind.AMPLITUDE), Margin(loss=MarginKind.LOCK)
 
 
 @pytest.mark.parametrize(

@@ -15,12 +15,12 @@ from zeno_orbits.continuation import (
     Family,
     FamilyPoint,
     SpecialPointKind,
-    continue_impacts,
-    continue_orbit,
+    family_of_impacts,
+    family_of_orbit,
     start_orbit,
 )
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import floquet_multipliers
+from zeno_orbits.orbits import orbit_multipliers
 from zeno_orbits.simulation import SimulationSettings
 
 PENDULUM = load_problem("motor_pendulum")
@@ -30,7 +30,7 @@ ONE_FAMILY = ContinuationSettings(doublings=0)
 
 def pendulum_family(kp: float, kd: float, box: tuple[float, float]) -> Family:
     orbit = start_orbit(PENDULUM, PENDULUM.values(gains={"Kp": kp, "Kd": kd}))
-    return continue_orbit(PENDULUM, orbit, "Kd", box, settings=ONE_FAMILY).families[0]
+    return family_of_orbit(PENDULUM, orbit, "Kd", box, settings=ONE_FAMILY).families[0]
 
 
 def values_of(family: Family, kind: SpecialPointKind) -> list[float]:
@@ -40,7 +40,7 @@ def values_of(family: Family, kind: SpecialPointKind) -> list[float]:
 def radius_by_itself(family: Family, point: FamilyPoint) -> float:
     """Return the spectral radius by a return that the continuation has no part in."""
     values = PENDULUM.values(gains={**family.gains, "Kd": point.value})
-    return floquet_multipliers(
+    return orbit_multipliers(
         PENDULUM.dynamics(values),
         np.array(PENDULUM.state_vector(point.state)),
         scale=np.array([1.0, 1.0, 10.0, 10.0, 2.0]),
@@ -84,7 +84,7 @@ def test_the_spectral_radius_exceeds_one_between_two_close_flips_only() -> None:
 def test_multipliers_near_a_grazing_end_miss_liouville_by_no_more_than_their_errors() -> None:
     values = OSCILLATOR.values(parameters={"c": 0.1, "stop": 1.0, "restitution": 0.8})
     state = OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0})
-    (family,) = continue_impacts(OSCILLATOR, values, state, "A", (0.05, 1.5)).families
+    (family,) = family_of_impacts(OSCILLATOR, values, state, "A", (0.05, 1.5)).families
     product = 0.8**2 * math.exp(-0.1 * 2 * math.pi)
     grazing = [point for point in family.points if point.value < 0.09999]
     assert grazing

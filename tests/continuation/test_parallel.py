@@ -24,7 +24,7 @@ from zeno_orbits.continuation import (
     FamilySteps,
     SecondParameter,
     SpecialPointKind,
-    continue_orbit,
+    family_of_orbit,
     start_orbit,
 )
 from zeno_orbits.continuation import parallel as dispatch
@@ -87,7 +87,7 @@ def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
     }
     asked = (problem, orbit, "A", (0.7, 1.05))
     if place is None:
-        return continue_orbit(*asked, **told)
+        return family_of_orbit(*asked, **told)
     with open_pool(place) as pool:
         crew = Crew(
             problem_file=locate_problem(PROBLEM),
@@ -95,7 +95,7 @@ def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
             pool=pool,
             on_progress=silent,
         )
-        return continue_orbit(*asked, **told, crew=crew)
+        return family_of_orbit(*asked, **told, crew=crew)
 
 
 # ---------------------------------------------------------------------------- the same results
@@ -319,7 +319,7 @@ def test_a_place_that_cannot_be_had_is_refused_and_the_checkpoint_left_untouched
 ) -> None:
     folder, _ = kept
     before = contents(folder)
-    begins = "zeno_orbits.continuation.continue_impacts"
+    begins = "zeno_orbits.continuation.family_of_impacts"
     refuses(monkeypatch, (*NEAR, "--checkpoint", folder, *place), told, work_of=begins)
     assert contents(folder) == before
 
@@ -336,7 +336,7 @@ def test_a_problem_that_workers_would_not_see_is_refused(tmp_path: Path) -> None
         with pytest.raises(
             InputError, match="`problem` must be the problem that the workers of `crew` load"
         ):
-            continue_orbit(problem, orbit, "A", (0.5, 1.2), crew=crew)
+            family_of_orbit(problem, orbit, "A", (0.5, 1.2), crew=crew)
     assert not (tmp_path / "kept").exists()
 
 

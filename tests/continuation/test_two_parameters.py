@@ -18,7 +18,7 @@ from zeno_orbits.continuation import (
     SecondParameter,
     SpecialCurve,
     SpecialPointKind,
-    continue_orbit,
+    family_of_orbit,
     start_orbit,
 )
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
@@ -29,7 +29,7 @@ from zeno_orbits.continuation.two_parameters.boundary import half_boundary
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import Line, Loss, Margin, Section, ZenoOrbit
+from zeno_orbits.orbits import Line, Margin, MarginKind, Section, ZenoOrbit
 from zeno_orbits.work import silent
 
 
@@ -52,7 +52,7 @@ class InTwo(Formula):
         if p[1] < self.least:
             raise SimulationError("Nothing returns", time=0.0, state=())
         end, by_state, by_p = (value.full() for value in self.function(x, p))
-        left = {Margin(loss=Loss.LATER_IMPACT): float(p[1] - self.least)}
+        left = {Margin(loss=MarginKind.LATER_IMPACT): float(p[1] - self.least)}
         return DifferentiatedReturn(
             time=1.0,
             end=end.ravel(),
@@ -271,12 +271,12 @@ def test_the_folds_and_flips_of_the_pendulum_pass_their_cusp_and_end_where_a_fam
 
     def family(kp: float) -> Family:
         settings = ContinuationSettings(doublings=0)
-        return continue_orbit(problem, orbit(kp), "Kd", box, settings=settings).families[0]
+        return family_of_orbit(problem, orbit(kp), "Kd", box, settings=settings).families[0]
 
     kinds = (SpecialPointKind.FOLD, SpecialPointKind.FLIP)
     second = SecondParameter(name="Kp", box=(3.7, 4.4), kinds=kinds)
     settings = ContinuationSettings(doublings=0)
-    found = continue_orbit(problem, orbit(4.3), "Kd", box, second=second, settings=settings)
+    found = family_of_orbit(problem, orbit(4.3), "Kd", box, second=second, settings=settings)
     assert {end for curve in found.boundaries for end in curve.ends} == {
         SpecialPointKind.BOUND.value
     }
@@ -306,7 +306,7 @@ def test_the_second_cusp_of_the_pendulum_is_where_two_folds_of_its_families_merg
     def folds(kp: float) -> list[float]:
         orbit = start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": -1.12}))
         settings = ContinuationSettings(doublings=0)
-        found = continue_orbit(problem, orbit, "Kd", (-1.15, -1.11), settings=settings)
+        found = family_of_orbit(problem, orbit, "Kd", (-1.15, -1.11), settings=settings)
         special = found.families[0].special
         return [one.at.value for one in special if one.kind is SpecialPointKind.FOLD]
 
@@ -327,10 +327,10 @@ def test_the_grazing_of_the_pendulum_keeps_to_its_family_and_meets_an_earlier_re
 
     second = SecondParameter(name="Kp", box=(2.3, 4.5), kinds=(SpecialPointKind.GRAZING,))
     box = (-2.5, 0.0)
-    found = continue_orbit(problem, orbit(2.5), "Kd", box, second=second, settings=settings)
+    found = family_of_orbit(problem, orbit(2.5), "Kd", box, second=second, settings=settings)
     (curve,) = found.boundaries
     low, high = np.argmin(curve.y), np.argmax(curve.y)
-    family = continue_orbit(problem, orbit(2.3), "Kd", (-2.5, 0.0), settings=settings).families[0]
+    family = family_of_orbit(problem, orbit(2.3), "Kd", (-2.5, 0.0), settings=settings).families[0]
     ends = [
         end.at.value for end in (family.first, family.last) if end.kind is SpecialPointKind.GRAZING
     ]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from zeno_orbits.experiment import Recording, Sampling, Unknown, cut, identify, sampled
+from zeno_orbits.experiment import Recording, Sampling, Unknown, cut, fit_parameters, sampled
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.simulation import Execution, simulate
 
@@ -61,7 +61,7 @@ def test_a_settled_recording_without_noise_gives_the_numbers(
     problem = motion[0]
     one = SOUGHT[problem.name]
     recording = settled(motion, rate, velocities=velocities)
-    found = identify(problem, problem.values(), recording, [one])
+    found = fit_parameters(problem, problem.values(), recording, [one])
     (fitted,) = found.fitted
     true = problem.values().number(one.label)
     # Tables of an orbit are exact to 1e-6 of the signals' ranges, and so are the numbers.

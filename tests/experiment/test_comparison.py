@@ -23,7 +23,7 @@ from zeno_orbits.experiment import (
     OrbitTable,
     RecordedSignal,
     Recording,
-    compare,
+    compare_recording,
     tabulate_orbit,
 )
 from zeno_orbits.experiment.comparison.alignment import aligned
@@ -91,7 +91,7 @@ def test_the_numbers_of_a_copy_are_the_orbits_own(
     name: str, orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:
     options: Any = COPIES[name]
-    found = compare(orbit, problem, recorded(table, problem, seed=3, **options))
+    found = compare_recording(orbit, problem, recorded(table, problem, seed=3, **options))
     assert found.agrees, found.reasons
     for what, true in truth_of(orbit, options.get("stretch", 1.0)).items():
         metric = found.metric(what)
@@ -106,7 +106,7 @@ def test_the_numbers_of_a_copy_are_the_orbits_own(
 def test_the_numbers_of_a_copy_without_noise_are_near_the_orbits_own(
     orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:
-    found = compare(orbit, problem, recorded(table, problem))
+    found = compare_recording(orbit, problem, recorded(table, problem))
     # Times are as good as the period, which sixteen harmonics of a kinked signal give to 1e-5.
     for what, true in truth_of(orbit, 1.0).items():
         assert found.metric(what).data == pytest.approx(true, rel=3e-5, abs=3e-5), what
@@ -122,7 +122,9 @@ def test_a_known_deviation_is_measured(
         # Above 2.1 A the current is cut off; link 1 is off by 0.05 rad.
         return time, np.stack([values[0] + 0.05, values[1], np.minimum(values[2], 2.1)])
 
-    found = compare(orbit, problem, changed(recorded(table, problem, noise=1e-3), cut_off))
+    found = compare_recording(
+        orbit, problem, changed(recorded(table, problem, noise=1e-3), cut_off)
+    )
     assert found.agrees
     # Within a bin of 1/240 of a period the current changes by less than 0.03 A near its top.
     assert found.metric("highest of current").data == pytest.approx(2.1, abs=0.03)
@@ -142,7 +144,7 @@ def test_a_signal_that_comes_late_is_told_by_how_much(
         values[2] = table.at((time - 0.020) / table.period + 0.3)[:, 2]
         return time, values
 
-    found = compare(orbit, problem, changed(recorded(table, problem, noise=1e-3), late))
+    found = compare_recording(orbit, problem, changed(recorded(table, problem, noise=1e-3), late))
     behind = found.metric("delay of current").data - found.metric("delay of theta1").data
     # Means over bins of 7.6 ms of a signal with a jump: a twentieth of a bin.
     assert behind == pytest.approx(0.020, abs=4e-4)
@@ -159,7 +161,7 @@ def test_gaps_and_holes_are_lived_with(
         values = np.where(rng.random(values.shape) < 0.2, np.nan, values)
         return time[kept], values[:, kept]
 
-    found = compare(orbit, problem, changed(copy, holed))
+    found = compare_recording(orbit, problem, changed(copy, holed))
     assert found.agrees, found.reasons
     for what, true in truth_of(orbit, 1.0).items():
         metric = found.metric(what)
@@ -169,7 +171,7 @@ def test_gaps_and_holes_are_lived_with(
 def test_angles_alone_give_portraits(orbit: ZenoOrbit, problem: Problem, table: OrbitTable) -> None:
     whole = recorded(table, problem, noise=1e-3)
     angles = replace(whole, signals=whole.signals[:2])
-    found = compare(orbit, problem, angles)
+    found = compare_recording(orbit, problem, angles)
     assert found.agrees
     distance = found.metric("mean distance in the portrait of theta1 and dtheta1")
     # The floor of the noise of estimated velocities, as claimed.
@@ -233,7 +235,7 @@ def test_what_shows_no_such_orbit_is_told_with_the_reason(
     name: str, orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:
     change, reason = FALSE[name]
-    found = compare(orbit, problem, changed(recorded(table, problem, noise=1e-3), change))
+    found = compare_recording(orbit, problem, changed(recorded(table, problem, noise=1e-3), change))
     assert not found.agrees
     assert any(part in one for one in found.reasons for part in reason.split("|")), found.reasons
 
@@ -280,7 +282,7 @@ def test_signals_that_jump_are_aligned_as_well() -> None:
     problem = load_problem("forced_oscillator")
     orbit = close_orbit(problem, problem.values()).unwrap()
     table = tabulate_orbit(orbit, problem, ("distance", "speed"))
-    found = compare(orbit, problem, recorded(table, problem, noise=1e-3, rate=60.0))
+    found = compare_recording(orbit, problem, recorded(table, problem, noise=1e-3, rate=60.0))
     assert found.agrees, found.reasons
     for what in ("first impact time", "end of chatter", "release time", "locked duration"):
         metric = found.metric(what)
@@ -295,7 +297,7 @@ def test_a_start_that_still_settles_is_named(
     time = np.arange(0.0, 30.0, 2.5e-3)
     states = np.array([execution.state_at(t) for t in time])
     recording = recording_of(problem, problem.state_names, time, states.T)
-    found = compare(orbit, problem, recording)
+    found = compare_recording(orbit, problem, recording)
     assert any("still settling" in remark and "--t-start" in remark for remark in found.remarks)
 
 
@@ -313,7 +315,7 @@ def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, problem: Problem)
     ):
         recording = Recording(source=None, problem="", time=time, signals=(signal,))
         with pytest.raises(InputError, match=reason):
-            compare(orbit, problem, recording)
+            compare_recording(orbit, problem, recording)
 
 
 def test_the_data_are_plain_and_finite(
@@ -321,7 +323,7 @@ def test_the_data_are_plain_and_finite(
 ) -> None:
     import json
 
-    found: Comparison = compare(orbit, problem, recorded(table, problem, noise=1e-3))
+    found: Comparison = compare_recording(orbit, problem, recorded(table, problem, noise=1e-3))
     data = json.loads(json.dumps(found.as_json(), allow_nan=False))
     assert data["agrees"] is True
     assert data["source"] == "simulated"
@@ -346,7 +348,7 @@ def test_each_curve_of_the_picture_is_what_its_label_says(
     from zeno_orbits.report.plots import plot_comparison
 
     recording = recorded(table, problem, noise=1e-3)
-    found = compare(orbit, problem, recording)
+    found = compare_recording(orbit, problem, recording)
     assert found.deviations is not None
     assert found.where is not None
     axes = plot_comparison(problem, found).axes
@@ -429,7 +431,9 @@ def test_phases_too_short_for_the_sampling_are_not_resolved_or_right(
     values = shaken.values(parameters={"A": amplitude, "restitution": restitution})
     orbit = close_orbit(shaken, values).unwrap()
     table = tabulate_orbit(orbit, shaken, shaken.state_names)
-    found = compare(orbit, shaken, recorded(table, shaken, noise=1e-3, rate=rate, n_cycles=25))
+    found = compare_recording(
+        orbit, shaken, recorded(table, shaken, noise=1e-3, rate=rate, n_cycles=25)
+    )
     assert found.agrees, found.reasons
     true = {metric.name: metric.orbit for metric in found.metrics}
     true["restitution seen"] = restitution
@@ -473,7 +477,7 @@ def test_the_period_is_as_sure_as_is_said_where_samples_meet_jumps_step_by_step(
     problem, orbit, table = forced
     start = np.random.default_rng(seed).random()
     copy = recorded(table, problem, noise=1e-3, rate=60.0, seed=seed, start=start)
-    where = compare(orbit, problem, copy).where
+    where = compare_recording(orbit, problem, copy).where
     assert where is not None
     assert abs(where.period - orbit.period) < SURE * where.period_error < 1e-4
 
@@ -489,7 +493,7 @@ def test_later_cycles_with_few_samples_say_nothing_of_settling(
         return time, np.where(lost, np.nan, values)
 
     copy = changed(recorded(table, problem, noise=1e-3, rate=300.37 / orbit.period), thinned)
-    found = compare(orbit, problem, copy)
+    found = compare_recording(orbit, problem, copy)
     assert not any("still settling" in remark for remark in found.remarks)
 
 
@@ -532,7 +536,7 @@ def test_the_period_of_a_recording_without_noise_is_exact(
     forced: tuple[Problem, ZenoOrbit, OrbitTable],
 ) -> None:
     problem, orbit, table = forced
-    found = compare(orbit, problem, recorded(table, problem, rate=60.0))
+    found = compare_recording(orbit, problem, recorded(table, problem, rate=60.0))
     # The table stands for itself: rounding alone.
     assert found.metric("period").data == pytest.approx(orbit.period, rel=1e-11)
     assert found.metric("period").error < 1e-10
@@ -545,7 +549,9 @@ def test_a_part_of_a_cycle_is_not_called_unsettled(
     # Cut off where it begins, the first and the last cycle have a bin or two in common.
     problem, orbit, table = forced
     copy = recorded(table, problem, noise=5e-3, rate=500.0, n_cycles=8)
-    assert not any("settling" in remark for remark in compare(orbit, problem, copy).remarks)
+    assert not any(
+        "settling" in remark for remark in compare_recording(orbit, problem, copy).remarks
+    )
 
 
 @pytest.mark.parametrize("seed", fast(2, range(6)))
@@ -555,7 +561,7 @@ def test_a_period_of_few_samples_is_none_of_its_multiples(
     problem, orbit, table = shaken
     start = np.random.default_rng(seed).random()
     copy = recorded(table, problem, noise=1e-2, rate=100.0, seed=seed, start=start)
-    found = compare(orbit, problem, copy)
+    found = compare_recording(orbit, problem, copy)
     # A locked phase of a few samples is not resolved; that it is none of the orbit's, nobody knows.
     assert found.agrees, found.reasons
     assert found.metric("period").data == pytest.approx(orbit.period, rel=1e-3)

@@ -15,7 +15,7 @@ import pytest
 import zeno_orbits as zo
 from benchmarks.contact_coverage import NOISE, RATE, scores, settled
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment import RecordedSignal, Recording, Source, Verdict
+from zeno_orbits.experiment import ComparisonVerdict, RecordedSignal, Recording, Source
 
 CONTACT = 6e-5
 """Duration of a contact between two bounces [s]: six samples at 100 kHz."""
@@ -121,7 +121,7 @@ def test_the_times_of_an_orbit_are_those_since_the_zero_phase_of_its_clock() -> 
 
 def test_a_sampling_that_does_not_resolve_bounces_cannot_decide() -> None:
     found = zo.compare(_orbit(), _recording(2e4))
-    assert found.verdict is Verdict.UNDECIDED
+    assert found.verdict is ComparisonVerdict.UNDECIDED
     assert any("bounces cannot be decided" in why for why in found.unresolved)
     assert not any("bounce" in one.name for one in found.metrics)
 
@@ -130,12 +130,12 @@ def test_a_contact_that_never_closes_or_does_not_last_is_no_orbit() -> None:
     recording = _recording()
     name, still = "contact.closed", np.zeros(len(recording.time))
     found = zo.compare(_orbit(), _with(recording, name, still))
-    assert found.verdict is Verdict.NO_ORBIT
+    assert found.verdict is ComparisonVerdict.NO_ORBIT
     assert "the contact `closed` never closes" in found.reasons
     begin = _begins("closed")[-1]
     short = (recording.time - begin) % _orbit().period < 2e-3
     found = zo.compare(_orbit(), _with(recording, name, short.astype(np.float64)))
-    assert found.verdict is Verdict.NO_ORBIT or found.unresolved
+    assert found.verdict is ComparisonVerdict.NO_ORBIT or found.unresolved
 
 
 def test_a_signal_that_moves_otherwise_is_no_orbit() -> None:
@@ -143,7 +143,7 @@ def test_a_signal_that_moves_otherwise_is_no_orbit() -> None:
     wave = np.cos(2 * np.pi * 3 * recording.time / _orbit().period)
     signal = RecordedSignal(name="current", unit="A", values=wave)
     found = zo.compare(_orbit(), replace(recording, signals=(signal, *recording.signals)))
-    assert found.verdict is Verdict.NO_ORBIT
+    assert found.verdict is ComparisonVerdict.NO_ORBIT
     assert any("`current` moves differently" in why for why in found.reasons)
 
 
@@ -160,7 +160,7 @@ def test_a_signal_of_another_size_is_no_orbit(scale: float, offset: float, words
     z = recording.signal("z").values
     assert zo.compare(_orbit(), recording).agrees
     found = zo.compare(_orbit(), _with(recording, "z", scale * z + offset))
-    assert found.verdict is Verdict.NO_ORBIT
+    assert found.verdict is ComparisonVerdict.NO_ORBIT
     assert any(words in why for why in found.reasons), found.reasons
 
 
@@ -170,7 +170,7 @@ def test_a_signal_twice_as_large_differs_though_it_moves_alike() -> None:
     same = zo.compare(_orbit(), recording).differences
     assert "highest of flux" not in [one.name for one in same]
     found = zo.compare(_orbit(), _with(recording, "flux", 2 * flux))
-    assert found.verdict is Verdict.OTHER_VALUES
+    assert found.verdict is ComparisonVerdict.OTHER_VALUES
     assert "highest of flux" in [one.name for one in found.differences]
     assert found.metric("highest of flux").data == pytest.approx(2 * flux.max(), rel=2e-2)
 
@@ -182,7 +182,7 @@ def test_exchanged_channels_contradict_the_gap() -> None:
         replace(one, name=exchanged.get(one.name, one.name)) for one in recording.signals
     )
     found = zo.compare(_orbit(), replace(recording, signals=signals))
-    assert found.verdict is Verdict.NO_ORBIT
+    assert found.verdict is ComparisonVerdict.NO_ORBIT
     contradicted = [why for why in found.reasons if "contradict each other" in why]
     assert len(contradicted) == 2
 
@@ -190,14 +190,14 @@ def test_exchanged_channels_contradict_the_gap() -> None:
 def test_a_sampling_without_any_bounce_cannot_decide() -> None:
     # At 500 Hz all bounces, 0.47 ms and less, lie between two samples.
     found = zo.compare(_orbit(), _recording(500.0))
-    assert found.verdict is Verdict.UNDECIDED
+    assert found.verdict is ComparisonVerdict.UNDECIDED
     assert any("no bounce of `closed` is seen" in why for why in found.unresolved)
 
 
 def test_a_missing_channel_leaves_the_comparison_open() -> None:
     recording = _recording()
     found = zo.compare(_orbit(), replace(recording, signals=recording.signals[:1]))
-    assert found.verdict is Verdict.UNDECIDED
+    assert found.verdict is ComparisonVerdict.UNDECIDED
     assert any("`open`: no channel" in why for why in found.unresolved)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.recordings_of import recorded
-from zeno_orbits.experiment import Identification, Unknown, identify, tabulate_orbit
+from zeno_orbits.experiment import Identification, Unknown, fit_parameters, tabulate_orbit
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.search import close_orbit
 
@@ -37,7 +37,7 @@ def fitted(
         )
         for name in true
     ]
-    return identify(problem, problem.values(), copy, sought)
+    return fit_parameters(problem, problem.values(), copy, sought)
 
 
 def assert_true(found: Identification, true: dict[str, float], sure: float = 4.5) -> None:

@@ -16,7 +16,7 @@ from zeno_orbits.experiment import (
     Recording,
     UnfittableError,
     Unknown,
-    identify,
+    fit_parameters,
     tabulate_orbit,
 )
 from zeno_orbits.experiment.comparison.folding import folded
@@ -48,7 +48,7 @@ def record(other: ZenoOrbit, problem: Problem, seed: int, noise: float = 5e-3) -
 
 @pytest.fixture(scope="module")
 def fitted(other: ZenoOrbit, problem: Problem) -> Identification:
-    return identify(problem, problem.values(), record(other, problem, 0), SOUGHT)
+    return fit_parameters(problem, problem.values(), record(other, problem, 0), SOUGHT)
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, problem
     # Of 5 seeds and 3 numbers at 95 %, 10 or fewer inside has a chance below 1e-3.
     inside = 0
     for seed in range(1, 6):
-        found = identify(problem, problem.values(), record(other, problem, seed), SOUGHT)
+        found = fit_parameters(problem, problem.values(), record(other, problem, seed), SOUGHT)
         inside += sum(one.low <= TRUTH[one.unknown.names[0]] <= one.high for one in found.fitted)
     assert inside >= 11
 
@@ -144,7 +144,9 @@ def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, problem: Proble
         Unknown(names=("I1",), lower=0.0005, upper=0.002),
         Unknown(names=("J_rotor",), lower=0.01, upper=0.03),
     )
-    found = identify(problem, problem.values(parameters=TRUTH), record(other, problem, 2), sought)
+    found = fit_parameters(
+        problem, problem.values(parameters=TRUTH), record(other, problem, 2), sought
+    )
     assert len(found.unseen) == 1
     assert set(found.unseen[0].direction) == {"I1", "J_rotor"}
     assert "I1" in found.unseen[0].text
@@ -180,7 +182,7 @@ def test_a_question_that_cannot_be_is_refused(
     time = np.arange(100) * 0.1
     recording = recording_of(problem, ("theta1",), time, np.sin(time)[None])
     with pytest.raises(InputError, match=reason):
-        identify(problem, problem.values(), recording, sought)
+        fit_parameters(problem, problem.values(), recording, sought)
 
 
 def test_a_recording_that_shows_no_such_orbit_gives_no_parameters(
@@ -191,21 +193,21 @@ def test_a_recording_that_shows_no_such_orbit_gives_no_parameters(
         good, signals=tuple(replace(one, values=57.3 * one.values) for one in good.signals)
     )
     with pytest.raises(UnfittableError, match="degrees labelled as radians"):
-        identify(problem, problem.values(), degrees, SOUGHT)
+        fit_parameters(problem, problem.values(), degrees, SOUGHT)
 
 
 def test_a_start_without_an_orbit_is_told(other: ZenoOrbit, problem: Problem) -> None:
     nowhere = problem.values(gains={"Kp": 2.5, "Kd": 5.0})
     with pytest.raises(UnfittableError, match="an orbit to fit is missing at the start"):
-        identify(problem, nowhere, record(other, problem, 0), SOUGHT)
+        fit_parameters(problem, nowhere, record(other, problem, 0), SOUGHT)
 
 
 def test_gathering_many_samples_changes_no_mean(other: ZenoOrbit, problem: Problem) -> None:
-    from zeno_orbits.experiment import compare
+    from zeno_orbits.experiment import compare_recording
 
     table = tabulate_orbit(other, problem, ("theta1",))
     long = recorded(table, problem, n_cycles=20, rate=2000.0)
-    where = compare(other, problem, long).where
+    where = compare_recording(other, problem, long).where
     assert where is not None
     values = long.signal("theta1").values[None]
     gathered = folded(long.time, values, where)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from zeno_orbits.experiment import Fitted, Metric, Unknown, Verdict
+from zeno_orbits.experiment import ComparisonVerdict, Fitted, Metric, Unknown
 from zeno_orbits.report import terminal
 
 
@@ -33,7 +33,7 @@ def test_a_comparison_prints_each_number_in_its_column(capsys: pytest.CaptureFix
         metrics=metrics,
         recording=recording(),
         remarks=("rough",),
-        verdict=Verdict.OTHER_VALUES,
+        verdict=ComparisonVerdict.OTHER_VALUES,
         differences=metrics[:1],
     )
     terminal.print_comparison(found)
@@ -56,7 +56,7 @@ def test_a_comparison_that_is_a_no_says_why(capsys: pytest.CaptureFixture[str]) 
         metrics=(),
         recording=recording(),
         remarks=(),
-        verdict=Verdict.NO_ORBIT,
+        verdict=ComparisonVerdict.NO_ORBIT,
         reasons=("no impact is seen",),
     )
     terminal.print_comparison(found)

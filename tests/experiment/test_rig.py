@@ -21,7 +21,7 @@ from zeno_orbits.experiment import (
     compare_cycles,
     recording_of,
     rig_cycles,
-    simulate_rig,
+    run_rig,
 )
 from zeno_orbits.experiment.rig import (
     cut_cycles,
@@ -143,7 +143,7 @@ def ball_by_scipy(e: float, exponent: float, stiffness: float, speed: float) -> 
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 def test_a_ball_leaves_the_floor_when_and_as_fast_as_scipy_says(e: float, exponent: float) -> None:
     ball, stiffness, speed = load_problem("bouncing_ball"), 2e7, 3.0
-    run = simulate_rig(
+    run = run_rig(
         ball,
         ball.values(parameters={"restitution": e}),
         Rig(contact=Contact(stiffness=stiffness, exponent=exponent)),
@@ -164,7 +164,7 @@ def test_the_restitution_does_not_depend_on_the_speed_of_the_impact() -> None:
     ball = load_problem("bouncing_ball")
     values = ball.values(parameters={"restitution": 0.4, "g": 1e-9})
     for speed in (0.01, 1.0, 100.0):
-        run = simulate_rig(
+        run = run_rig(
             ball, values, Rig(contact=Contact(stiffness=1e6)), (1e-3 * speed, -speed), 0.1
         )
         touch = run.touches[0]
@@ -177,7 +177,7 @@ def test_a_ball_comes_to_rest_in_the_floor_after_a_finite_number_of_contacts() -
     ball = load_problem("bouncing_ball")
     stiffness, g = 1e6, 9.81
     values = ball.values(parameters={"restitution": 0.2})
-    run = simulate_rig(ball, values, Rig(contact=Contact(stiffness=stiffness)), (1.0, 0.0), 3.0)
+    run = run_rig(ball, values, Rig(contact=Contact(stiffness=stiffness)), (1.0, 0.0), 3.0)
     resting = run.touches[-1]
     slow = g / math.sqrt(stiffness)
     fall = math.sqrt(2 * g)
@@ -225,7 +225,7 @@ def test_the_rig_of_the_pendulum_moves_as_scipy_moves_the_one_written_by_hand(
             first_step=1e-5,
         )
         time, x = float(arc.t_events[0][-1]), arc.y_events[0][-1]
-    run = simulate_rig(
+    run = run_rig(
         problem, values, Rig(contact=Contact(stiffness=stiffness)), start, 1.3, settings=FINE
     )
     touch = run.touches[1]
@@ -239,7 +239,7 @@ def test_energy_that_a_contact_takes_is_that_of_newtons_law() -> None:
     pendulum = load_problem("motor_pendulum")
     values = pendulum.values()
     hand = load_reference(pendulum).dynamics(values)
-    run = simulate_rig(
+    run = run_rig(
         pendulum,
         values,
         Rig(contact=Contact(stiffness=1e9)),
@@ -263,7 +263,7 @@ def test_a_curved_stop_gives_back_the_restitution_in_its_own_metric() -> None:
     ratios: list[float] = []
     for stiffness in (1e6, 1e8):
         rig = Rig(contact=Contact(stiffness=stiffness))
-        touch = simulate_rig(bowl, bowl.values(), rig, start, 0.2, settings=FINE).touches[0]
+        touch = run_rig(bowl, bowl.values(), rig, start, 0.2, settings=FINE).touches[0]
         ratios.append(-touch.depart_rate / touch.approach_rate - e)
     # What acts beside the contact does so for its length, which falls with the square root.
     assert abs(ratios[0]) < 1e-2
@@ -279,7 +279,7 @@ def test_a_gear_of_very_stiff_teeth_is_none(problem: Problem) -> None:
 
     def final(gears: Mapping[int, Gear]) -> Vector:
         rig = Rig(gears=dict(gears))
-        run = simulate_rig(problem, problem.values(), rig, start, 0.2, settings=FINE)
+        run = run_rig(problem, problem.values(), rig, start, 0.2, settings=FINE)
         assert not run.touches
         return run.states[-1, :5]
 
@@ -297,7 +297,7 @@ def test_a_gear_of_very_stiff_teeth_is_none(problem: Problem) -> None:
 def test_dry_and_viscous_friction_let_a_disc_run_down_as_their_closed_forms_say() -> None:
     values = DISC.values(parameters={"K": 1e-12})
     dry, creep, start = 0.004, 0.05, 2.0
-    run = simulate_rig(
+    run = run_rig(
         DISC,
         values,
         Rig(friction={"angle": Friction(coulomb=dry, creep=creep)}),
@@ -310,7 +310,7 @@ def test_dry_and_viscous_friction_let_a_disc_run_down_as_their_closed_forms_say(
     expected = creep * np.arcsinh(np.sinh(start / creep) * decay)
     assert run.of("rate") == pytest.approx(expected, abs=1e-9)
     viscous = 0.01
-    run = simulate_rig(
+    run = run_rig(
         DISC,
         values,
         Rig(friction={"angle": Friction(viscous=viscous)}),
@@ -330,11 +330,11 @@ def test_a_rotor_crosses_its_play_freely_and_strikes_the_teeth_with_their_restit
     gear = Gear(rotor_inertia=rotor, play=play, stiffness=4000.0, loss=loss)
     rig = Rig(gears={1: gear}, friction={})
     joint = INERTIA - rotor
-    run = simulate_rig(DISC, values, rig, (0.0, 0.0, 0.0), 0.2, settings=FINE)
+    run = run_rig(DISC, values, rig, (0.0, 0.0, 0.0), 0.2, settings=FINE)
     assert run.state_names == ("angle", "rate", "current", "rotor1", "drotor1")
     # A state of the problem starts rotor and joint together; a current sets the rotor going alone.
     values = DISC.values(gains={"V0": 1.0}, parameters={"K": 0.05})
-    run = simulate_rig(DISC, values, rig, (0.0, 0.0, 0.5), 0.3, settings=FINE)
+    run = run_rig(DISC, values, rig, (0.0, 0.0, 0.5), 0.3, settings=FINE)
     held = run.of("rotor1") - run.of("angle") < play / 2
     before = np.argmin(held)
     assert np.all(run.of("rate")[:before] == 0.0)
@@ -392,7 +392,7 @@ def test_a_current_ripples_between_its_two_closed_forms() -> None:
     peak = final * (1 - math.exp(-share * period / tau)) / (1 - math.exp(-period / tau))
     valley = peak * math.exp(-(1 - share) * period / tau)
     bridge = Bridge(supply=supply, resistance=drop, frequency=frequency, switching=Switching.EXACT)
-    run = simulate_rig(
+    run = run_rig(
         DISC,
         DISC.values(gains={"V0": asked}, parameters={"K": 1e-12}),
         Rig(bridge=bridge),
@@ -418,9 +418,7 @@ def test_an_averaged_bridge_gives_the_mean_current_of_an_exact_one(asked: float)
     def current(switching: Switching) -> Vector:
         rig = Rig(bridge=replace(bridge, switching=switching))
         settings = replace(FINE, spacing=1e-6, keep_from=0.03)
-        run = simulate_rig(
-            DISC, values, rig, (0.0, 0.0, asked / 2.5), 0.03 + 2e-4, settings=settings
-        )
+        run = run_rig(DISC, values, rig, (0.0, 0.0, asked / 2.5), 0.03 + 2e-4, settings=settings)
         return run.of("current")[:200]
 
     exact, averaged = current(Switching.EXACT), current(Switching.AVERAGED)
@@ -436,7 +434,7 @@ def test_an_averaged_bridge_gives_the_mean_current_of_an_exact_one(asked: float)
 def test_a_sampled_disc_moves_as_matrix_exponentials_say(delay: float) -> None:
     period, gains = 2e-3, {"V0": 3.0, "Kp": 4.0, "Kd": 0.3}
     rig = Rig(controller=Controller(period=period, delay=delay))
-    run = simulate_rig(DISC, DISC.values(gains=gains), rig, (0.1, 1.0, 0.0), 0.05, settings=FINE)
+    run = run_rig(DISC, DISC.values(gains=gains), rig, (0.1, 1.0, 0.0), 0.05, settings=FINE)
     matrix = disc_matrix(ELECTRIC["R"])
     y = np.array([0.1, 1.0, 0.0, 0.0])
     edges = sorted(
@@ -461,7 +459,7 @@ def test_fast_sampling_tends_to_the_feedback_of_the_model_at_first_order() -> No
 
     def final(rig: Rig) -> Vector:
         values = DISC.values(gains=gains)
-        return simulate_rig(DISC, values, rig, (0.1, 1.0, 0.0), 0.1, settings=FINE).states[-1]
+        return run_rig(DISC, values, rig, (0.1, 1.0, 0.0), 0.1, settings=FINE).states[-1]
 
     ideal = final(Rig())
     away = [
@@ -479,9 +477,7 @@ def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(problem: Pr
     start = problem.state_vector(problem.starts[0])
 
     def final(rig: Rig, seed: int) -> list[float]:
-        return (
-            simulate_rig(problem, problem.values(), rig, start, 0.2, seed=seed).states[-1].tolist()
-        )
+        return run_rig(problem, problem.values(), rig, start, 0.2, seed=seed).states[-1].tolist()
 
     assert final(rig, 3) == final(rig, 3) != final(rig, 4)
     quiet = replace(rig, sensors=replace(rig.sensors, noise=0.0, current_noise=0.0))
@@ -668,7 +664,7 @@ def test_a_part_that_the_problem_has_no_place_for_is_refused_by_name(problem: Pr
     for problem, rig, message in cases:
         given = start[: len(problem.state_names)]
         with pytest.raises(InputError, match=message):
-            simulate_rig(problem, problem.values(), rig, given, 0.1)
+            run_rig(problem, problem.values(), rig, given, 0.1)
 
 
 def test_a_plastic_impact_a_wrong_state_and_a_wrong_time_are_refused(problem: Problem) -> None:
@@ -677,18 +673,18 @@ def test_a_plastic_impact_a_wrong_state_and_a_wrong_time_are_refused(problem: Pr
     with pytest.raises(
         InputError, match="`restitution` must be greater than 0 for a compliant contact"
     ):
-        simulate_rig(problem, plastic, Rig(), start, 1.0)
+        run_rig(problem, plastic, Rig(), start, 1.0)
     with pytest.raises(InputError, match="`start` must be of shape"):
-        simulate_rig(problem, values, Rig(), start[:4], 1.0)
+        run_rig(problem, values, Rig(), start[:4], 1.0)
     for wrong in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(InputError, match="`until` must be a positive number"):
-            simulate_rig(problem, values, Rig(), start, wrong)
+            run_rig(problem, values, Rig(), start, wrong)
 
 
 def test_a_machine_that_runs_away_says_which_coordinate_did(problem: Problem) -> None:
     wild = problem.values(gains={"Kd": -6.0})
     with pytest.raises(RunawayError, match=r"`theta[12]` ran away"):
-        simulate_rig(problem, wild, Rig(), problem.state_vector({"theta1": 1.0}), 20.0)
+        run_rig(problem, wild, Rig(), problem.state_vector({"theta1": 1.0}), 20.0)
 
 
 # ------------------------------------------------------------------------------- any other problem
@@ -701,7 +697,7 @@ def test_other_problems_have_a_rig_too(name: str) -> None:
     if problem.state_names[-1].startswith("current"):
         rig = replace(rig, controller=Controller(period=1e-3), bridge=Bridge(supply=24.0))
     start = problem.state_vector(problem.starts[0])
-    run = simulate_rig(problem, problem.values(), rig, start, 1.0)
+    run = run_rig(problem, problem.values(), rig, start, 1.0)
     assert np.all(np.isfinite(run.states))
     assert float(np.min(run.gap)) > -0.1
     recording = recording_of(run, problem)
@@ -717,7 +713,7 @@ def test_a_reduced_model_without_currents_has_a_rig_with_a_controller(problem: P
     rig = Rig(controller=Controller(period=1e-4))
     start = (0.6, 0.3, 0.0, 0.0)
     ideal, sampled = (
-        simulate_rig(reduced, reduced.values(), r, start, 0.2).states[-1] for r in (Rig(), rig)
+        run_rig(reduced, reduced.values(), r, start, 0.2).states[-1] for r in (Rig(), rig)
     )
     # First order in the period: 1e-4 s at accelerations of some 30 rad/s^2 over 0.2 s.
     assert sampled == pytest.approx(ideal, abs=1e-2)
@@ -726,7 +722,7 @@ def test_a_reduced_model_without_currents_has_a_rig_with_a_controller(problem: P
 
 def test_a_run_is_recorded_with_names_and_units_as_simulated(problem: Problem) -> None:
     start = problem.state_vector(problem.starts[0])
-    run = simulate_rig(problem, problem.values(), default_rig(problem), start, 0.1)
+    run = run_rig(problem, problem.values(), default_rig(problem), start, 0.1)
     recording = recording_of(run, problem, {"seed": "0"})
     assert recording.names == ("theta1", "theta2", "current", "contact")
     assert [signal.unit for signal in recording.signals] == ["rad", "rad", "A", "1"]
@@ -736,7 +732,7 @@ def test_a_run_is_recorded_with_names_and_units_as_simulated(problem: Problem) -
     step = 2 * math.pi / 8192
     steps = recording.signal("theta1").values / step
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
-    ideal = simulate_rig(problem, problem.values(), Rig(), start, 0.1)
+    ideal = run_rig(problem, problem.values(), Rig(), start, 0.1)
     exact = recording_of(ideal, problem)
     assert exact.time == pytest.approx(np.arange(len(exact.time)) * 1e-3, abs=1e-12)
     assert len(exact.time) >= 100

@@ -14,7 +14,7 @@ from zeno_orbits.experiment import (
     UnfittableError,
     Unknown,
     cut,
-    identify,
+    fit_parameters,
     sampled,
     tabulate_orbit,
 )
@@ -56,7 +56,7 @@ def test_a_transient_is_told_and_where_it_ends(
     settling: Recording, problem: Problem, since: float, until: float
 ) -> None:
     with pytest.raises(UnfittableError, match=r"first cycle .* still settling; .* --t-start \d"):
-        identify(problem, problem.values(), cut(settling, since, until), SOUGHT)
+        fit_parameters(problem, problem.values(), cut(settling, since, until), SOUGHT)
 
 
 @pytest.mark.slow
@@ -64,7 +64,7 @@ def test_without_that_check_a_transient_gives_wrong_numbers(
     settling: Recording, problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(identification, "unsteady", lambda _: None)
-    found = identify(problem, problem.values(), cut(settling, 3.6, 11.0), SOUGHT)
+    found = fit_parameters(problem, problem.values(), cut(settling, 3.6, 11.0), SOUGHT)
     resistance = found.fitted[0]
     assert not resistance.low <= TRUTH["R"] <= resistance.high
 
@@ -84,7 +84,7 @@ def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
     noise = 2e-3 * np.ptp(values, axis=0) * np.random.default_rng(0).normal(size=values.shape)
     drifting = recording_of(problem, SIGNALS, time, (values + noise).T)
     with pytest.raises(UnfittableError, match="two halves give different parameters"):
-        identify(problem, problem.values(parameters=TRUTH), drifting, SOUGHT)
+        fit_parameters(problem, problem.values(parameters=TRUTH), drifting, SOUGHT)
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, problem: Problem)
     noise = 2e-3 * np.ptp(values, axis=0) * np.random.default_rng(0).normal(size=values.shape)
     doubled = recording_of(problem, SIGNALS, time, (values + noise).T)
     with pytest.raises(UnfittableError, match="the period is doubled"):
-        identify(problem, problem.values(parameters=TRUTH), doubled, SOUGHT)
+        fit_parameters(problem, problem.values(parameters=TRUTH), doubled, SOUGHT)
 
 
 @pytest.mark.slow
@@ -106,7 +106,7 @@ def test_a_settled_machine_is_not_refused(other: ZenoOrbit, problem: Problem) ->
     table = tabulate_orbit(other, problem, SIGNALS)
     for cycles, start in ((2.3, 0.1), (3.5, 0.9)):
         settled = recorded(table, problem, n_cycles=cycles, rate=200.0, noise=5e-3, start=start)
-        found = identify(problem, problem.values(parameters=TRUTH), settled, SOUGHT)
+        found = fit_parameters(problem, problem.values(parameters=TRUTH), settled, SOUGHT)
         assert all(
             abs(one.value - TRUTH[one.unknown.label]) < 5 * one.error for one in found.fitted
         )
@@ -126,7 +126,7 @@ def test_a_stop_that_is_never_touched_gives_no_parameters(
     noise = 2e-2 * np.random.default_rng(0).normal(size=(len(names), len(time)))
     free = recording_of(problem, names, time, np.array([of[name] for name in names]) + noise)
     with pytest.raises(UnfittableError, match="No parameters were found"):
-        identify(problem, problem.values(), free, SOUGHT)
+        fit_parameters(problem, problem.values(), free, SOUGHT)
 
 
 @pytest.mark.slow
@@ -146,4 +146,4 @@ def test_another_machine_is_told_by_what_repeats(other: ZenoOrbit, problem: Prob
         ),
     )
     with pytest.raises(UnfittableError, match=r"of the signals' ranges off, in every cycle"):
-        identify(problem, problem.values(), strange, SOUGHT)
+        fit_parameters(problem, problem.values(), strange, SOUGHT)

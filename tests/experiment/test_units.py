@@ -12,13 +12,13 @@ from tests.support.units import Units, dimension_of, in_units
 from zeno_orbits.experiment import (
     RigSettings,
     Unknown,
-    compare,
     compare_cycles,
+    compare_recording,
     default_rig,
-    identify,
+    fit_parameters,
     recording_of,
     rig_cycles,
-    simulate_rig,
+    run_rig,
 )
 from zeno_orbits.experiment.rig.run import rate_weight, rig_tolerance
 from zeno_orbits.model import Contact, OwnScale, Rig
@@ -41,7 +41,7 @@ def test_a_machine_that_nobody_declared_is_the_same(units: Units) -> None:
     def contacts(units: Units) -> np.ndarray:
         table = in_units(zo.load_problem("vibrating_table"), units)
         start = table.state_vector(table.starts[0])
-        run = simulate_rig(table, table.values(), default_rig(table), start, 0.5 * units.time)
+        run = run_rig(table, table.values(), default_rig(table), start, 0.5 * units.time)
         rows = [(one.start, one.approach_rate * units.time) for one in run.touches if one.start]
         assert np.ptp(run.times) == pytest.approx(0.5 * units.time)
         assert len(run.record.times) > 400
@@ -79,7 +79,7 @@ def test_a_leg_of_too_many_steps_ends_with_where_it_was() -> None:
     start = table.state_vector(table.starts[0])
     settings = RigSettings(most_steps=20)
     with pytest.raises(zo.SimulationError, match="more than 20 steps to its next event") as told:
-        simulate_rig(table, table.values(), default_rig(table), start, 0.5, settings=settings)
+        run_rig(table, table.values(), default_rig(table), start, 0.5, settings=settings)
     assert 0.0 < told.value.time < 0.5
 
 
@@ -120,7 +120,7 @@ def told(name: str, units: Units) -> dict[str, float]:
     settled = rig_cycles(orbit, problem, Rig(contact=stop), cycles=5, settings=settings)
     cycles = compare_cycles(orbit, problem, settled)
     record = recording_of(settled.run, problem)
-    seen = compare(orbit, problem, record)
+    seen = compare_recording(orbit, problem, record)
     assert seen.agrees, seen.reasons
     facts = {
         "rig: period": cycles.mean.period / units.time,
@@ -135,7 +135,7 @@ def told(name: str, units: Units) -> dict[str, float]:
     true = known.values().number("restitution")
     start = problem.values(parameters={"restitution": 0.97 * true})
     sought = Unknown(names=("restitution",), lower=true / 2, upper=(1 + true) / 2)
-    found = identify(problem, start, record, [sought])
+    found = fit_parameters(problem, start, record, [sought])
     (one,) = found.fitted
     return facts | {"fit": one.value, "fit, error": one.error, "misfit": found.misfit}
 

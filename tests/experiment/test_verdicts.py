@@ -17,10 +17,10 @@ from tests.support.cases import fast
 from tests.support.commands import NO, YES, ask
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.experiment import (
+    ComparisonVerdict,
     OrbitTable,
     Recording,
-    Verdict,
-    compare,
+    compare_recording,
     tabulate_orbit,
     write_recording,
 )
@@ -80,8 +80,8 @@ SHAPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 @pytest.mark.parametrize("name", fast(1, GAPS))
 def test_a_periodic_signal_of_another_kind_is_no_orbit(name: str, shape: str) -> None:
     problem, orbit, _ = orbit_of(name)
-    found = compare(orbit, problem, only_gap(name, SHAPES[shape]))
-    assert found.verdict in {Verdict.NO_ORBIT, Verdict.UNDECIDED}
+    found = compare_recording(orbit, problem, only_gap(name, SHAPES[shape]))
+    assert found.verdict in {ComparisonVerdict.NO_ORBIT, ComparisonVerdict.UNDECIDED}
     assert found.reasons or found.unresolved
 
 
@@ -93,8 +93,8 @@ def test_a_recording_reversed_in_time_is_no_orbit(name: str, whole: bool) -> Non
     signals = forward.signals if whole else forward.signals[:1]
     values = np.stack([signal.values[::-1] for signal in signals])
     names = [signal.name for signal in signals]
-    found = compare(orbit, problem, recording_of(problem, names, forward.time, values))
-    assert found.verdict is Verdict.NO_ORBIT
+    found = compare_recording(orbit, problem, recording_of(problem, names, forward.time, values))
+    assert found.verdict is ComparisonVerdict.NO_ORBIT
     assert "runs backward" in found.reasons[0]
 
 
@@ -102,8 +102,8 @@ def test_a_recording_reversed_in_time_is_no_orbit(name: str, whole: bool) -> Non
 def test_a_copy_shows_this_orbit(name: str) -> None:
     problem, orbit, _ = orbit_of(name)
     for seed in range(3):
-        found = compare(orbit, problem, copied(name, seed=seed))
-        assert found.verdict is Verdict.THIS_ORBIT, found.differences
+        found = compare_recording(orbit, problem, copied(name, seed=seed))
+        assert found.verdict is ComparisonVerdict.THIS_ORBIT, found.differences
         assert not found.differences
 
 
@@ -122,8 +122,8 @@ def test_a_machine_with_other_values_is_named_as_such(
     name: str, parameter: str, value: float, differing: set[str]
 ) -> None:
     problem, orbit, _ = orbit_of(name)
-    found = compare(orbit, problem, copied(name, **{parameter: value}))
-    assert found.verdict is Verdict.OTHER_VALUES, (found.reasons, found.unresolved)
+    found = compare_recording(orbit, problem, copied(name, **{parameter: value}))
+    assert found.verdict is ComparisonVerdict.OTHER_VALUES, (found.reasons, found.unresolved)
     assert differing <= {one.name for one in found.differences}
     # Five standard errors; the rebounds of another machine are not quite the orbit's, stretched.
     true = value if parameter == "restitution" else orbit.parameters["restitution"]
@@ -140,24 +140,24 @@ def test_a_changed_stop_is_no_mistaken_unit() -> None:
         other = close_orbit(problem, problem.values(parameters={"stop": stop})).unwrap()
         # The distance from the stop is up to eight times as large.
         copy = recorded(tabulate_orbit(other, problem, names), problem, rate=24.0, noise=2e-3)
-        found = compare(orbit, problem, copy)
-        assert found.verdict is Verdict.OTHER_VALUES, found.reasons
+        found = compare_recording(orbit, problem, copy)
+        assert found.verdict is ComparisonVerdict.OTHER_VALUES, found.reasons
         assert "highest of distance" in {one.name for one in found.differences}
 
 
 @pytest.mark.parametrize("name", GAPS)
 def test_samples_that_cannot_resolve_impacts_decide_nothing(name: str) -> None:
     problem, orbit, _ = orbit_of(name)
-    found = compare(orbit, problem, copied(name, samples=12.0))
-    assert found.verdict is Verdict.UNDECIDED
+    found = compare_recording(orbit, problem, copied(name, samples=12.0))
+    assert found.verdict is ComparisonVerdict.UNDECIDED
     assert "not resolved" in found.unresolved[0]
     # Neither does a recording without the gap, if it is not the orbit's in every quantity.
     whole = copied(name, restitution=0.35)
     rate = next(k for k, signal in enumerate(whole.signals) if signal.name != GAPS[name])
     signal = whole.signals[rate]
     alone = recording_of(problem, [signal.name], whole.time, signal.values[None])
-    found = compare(orbit, problem, alone)
-    assert found.verdict is Verdict.UNDECIDED
+    found = compare_recording(orbit, problem, alone)
+    assert found.verdict is ComparisonVerdict.UNDECIDED
     assert "were not recorded" in found.unresolved[0]
 
 
@@ -180,7 +180,7 @@ def test_the_command_prints_the_verdict_first_and_leaves_with_its_code(tmp_path:
         assert words in answer.out.splitlines()[0]
         data = ask(*command, "--json").data
         assert data["agrees"] is (code == YES)
-        assert data["verdict"] in {one.value for one in Verdict}
+        assert data["verdict"] in {one.value for one in ComparisonVerdict}
 
 
 @pytest.mark.slow
@@ -193,7 +193,7 @@ def test_two_standard_errors_hold_the_truth_in_95_of_100(name: str) -> None:
         start = float(np.random.default_rng(seed).random())
         rate = SAMPLES / orbit.period
         copy = recorded(table, problem, n_cycles=30, rate=rate, noise=1e-3, seed=seed, start=start)
-        for one in compare(orbit, problem, copy).metrics:
+        for one in compare_recording(orbit, problem, copy).metrics:
             if math.isfinite(one.data):
                 off = abs(one.data - true.get(one.name, one.orbit))
                 inside.setdefault(one.name, []).append(off <= 2 * one.error)

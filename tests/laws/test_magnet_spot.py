@@ -16,7 +16,7 @@ from tests.support.magnet_spot import PROBLEM, WIDTH
 from zeno_orbits.integrators import GuardedFlow, PlainFlow
 from zeno_orbits.maps import Axis, Plane, parameter_map
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.search import find_orbit
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import verify
 from zeno_orbits.work import Plan, Workers
 
@@ -29,7 +29,7 @@ def _weight_less_lift(angle: float) -> float:
 
 
 def test_the_search_finds_the_orbit_with_two_releases() -> None:
-    orbit = find_orbit(PROBLEM, PROBLEM.values()).unwrap()
+    orbit = orbit_at_gains(PROBLEM, PROBLEM.values()).unwrap()
     at_magnet = brentq(_weight_less_lift, SPOT - 3 * WIDTH, SPOT, xtol=1e-15)
     assert orbit.shape.text == "zeno*2"
     assert orbit.period == pytest.approx(2 * math.pi / OMEGA, rel=1e-11)
@@ -55,7 +55,7 @@ def test_a_map_counts_the_release_at_the_magnet_where_it_is_strong_enough() -> N
 @pytest.fixture(scope="module")
 def unaware() -> ZenoOrbit:
     """The orbit without the magnet, claimed of the machine with it."""
-    orbit = find_orbit(PROBLEM, PROBLEM.values(parameters={"pull": 0.0})).unwrap()
+    orbit = orbit_at_gains(PROBLEM, PROBLEM.values(parameters={"pull": 0.0})).unwrap()
     assert verify(orbit, PROBLEM).passed
     return replace(orbit, parameters={**orbit.parameters, "pull": PULL})
 

@@ -24,7 +24,7 @@ from tests.support.families import BALL, BOWL, CART, LENGTH, OSCILLATOR, Family
 from tests.support.units import PENDULUM, PENDULUM_STATE, Units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics, Problem, bind, load_problem
-from zeno_orbits.precision import simulate_with_error
+from zeno_orbits.precision import execution_with_error
 from zeno_orbits.simulation import (
     Execution,
     Mode,
@@ -545,7 +545,7 @@ def test_the_simulated_zeno_time_is_as_good_as_it_says(
     with mpmath.workdps(40):
         zeno_time = float(_hops(speed, g, c, e, 1e-20)[-1][0])
     ball = BALL.at(m=1.0, g=g, c=c, e=e)
-    assured = simulate_with_error(ball, (0.0, speed), until=2 * zeno_time)
+    assured = execution_with_error(ball, (0.0, speed), until=2 * zeno_time)
     (zeno,) = assured.execution.zeno_points
     assert zeno.limit_error <= 1e-12
     assert abs(zeno.time - zeno_time) <= assured.zeno_errors[0] * (1 + zeno_time)

@@ -19,7 +19,7 @@ from tests.support.units import Units, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Radau, RungeKutta, Tolerance
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits import floquet_multipliers
+from zeno_orbits.orbits import orbit_multipliers
 from zeno_orbits.simulation import (
     ArcShifts,
     Execution,
@@ -187,7 +187,7 @@ def test_multipliers_and_cut_returns_take_their_derivatives_from_the_loop(
     monkeypatch.setattr(Perturbations, "along", refused)
     problem = zo.load_problem("motor_pendulum")
     x = np.array([0.1985068301199, 0, -5.2365375521764, 0, -1.8591703843225])
-    found = floquet_multipliers(
+    found = orbit_multipliers(
         problem.dynamics(problem.values()),
         x,
         scale=1 + np.abs(x),

@@ -20,7 +20,7 @@ from zeno_orbits.maps.approach import (
     steps_towards,
 )
 from zeno_orbits.model import load_problem, own_time
-from zeno_orbits.orbits import Line, floquet_multipliers
+from zeno_orbits.orbits import Line, orbit_multipliers
 from zeno_orbits.simulation import SimulationSettings, simulate
 from zeno_orbits.simulation.attractor import TEN_TURNS
 
@@ -83,7 +83,7 @@ def test_orbits_multipliers_and_margins_are_those_of_a_single_simulation():
             rel=1e-6,
         )
         scale = np.maximum(np.abs(release), 0.1)
-        known = floquet_multipliers(
+        known = orbit_multipliers(
             dynamics,
             dynamics.on_stop(release),
             scale=scale,

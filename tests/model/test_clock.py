@@ -15,7 +15,7 @@ from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Clock, HybridLagrangian, MotorBank, corrected_drive, load_problem
 from zeno_orbits.orbits import ZenoOrbit, release_section, write_orbit
-from zeno_orbits.search import find_orbit
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify
 
@@ -26,7 +26,7 @@ PERIOD = 2 * math.pi
 
 @pytest.fixture(name="orbit", scope="module")
 def _orbit() -> ZenoOrbit:
-    return find_orbit(OSCILLATOR, OSCILLATOR.values()).unwrap()
+    return orbit_at_gains(OSCILLATOR, OSCILLATOR.values()).unwrap()
 
 
 def test_the_search_finds_the_orbit_of_the_closed_form(orbit: ZenoOrbit) -> None:
@@ -64,7 +64,7 @@ def test_the_work_of_the_force_pays_for_what_the_impacts_and_the_damper_lose(
 def test_the_same_machine_in_other_units_of_time_has_the_same_orbit() -> None:
     # With the time in units of 1/3 s: omega, c, k and A scale by 3, 3, 9 and 9.
     faster = OSCILLATOR.values(parameters={"omega": 3.0, "c": 5.7, "k": 9.0, "A": 9.0})
-    orbit = find_orbit(OSCILLATOR, faster).unwrap()
+    orbit = orbit_at_gains(OSCILLATOR, faster).unwrap()
     assert orbit.period == pytest.approx(PERIOD / 3, rel=1e-12)
     assert 3 * orbit.zeno_time + FORCED.release_time == pytest.approx(
         PUBLISHED_ZENO_TIME, abs=1e-11

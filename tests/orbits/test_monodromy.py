@@ -35,8 +35,8 @@ from zeno_orbits.orbits import (
     ReturnDerivative,
     differentials_of,
     first_return,
-    floquet_multipliers,
     monodromy,
+    orbit_multipliers,
     phases_of,
     poincare_map,
     release_section,
@@ -279,7 +279,7 @@ def test_the_error_of_the_multipliers_bounds_the_true_one(
     completion = ZenoExtrapolation(tolerance=10.0**exponent)
     settings = SimulationSettings(tolerance=tolerance, completion=completion)
     scale = np.abs(CENTRE) + 1e-3
-    found = floquet_multipliers(machine, CENTRE, scale=scale, period=PERIOD, settings=settings)
+    found = orbit_multipliers(machine, CENTRE, scale=scale, period=PERIOD, settings=settings)
     # Seven digits are known.
     assert abs(found.values[0] - MULTIPLIER) <= found.error + 5e-8
     finest = return_slope(machine, CENTRE, scale=scale, period=PERIOD, settings=SETTINGS)
@@ -430,7 +430,7 @@ def test_a_clock_that_is_not_acted_on_has_its_multiplier_whatever_the_restitutio
     problem = clocked_oscillator(replace(FORCED, restitution=e), attracting=True)
     machine = problem.dynamics(problem.values())
     x = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
-    found = floquet_multipliers(machine, x, scale=np.ones(4), period=2 * math.pi, settings=SETTINGS)
+    found = orbit_multipliers(machine, x, scale=np.ones(4), period=2 * math.pi, settings=SETTINGS)
     assert found.values[0] == pytest.approx(math.exp(-2 * math.pi), abs=1e-11 / (1 - e))
     assert abs(found.values[0] - math.exp(-2 * math.pi)) <= found.error
 

@@ -25,7 +25,7 @@ from zeno_orbits.orbits import (
     REST_ROWS,
     Multipliers,
     OrbitShape,
-    floquet_multipliers,
+    orbit_multipliers,
     poincare,
     poincare_map,
     projected,
@@ -47,7 +47,7 @@ CENTRE = np.array(RELEASE)
 
 @pytest.fixture(name="multipliers", scope="module")
 def _multipliers(machine: HybridDynamics) -> Multipliers:
-    return floquet_multipliers(machine, CENTRE, scale=SCALE, period=PERIOD, settings=SETTINGS)
+    return orbit_multipliers(machine, CENTRE, scale=SCALE, period=PERIOD, settings=SETTINGS)
 
 
 @pytest.mark.parametrize("coordinates", [(0.0, 0.0), (1e-2, 0.0), (0.0, -1e-2), (0.03, 0.02)])
@@ -105,7 +105,7 @@ def test_the_multipliers_do_not_depend_on_the_units(
     machine: HybridDynamics, multipliers: Multipliers
 ) -> None:
     stretched = SCALE * np.array([3.0, 0.5, 0.4, 2.0, 5.0])
-    other = floquet_multipliers(machine, CENTRE, scale=stretched, period=PERIOD, settings=SETTINGS)
+    other = orbit_multipliers(machine, CENTRE, scale=stretched, period=PERIOD, settings=SETTINGS)
     # Other displacements, so other errors: each below 1e-6.
     assert other.values[0] == pytest.approx(multipliers.values[0], abs=1e-6)
     assert other.values[1] == pytest.approx(multipliers.values[1], abs=1e-6)
@@ -134,7 +134,7 @@ def test_a_locked_arc_forgets_the_current(problem: Problem) -> None:
     settled = CENTRE
     for _ in range(8):
         _, settled = poincare_map(dynamics, settled, horizon=2 * PERIOD, settings=SETTINGS)
-    found = floquet_multipliers(dynamics, settled, scale=SCALE, period=PERIOD, settings=SETTINGS)
+    found = orbit_multipliers(dynamics, settled, scale=SCALE, period=PERIOD, settings=SETTINGS)
     assert abs(found.values[1]) < 1e-6
     assert abs(found.values[0]) < 1.0
     assert abs(np.linalg.det(found.jacobian)) < 1e-6
@@ -146,7 +146,7 @@ def _clocked(*, attracting: bool, by_differences: bool = False, noise: float = 0
     if by_differences:
         dynamics = replace(dynamics, differentiation=None)
     release = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
-    return floquet_multipliers(
+    return orbit_multipliers(
         dynamics, release, scale=np.ones(4), period=2 * math.pi, settings=SETTINGS, noise=noise
     )
 
@@ -175,7 +175,7 @@ def test_a_clock_that_keeps_any_amplitude_has_the_multiplier_one() -> None:
 def test_a_state_that_does_not_return_is_told(machine: HybridDynamics) -> None:
     blind = replace(machine, multiplier_rate=lambda _: 1.0)
     with pytest.raises(SimulationError):
-        floquet_multipliers(blind, CENTRE, scale=SCALE, period=PERIOD / 3, settings=SETTINGS)
+        orbit_multipliers(blind, CENTRE, scale=SCALE, period=PERIOD / 3, settings=SETTINGS)
 
 
 def test_waiting_for_a_return_sees_what_a_longer_simulation_sees(machine: HybridDynamics) -> None:
@@ -270,7 +270,7 @@ def test_a_section_that_is_a_point_has_no_multipliers_by_differences_either() ->
     dynamics, values = table.dynamics(table.values()), table.values().parameters
     sine = values["g"] / (values["A"] * values["omega"] ** 2)
     release = np.array([0.0, 0.0, math.sqrt(1 - sine**2), sine])
-    found = floquet_multipliers(
+    found = orbit_multipliers(
         replace(dynamics, differentiation=None),
         release,
         scale=np.array([0.01, 0.4, 1.0, 1.0]),
@@ -335,7 +335,7 @@ def _slopes(
         tolerance=Tolerance(relative=1e-6, absolute=1e-8),
         completion=ZenoExtrapolation(tolerance=1e-9, resolved=1e-3),
     )
-    found = floquet_multipliers(
+    found = orbit_multipliers(
         system, np.zeros(2), scale=np.ones(2), period=1.0, settings=settings, noise=5.0
     )
     return found, asked
@@ -390,7 +390,7 @@ def test_differences_are_central_and_extrapolated_over_two_steps(
     assert near == pytest.approx(2 * (slope + cubic * 2e-5**2), rel=1e-9)
     assert far == pytest.approx(2 * (slope + cubic * 4e-5**2), rel=1e-9)
     assert return_slope(system, np.zeros(2), **given) == pytest.approx(2 * slope, rel=1e-9)
-    found = floquet_multipliers(system, np.zeros(2), **given, noise=4e-5)
+    found = orbit_multipliers(system, np.zeros(2), **given, noise=4e-5)
     assert found.jacobian == pytest.approx(2 * slope, rel=1e-9)
     off = [min(abs(np.linalg.eigvals(near) - value)) for value in np.linalg.eigvals(2 * slope)]
     assert found.error == pytest.approx(max(off) + 2.0, rel=1e-9)

@@ -23,9 +23,9 @@ from zeno_orbits.precision import (
     Assured,
     accuracy,
     difference,
+    execution_with_error,
     settings_for,
     simulate_to,
-    simulate_with_error,
     why_engine,
 )
 from zeno_orbits.precision.accuracy import COARSEST
@@ -267,7 +267,7 @@ def test_the_error_of_a_zeno_point_bounds_the_true_one(
     settings = SimulationSettings(
         engine=ENGINES[engine], tolerance=Tolerance(relative=relative, absolute=relative / 10)
     )
-    seen = simulate_with_error(case.dynamics, case.start, until=case.until, settings=settings)
+    seen = execution_with_error(case.dynamics, case.start, until=case.until, settings=settings)
     found = seen.execution.zeno_points
     assert len(found) == len(seen.zeno_errors) == len(case.points)
     for point, error, truth in zip(found, seen.zeno_errors, case.points, strict=True):
@@ -462,7 +462,7 @@ def test_an_error_estimate_is_the_same_number_in_any_units() -> None:
     for problem, unit in ((table, 1.0), (in_units(table, Units(length=1e-12, time=1e-6)), 1e-6)):
         dynamics = problem.dynamics(problem.values())
         start = problem.state_vector(problem.starts[0])
-        found.append(simulate_with_error(dynamics, start, until=2.0 * unit))
+        found.append(execution_with_error(dynamics, start, until=2.0 * unit))
     here, there = found
     assert len(here.zeno_errors) == len(there.zeno_errors) > 3
     assert 0.1 < there.error / here.error < 10.0

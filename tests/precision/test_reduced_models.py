@@ -40,7 +40,7 @@ from zeno_orbits.precision.reduced_models import (
     layer_time,
     orbit_near,
 )
-from zeno_orbits.search import TargetPeriod, find_orbit, search_gains
+from zeno_orbits.search import TargetPeriod, orbit_at_gains, search_orbits
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify
 
@@ -403,7 +403,7 @@ def test_a_reduced_orbit_balances_its_energy_and_is_that_of_a_hand_written_model
     word: str, problem: Problem
 ) -> None:
     reduced = problem.at_fidelity(word)
-    orbit = find_orbit(reduced, reduced.values()).unwrap()
+    orbit = orbit_at_gains(reduced, reduced.values()).unwrap()
     certificate = verify(orbit, reduced)
     assert certificate.passed, certificate.verdict()
     assert certificate.residuals["energy_balance"] < 1e-13
@@ -422,7 +422,7 @@ def test_a_wrong_restitution_of_the_layer_is_noticed_by_the_hand_written_model(
 
     # The manifold's inertia with the bare restitution: an orbit, and a consistent one.
     wrong = replace(reduced, model=careless)
-    orbit = find_orbit(wrong, wrong.values()).unwrap()
+    orbit = orbit_at_gains(wrong, wrong.values()).unwrap()
     certificate = verify(orbit, wrong)
     assert not certificate.passed
     assert certificate.failed == ("second_model",)
@@ -434,7 +434,7 @@ def test_gains_are_searched_with_the_restitution_that_they_change(problem: Probl
     # So large an inductance that a program with the restitution of its start does not get there.
     values = reduced.values(parameters={"L": 0.1})
     boxes = {gain.name: (gain.lower, gain.upper) for gain in reduced.gains}
-    result = search_gains(reduced, values, free=boxes, objective=TargetPeriod(target=1.83))
+    result = search_orbits(reduced, values, free=boxes, objective=TargetPeriod(target=1.83))
     assert result.unwrap().period == pytest.approx(1.83, abs=1e-9)
 
 
@@ -500,7 +500,7 @@ def test_an_orbit_file_that_names_an_unknown_fidelity_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     problem = load_problem("motor_pendulum@quasi_static")
-    orbit = find_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_at_gains(problem, problem.values()).unwrap()
     path = tmp_path / "orbit.json"
     path.write_text(json.dumps({**orbit.as_json(), "problem": "motor_pendulum@coarse"}))
     assert main(["verify", str(path)]) == 2

@@ -17,7 +17,13 @@ from zeno_orbits import precision
 from zeno_orbits.errors import InputError, StepSizeError, ZenoOrbitsError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.precision import SAME_WORK, Trial, WorkPrecision, WorkPrecisionSettings, trade
+from zeno_orbits.precision import (
+    SAME_WORK,
+    TimedSetting,
+    WorkPrecision,
+    WorkPrecisionSettings,
+    trade,
+)
 from zeno_orbits.precision import trials as trading
 from zeno_orbits.precision.landmark import LandmarkKind
 from zeno_orbits.precision.reference import true_landmarks
@@ -43,13 +49,13 @@ def _measured(problem: Problem) -> WorkPrecision:
     )
 
 
-def trial(seconds: float, error: float, **others: Any) -> Trial:
-    return Trial(
+def trial(seconds: float, error: float, **others: Any) -> TimedSetting:
+    return TimedSetting(
         **{"sweep": "engine", "name": "x", "value": 1e-6, **others}, seconds=seconds, error=error
     )
 
 
-def traded(*trials: Trial) -> WorkPrecision:
+def traded(*trials: TimedSetting) -> WorkPrecision:
     return WorkPrecision(problem="p", work="w", truth="t", truth_error=1e-25, trials=trials)
 
 

@@ -19,7 +19,7 @@ from zeno_orbits.model import (
     quasi_static_drive,
 )
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.search import find_orbit
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import OrbitCertificate, verify
 
 PERIOD = 1.81371293903044
@@ -101,7 +101,7 @@ def _without_current(model: Callable[[Symbols], CompletedSystem]) -> Problem:
 
 
 def _found(problem: Problem, **parameters: float) -> tuple[ZenoOrbit, OrbitCertificate]:
-    orbit = find_orbit(problem, problem.values(parameters=parameters)).unwrap()
+    orbit = orbit_at_gains(problem, problem.values(parameters=parameters)).unwrap()
     return orbit, verify(orbit, problem)
 
 

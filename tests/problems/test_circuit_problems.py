@@ -32,10 +32,10 @@ from zeno_orbits import (
 )
 from zeno_orbits.arrays import Vector
 from zeno_orbits.cli import main
-from zeno_orbits.experiment import simulate_rig
+from zeno_orbits.experiment import run_rig
 from zeno_orbits.model import Contact, Controller, Rig, load_problem, load_reference
 from zeno_orbits.orbits import ZenoOrbit, write_orbit
-from zeno_orbits.search import find_orbit
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify
 
@@ -49,7 +49,7 @@ Field = Callable[[float, Vector], Any]
 @cache
 def _orbit(name: str, **numbers: float) -> ZenoOrbit:
     problem = load_problem(name)
-    return find_orbit(problem, problem.values(numbers=numbers)).unwrap()
+    return orbit_at_gains(problem, problem.values(numbers=numbers)).unwrap()
 
 
 def _zeno_point(field: Field, x: Vector, e: float, pull: Callable[[float, Vector], float]) -> Any:
@@ -306,7 +306,7 @@ OBSERVED = Path(__file__).parents[1] / "support" / "machines" / "observed_valve.
 
 def test_an_observer_that_is_told_of_impacts_forgets_its_error_at_its_own_rate() -> None:
     problem = load_problem(OBSERVED)
-    orbit = find_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_at_gains(problem, problem.values()).unwrap()
     valve = _orbit("motor_valve")
     # Nothing acts back on the valve, and its own section is a point.
     assert orbit.period == pytest.approx(valve.period, rel=1e-10)
@@ -387,7 +387,7 @@ def test_a_rig_whose_stop_grows_stiff_tends_to_the_orbit(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     problem = load_problem(name)
-    orbit = find_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_at_gains(problem, problem.values()).unwrap()
     file = tmp_path / "orbit.json"
     write_orbit(orbit, file)
     misses: list[float] = []
@@ -467,7 +467,7 @@ def test_a_bridge_pulses_the_source_of_a_filter_as_matrix_exponentials_do() -> N
         switching=PwmSettings.EXACT,
     )
     rig = Rig(contact=Contact(stiffness=1e3), bridge=bridge)
-    run = simulate_rig(problem, problem.values(), rig, (0.0,) * 4, periods / frequency)
+    run = run_rig(problem, problem.values(), rig, (0.0,) * 4, periods / frequency)
     # L i' = V - (R + drop) i - u, C u' = i - G u: on for the part V / supply of every period.
     coil, capacity = FILTER["L"], FILTER["C"]
     matrix = np.array(
@@ -520,7 +520,7 @@ def test_bridge_gear_and_controller_take_a_circuit_as_the_bank_that_it_is(
         ),
         controller=Controller(period=1e-3, delay=2e-4),
     )
-    runs = [simulate_rig(one, one.values(), rig, (0.0, 0.0, 1.2), 0.1) for one in (bank, circuit)]
+    runs = [run_rig(one, one.values(), rig, (0.0, 0.0, 1.2), 0.1) for one in (bank, circuit)]
     assert len(runs[0].states[0]) == 5
     assert max(np.ptp(runs[0].states[:, 0]), np.ptp(runs[0].states[:, 3])) > 0.1
     assert runs[1].states[-1] == pytest.approx(runs[0].states[-1], rel=1e-8, abs=1e-8)
@@ -561,7 +561,7 @@ def test_a_filtered_motor_behind_a_gear_obeys_equations_by_hand() -> None:
     expected: Any = solve_ivp(field, (0.0, until), whole, **FINE)
     gear = Gear(rotor_inertia=inertia, play=0.0, stiffness=stiffness, loss=0.0)
     rig = Rig(contact=Contact(stiffness=1e6), gears={2: gear})
-    run = simulate_rig(problem, problem.values(), rig, start, until)
+    run = run_rig(problem, problem.values(), rig, start, until)
     assert not run.touches
     assert run.states[-1] == pytest.approx(expected.y[:, -1], rel=1e-7, abs=1e-7)
     # The teeth give way, by much more than the tolerance.
@@ -576,7 +576,7 @@ def test_a_controller_holds_the_source_of_a_circuit() -> None:
     misses: list[float] = []
     for period in (1e-3, 2.5e-4):
         rig = Rig(contact=Contact(stiffness=1e6), controller=Controller(period=period))
-        run = simulate_rig(problem, values, rig, start, 0.1)
+        run = run_rig(problem, values, rig, start, 0.1)
         assert not run.touches
         misses.append(float(run.states[-1, 0] - exact.end_state[0]))
     assert misses[0] / misses[1] == pytest.approx(4.0, rel=0.1)

@@ -21,7 +21,7 @@ from zeno_orbits.cli import main
 from zeno_orbits.model import bind, load_problem, powers_of
 from zeno_orbits.orbits import ZenoOrbit, write_orbit
 from zeno_orbits.report.plots import has_zeno_region, plot_outputs
-from zeno_orbits.search import find_orbit
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import simulate
 
 NO_ORBIT = {"bouncing_ball", "falling_pendulum"}
@@ -39,7 +39,7 @@ PROBLEMS = [
 def _orbit(name: str) -> ZenoOrbit:
     """Return a problem's orbit at its own numbers, found once."""
     problem = load_problem(name)
-    return find_orbit(problem, problem.values()).unwrap()
+    return orbit_at_gains(problem, problem.values()).unwrap()
 
 
 def _answer(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
@@ -236,7 +236,7 @@ def test_the_knee_of_two_motors_lets_go_where_the_law_by_hand_vanishes() -> None
 def test_two_motors_one_of_which_is_powerless_move_as_the_motor_pendulum() -> None:
     problem = load_problem("two_motors")
     powerless = problem.values(parameters={"K_torque2": 0.0, "K_emf2": 0.0})
-    orbit = find_orbit(problem, powerless).unwrap()
+    orbit = orbit_at_gains(problem, powerless).unwrap()
     assert orbit.period == pytest.approx(PERIOD, rel=1e-9)
 
 

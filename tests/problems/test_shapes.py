@@ -19,7 +19,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Radau
 from zeno_orbits.model import load_problem
 from zeno_orbits.orbits import OrbitPhase, OrbitShape, ZenoOrbit, read_orbit, write_orbit
-from zeno_orbits.search import SearchStatus, close_orbit, find_orbit, search_gains
+from zeno_orbits.search import SearchStatus, close_orbit, orbit_at_gains, search_orbits
 from zeno_orbits.simulation import SimulationSettings, simulate
 from zeno_orbits.verification import OrbitCertificate, VerificationSettings, verify
 
@@ -41,7 +41,7 @@ def found(
     parameters = {key: value for key, value in numbers if key not in DOUBLED}
     wanted = None if shape is None else OrbitShape.parsed(shape)
     values = problem.values(gains=gains, parameters=parameters)
-    return find_orbit(problem, values, shape=wanted).unwrap()
+    return orbit_at_gains(problem, values, shape=wanted).unwrap()
 
 
 def checked(orbit: ZenoOrbit, settings: VerificationSettings = QUICK) -> OrbitCertificate:
@@ -302,12 +302,12 @@ def test_a_motion_closed_by_simulation_may_have_any_shape() -> None:
 def test_an_orbit_of_another_shape_is_searched_from_one_at_other_numbers() -> None:
     problem = load_problem("impact_oscillator")
     values = problem.values(parameters={"A": 1.05})
-    result = search_gains(problem, values, free={}, near=struck())
+    result = search_orbits(problem, values, free={}, near=struck())
     orbit = result.unwrap()
     assert orbit.shape.text == "impact"
     assert checked(orbit).passed
     with pytest.raises(InputError, match="must be the shape `impact` of the orbit"):
-        search_gains(problem, values, free={}, near=struck(), shape=OrbitShape.parsed("zeno"))
+        search_orbits(problem, values, free={}, near=struck(), shape=OrbitShape.parsed("zeno"))
 
 
 def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
@@ -317,7 +317,7 @@ def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
 
     problem = load_problem("impact_oscillator")
     bound = Bound(name="first_impact_speed", lower=1.5)
-    result = search_gains(
+    result = search_orbits(
         problem, problem.values(), free={"A": (0.6, 1.5)}, objective=LeastEnergy(), bounds=(bound,)
     )
     orbit = result.unwrap()
@@ -332,7 +332,7 @@ def test_free_gains_bring_a_doubled_orbit_to_a_wanted_period() -> None:
     from zeno_orbits.search import TargetPeriod
 
     problem = load_problem("motor_pendulum")
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(gains=DOUBLED),
         free={"Kp": (4.2, 4.4)},
@@ -346,10 +346,10 @@ def test_free_gains_bring_a_doubled_orbit_to_a_wanted_period() -> None:
 
 def test_a_shape_that_the_motion_does_not_settle_to_is_a_no_with_the_one_it_has() -> None:
     problem = load_problem("impact_oscillator")
-    result = find_orbit(problem, problem.values(), shape=OrbitShape.parsed("zeno"))
+    result = orbit_at_gains(problem, problem.values(), shape=OrbitShape.parsed("zeno"))
     assert result.status is SearchStatus.NO_GUESS
     assert "settles to an orbit of shape `impact`" in result.detail
-    twice = find_orbit(problem, problem.values(), shape=OrbitShape.parsed("impact*2"))
+    twice = orbit_at_gains(problem, problem.values(), shape=OrbitShape.parsed("impact*2"))
     assert twice.orbit is None
     assert "is one of shape `impact`, traversed 2 times" in twice.detail
 

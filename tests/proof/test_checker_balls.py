@@ -15,7 +15,7 @@ import pytest
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker import lanes
-from zeno_orbits.proof.checker.balls import Ball, NotProved, exactly, solved
+from zeno_orbits.proof.checker.balls import Ball, NotProved, exactly, linear_solution
 from zeno_orbits.proof.checker.formulas import Graph
 from zeno_orbits.proof.checker.lanes import Lanes, matmul, require_rounding
 from zeno_orbits.proof.checker.polynomials import Polys, composed, monomials
@@ -183,13 +183,13 @@ def test_a_complex_division_by_a_disc_around_zero_is_refused() -> None:
 def test_an_inverse_holds_the_exact_one_and_a_singular_matrix_has_none() -> None:
     numbers = np.array([[2, 1, 0], [1, 3, 1], [0, 1, 5]])
     ones = exactly(np.eye(3, dtype=int), BITS)
-    found = solved(exactly(numbers, BITS), ones)
+    found = linear_solution(exactly(numbers, BITS), ones)
     exact = [[14, -5, 1], [-5, 10, -2], [1, -2, 5]]
     for i in range(3):
         for j in range(3):
             assert _holds(found[i, j], Fraction(exact[i][j], 23))
     with pytest.raises(NotProved):
-        solved(exactly(np.array([[1, 2, 0], [2, 4, 0], [0, 0, 1]]), BITS), ones)
+        linear_solution(exactly(np.array([[1, 2, 0], [2, 4, 0], [0, 0, 1]]), BITS), ones)
 
 
 def test_a_ball_becomes_an_interval_that_holds_it() -> None:

@@ -16,7 +16,7 @@ from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.model import CompletedSystem, load_problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.proof import ProofSettings, check_proof, prove
+from zeno_orbits.proof import ProofSettings, check_proof, prove_orbit
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_a_model_with_other_formulas_at_one_call_gets_no_theorem_about_them(
         factor = 1 + 1e-12 if len(calls) == other else 1.0
         return published.model({**p, "A": factor * p["A"]})
 
-    proof = prove(table, replace(published, model=model))
+    proof = prove_orbit(table, replace(published, model=model))
     if proof.proved:
         assert check_proof(dict(proof.certificate), published).ok
     else:
@@ -113,7 +113,9 @@ def test_what_is_no_orbit_is_not_proved(table: ZenoOrbit, surface: ZenoOrbit, na
     change, claim = FALSE[name]
     # The clock alone says where the table lets go: a moved release is none, and returns to one.
     orbit = surface if claim == "closure" else table
-    proof = prove(change(orbit), load_problem(orbit.problem), settings=ProofSettings(radius=1e-9))
+    proof = prove_orbit(
+        change(orbit), load_problem(orbit.problem), settings=ProofSettings(radius=1e-9)
+    )
     assert not proof.proved
     assert proof.claim == claim
     assert f"`{claim}`" in proof.verdict()
@@ -147,7 +149,7 @@ def test_a_reset_of_the_wrong_sign_is_not_proved(table: ZenoOrbit) -> None:
         system = problem.model(p)
         return replace(system, impulse_direction=-system.impulse_direction)
 
-    proof = prove(replace(table, problem_digest=()), replace(problem, model=wrong))
+    proof = prove_orbit(replace(table, problem_digest=()), replace(problem, model=wrong))
     assert not proof.proved
     assert proof.claim == "model"
     assert "turns the gap rate round" in proof.reason
@@ -160,7 +162,7 @@ def test_a_multiplier_that_is_not_the_stops_is_not_proved(table: ZenoOrbit) -> N
         system = problem.model(p)
         return replace(system, multiplier=system.multiplier + 1)
 
-    proof = prove(replace(table, problem_digest=()), replace(problem, model=pulled))
+    proof = prove_orbit(replace(table, problem_digest=()), replace(problem, model=pulled))
     assert proof.claim == "model"
     assert "multiplier" in proof.reason
 

@@ -10,8 +10,8 @@ import pytest
 import zeno_orbits as zo
 from tests.reference.many_digits.fixed_point import extended_orbit
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.proof import ProofSettings, prove
-from zeno_orbits.search import find_orbit
+from zeno_orbits.proof import ProofSettings, prove_orbit
+from zeno_orbits.search import orbit_at_gains
 
 pytestmark = pytest.mark.slow
 
@@ -76,7 +76,7 @@ def test_a_box_of_a_millionth_is_made_wider_until_it_is_taken_into_itself(
 def test_an_orbit_that_repels_is_proved_by_krawczyks_operator() -> None:
     problem = zo.load_problem("motor_pendulum")
     values = problem.values(gains={"Kp": 4.3, "Kd": -1.53})
-    found = find_orbit(problem, values, shape=zo.EventSequence.parsed("zeno")).unwrap()
+    found = orbit_at_gains(problem, values, shape=zo.EventSequence.parsed("zeno")).unwrap()
     proof = zo.prove(found, radius=1e-9)
     assert proof.proved, proof.verdict()
     assert proof.repelling
@@ -89,6 +89,6 @@ def test_an_orbit_just_beyond_the_end_of_its_family_is_not_proved() -> None:
     found = zo.find_orbit_by_shooting("motor_pendulum", gains=GAINS, parameters=parameters).unwrap()
     beyond = replace(found, parameters={**found.parameters, "restitution": 0.4168})
     problem = zo.load_problem("motor_pendulum")
-    proof = prove(beyond, problem, settings=ProofSettings(radius=1e-9))
+    proof = prove_orbit(beyond, problem, settings=ProofSettings(radius=1e-9))
     assert not proof.proved
     assert proof.claim == "period"

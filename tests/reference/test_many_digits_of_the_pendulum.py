@@ -11,7 +11,7 @@ from tests.reference.hand_pendulum import HandPendulum
 from tests.reference.many_digits.execution import extended_execution
 from tests.reference.many_digits.fixed_point import ExtendedOrbit, extended_orbit
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import floquet_multipliers
+from zeno_orbits.orbits import orbit_multipliers
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
@@ -63,7 +63,7 @@ def test_exact_multipliers_are_those_of_differences_in_many_digits(orbit: Extend
     values = PENDULUM.values()
     dynamics = PENDULUM.dynamics(values)
     release = np.array([float(value) for value in orbit.release_state])
-    found = floquet_multipliers(
+    found = orbit_multipliers(
         dynamics,
         release,
         scale=1.0 + np.abs(release),

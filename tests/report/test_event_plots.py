@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 
 import zeno_orbits as zo
 from zeno_orbits.orbits import EventOrbit
-from zeno_orbits.report import motion_of, plots
+from zeno_orbits.report import orbit_motion, plots
 from zeno_orbits.simulation import Execution
 
 
@@ -29,7 +29,7 @@ def _orbit(name: str) -> EventOrbit:
 @cache
 def _motion(name: str) -> Execution:
     orbit, problem = _orbit(name), zo.load_problem(name)
-    return motion_of(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
+    return orbit_motion(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
 
 
 def _labels(figure: Figure) -> set[str]:

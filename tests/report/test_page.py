@@ -30,11 +30,11 @@ from zeno_orbits.cli import main
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import ZenoOrbit, read_orbit, write_orbit
-from zeno_orbits.precision import Trial, WorkPrecision, read_work_precision
+from zeno_orbits.precision import TimedSetting, WorkPrecision, read_work_precision
 from zeno_orbits.report.page import Subject, load_bundle, page_of, words
 from zeno_orbits.report.page.page import commands_of, template_environment
 from zeno_orbits.report.page.plot_data import curves_of
-from zeno_orbits.search import find_orbit
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate, problem_dynamics, verify
 
 if not os.environ.get(browsers.REQUIRED):
@@ -60,9 +60,15 @@ def ask(*arguments: str | Path) -> tuple[int, str, str]:
 def trade_of(problem: str) -> WorkPrecision:
     """Return a small trade: two engines, one of them beaten, and a trial that failed."""
     trials = (
-        Trial(sweep="engine", name="fast", value=1e-6, seconds=1e-3, error=1e-7, n_impacts=9),
-        Trial(sweep="engine", name="slow", value=1e-6, seconds=2e-3, error=1e-6, n_impacts=9),
-        Trial(sweep="cut", name="cut", value=1e-2, seconds=math.inf, error=math.inf, trouble="no"),
+        TimedSetting(
+            sweep="engine", name="fast", value=1e-6, seconds=1e-3, error=1e-7, n_impacts=9
+        ),
+        TimedSetting(
+            sweep="engine", name="slow", value=1e-6, seconds=2e-3, error=1e-6, n_impacts=9
+        ),
+        TimedSetting(
+            sweep="cut", name="cut", value=1e-2, seconds=math.inf, error=math.inf, trouble="no"
+        ),
     )
     return WorkPrecision(
         problem=problem, work="3 s", truth="exact", truth_error=1e-20, trials=trials
@@ -770,7 +776,7 @@ def test_pages_of_other_orbits_open_too(
     browser: Browser, tmp_path: Path, name: str, parameters: dict[str, float]
 ) -> None:
     problem = load_problem(name)
-    orbit = find_orbit(problem, problem.values(parameters=parameters)).unwrap()
+    orbit = orbit_at_gains(problem, problem.values(parameters=parameters)).unwrap()
     dynamics = problem_dynamics(orbit, problem)
     certificate = verify(orbit, problem)
     subject = Subject(orbit=orbit, problem=problem, dynamics=dynamics, certificate=certificate)

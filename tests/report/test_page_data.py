@@ -13,7 +13,7 @@ import pytest
 from tests.support.browser import Browser
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.precision import Trial, WorkPrecision
+from zeno_orbits.precision import TimedSetting, WorkPrecision
 from zeno_orbits.report.page import Subject, load_bundle, page_of
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.report.page.tables import tables_of, tiles_of
@@ -33,10 +33,12 @@ PORTRAITS = (("theta1", 0, 2), ("theta2", 1, 3))
 """Coordinate of each portrait, and the places of what is across and upwards."""
 MULTIPLIERS = (0.25 - 0.5j, 0.125 + 0.0625j)
 TRIALS = (
-    Trial(sweep="engine", name="fast", value=1e-6, seconds=1e-3, error=1e-7, n_impacts=9),
-    Trial(sweep="engine", name="fast", value=1e-9, seconds=4e-3, error=1e-11, n_impacts=9),
-    Trial(sweep="cut", name="cut", value=1e-2, seconds=3e-3, error=1e-2),
-    Trial(sweep="cut", name="cut", value=1e-3, seconds=math.inf, error=math.inf, trouble="no"),
+    TimedSetting(sweep="engine", name="fast", value=1e-6, seconds=1e-3, error=1e-7, n_impacts=9),
+    TimedSetting(sweep="engine", name="fast", value=1e-9, seconds=4e-3, error=1e-11, n_impacts=9),
+    TimedSetting(sweep="cut", name="cut", value=1e-2, seconds=3e-3, error=1e-2),
+    TimedSetting(
+        sweep="cut", name="cut", value=1e-3, seconds=math.inf, error=math.inf, trouble="no"
+    ),
 )
 
 

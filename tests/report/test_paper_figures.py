@@ -384,11 +384,11 @@ def test_a_recording_is_laid_over_the_orbit_by_its_phase_in_its_own_time(
 def test_the_figures_and_the_comparison_lay_a_recording_over_the_orbit_alike(
     problem: Problem, orbit: ZenoOrbit, table: OrbitTable
 ) -> None:
-    from zeno_orbits.experiment import compare
+    from zeno_orbits.experiment import compare_recording
 
     # No longer than what the figures look at.
     whole = recorded(table, problem, n_cycles=7.5, stretch=1.02, noise=2e-3, seed=5)
-    where = compare(orbit, problem, whole).where
+    where = compare_recording(orbit, problem, whole).where
     assert where is not None
     found = recording_counterpart(whole, orbit, problem, 3)
     assert found.period == where.period
@@ -439,9 +439,11 @@ def test_over_the_phase_each_motion_has_its_own_period(
 def test_the_picture_of_a_comparison_is_by_phase_and_names_both_periods(
     problem: Problem, orbit: ZenoOrbit, table: OrbitTable
 ) -> None:
-    from zeno_orbits.experiment import compare
+    from zeno_orbits.experiment import compare_recording
 
-    found = compare(orbit, problem, recorded(table, problem, n_cycles=6.0, stretch=1.1, noise=1e-3))
+    found = compare_recording(
+        orbit, problem, recorded(table, problem, n_cycles=6.0, stretch=1.1, noise=1e-3)
+    )
     figure = plots.plot_comparison(problem, found)
     labels = [ax.get_xlabel() for ax in figure.axes]
     assert labels.count("phase from release [own periods]") == 2

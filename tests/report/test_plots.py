@@ -32,7 +32,7 @@ from zeno_orbits.model import (
     load_problem,
     no_drive,
 )
-from zeno_orbits.precision import Trial, WorkPrecision
+from zeno_orbits.precision import TimedSetting, WorkPrecision
 from zeno_orbits.report.plots import (
     COLUMN_WIDTH,
     FULL_WIDTH,
@@ -432,10 +432,10 @@ def test_a_failed_write_leaves_the_old_picture_and_no_partial_file(
 # ---------------------------------------------------------------------------------- a trade
 
 
-def measured(sweep: str, name: str, *pairs: tuple[float, float]) -> tuple[Trial, ...]:
+def measured(sweep: str, name: str, *pairs: tuple[float, float]) -> tuple[TimedSetting, ...]:
     """Return trials of times and errors, the loosest first."""
     return tuple(
-        Trial(sweep=sweep, name=name, value=10.0**-k, seconds=seconds, error=error)
+        TimedSetting(sweep=sweep, name=name, value=10.0**-k, seconds=seconds, error=error)
         for k, (seconds, error) in enumerate(pairs)
     )
 

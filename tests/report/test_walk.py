@@ -11,7 +11,7 @@ import pytest
 
 import zeno_orbits as zo
 from zeno_orbits.orbits import EventOrbit
-from zeno_orbits.report import motion_of
+from zeno_orbits.report import orbit_motion
 from zeno_orbits.report.motion import MachineMotion, frame_of, machine_motion
 
 STEPS = 3
@@ -26,7 +26,7 @@ def _orbit() -> EventOrbit:
 def _walk(n: int = 600) -> MachineMotion:
     orbit, problem = _orbit(), zo.load_problem("kneed_walker")
     values = orbit.values(problem)
-    execution = motion_of(orbit, problem, problem.graph_dynamics(values), periods=STEPS)
+    execution = orbit_motion(orbit, problem, problem.graph_dynamics(values), periods=STEPS)
     return machine_motion(problem, values, execution, STEPS * orbit.period, n=n)
 
 

@@ -15,7 +15,7 @@ from zeno_orbits.integrators import radau_scheme
 from zeno_orbits.search import TranscriptionSettings
 from zeno_orbits.search.transcription.arc import ArcWriter, CollocatedArc, flow_scale
 from zeno_orbits.search.transcription.ipopt import IpoptSettings
-from zeno_orbits.search.transcription.program import Program, ProgramBuilder
+from zeno_orbits.search.transcription.program import NonlinearProgram, ProgramBuilder
 
 EXACT = 1e-13
 LENGTH = 1.5
@@ -57,7 +57,7 @@ def _many(at: Callable[[float], Vector]) -> Callable[[Vector], Vector]:
     return lambda times: np.array([at(float(t)) for t in times])
 
 
-def _written(flight: bool = False) -> tuple[CollocatedArc, ArcWriter, Program]:
+def _written(flight: bool = False) -> tuple[CollocatedArc, ArcWriter, NonlinearProgram]:
     """Return an arc on its mesh, its writer, and the program with its work and duration told."""
     compiled, program = _compiled(), ProgramBuilder()
     writer = ArcWriter(program, compiled, MESH_NEEDS, ca.MX([K]), SCALE)
@@ -74,11 +74,11 @@ def _written(flight: bool = False) -> tuple[CollocatedArc, ArcWriter, Program]:
     return arc, writer, program.build()
 
 
-def _rows(program: Program, scaled: Vector) -> Vector:
+def _rows(program: NonlinearProgram, scaled: Vector) -> Vector:
     return ca.Function("rows", [program.unknowns], [program.rows])(scaled).full().ravel()
 
 
-def _told(program: Program) -> dict[str, list[float]]:
+def _told(program: NonlinearProgram) -> dict[str, list[float]]:
     function = ca.Function("told", [program.unknowns], list(program.reports.values()))
     values = function.call([ca.DM(program.guess)])
     return {

@@ -33,7 +33,7 @@ from zeno_orbits.orbits import (
     ONE_ZENO,
     OrbitShape,
     ZenoOrbit,
-    floquet_multipliers,
+    orbit_multipliers,
     poincare_map,
     release_section,
     return_derivative,
@@ -45,8 +45,8 @@ from zeno_orbits.search import (
     close_cycle,
     close_orbit,
     cycle_near,
-    find_orbit,
-    search_gains,
+    orbit_at_gains,
+    search_orbits,
 )
 from zeno_orbits.search.shooting import closing
 from zeno_orbits.search.shooting import fixed_point as closed_cycles
@@ -108,7 +108,7 @@ def test_other_restitutions_have_their_known_periods(problem: Problem, restituti
 
 def test_simulation_and_collocation_find_the_same_orbit(problem: Problem) -> None:
     values = problem.values(gains={"Kp": 4.0})
-    closed, found = close_orbit(problem, values).unwrap(), find_orbit(problem, values).unwrap()
+    closed, found = close_orbit(problem, values).unwrap(), orbit_at_gains(problem, values).unwrap()
     # The search promises agreement with a simulation to 3e-10.
     assert closed.period == pytest.approx(found.period, rel=1e-9)
     for name, value in closed.release_state.items():
@@ -258,7 +258,7 @@ def test_the_multiplier_of_a_repelling_orbit_is_that_of_differences(
     machine = problem.dynamics(behind_the_fold.values(problem))
     x = np.array(list(behind_the_fold.release_state.values()))
     scale, period = np.abs(x) + 1.0, behind_the_fold.period
-    exact = floquet_multipliers(machine, x, scale=scale, period=period, settings=SETTINGS)
+    exact = orbit_multipliers(machine, x, scale=scale, period=period, settings=SETTINGS)
     section = release_section(machine, x, scale)
 
     def image(coordinates: Vector) -> Vector:
@@ -407,10 +407,10 @@ def test_an_orbit_beyond_an_escape_is_refused_in_the_words_of_the_problem(
     closed = close_orbit(strict, values, near=orbit, simulation=SETTINGS)
     assert closed.detail.startswith("Link 1 swings too far: `theta1` reaches 1.")
     assert close_orbit(strict, values, simulation=SETTINGS).detail == "Link 1 swings too far."
-    near = search_gains(strict, values, free={}, near=orbit)
+    near = search_orbits(strict, values, free={}, near=orbit)
     assert (near.orbit, near.status) == (None, SearchStatus.NOT_FOLLOWED)
     assert near.detail == closed.detail
-    alone = find_orbit(strict, values)
+    alone = orbit_at_gains(strict, values)
     assert (alone.orbit, alone.status) == (None, SearchStatus.NO_GUESS)
     assert "link 1 swings too far" in alone.detail
 

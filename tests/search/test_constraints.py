@@ -20,7 +20,7 @@ from zeno_orbits.search.transcription.constraints import (
     inside,
     keep,
     largest,
-    named_numbers,
+    quantity_terms,
     smallest_share,
 )
 from zeno_orbits.search.transcription.mesh import stage_fractions
@@ -183,7 +183,7 @@ def _two_phases() -> tuple[Any, Any]:
 )
 def test_a_number_of_the_orbit_has_a_value_a_phase(name: str, expected: list[float]) -> None:
     _, terms = _two_phases()
-    assert _values(terms, *named_numbers(terms, name)) == pytest.approx(expected, abs=EXACT)
+    assert _values(terms, *quantity_terms(terms, name)) == pytest.approx(expected, abs=EXACT)
 
 
 def test_the_stop_lets_go_where_the_next_phase_starts() -> None:
@@ -194,24 +194,24 @@ def test_the_stop_lets_go_where_the_next_phase_starts() -> None:
     )
     # Its multiplier falls with k - v; after the last phase the first follows.
     expected = [K - 1.5, K - 0.5, K - 1.0]
-    assert _values(terms, *named_numbers(terms, "release_rate")) == pytest.approx(expected)
+    assert _values(terms, *quantity_terms(terms, "release_rate")) == pytest.approx(expected)
 
 
 def test_a_phase_that_does_not_hold_has_no_number_of_the_stop() -> None:
     made = hand_made()
     impact = made.phase("phase 1: ", RISE, approach_rate=-2.0)
     terms = made.terms(impact, made.phase("phase 2: ", HILL, VALLEY))
-    assert _values(terms, *named_numbers(terms, "locked_time")) == [0.5]
-    assert _values(terms, *named_numbers(terms, "gap_acceleration")) == [K - 1.0]
-    assert _values(terms, *named_numbers(terms, "first_impact_speed")) == [2.0, 3.0]
+    assert _values(terms, *quantity_terms(terms, "locked_time")) == [0.5]
+    assert _values(terms, *quantity_terms(terms, "gap_acceleration")) == [K - 1.0]
+    assert _values(terms, *quantity_terms(terms, "first_impact_speed")) == [2.0, 3.0]
     alone = made.terms(impact)
     with pytest.raises(InputError, match=r"shape `impact`, but it names `locked_time`"):
-        named_numbers(alone, "locked_time")
+        quantity_terms(alone, "locked_time")
 
 
 def test_the_smallest_share_is_below_that_of_every_margin() -> None:
     made, terms = _two_phases()
-    assert _values(terms, *named_numbers(terms, "margin")) == [0.1]
+    assert _values(terms, *quantity_terms(terms, "margin")) == [0.1]
     rows = {name: row for name, row in rows_of(made.program).items() if "margin:" in name}
 
     # Beside the speed of the first impact its flight, beside the pull of the stop the locked arc.

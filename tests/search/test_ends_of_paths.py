@@ -10,7 +10,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import NO, YES, ask
-from zeno_orbits.continuation import SpecialPointKind, continue_orbit, start_orbit
+from zeno_orbits.continuation import SpecialPointKind, family_of_orbit, start_orbit
 from zeno_orbits.model import load_problem
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"
@@ -25,7 +25,7 @@ def test_a_table_that_just_lifts_its_load_ends_with_its_release() -> None:
     detail = zo.find_orbit("vibrating_table", parameters={"A": 0.005}).detail
     assert f"followed to A = {lifts:.5g}, not beyond: there the release is not transver" in detail
     orbit = start_orbit(problem, problem.values(parameters={"A": 0.012}))
-    (family,) = continue_orbit(problem, orbit, "A", (0.005, 0.0125)).families
+    (family,) = family_of_orbit(problem, orbit, "A", (0.005, 0.0125)).families
     assert family.first.kind is SpecialPointKind.RELEASE_LOST
     assert family.first.at.value == pytest.approx(lifts, rel=1e-9)
 

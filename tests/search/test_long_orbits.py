@@ -10,7 +10,7 @@ import pytest
 import zeno_orbits as zo
 from tests.reference.exact_flights import clearly_settled
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.search import SearchSettings, close_orbit, find_orbit
+from zeno_orbits.search import SearchSettings, close_orbit, orbit_at_gains
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.verification import verify
 
@@ -63,7 +63,7 @@ def test_an_orbit_is_not_refused_for_what_errors_of_the_check_itself_grow_to() -
 
 def test_a_motion_closes_its_orbit_where_program_and_simulation_never_agree() -> None:
     never = SearchSettings(n_starts=0, rounds=1, agreement=1e-17)
-    found = find_orbit(TABLE, TABLE.values(), settings=never)
+    found = orbit_at_gains(TABLE, TABLE.values(), settings=never)
     orbit = found.unwrap()
     assert "simulation alone closes the orbit" in found.detail
     # It moves with the table, which turns at 30 rad/s.

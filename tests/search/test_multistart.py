@@ -30,7 +30,7 @@ from zeno_orbits.search import (
     SearchStatus,
     StartWorkers,
     WidestMargin,
-    search_gains,
+    search_orbits,
 )
 from zeno_orbits.search import multistart as starts
 from zeno_orbits.search.outcome import StartOutcome
@@ -78,7 +78,7 @@ def search(place: Workers | None, *, folder: Path | None = None, **changes: Any)
     settings = SearchSettings(n_starts=2, candidates=4, seed=changes.pop("seed", 0))
     told: dict[str, Any] = {"accept": Picky(), "settings": settings, **changes}
     problem = problem_file.load()
-    return search_gains(problem, problem.values(), free=FREE, spread=spread, **told)
+    return search_orbits(problem, problem.values(), free=FREE, spread=spread, **told)
 
 
 def timeless(result: SearchResult) -> Any:
@@ -413,7 +413,7 @@ def test_a_problem_that_workers_would_not_see_is_refused() -> None:
     with pytest.raises(
         InputError, match="`problem` must be the problem that the workers of `spread` load"
     ):
-        search_gains(
+        search_orbits(
             other, other.values(), free=FREE, spread=StartWorkers(problem_file=problem, plan=Plan())
         )
 

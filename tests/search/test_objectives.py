@@ -17,7 +17,7 @@ from tests.support.hand_made import Course, course, hand_made, rows_of
 from zeno_orbits.api import Verified
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import Bound, ZenoOrbit, floquet_multipliers
+from zeno_orbits.orbits import Bound, ZenoOrbit, orbit_multipliers
 from zeno_orbits.search import (
     OBJECTIVES,
     FastestContraction,
@@ -37,9 +37,9 @@ from zeno_orbits.search import (
     TargetPeriod,
     WidestMargin,
     close_orbit,
-    find_orbit,
     objective_help,
-    search_gains,
+    orbit_at_gains,
+    search_orbits,
     start,
 )
 from zeno_orbits.search.objectives import LEAST_RADIUS, TowardTarget
@@ -305,7 +305,7 @@ def test_help_names_every_word_with_its_operand() -> None:
 @pytest.mark.slow
 def test_the_least_peak_is_that_of_a_scan(problem: Problem, quantity: str) -> None:
     scan = _scan(problem, "Kp", np.linspace(2.0, 3.0, 11).tolist(), quantity)
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kp": (2.0, 3.0)},
@@ -321,7 +321,7 @@ def test_the_least_peak_is_that_of_a_scan(problem: Problem, quantity: str) -> No
 def test_the_fastest_contraction_is_that_of_a_scan(problem: Problem) -> None:
     # Along this line the larger multiplier does not cross zero, where anything would do.
     scan = _scan(problem, "Kd", np.linspace(-1.2, -1.1, 5).tolist(), "spectral_radius")
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(gains={"Kd": -1.15}),
         free={"Kd": (-1.2, -1.1)},
@@ -331,7 +331,7 @@ def test_the_fastest_contraction_is_that_of_a_scan(problem: Problem) -> None:
     assert result.candidates[0].score == pytest.approx(min(scan), rel=1e-3)
     orbit = result.unwrap()
     dynamics = problem_dynamics(orbit, problem)
-    multipliers = floquet_multipliers(
+    multipliers = orbit_multipliers(
         dynamics,
         dynamics.on_stop(np.array(list(orbit.release_state.values()))),
         scale=np.ones(5),
@@ -348,7 +348,7 @@ def test_the_fastest_contraction_is_that_of_a_scan(problem: Problem) -> None:
 @pytest.mark.slow
 def test_a_bound_on_an_angle_is_active_and_held_at_all_times(problem: Problem) -> None:
     highest = 1.9
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kd": (-1.1, -0.8)},
@@ -367,7 +367,7 @@ def test_a_bound_on_an_angle_is_active_and_held_at_all_times(problem: Problem) -
 
 @pytest.mark.slow
 def test_a_spectral_radius_is_kept(problem: Problem) -> None:
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(gains={"Kd": -1.2}),
         free={"Kd": (-1.3, -0.9)},
@@ -392,7 +392,7 @@ def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
         yield outcome
 
     monkeypatch.setattr("zeno_orbits.search.search.outcomes_here", and_one_that_is_worse)
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kd": (-1.05, -0.95)},
@@ -415,7 +415,7 @@ def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
 def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(problem: Problem) -> None:
     radius, current = 0.2, 2.0
     box = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free=box,
@@ -450,7 +450,7 @@ def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(proble
 def test_a_spectral_radius_is_kept_where_the_section_has_three_coordinates() -> None:
     problem = load_problem("two_motors")
     here, asked = problem.values().number("Kd"), 0.1
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kd": (-1.2, -0.8)},
@@ -468,7 +468,7 @@ def test_a_spectral_radius_is_kept_where_the_section_has_three_coordinates() -> 
 
 
 def test_an_orbit_at_fixed_numbers_that_passes_a_bound_is_refused(problem: Problem) -> None:
-    result = search_gains(
+    result = search_orbits(
         problem, problem.values(), free={}, bounds=[Bound(name="theta2", upper=1.9)], settings=ONCE
     )
     assert result.status is SearchStatus.NOT_ACCEPTED
@@ -483,7 +483,7 @@ def test_an_orbit_at_fixed_numbers_that_passes_a_bound_is_refused(problem: Probl
 def test_a_free_parameter_is_found_and_what_is_derived_from_it_stays(problem: Problem) -> None:
     start = problem.values()
     box = {"R": (2.0, 4.0), "L1": (0.195, 0.205)}
-    result = search_gains(
+    result = search_orbits(
         problem, start, free=box, objective=TargetPeriod(target=1.8), settings=ONCE
     )
     orbit = result.unwrap()
@@ -500,7 +500,7 @@ def test_a_free_parameter_is_found_and_what_is_derived_from_it_stays(problem: Pr
 
 @pytest.mark.slow
 def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(problem: Problem) -> None:
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"restitution": (0.1, 0.35)},
@@ -518,14 +518,14 @@ def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(problem
 
 def test_a_known_orbit_is_followed_to_other_numbers(problem: Problem, orbit: ZenoOrbit) -> None:
     values = problem.values(parameters={"restitution": 0.3, "R": 2.8})
-    result = search_gains(problem, values, free={}, near=orbit, settings=ONCE)
+    result = search_orbits(problem, values, free={}, near=orbit, settings=ONCE)
     alone = close_orbit(problem, values).unwrap()
     assert result.unwrap().period == pytest.approx(alone.period, abs=1e-8)
 
 
 def test_the_end_of_a_family_is_named(problem: Problem, orbit: ZenoOrbit) -> None:
     values = problem.values(parameters={"restitution": 0.5})
-    result = search_gains(problem, values, free={}, near=orbit, settings=ONCE)
+    result = search_orbits(problem, values, free={}, near=orbit, settings=ONCE)
     assert result.status is SearchStatus.NO_GUESS
     assert "the locked arc vanishes" in result.detail
     end = float(result.detail.split("restitution = ")[1].split(",")[0])
@@ -537,15 +537,15 @@ def test_a_start_that_settles_to_nothing_is_reached_from_an_easier_one(problem: 
     # Too short a wait for the motion to settle at these gains, but not at the problem's own.
     brief = SearchSettings(n_starts=0, settling=SettlingSettings(horizon=12.0, usable=1e-5))
     values = problem.values(gains={"Kp": 2.5, "Kd": -0.5})
-    result = find_orbit(problem, values, settings=brief)
-    patient = find_orbit(problem, values)
+    result = orbit_at_gains(problem, values, settings=brief)
+    patient = orbit_at_gains(problem, values)
     assert result.unwrap().period == pytest.approx(patient.unwrap().period, abs=1e-8)
 
 
 @pytest.mark.slow
 def test_candidates_are_ranked_and_the_best_is_the_orbit(problem: Problem) -> None:
     settings = SearchSettings(n_starts=2, candidates=2)
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kd": (-1.1, -0.9)},
@@ -576,7 +576,7 @@ def test_the_best_orbit_that_attracts_is_taken_where_the_best_of_all_lies_on_a_f
             return Judgement(objection="It does not attract.", certificate=on_fold)
         return Judgement(certificate=certificate)
 
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kd": (-1.1, -0.9)},
@@ -609,7 +609,7 @@ def test_an_orbit_on_the_way_is_taken_where_no_bounded_search_finds_one_that_att
     monkeypatch.setattr(
         start, "from_start", lambda search, one: lost if search.bounds else from_start(search, one)
     )
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kd": (-1.1, -0.9)},
@@ -631,7 +631,7 @@ def test_an_orbit_on_the_way_is_taken_where_no_bounded_search_finds_one_that_att
 @pytest.mark.slow
 def test_gains_beyond_a_fold_lead_to_the_nearest_orbit_that_attracts(problem: Problem) -> None:
     target = {"Kp": 2.5, "Kd": -1.8}
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kp": (2.0, 3.0), "Kd": (-1.9, -1.2)},
@@ -676,10 +676,10 @@ def test_a_question_that_makes_no_sense_is_refused(
     said: str,
 ) -> None:
     with pytest.raises(InputError, match=said):
-        search_gains(problem, problem.values(), free=free, bounds=bounds, objective=objective)
+        search_orbits(problem, problem.values(), free=free, bounds=bounds, objective=objective)
 
 
 def test_an_orbit_of_another_problem_is_no_start(problem: Problem, orbit: ZenoOrbit) -> None:
     other = problem.at_fidelity("quasi_static")
     with pytest.raises(InputError, match="`near` must be of problem `motor_pendulum@quasi_static`"):
-        search_gains(other, other.values(), free={}, near=orbit, objective=LeastEnergy())
+        search_orbits(other, other.values(), free={}, near=orbit, objective=LeastEnergy())

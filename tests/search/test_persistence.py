@@ -6,9 +6,9 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import YES, ask
-from zeno_orbits.continuation import continue_orbit
+from zeno_orbits.continuation import family_of_orbit
 from zeno_orbits.model import load_problem
-from zeno_orbits.search import SearchSettings, WidestMargin, find_orbit, search_gains
+from zeno_orbits.search import SearchSettings, WidestMargin, orbit_at_gains, search_orbits
 
 ONCE = SearchSettings(n_starts=0)
 
@@ -19,7 +19,7 @@ def widest(
     """Return the orbit of the widest margin, its margin, and the sentences on it."""
     problem = load_problem(name)
     values = problem.values(numbers=start or {})
-    result = search_gains(problem, values, free=free, objective=WidestMargin(), settings=ONCE)
+    result = search_orbits(problem, values, free=free, objective=WidestMargin(), settings=ONCE)
     extent = result.candidates[0].extents["persistence"]
     return result.unwrap(), extent.lowest, result.detail
 
@@ -48,7 +48,7 @@ def test_opposite_losses_leave_the_middle_between_them() -> None:
     free = {"A": (0.7, 1.3), "k": (0.5, 1.5), "restitution": (0.1, 0.95)}
     orbit, margin, _ = widest("forced_oscillator", free)
     problem = load_problem("forced_oscillator")
-    family = continue_orbit(problem, orbit, "k", (0.05, 1.7)).families[0]
+    family = family_of_orbit(problem, orbit, "k", (0.05, 1.7)).families[0]
     low, high = sorted(one.at.value for one in (family.first, family.last))
     assert high == pytest.approx(1.3 / 0.8, abs=1e-6)
     k = orbit.parameters["k"]
@@ -60,7 +60,7 @@ def test_opposite_losses_leave_the_middle_between_them() -> None:
 def test_an_orbit_that_ceases_to_attract_counts_as_lost() -> None:
     orbit, margin, _ = widest("motor_pendulum", {"Kd": (-2.0, 0.0)})
     problem = load_problem("motor_pendulum")
-    family = continue_orbit(problem, orbit, "Kd", (-2.0, 0.0)).families[0]
+    family = family_of_orbit(problem, orbit, "Kd", (-2.0, 0.0)).families[0]
     # The family goes on beyond its fold, unstable.
     fold = next(one.at.value for one in family.special if one.kind.value == "fold")
     ends = [one.at.value for one in (family.first, family.last)]
@@ -81,7 +81,7 @@ def test_a_parameter_may_reach_the_last_value_that_makes_sense() -> None:
 @pytest.mark.slow
 def test_a_margin_keeps_the_bounds() -> None:
     problem = load_problem("forced_oscillator")
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"A": (0.7, 1.3)},
@@ -91,7 +91,7 @@ def test_a_margin_keeps_the_bounds() -> None:
     )
     # The work at A = 0.9, as a simulation of that orbit measures it.
     assert result.unwrap().parameters["A"] == pytest.approx(0.9, abs=2e-4)
-    assert find_orbit(problem, problem.values(parameters={"A": 0.9})).orbit is not None
+    assert orbit_at_gains(problem, problem.values(parameters={"A": 0.9})).orbit is not None
 
 
 @pytest.mark.slow
@@ -104,5 +104,5 @@ def test_zeno_orbits_that_persist_are_preferred_to_an_orbit_that_is_soon_lost() 
     for factor in (0.75, 1.25):
         gains = dict(answer.data["gains"])
         gains["Kp"] *= factor
-        near = find_orbit(problem, problem.values(gains=gains)).unwrap()
+        near = orbit_at_gains(problem, problem.values(gains=gains)).unwrap()
         assert near.shape.text == "zeno"

@@ -21,13 +21,13 @@ from zeno_orbits.search.transcription.ipopt import (
     row_rounding,
     solve,
 )
-from zeno_orbits.search.transcription.program import Derived, Program, ProgramBuilder
+from zeno_orbits.search.transcription.program import Derived, NonlinearProgram, ProgramBuilder
 
 G = 9.81
 TIGHT = 1e-9
 
 
-def _throw(flight_time: float, *, most_speed: float = math.inf) -> Program:
+def _throw(flight_time: float, *, most_speed: float = math.inf) -> NonlinearProgram:
     """Return the program of a ball that lands after a given time."""
     builder = ProgramBuilder()
     speed = builder.variable("speed", 1.0, scale=10.0, upper=most_speed)
@@ -106,7 +106,7 @@ def test_the_objective_is_minimised_over_what_the_rows_leave_free() -> None:
 # Residuals.
 
 
-def _unsolved(program: Program) -> Solution:
+def _unsolved(program: NonlinearProgram) -> Solution:
     """Return the program's guess as a solution: no iteration is allowed."""
     return solve(program, IpoptSettings(most_iterations=0))
 
@@ -203,7 +203,7 @@ def test_a_status_that_nobody_knows_is_a_stop_and_no_success(word: str) -> None:
     assert SolveStatus.from_ipopt(word) is SolveStatus.STOPPED
 
 
-def _drowned(target: float) -> Program:
+def _drowned(target: float) -> NonlinearProgram:
     """Return a program whose first row is the difference of two terms of size 1e9."""
     builder = ProgramBuilder()
     x = builder.variable("x", [0.9, 1.1])
@@ -379,13 +379,13 @@ class _Answer:
 
 
 def _answered(
-    monkeypatch: pytest.MonkeyPatch, program: Program, answer: _Answer, **settings: Any
+    monkeypatch: pytest.MonkeyPatch, program: NonlinearProgram, answer: _Answer, **settings: Any
 ) -> Solution:
     monkeypatch.setattr(ca, "nlpsol", lambda *_: answer)
     return solve(program, IpoptSettings(**settings))
 
 
-def _three_rows() -> Program:
+def _three_rows() -> NonlinearProgram:
     builder = ProgramBuilder()
     x = builder.variable("x", [1.0, 2.0], scale=[2.0, 8.0], lower=-4.0, upper=[6.0, 40.0])
     builder.equal("zero", x[0] - 1)

@@ -26,10 +26,10 @@ from zeno_orbits.search import (
     SearchStatus,
     StartAttempt,
     TargetPeriod,
-    find_orbit,
+    orbit_at_gains,
     scan,
     search,
-    search_gains,
+    search_orbits,
 )
 from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.search.outcome import StartOutcome
@@ -61,7 +61,7 @@ def _searched(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Any:
 
         monkeypatch.setattr(search, "outcomes_here", told)
         asked: dict[str, Any] = {"objective": LeastEnergy(), **changes}
-        return search_gains(problem, problem.values(), free={"Kp": (1.0, 5.0)}, **asked)
+        return search_orbits(problem, problem.values(), free={"Kp": (1.0, 5.0)}, **asked)
 
     return searched
 
@@ -182,7 +182,7 @@ def test_the_free_parameters_of_a_start_are_told_beside_its_gains(
     told = replace(FAILED, start={"Kp": 1.5, "R": 2.5})
     monkeypatch.setattr(search, "outcomes_here", lambda *_: (one for one in [told]))
     free = {"Kp": (1.0, 5.0), "R": (2.0, 4.0)}
-    (attempt,) = search_gains(problem, problem.values(), free=free).attempts
+    (attempt,) = search_orbits(problem, problem.values(), free=free).attempts
     assert attempt.parameters == {"R": 2.5}
     assert attempt.gains == {"Kp": 1.5, "Kd": -1.0}
 
@@ -261,7 +261,7 @@ def test_starts_that_are_under_way_are_ended_when_there_are_enough(
             ended.append(True)
 
     monkeypatch.setattr(search, "outcomes_here", told)
-    result = search_gains(problem, problem.values(), free={"Kp": (1.0, 5.0)})
+    result = search_orbits(problem, problem.values(), free={"Kp": (1.0, 5.0)})
     assert (len(result.attempts), ended) == (1, [True])
 
 
@@ -372,13 +372,13 @@ def test_a_search_is_asked_what_its_arguments_say(
         yield FAILED
 
     monkeypatch.setattr(search, "outcomes_here", told)
-    find_orbit(problem, problem.values(), settings=SearchSettings(seed=3), shape=ONE_ZENO)
+    orbit_at_gains(problem, problem.values(), settings=SearchSettings(seed=3), shape=ONE_ZENO)
     asked, accept = seen.pop()
     assert (asked.free, asked.bounds, asked.near, asked.shape) == ({}, (), None, ONE_ZENO)
     assert (asked.settings, accept) == (SearchSettings(seed=3, n_starts=0), None)
     assert asked.initial_states == problem.starts
     assert asked.objective.target == {"Kp": 2.5, "Kd": -1.0}
-    find_orbit(problem, problem.values())
+    orbit_at_gains(problem, problem.values())
     assert seen.pop()[0].settings == SearchSettings(n_starts=0)
 
     def judge(_: ZenoOrbit) -> Judgement:
@@ -387,7 +387,7 @@ def test_a_search_is_asked_what_its_arguments_say(
     there, bound = {"theta1": 0.5}, Bound(name="period", upper=2.0)
     changes: dict[str, Any] = {"initial_states": [there], "bounds": [bound], "accept": judge}
     free = {"Kp": (1.0, 5.0)}
-    search_gains(
+    search_orbits(
         problem, problem.values(), free=free, near=orbit, objective=LeastEnergy(), **changes
     )
     asked, accept = seen.pop()
@@ -397,9 +397,9 @@ def test_a_search_is_asked_what_its_arguments_say(
     assert (asked.settings, asked.sizes) == (SearchSettings(), {"Kp": 2.5})
     twice = OrbitShape.parsed("zeno*2")
     with pytest.raises(InputError, match="`shape`"):
-        search_gains(problem, problem.values(), free=free, near=orbit, shape=twice)
+        search_orbits(problem, problem.values(), free=free, near=orbit, shape=twice)
     with pytest.raises(InputError, match="`free`"):
-        search_gains(problem, problem.values(), free={"Ki": (1.0, 2.0)})
+        search_orbits(problem, problem.values(), free={"Ki": (1.0, 2.0)})
 
 
 def test_a_result_is_shown_and_listed_with_its_orbits(searched: Any, orbit: ZenoOrbit) -> None:

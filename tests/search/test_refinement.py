@@ -28,7 +28,7 @@ from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.refinement import least_violation, refine, solve_once
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.transcription.ipopt import Hessian, Solution, SolveStatus
-from zeno_orbits.search.transcription.program import Program, ProgramBuilder
+from zeno_orbits.search.transcription.program import NonlinearProgram, ProgramBuilder
 
 FOUND, UNSOLVED = SearchStatus.FOUND, SearchStatus.NOT_SOLVED
 UNLIKE = SearchStatus.NOT_FOLLOWED
@@ -168,7 +168,7 @@ class _Made:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.transcribed: dict[str, Any] = {}
         self.kept: list[Any] = []
-        self.program: Program | None = None
+        self.program: NonlinearProgram | None = None
         self.settings: Any = None
         self.confirmed: list[Any] = []
         self.solved = SolveStatus.SOLVED
@@ -212,7 +212,7 @@ class _Made:
         self.kept.append((bound.name, slack))
         return {"current": 2.0, "theta2": 5.0}.get(bound.name, 1.0)
 
-    def solve(self, program: Program, settings: Any) -> Solution:
+    def solve(self, program: NonlinearProgram, settings: Any) -> Solution:
         self.program, self.settings = program, settings
         return Solution(
             status=self.solved,

@@ -23,7 +23,7 @@ from zeno_orbits.search import (
     SettlingSettings,
     TargetPeriod,
     scan,
-    search_gains,
+    search_orbits,
 )
 from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.search.scan import scan_summary, start_order, start_place
@@ -153,7 +153,7 @@ def test_the_places_of_a_scan_do_not_depend_on_how_many_starts_there_may_be(
 @pytest.mark.slow
 def test_the_fastest_contraction_of_the_whole_box_is_found_beyond_a_hill(problem: Problem) -> None:
     # From the end of the box at -1.2 all ways lead up to 0.42 before they lead down to 0.
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kd": (-1.9, -1.2)},
@@ -170,7 +170,7 @@ def test_a_box_is_answered_whose_start_lies_outside_where_no_orbit_is(
     problem: Problem, objective: Any
 ) -> None:
     values = problem.values(gains={"Kd": -2.5})
-    result = search_gains(problem, values, free={"Kd": (-1.9, -1.2)}, objective=objective)
+    result = search_orbits(problem, values, free={"Kd": (-1.9, -1.2)}, objective=objective)
     assert result.status is SearchStatus.FOUND
     assert [attempt.status for attempt in result.attempts] == [
         SearchStatus.NO_GUESS,

@@ -31,8 +31,8 @@ from zeno_orbits.search import (
     SettlingSettings,
     TargetAmplitude,
     TargetPeriod,
-    find_orbit,
-    search_gains,
+    orbit_at_gains,
+    search_orbits,
 )
 from zeno_orbits.simulation import Execution, simulate
 from zeno_orbits.verification import OrbitCertificate, VerificationSettings, verify
@@ -62,10 +62,10 @@ def _box(problem: Problem) -> dict[str, tuple[float, float]]:
 def test_a_current_that_decays_within_nanoseconds_leaves_the_orbit_of_the_reduced_model(
     problem: Problem, inductance: float
 ) -> None:
-    found = find_orbit(problem, problem.values(parameters={"L": inductance}))
+    found = orbit_at_gains(problem, problem.values(parameters={"L": inductance}))
     assert found.status is SearchStatus.FOUND
     reduced = load_problem("motor_pendulum@corrected")
-    without = find_orbit(reduced, reduced.values(parameters={"L": inductance}))
+    without = orbit_at_gains(reduced, reduced.values(parameters={"L": inductance}))
     # The reduced model errs by 4e-7 at 2 mH and by the square of L: by less than rounding here.
     # Each search agrees with its simulation to 3e-10.
     assert found.unwrap().period == pytest.approx(without.unwrap().period, rel=6e-10)
@@ -97,7 +97,7 @@ def test_a_search_reports_how_well_it_did(found: SearchResult) -> None:
 def test_other_restitutions_have_their_declared_periods(
     problem: Problem, restitution: float, period: float
 ) -> None:
-    result = find_orbit(problem, problem.values(parameters={"restitution": restitution}))
+    result = orbit_at_gains(problem, problem.values(parameters={"restitution": restitution}))
     assert result.unwrap().period == pytest.approx(period, abs=ACCURACY)
     assert (result.closure_error == 0.0) == (restitution == 0.0)
 
@@ -109,7 +109,7 @@ def test_the_orbit_is_where_a_long_simulation_ends(
     problem: Problem, parameters: dict[str, float], gains: dict[str, float]
 ) -> None:
     values = problem.values(parameters=parameters, gains=gains)
-    orbit = find_orbit(problem, values).unwrap()
+    orbit = orbit_at_gains(problem, values).unwrap()
     dynamics = problem.dynamics(values)
     # The largest multiplier is 0.37 in size: 27 periods shrink any start to 1e-11.
     run = simulate(dynamics, problem.state_vector({"theta1": 0.6}), until=50.0)
@@ -128,7 +128,7 @@ def test_the_orbit_is_where_a_long_simulation_ends(
 @pytest.mark.slow
 def test_a_wanted_period_is_reached(problem: Problem, period: float) -> None:
     wanted = TargetPeriod(target=period)
-    result = search_gains(problem, problem.values(), free=_box(problem), objective=wanted)
+    result = search_orbits(problem, problem.values(), free=_box(problem), objective=wanted)
     orbit = result.unwrap()
     run = _one_period(orbit, problem)
     assert run.releases[-1].time == pytest.approx(period, abs=ACCURACY)
@@ -139,7 +139,7 @@ def test_a_wanted_period_is_reached(problem: Problem, period: float) -> None:
 
 @pytest.mark.slow
 def test_one_free_gain_is_enough_for_a_period(problem: Problem) -> None:
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kd": (-1.5, -0.4)},
@@ -154,7 +154,7 @@ def test_one_free_gain_is_enough_for_a_period(problem: Problem) -> None:
 @pytest.mark.slow
 def test_a_wanted_amplitude_is_reached(problem: Problem) -> None:
     wanted = TargetAmplitude(state="theta1", target=1.2)
-    result = search_gains(problem, problem.values(), free=_box(problem), objective=wanted)
+    result = search_orbits(problem, problem.values(), free=_box(problem), objective=wanted)
     orbit = result.unwrap()
     run = _one_period(orbit, problem)
     times = np.linspace(0.0, orbit.period, 4001)
@@ -174,7 +174,7 @@ def test_less_energy_is_found_where_gains_may_give(
     problem: Problem, certificate: OrbitCertificate
 ) -> None:
     once = SearchSettings(n_starts=0)
-    result = search_gains(
+    result = search_orbits(
         problem, problem.values(), free={"Kd": (-1.1, -0.9)}, objective=LeastEnergy(), settings=once
     )
     orbit = result.unwrap()
@@ -185,14 +185,14 @@ def test_less_energy_is_found_where_gains_may_give(
 
 def test_gains_that_have_an_orbit_are_their_own_nearest(problem: Problem) -> None:
     target = {"Kp": 3.0, "Kd": -0.9}
-    result = search_gains(
+    result = search_orbits(
         problem, problem.values(), free=_box(problem), objective=NearestGains(target=target)
     )
     assert result.unwrap().gains == target
 
 
 def test_a_target_outside_the_box_is_met_at_its_edge(problem: Problem) -> None:
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kp": (2.0, 3.0)},
@@ -207,7 +207,7 @@ def test_a_target_outside_the_box_is_met_at_its_edge(problem: Problem) -> None:
 @pytest.mark.slow
 def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(problem: Problem) -> None:
     values = problem.values(parameters={"restitution": 0.5})
-    result = find_orbit(problem, values, settings=IMPATIENT, shape=ONE_ZENO)
+    result = orbit_at_gains(problem, values, settings=IMPATIENT, shape=ONE_ZENO)
     # A period on the way to its orbit without a Zeno point may pass for a guess.
     assert result.status in (SearchStatus.NO_GUESS, SearchStatus.NOT_SOLVED)
     assert result.orbit is None
@@ -218,7 +218,7 @@ def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(problem: Problem) 
 
 @pytest.mark.slow
 def test_motion_that_grows_or_dies_out_slowly_is_no_orbit(problem: Problem) -> None:
-    result = find_orbit(problem, problem.values(gains={"Kd": -0.1}), settings=IMPATIENT)
+    result = orbit_at_gains(problem, problem.values(gains={"Kd": -0.1}), settings=IMPATIENT)
     # It changes so little a period that it may pass for a guess; the program then finds nothing.
     assert result.status in (SearchStatus.NO_GUESS, SearchStatus.NOT_SOLVED)
     assert result.orbit is None
@@ -227,7 +227,7 @@ def test_motion_that_grows_or_dies_out_slowly_is_no_orbit(problem: Problem) -> N
 
 def test_a_ball_has_no_orbit() -> None:
     ball = load_problem("bouncing_ball")
-    result = find_orbit(ball, ball.values(), settings=IMPATIENT)
+    result = orbit_at_gains(ball, ball.values(), settings=IMPATIENT)
     assert result.status is SearchStatus.NO_GUESS
     assert result.detail == "The motion comes to rest."
     with pytest.raises(OrbitNotFoundError, match="No simulation settled") as caught:
@@ -238,11 +238,11 @@ def test_a_ball_has_no_orbit() -> None:
 def test_orbits_are_looked_for_from_the_given_states_alone(problem: Problem) -> None:
     # Hanging still, the machine stays as it is; from the problem's own starts it settles.
     hanging = {"theta1": 0.0}
-    result = search_gains(problem, problem.values(), free={}, initial_states=[hanging])
+    result = search_orbits(problem, problem.values(), free={}, initial_states=[hanging])
     assert result.status is SearchStatus.NO_GUESS
     assert "rest" in result.detail
     with pytest.raises(InputError, match="knee"):
-        search_gains(problem, problem.values(), free={}, initial_states=[{"knee": 1.0}])
+        search_orbits(problem, problem.values(), free={}, initial_states=[{"knee": 1.0}])
 
 
 @pytest.mark.slow
@@ -253,7 +253,7 @@ def test_an_orbit_that_nobody_accepts_is_not_returned(problem: Problem) -> None:
         seen.append(orbit)
         return Judgement(objection="it is too plain")
 
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={"Kp": (2.4, 2.6)},
@@ -269,7 +269,7 @@ def test_an_orbit_that_nobody_accepts_is_not_returned(problem: Problem) -> None:
 
 def test_progress_is_told_in_order(problem: Problem) -> None:
     told: list[str] = []
-    result = search_gains(
+    result = search_orbits(
         problem,
         problem.values(),
         free={},
@@ -289,17 +289,17 @@ def test_a_box_that_is_empty_or_endless_is_refused(
     problem: Problem, bounds: tuple[float, float]
 ) -> None:
     with pytest.raises(InputError, match="`free` must have finite bounds LOWER < UPPER for `Kp`"):
-        search_gains(problem, problem.values(), free={"Kp": bounds})
+        search_orbits(problem, problem.values(), free={"Kp": bounds})
 
 
 def test_a_gain_that_the_problem_does_not_have_is_refused(problem: Problem) -> None:
     with pytest.raises(InputError, match=r"`free` must be one of Kp, Kd, .* but it is `Ki`"):
-        search_gains(problem, problem.values(), free={"Ki": (1.0, 2.0)})
+        search_orbits(problem, problem.values(), free={"Ki": (1.0, 2.0)})
 
 
 def test_a_target_of_a_gain_that_the_problem_does_not_have_is_refused(problem: Problem) -> None:
     with pytest.raises(InputError, match="Ki"):
-        search_gains(
+        search_orbits(
             problem,
             problem.values(),
             free={"Kp": (1.0, 2.0)},
@@ -313,7 +313,7 @@ def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
     # Program and simulation never agree beyond rounding; the wanted value itself is met.
     settings = SearchSettings(n_starts=0, rounds=1, agreement=1e-17, smallest_step=0.03)
     pendulum = load_problem("motor_pendulum")
-    result = search_gains(
+    result = search_orbits(
         pendulum,
         pendulum.values(),
         free={"Kd": (-1.2, -0.8)},
@@ -332,7 +332,7 @@ HASTY = replace(SearchSettings().ipopt, most_iterations=3, most_seconds=1e9)
 def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost() -> None:
     pendulum = load_problem("motor_pendulum")
     # At Kd = 0.5 the motion dies out, so orbits are followed toward it, up to where they end.
-    result = search_gains(
+    result = search_orbits(
         pendulum,
         pendulum.values(gains={"Kd": 0.5}),
         free={"Kp": (2.0, 3.0), "Kd": (-1.2, 0.6)},
@@ -347,7 +347,7 @@ def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost() -> None:
 def test_the_last_orbit_on_the_way_to_an_optimum_is_kept_where_the_way_is_lost() -> None:
     pendulum = load_problem("motor_pendulum")
     values = pendulum.values(gains={"Kd": -1.2})
-    result = search_gains(
+    result = search_orbits(
         pendulum,
         values,
         free={"Kp": (2.2, 3.0), "Kd": (-1.2, -0.9)},
@@ -358,7 +358,7 @@ def test_the_last_orbit_on_the_way_to_an_optimum_is_kept_where_the_way_is_lost()
     found = result.unwrap()
     assert verify(found, pendulum).passed
     # The steps that were taken count: the orbit attracts faster than that at the start.
-    start = find_orbit(pendulum, values).unwrap()
+    start = orbit_at_gains(pendulum, values).unwrap()
     radius = [verify(one, pendulum).spectral_radius for one in (found, start)]
     assert radius[0] < radius[1]
 

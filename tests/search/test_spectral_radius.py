@@ -15,7 +15,7 @@ from tests.support.hand_made import SCALE, K, course, hand_made, rows_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, bind, load_problem
-from zeno_orbits.orbits import floquet_multipliers, placed
+from zeno_orbits.orbits import orbit_multipliers, placed
 from zeno_orbits.search import TranscriptionSettings, close_orbit
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.transcription import spectral_radius
@@ -55,7 +55,7 @@ def _terms(
         nearness=Nearness(first={}, sizes={}),
         settings=TranscriptionSettings(),
     )
-    multipliers = floquet_multipliers(
+    multipliers = orbit_multipliers(
         dynamics,
         start,
         scale=cycle.scale(),

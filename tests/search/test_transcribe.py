@@ -16,13 +16,13 @@ from tests.support.mechanisms import clocked_oscillator
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, bind
 from zeno_orbits.orbits import Cycle, OrbitShape, cycles
-from zeno_orbits.search import SearchStatus, TranscriptionSettings, find_orbit
+from zeno_orbits.search import SearchStatus, TranscriptionSettings, orbit_at_gains
 from zeno_orbits.search.transcription import transcribe as transcription
 from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.ipopt import Hessian, IpoptSettings, SolveStatus, solve
 from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.search.transcription.phase import PhaseTerms, WrittenPhase
-from zeno_orbits.search.transcription.program import Program, ProgramBuilder
+from zeno_orbits.search.transcription.program import NonlinearProgram, ProgramBuilder
 from zeno_orbits.search.transcription.transcribe import OrbitTerms, start_block, transcribe
 from zeno_orbits.simulation import simulate
 
@@ -45,7 +45,7 @@ def _program(
     *,
     mesh_tolerance: float = MESH,
     free: Mapping[str, tuple[float, float]] | None = None,
-) -> Program:
+) -> NonlinearProgram:
     compiled = problem.compiled()
     dynamics = bind(compiled, values.vector)
     settings = TranscriptionSettings(mesh_tolerance=mesh_tolerance)
@@ -63,11 +63,11 @@ def _program(
 
 
 @pytest.fixture(name="program", scope="module")
-def _made(problem: Problem, cycle: Cycle) -> Program:
+def _made(problem: Problem, cycle: Cycle) -> NonlinearProgram:
     return _program(problem, problem.values(), cycle)
 
 
-def _violations(program: Program, scaled: Vector) -> dict[str, float]:
+def _violations(program: NonlinearProgram, scaled: Vector) -> dict[str, float]:
     rows = ca.Function("rows", [program.unknowns], [program.rows])(scaled).full().ravel()
     sizes = np.maximum(program.row_lower - rows, rows - program.row_upper)
     found: dict[str, float] = {}
@@ -76,7 +76,7 @@ def _violations(program: Program, scaled: Vector) -> dict[str, float]:
     return found
 
 
-def _violated(program: Program, block: str, entry: int, change: float = 1e-3) -> set[str]:
+def _violated(program: NonlinearProgram, block: str, entry: int, change: float = 1e-3) -> set[str]:
     """Return the rows that fail when one entry of a block of the guess is changed (scaled).
 
     Args:
@@ -115,13 +115,13 @@ def test_the_jacobian_by_the_chain_rule_is_that_of_the_whole_graph(
     assert all(np.max(np.abs(theirs[:, k].full())) > 1e-6 for k in range(len(free)))
 
 
-def test_at_fixed_gains_there_are_as_many_equations_as_unknowns(program: Program) -> None:
+def test_at_fixed_gains_there_are_as_many_equations_as_unknowns(program: NonlinearProgram) -> None:
     equations = int(np.sum(program.row_lower == program.row_upper))
     assert equations == program.unknowns.numel() == len(program.guess)
 
 
 def test_every_free_gain_is_one_unknown_more(
-    problem: Problem, cycle: Cycle, program: Program
+    problem: Problem, cycle: Cycle, program: NonlinearProgram
 ) -> None:
     box = {"Kp": (1.0, 6.0), "Kd": (-1.5, -0.4)}
     wider = _program(problem, problem.values(), cycle, free=box)
@@ -134,7 +134,7 @@ def test_every_free_gain_is_one_unknown_more(
         assert wider.guess[place] * scale == pytest.approx(problem.values().gains[name])
 
 
-def test_rows_speak_of_flights_impacts_and_the_release(program: Program) -> None:
+def test_rows_speak_of_flights_impacts_and_the_release(program: NonlinearProgram) -> None:
     assert {
         "continuity[flight 0, interval 0]",
         "continuity[flight 2, interval 1]",
@@ -168,51 +168,55 @@ START = "continuity[flight 0, interval 0]"
     ],
 )
 def test_another_release_state_violates_the_conditions_that_it_enters(
-    program: Program, problem: Problem, state: str, rows: set[str]
+    program: NonlinearProgram, problem: Problem, state: str, rows: set[str]
 ) -> None:
     assert _violated(program, "release state", problem.state_names.index(state)) == rows
 
 
 @pytest.mark.parametrize("entry", range(5))
-def test_another_zeno_state_is_not_the_limit_of_the_impacts(program: Program, entry: int) -> None:
+def test_another_zeno_state_is_not_the_limit_of_the_impacts(
+    program: NonlinearProgram, entry: int
+) -> None:
     expected = {"Zeno point", "continuity[locked, interval 0]"}
     assert _violated(program, "Zeno state", entry) == expected
 
 
-def test_another_speed_after_an_impact_breaks_the_law_of_restitution(program: Program) -> None:
+def test_another_speed_after_an_impact_breaks_the_law_of_restitution(
+    program: NonlinearProgram,
+) -> None:
     rows = _violated(program, "speed after impact 3", 0)
     assert "restitution at impact 3" in rows
     assert "continuity[flight 3, interval 0]" in rows
     assert not any("flight 2" in name for name in rows)
 
 
-def test_a_flight_that_ends_off_the_stop_is_named(program: Program) -> None:
+def test_a_flight_that_ends_off_the_stop_is_named(program: NonlinearProgram) -> None:
     # The last stage of a rescaled flight ends with gap and gap rate.
     assert "gap closes at impact 3" in _violated(program, "flight 2 stages", -2)
     assert "restitution at impact 3" in _violated(program, "flight 2 stages", -1)
     assert "gap closes at impact 1" in _violated(program, "flight 0 stages", -4)
 
 
-def test_a_flight_of_another_length_breaks_its_continuity_only(program: Program) -> None:
+def test_a_flight_of_another_length_breaks_its_continuity_only(program: NonlinearProgram) -> None:
     for arc in ("flight 0", "flight 2", "locked"):
         rows = _violated(program, f"{arc} duration", 0)
         assert rows
         assert all(name.startswith(f"continuity[{arc}, ") for name in rows)
 
 
-def test_a_locked_arc_that_ends_elsewhere_does_not_close(program: Program) -> None:
+def test_a_locked_arc_that_ends_elsewhere_does_not_close(program: NonlinearProgram) -> None:
     # dtheta1 of the last stage.
     assert "the orbit closes" in _violated(program, "locked stages", -3)
 
 
-def test_a_flight_through_the_stop_is_named(program: Program) -> None:
+def test_a_flight_through_the_stop_is_named(program: NonlinearProgram) -> None:
     rows = _violated(program, "flight 0 stages", 5 * 30 + 1, change=-5.0)
     assert "gap >= 0 in flight 0" in rows
 
 
-def test_the_program_comes_back_to_the_declared_orbit(program: Program) -> None:
+def test_the_program_comes_back_to_the_declared_orbit(program: NonlinearProgram) -> None:
     off = program.guess * (1 + 1e-4)
-    nudged = Program(
+    nudged = NonlinearProgram(
         **{name: getattr(program, name) for name in program.__slots__} | {"guess": off}
     )
     solution = solve(nudged, IpoptSettings(hessian=Hessian.LIMITED_MEMORY))
@@ -231,7 +235,7 @@ def test_the_orbit_of_the_forced_oscillator_is_found(attracting: bool) -> None:
     # Where the clock does not attract, every amplitude of it has its own orbit and the program is
     # singular; it is solved all the same, near its guess.
     problem = clocked_oscillator(FORCED, attracting=attracting)
-    result = find_orbit(problem, problem.values())
+    result = orbit_at_gains(problem, problem.values())
     assert result.status is SearchStatus.FOUND
     found = result.unwrap()
     # The loose settling drifts along the neutral amplitude, by 1e-8 a second for up to 200 s; the

@@ -15,8 +15,8 @@ from zeno_orbits.search import (
     Objective,
     SearchSettings,
     TargetAmplitude,
-    find_orbit,
-    search_gains,
+    orbit_at_gains,
+    search_orbits,
 )
 
 ONCE = SearchSettings(n_starts=0)
@@ -51,9 +51,9 @@ def _box(units: Units, **box: tuple[float, float]) -> dict[str, tuple[float, flo
 
 def test_an_orbit_is_followed_to_other_gains(problem: Problem, units: Units) -> None:
     def period(units: Units) -> float:
-        first = find_orbit(problem, _in(units, problem.values())).unwrap()
+        first = orbit_at_gains(problem, _in(units, problem.values())).unwrap()
         other = _in(units, problem.values(gains={"Kp": 4.0}))
-        result = search_gains(problem, other, free={}, near=first, settings=ONCE)
+        result = search_orbits(problem, other, free={}, near=first, settings=ONCE)
         return result.unwrap().period / units.time
 
     assert period(units) == pytest.approx(period(Units()), rel=1e-9)
@@ -77,7 +77,7 @@ def test_free_gains_are_the_same(
     name, least, dimension = bound
 
     def gains(units: Units) -> dict[str, float]:
-        result = search_gains(
+        result = search_orbits(
             problem,
             _in(units, problem.values()),
             free=_box(units, Kp=(2.0, 3.5)),

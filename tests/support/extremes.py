@@ -36,7 +36,7 @@ from zeno_orbits.model import (
     quasi_static_drive,
 )
 from zeno_orbits.orbits import ONE_ZENO
-from zeno_orbits.search import OrbitNotFoundError, find_orbit
+from zeno_orbits.search import OrbitNotFoundError, orbit_at_gains
 from zeno_orbits.simulation import Execution, SimulationSettings, Truncation, simulate
 
 CLOSED = "closed form"
@@ -803,7 +803,7 @@ def _search_error(restitution: float) -> float:
     """Return by how much a found orbit fails to close, followed from its Zeno point to the next."""
     problem = load_problem("motor_pendulum")
     values = problem.values(parameters={"restitution": restitution})
-    orbit = find_orbit(problem, values, shape=ONE_ZENO).unwrap()
+    orbit = orbit_at_gains(problem, values, shape=ONE_ZENO).unwrap()
     machine = load_reference(problem).pendulum(values)
     state = tuple(
         0.0 if name in ("theta2", "dtheta2") else value for name, value in orbit.zeno_state.items()

@@ -14,7 +14,7 @@ from zeno_orbits.experiment import (
     Source,
     Unknown,
     compare_cycles,
-    identify,
+    fit_parameters,
     rig_cycles,
     tabulate_orbit,
 )
@@ -173,5 +173,5 @@ def _identified(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
     )
     begin = problem.values(parameters={"restitution": OFF * true})
     sought = Unknown(names=("restitution",), lower=true / 2, upper=(1 + true) / 2)
-    (found,) = identify(problem, begin, recording, [sought]).fitted
+    (found,) = fit_parameters(problem, begin, recording, [sought]).fitted
     return abs(found.value / true - 1)

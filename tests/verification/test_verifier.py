@@ -24,7 +24,7 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import Automatic, Leg, Passage, Tolerance
 from zeno_orbits.model import CompletedSystem, Escape, HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import OrbitImpact, PhaseKind, ZenoOrbit
-from zeno_orbits.search import close_orbit, find_orbit
+from zeno_orbits.search import close_orbit, orbit_at_gains
 from zeno_orbits.simulation import (
     Execution,
     Mode,
@@ -136,7 +136,7 @@ def test_the_model_written_by_hand_gives_the_same_certificate(
 
 def test_a_plastic_orbit_is_verified_without_a_sweep(problem: Problem) -> None:
     values = problem.values(parameters={"restitution": 0.0})
-    seen = verify(find_orbit(problem, values).unwrap(), problem, settings=QUICK)
+    seen = verify(orbit_at_gains(problem, values).unwrap(), problem, settings=QUICK)
     assert seen.passed, seen.verdict()
     assert seen.delta_sweep == ()
     assert "delta_sweep" not in seen.residuals
@@ -144,7 +144,7 @@ def test_a_plastic_orbit_is_verified_without_a_sweep(problem: Problem) -> None:
 
 def test_an_orbit_of_a_problem_without_motors_is_verified() -> None:
     problem = clocked_oscillator(FORCED, attracting=True)
-    seen = verify(find_orbit(problem, problem.values()).unwrap(), problem, settings=QUICK)
+    seen = verify(orbit_at_gains(problem, problem.values()).unwrap(), problem, settings=QUICK)
     assert seen.passed, seen.verdict()
     assert seen.stable
     assert "second_model" not in seen.residuals
@@ -152,7 +152,7 @@ def test_an_orbit_of_a_problem_without_motors_is_verified() -> None:
 
 def test_an_orbit_that_may_have_any_amplitude_is_not_called_stable() -> None:
     problem = clocked_oscillator(FORCED, attracting=False)
-    seen = verify(find_orbit(problem, problem.values()).unwrap(), problem, settings=QUICK)
+    seen = verify(orbit_at_gains(problem, problem.values()).unwrap(), problem, settings=QUICK)
     # Its multiplier is one; what is computed may fall below by its error only.
     assert seen.multipliers[0] == pytest.approx(1.0, abs=1e-7)
     assert not seen.stable

@@ -92,7 +92,7 @@ def prove(
 
     require_flint("Proofs")
     from zeno_orbits.proof import ProofSettings
-    from zeno_orbits.proof import prove as proved
+    from zeno_orbits.proof import prove_orbit as proved
 
     orbit = as_orbit(orbit)
     known = problem_of(orbit, problem)
@@ -133,7 +133,7 @@ def enclose_period(
 
     require_flint("Enclosures")
     from zeno_orbits.proof import EnclosureSettings
-    from zeno_orbits.proof import enclose_period as enclosed
+    from zeno_orbits.proof import enclose_one_period as enclosed
 
     orbit = as_orbit(orbit)
     known = problem_of(orbit, problem)
@@ -182,7 +182,7 @@ def write_proof(certificate: Mapping[str, Any], path: str | Path) -> None:
     """
     from zeno_orbits.proof import proof_file
 
-    proof_file.write_proof(certificate, Path(path))
+    proof_file.write_certificate(certificate, Path(path))
 
 
 def check_certificate_of(
@@ -218,16 +218,18 @@ def require_proof_extra(what: str) -> None:
 
 
 @overload
-def system_of(orbit: ZenoOrbit, problem: Problem) -> HybridDynamics: ...
+def dynamics_of_orbit(orbit: ZenoOrbit, problem: Problem) -> HybridDynamics: ...
 
 
 @overload
-def system_of(
+def dynamics_of_orbit(
     orbit: ZenoOrbit | EventOrbit, problem: Problem
 ) -> HybridDynamics | GraphDynamics: ...
 
 
-def system_of(orbit: ZenoOrbit | EventOrbit, problem: Problem) -> HybridDynamics | GraphDynamics:
+def dynamics_of_orbit(
+    orbit: ZenoOrbit | EventOrbit, problem: Problem
+) -> HybridDynamics | GraphDynamics:
     """Return the dynamics of an orbit at its gains and parameters.
 
     For an orbit of events it is the graph of modes.

@@ -92,7 +92,7 @@ def simulate_with_error(
     from zeno_orbits.precision import accuracy as rooms
 
     dynamics, state = _system(problem, state, gains, parameters, start)
-    return rooms.simulate_with_error(
+    return rooms.execution_with_error(
         dynamics, state, until=until, settings=settings, on_progress=on_progress
     )
 

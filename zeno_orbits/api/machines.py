@@ -89,8 +89,8 @@ def compare(
             or a contact channel is invalid.
         SimulationError: If the orbit does not return.
     """
-    from zeno_orbits.experiment import compare as compared
     from zeno_orbits.experiment import compare_events
+    from zeno_orbits.experiment import compare_recording as compared
 
     found = any_orbit(orbit)
     known = problem_of(found, problem)
@@ -134,7 +134,7 @@ def identify(
         UnfittableError: If the recording does not show such an orbit, or no orbit exists at the
             initial parameter values.
     """
-    from zeno_orbits.experiment import identify as identified
+    from zeno_orbits.experiment import fit_parameters as identified
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
@@ -175,7 +175,7 @@ def simulate_rig(
         SimulationError: If the simulation of the machine cannot be continued.
     """
     from zeno_orbits.experiment import default_rig
-    from zeno_orbits.experiment import simulate_rig as simulated
+    from zeno_orbits.experiment import run_rig as simulated
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)

@@ -156,7 +156,7 @@ def search_gains(
     if accuracy is not None:
         settings = (settings or Settings()).for_accuracy(accuracy)
     values = start_values(known, near=orbit, gains=gains, parameters=parameters)
-    result = search.search_gains(
+    result = search.search_orbits(
         known,
         values,
         free=_boxes(known, gains, free),
@@ -212,7 +212,7 @@ def find_event_orbit(
         InputError: If a name is unknown, a value is out of range, or the drive is a corrected one.
         SimulationError: If no motion settles to an orbit.
     """
-    from zeno_orbits.search import find_event_orbit as find
+    from zeno_orbits.search import settled_event_orbit as find
     from zeno_orbits.verification import certified, verify_events
 
     known = known_problem(problem)
@@ -294,7 +294,7 @@ def search_event_gains(
             machine.
         SimulationError: If no motion settles to an orbit.
     """
-    from zeno_orbits.search import search_event_gains as search
+    from zeno_orbits.search import search_event_orbits as search
 
     if candidates < 1:
         raise InputError(f"Argument `candidates` must be at least 1, but it is {candidates}.")

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zeno_orbits.api.checks import system_of, verify
+from zeno_orbits.api.checks import dynamics_of_orbit, verify
 from zeno_orbits.api.inputs import Named, any_orbit, front_door, problem_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
@@ -98,14 +98,14 @@ def report_subject(
     pushed = _pushes_of(found, known, pushes)
     recovered = _recovery_of(found, known, recovery)
     # The verification of an orbit of events builds its own graph of modes.
-    built = None if isinstance(found, EventOrbit) else system_of(found, known)
+    built = None if isinstance(found, EventOrbit) else dynamics_of_orbit(found, known)
     certificate = verify(
         found, problem=known, settings=settings, dynamics=built, on_progress=on_progress
     )
     return Subject(
         orbit=found,
         problem=known,
-        dynamics=built or system_of(found, known),
+        dynamics=built or dynamics_of_orbit(found, known),
         certificate=certificate,
         trade=study,
         pushes=pushed,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits.search import free_gains as free_gains
+from zeno_orbits.search import objective_help as objective_help
 from zeno_orbits.search import objectives
 
 if TYPE_CHECKING:
@@ -14,26 +16,9 @@ if TYPE_CHECKING:
     from zeno_orbits.search import Objective, ObjectiveWord, SearchSettings
 
 
-def objective_help() -> str:
-    """Return the objectives of a search as text for the help."""
-    return objectives.objective_help()
-
-
 def objective_words() -> Mapping[str, ObjectiveWord]:
     """Return the objectives of a search, keyed by their words."""
     return objectives.OBJECTIVES
-
-
-def free_gains(problem: Problem, fixed: Collection[str] = ()) -> dict[str, tuple[float, float]]:
-    """Return the ranges of the gains that are searched by default.
-
-    Args:
-        problem: The problem.
-        fixed: Names of the gains that keep their values.
-    """
-    from zeno_orbits.search import number_notes
-
-    return number_notes.free_gains(problem, fixed)
 
 
 def search_settings(

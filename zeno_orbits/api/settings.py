@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zeno_orbits import integrators
 from zeno_orbits.integrators import ENGINES, REMOVED, engine_named
+from zeno_orbits.integrators import engine_refusal as engine_refusal
 
 if TYPE_CHECKING:
     from zeno_orbits.simulation import SimulationSettings
@@ -78,12 +78,3 @@ def verification_settings(
         use_reference=use_reference,
     )
     return found if n_periods is None else replace(found, n_periods=n_periods)
-
-
-def engine_refusal(name: str) -> str:
-    """Return the reason why a name is not an integrator, as a clause, or an empty text.
-
-    Args:
-        name: The name.
-    """
-    return integrators.engine_refusal(name)

@@ -81,7 +81,7 @@ def continue_orbit(
     source = problem or orbit.problem
     with _crew(source, plan_of(workers, plan), on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
-        return continuation.continue_orbit(
+        return continuation.family_of_orbit(
             known,
             orbit,
             parameter,
@@ -130,7 +130,7 @@ def continue_impacts(
 
     with _crew(problem, plan_of(workers, plan), on_progress) as crew:
         known = known_problem(problem) if crew is None else crew.problem_file.load()
-        return continuation.continue_impacts(
+        return continuation.family_of_impacts(
             known,
             known.values(gains=gains, parameters=parameters),
             known.state_vector(start),
@@ -163,12 +163,12 @@ def orbit_inside(
         OrbitNotFoundError: If the simulation does not reach such an orbit.
     """
     from zeno_orbits.continuation import start_orbit, values_inside
-    from zeno_orbits.search import find_event_orbit
+    from zeno_orbits.search import settled_event_orbit
 
     given = dict(numbers or {})
     values = values_inside(problem, problem.values(numbers=given), ranges, given)
     if problem.has_graph:
-        return find_event_orbit(problem, values, on_progress=on_progress)
+        return settled_event_orbit(problem, values, on_progress=on_progress)
     return start_orbit(problem, values, on_progress=on_progress)
 
 

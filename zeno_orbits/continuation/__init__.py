@@ -4,7 +4,7 @@ A family is followed in both directions from one orbit. Its orbits may be stable
 period doublings (flips), Neimark-Sacker points, branch points and ends are located. They can be
 followed in a second parameter (`two_parameters`).
 
-Offers: `continue_orbit` and `continue_impacts`, which return a `Continuation` of `Family`; how to
+Offers: `family_of_orbit` and `family_of_impacts`, which return a `Continuation` of `Family`; how to
 follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, `Crew` (workers);
 `start_orbit` and `values_inside`; `orbit_amplitude` of a point of a family.
 

@@ -1,8 +1,8 @@
 from .amplitude import orbit_amplitude as orbit_amplitude
 from .branch import FamilySteps as FamilySteps
 from .continuation import SecondParameter as SecondParameter
-from .continuation import continue_impacts as continue_impacts
-from .continuation import continue_orbit as continue_orbit
+from .continuation import family_of_impacts as family_of_impacts
+from .continuation import family_of_orbit as family_of_orbit
 from .continuation import start_orbit as start_orbit
 from .continuation import values_inside as values_inside
 from .families import SpecialCurve as SpecialCurve

@@ -16,7 +16,7 @@ from zeno_orbits.continuation.return_maps import ImpactReturns
 from zeno_orbits.continuation.setup import ONE_RETURN, Setup
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventSection, Loss, Margin
+from zeno_orbits.orbits import EventSection, Margin, MarginKind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,6 +205,6 @@ class _Names:
 
 def _named(margin: Margin, sequence: Sequence[str]) -> str:
     """Return the name of a margin with its event."""
-    if margin.loss in (Loss.AMPLITUDE, Loss.FREQUENCY):
+    if margin.loss in (MarginKind.AMPLITUDE, MarginKind.FREQUENCY):
         return margin.loss.value
     return f"{margin.loss.value}, {sequence[margin.place % len(sequence)]}"

@@ -29,7 +29,14 @@ from zeno_orbits.continuation.special_points.subdivision import (
 )
 from zeno_orbits.continuation.special_points.test_functions import with_course
 from zeno_orbits.errors import ZenoOrbitsError, counted
-from zeno_orbits.orbits import Loss, PathStep, StepControl, StepError, follow_path, returns_to_start
+from zeno_orbits.orbits import (
+    MarginKind,
+    PathStep,
+    StepControl,
+    StepError,
+    follow_path,
+    returns_to_start,
+)
 from zeno_orbits.work import Progress
 
 
@@ -148,7 +155,7 @@ class _Follower:
         self.returns, self.metric, self.box, self.steps = returns, metric, box, steps
         self.patience, self.on_progress, self.excluded = patience, on_progress, excluded
         self.special: list[tuple[int, Located]] = []
-        self.tried: dict[Loss, float] = {}
+        self.tried: dict[MarginKind, float] = {}
         self.doubt = 0.0
 
     def advance(self, points: Sequence[BranchPoint], step: float) -> PathStep[BranchPoint, _End]:
@@ -234,7 +241,7 @@ class _Follower:
         for one in ends:
             require_continuous(one, halfway.found)
         for margin, value in halfway.found.margins.items():
-            if margin.loss is Loss.LOCK:
+            if margin.loss is MarginKind.LOCK:
                 first, second = (one.margins[margin] for one in ends)
                 allowed = self.steps.stray * max(first, second)
                 if abs(value - (first + second) / 2) > allowed:
@@ -398,7 +405,7 @@ def require_continuous(before: DifferentiatedReturn, after: DifferentiatedReturn
     if not 1 / _SAME_PERIOD < after.time / before.time < _SAME_PERIOD:
         raise StepError("the period jumps")
     for margin, value in after.margins.items():
-        if margin.loss is not Loss.FIRST_IMPACT or margin not in before.margins:
+        if margin.loss is not MarginKind.FIRST_IMPACT or margin not in before.margins:
             continue
         if not 0.5 < value / before.margins[margin] < 2.0:
             raise StepError("the first impact jumps")

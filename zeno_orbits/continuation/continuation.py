@@ -33,7 +33,7 @@ from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ONE_ZENO, EventOrbit, ZenoOrbit
-from zeno_orbits.search import close_orbit, find_orbit
+from zeno_orbits.search import close_orbit, orbit_at_gains
 from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import Checked, Progress, plain, silent, versions
 
@@ -53,7 +53,7 @@ class SecondParameter(Checked):
     kinds: tuple[SpecialPointKind, ...]
 
 
-def continue_orbit(
+def family_of_orbit(
     problem: Problem,
     orbit: ZenoOrbit | EventOrbit,
     parameter: str,
@@ -93,7 +93,7 @@ def continue_orbit(
     return continue_from(start, dispatch, second=second)
 
 
-def continue_impacts(
+def family_of_impacts(
     problem: Problem,
     values: ParameterValues,
     state: tuple[float, ...],
@@ -200,7 +200,7 @@ def start_orbit(
         closing = None
     if closing is not None and closing.orbit is not None:
         return closing.orbit
-    return find_orbit(problem, values, shape=ONE_ZENO).unwrap()
+    return orbit_at_gains(problem, values, shape=ONE_ZENO).unwrap()
 
 
 def _without_ends(second: SecondParameter) -> SecondParameter:

@@ -24,8 +24,8 @@ from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GAP_ACCELERATION, HybridDynamics
 from zeno_orbits.orbits import (
     Line,
-    Loss,
     Margin,
+    MarginKind,
     contact_view,
     contacts_of,
     differentials_of,
@@ -102,7 +102,7 @@ class CutReturns(OnSection):
             end=release.state,
             by_state=end.state[:, :n_x],
             by_parameter=end.state[:, n_x:] @ self.line.slopes,
-            margins={Margin(loss=Loss.CUT): _from_separatrix(dynamics, impacts[-1])},
+            margins={Margin(loss=MarginKind.CUT): _from_separatrix(dynamics, impacts[-1])},
         )
 
 
@@ -139,7 +139,7 @@ class CutEventReturns(OnSection):
         graph, completion = self.whole.dynamics(s), PlasticAfter(n_impacts=self.n_impacts)
         found = self.whole.returned(graph, x, horizon=horizon, completion=completion)
         margins = {
-            Margin(loss=Loss.CUT, place=contact.place): _from_separatrix(
+            Margin(loss=MarginKind.CUT, place=contact.place): _from_separatrix(
                 contact_view(graph, found, contact), contact.last_impact
             )
             for contact in contacts_of(found)

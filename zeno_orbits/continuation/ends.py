@@ -20,7 +20,7 @@ from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.continuation.special_points.subdivision import neville
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.orbits import Loss, Margin
+from zeno_orbits.orbits import Margin, MarginKind
 
 
 def locate_end(
@@ -44,7 +44,10 @@ def locate_end(
     if not found.path:
         return found
     cause, *others = causes(stages([*points[-2:], *found.path]), threat.margin)
-    if cause.loss is Loss.ACCELERATION and returns.restitution(found.point.s, cause.place) > 0.0:
+    if (
+        cause.loss is MarginKind.ACCELERATION
+        and returns.restitution(found.point.s, cause.place) > 0.0
+    ):
         raise SimulationError("The acceleration vanishes without a known cause", time=0.0, state=())
     if cause != threat.margin:
         found = _better(found, returns, metric, points, replace(threat, margin=cause))
@@ -60,7 +63,7 @@ def _located(
     threat: Threat,
 ) -> Located:
     last, margin = points[-1], threat.margin
-    if margin.loss is Loss.LOCK and returns.restitution(last.s, margin.place) > 0.0:
+    if margin.loss is MarginKind.LOCK and returns.restitution(last.s, margin.place) > 0.0:
         return locate_cut(returns, metric, last, margin, threat.distance)
     return _approach(returns, metric, points[-2], last, margin)
 
@@ -100,7 +103,7 @@ def _approach(
 ) -> Located:
     """Return the limit of a sequence of points along which a margin is halved repeatedly."""
     nodes, unit = [before, last], last.found.time
-    patience, stalls = metric.horizon / unit, margin.loss is Loss.FREQUENCY
+    patience, stalls = metric.horizon / unit, margin.loss is MarginKind.FREQUENCY
     best: tuple[float, Vector] | None = None
     for _ in range(_HALVINGS):
         metric = metric.waiting_for(nodes[-1].found.time, longer=patience)

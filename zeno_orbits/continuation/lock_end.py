@@ -21,7 +21,7 @@ from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.continuation.special_points.test_functions import with_course
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.orbits import Loss, Margin
+from zeno_orbits.orbits import Margin, MarginKind
 
 _ROOT = 1e-13
 _GOOD = 1e-11
@@ -122,7 +122,10 @@ def _cut_ever_later(
     The root of :math:`1 - r_n / r_*` converges as :math:`(\sigma/\kappa)^n`, so each pair of roots
     is extrapolated to a better estimate.
     """
-    cut, law = Margin(loss=Loss.CUT, place=place), separatrix(returns.restitution(here.s, place))
+    cut, law = (
+        Margin(loss=MarginKind.CUT, place=place),
+        separatrix(returns.restitution(here.s, place)),
+    )
     # About one decade of convergence per truncation, so that the differences are significant.
     stride = max(1, round(-1.0 / np.log10(law.shrinking / law.repulsion)))
     found: list[BranchPoint] = []
@@ -169,7 +172,7 @@ def _telling_cuts(
 
     The distance of the end can be estimated from such a margin.
     """
-    n, cut = 2, Margin(loss=Loss.CUT, place=place)
+    n, cut = 2, Margin(loss=MarginKind.CUT, place=place)
     while n < _MOST_IMPACTS:
         point = correct(cut_after(returns, place, n), metric, last.z, last.tangent)
         if point.found.margins[cut] > 0.0:

@@ -17,20 +17,20 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint
 from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.separatrix import separatrix
-from zeno_orbits.orbits import Loss, Margin
+from zeno_orbits.orbits import Margin, MarginKind
 
 ENDS = {
-    Loss.AMPLITUDE: SpecialPointKind.AMPLITUDE_ZERO,
-    Loss.FREQUENCY: SpecialPointKind.PERIOD_INFINITE,
-    Loss.LOCK: SpecialPointKind.LOCK_VANISHES,
-    Loss.ACCELERATION: SpecialPointKind.THEOREM_LOST,
-    Loss.FIRST_IMPACT: SpecialPointKind.GRAZING,
-    Loss.NEAR_MISS: SpecialPointKind.EARLIER_GRAZING,
-    Loss.LATER_IMPACT: SpecialPointKind.LATER_GRAZING,
-    Loss.RELEASE_RATE: SpecialPointKind.RELEASE_LOST,
-    Loss.ADHESION: SpecialPointKind.EARLIER_RELEASE,
-    Loss.EVENTS: SpecialPointKind.EVENTS_MEET,
-    Loss.SWITCH_RATE: SpecialPointKind.SWITCH_LOST,
+    MarginKind.AMPLITUDE: SpecialPointKind.AMPLITUDE_ZERO,
+    MarginKind.FREQUENCY: SpecialPointKind.PERIOD_INFINITE,
+    MarginKind.LOCK: SpecialPointKind.LOCK_VANISHES,
+    MarginKind.ACCELERATION: SpecialPointKind.THEOREM_LOST,
+    MarginKind.FIRST_IMPACT: SpecialPointKind.GRAZING,
+    MarginKind.NEAR_MISS: SpecialPointKind.EARLIER_GRAZING,
+    MarginKind.LATER_IMPACT: SpecialPointKind.LATER_GRAZING,
+    MarginKind.RELEASE_RATE: SpecialPointKind.RELEASE_LOST,
+    MarginKind.ADHESION: SpecialPointKind.EARLIER_RELEASE,
+    MarginKind.EVENTS: SpecialPointKind.EVENTS_MEET,
+    MarginKind.SWITCH_RATE: SpecialPointKind.SWITCH_LOST,
 }
 """Kind of the end at which a margin vanishes."""
 
@@ -41,16 +41,20 @@ _TOGETHER = 0.6
 
 If the ratio is between this value and its inverse, both margins vanish at one point. The test is
 for points far from the end. Close to the end, the powers are determined to `_POWER`."""
-_ENTAILED: dict[Loss, dict[Loss, float]] = {
-    Loss.AMPLITUDE: {
-        Loss.FIRST_IMPACT: 1.0,
-        Loss.ACCELERATION: 1.0,
-        Loss.RELEASE_RATE: 1.0,
-        Loss.NEAR_MISS: 1.0,
-        Loss.ADHESION: 1.0,
+_ENTAILED: dict[MarginKind, dict[MarginKind, float]] = {
+    MarginKind.AMPLITUDE: {
+        MarginKind.FIRST_IMPACT: 1.0,
+        MarginKind.ACCELERATION: 1.0,
+        MarginKind.RELEASE_RATE: 1.0,
+        MarginKind.NEAR_MISS: 1.0,
+        MarginKind.ADHESION: 1.0,
     },
-    Loss.RELEASE_RATE: {Loss.FIRST_IMPACT: 3.0, Loss.ACCELERATION: 2.0, Loss.AMPLITUDE: 3.0},
-    Loss.LOCK: {Loss.ACCELERATION: 1.0, Loss.ADHESION: 2.0},
+    MarginKind.RELEASE_RATE: {
+        MarginKind.FIRST_IMPACT: 3.0,
+        MarginKind.ACCELERATION: 2.0,
+        MarginKind.AMPLITUDE: 3.0,
+    },
+    MarginKind.LOCK: {MarginKind.ACCELERATION: 1.0, MarginKind.ADHESION: 2.0},
 }
 """Margins that vanish with another margin, each with its power of that margin (theory (5.8)).
 
@@ -104,15 +108,15 @@ def threats(way: Sequence[Stage], restitution: Callable[[int], float]) -> list[T
     found: dict[Margin, Threat] = {}
     for margin, value in last.margins.items():
         earlier = before.margins.get(margin)
-        if earlier is None or step == 0.0 or margin.loss is Loss.CUT:
+        if earlier is None or step == 0.0 or margin.loss is MarginKind.CUT:
             continue
-        if margin.loss is Loss.ACCELERATION and restitution(margin.place) > 0.0:
+        if margin.loss is MarginKind.ACCELERATION and restitution(margin.place) > 0.0:
             # It vanishes independently at plastic impacts only.
             continue
         largest = max(stage.margins.get(margin, 0.0) for stage in way)
         if 0.0 < value < min(earlier, _NEARLY * largest):
             power = 1.0
-            if margin.loss is Loss.LOCK and restitution(margin.place) > 0.0:
+            if margin.loss is MarginKind.LOCK and restitution(margin.place) > 0.0:
                 power = 1 / separatrix(restitution(margin.place)).exponent
             found[margin] = Threat(
                 margin=margin,
@@ -137,7 +141,7 @@ def consequences(margin: Margin, n_returns: int) -> dict[Margin, float]:
         margin: The margin that vanishes.
         n_returns: Number of returns per period.
     """
-    later = margin.loss is Loss.RELEASE_RATE
+    later = margin.loss is MarginKind.RELEASE_RATE
     place = (margin.place + later) % n_returns
     return {
         Margin(loss=loss, place=place): power

@@ -30,8 +30,8 @@ from zeno_orbits.orbits import (
     IMPACT_ROWS,
     RELEASE_ROWS,
     Line,
-    Loss,
     Margin,
+    MarginKind,
     ReturnDerivative,
     Section,
     differentials_of,
@@ -256,22 +256,22 @@ class ReleaseReturns(SectionReturns):
         ranges = np.delete(np.ptp(np.array(states), axis=0), self.compiled.clock)
         sizes = np.delete(dynamics.own.states(found.start.size), self.compiled.clock)
         margins = {
-            Margin(loss=Loss.AMPLITUDE): float(np.max(ranges / sizes)),
-            Margin(loss=Loss.FREQUENCY): 1 / found.period.value,
-            Margin(loss=Loss.LOCK): found.locked_time.value,
-            Margin(loss=Loss.ACCELERATION): -found.gap_acceleration.value,
-            Margin(loss=Loss.FIRST_IMPACT): -found.first_rate.value,
-            Margin(loss=Loss.RELEASE_RATE): -dynamics.multiplier_rate(found.end),
+            Margin(loss=MarginKind.AMPLITUDE): float(np.max(ranges / sizes)),
+            Margin(loss=MarginKind.FREQUENCY): 1 / found.period.value,
+            Margin(loss=MarginKind.LOCK): found.locked_time.value,
+            Margin(loss=MarginKind.ACCELERATION): -found.gap_acceleration.value,
+            Margin(loss=MarginKind.FIRST_IMPACT): -found.first_rate.value,
+            Margin(loss=MarginKind.RELEASE_RATE): -dynamics.multiplier_rate(found.end),
         }
         kept = _least_kept(dynamics, run)
         if kept is not None:
-            margins[Margin(loss=Loss.LATER_IMPACT)] = kept
+            margins[Margin(loss=MarginKind.LATER_IMPACT)] = kept
         least_gap = _least_gap(dynamics, flight)
         if least_gap is not None:
-            margins[Margin(loss=Loss.NEAR_MISS)] = least_gap
+            margins[Margin(loss=MarginKind.NEAR_MISS)] = least_gap
         hold = least_inside(locked, dynamics.multiplier, dynamics.multiplier_rate)
         if hold is not None:
-            margins[Margin(loss=Loss.ADHESION)] = hold
+            margins[Margin(loss=MarginKind.ADHESION)] = hold
         return margins
 
 
@@ -412,12 +412,12 @@ class ImpactReturns(SectionReturns):
         n_x = x.size
         end = projected(dynamics, IMPACT_ROWS, impact.state_plus, dynamics.own.states(n_x))
         margins = {
-            Margin(loss=Loss.FREQUENCY): 1 / impact.time,
-            Margin(loss=Loss.FIRST_IMPACT): -impact.approach_rate,
+            Margin(loss=MarginKind.FREQUENCY): 1 / impact.time,
+            Margin(loss=MarginKind.FIRST_IMPACT): -impact.approach_rate,
         }
         least = least_inside(arc, dynamics.gap, dynamics.gap_rate)
         if least is not None:
-            margins[Margin(loss=Loss.NEAR_MISS)] = least
+            margins[Margin(loss=MarginKind.NEAR_MISS)] = least
         return DifferentiatedReturn(
             time=impact.time,
             end=end,

@@ -1,8 +1,8 @@
 from .comparison.comparison import Comparison as Comparison
 from .comparison.event_comparison import EventComparison as EventComparison
 from .comparison.event_comparison import compare_events as compare_events
-from .comparison.verdict import Verdict as Verdict
-from .comparison.comparison import compare as compare
+from .comparison.verdict import ComparisonVerdict as ComparisonVerdict
+from .comparison.comparison import compare_recording as compare_recording
 from .comparison.counterpart import Counterpart as Counterpart
 from .comparison.counterpart import recording_counterpart as recording_counterpart
 from .comparison.counterpart import rig_counterpart as rig_counterpart
@@ -13,7 +13,7 @@ from .comparison.signal_metrics import recorded_portraits_of as recorded_portrai
 from .identification.identification import Fitted as Fitted
 from .identification.identification import Identification as Identification
 from .identification.identification import UnfittableError as UnfittableError
-from .identification.identification import identify as identify
+from .identification.identification import fit_parameters as fit_parameters
 from .identification.instruments import default_range as default_range
 from .identification.unknowns import Unknown as Unknown
 from .orbit_table import OrbitTable as OrbitTable
@@ -42,4 +42,4 @@ from .rig.run import recording_of as recording_of
 from .rig.run import require_noise as require_noise
 from .rig.run import RigRun as RigRun
 from .rig.run import time_scale_of as time_scale_of
-from .rig.simulator import simulate_rig as simulate_rig
+from .rig.simulator import run_rig as run_rig

@@ -17,7 +17,7 @@ from .events.courses import ENERGY as ENERGY
 from .events.courses import EventCourse as EventCourse
 from .events.courses import course_signal_names as course_signal_names
 from .events.courses import is_electrical as is_electrical
-from .events.margins import Loss as Loss
+from .events.margins import MarginKind as MarginKind
 from .events.margins import Margin as Margin
 from .events.margins import contact_view as contact_view
 from .events.margins import contacts_of as contacts_of
@@ -80,7 +80,7 @@ from .phases import follow_each_other as follow_each_other
 from .phases import kinds_of as kinds_of
 from .phases import phases_of as phases_of
 from .poincare import Multipliers as Multipliers
-from .poincare import floquet_multipliers as floquet_multipliers
+from .poincare import orbit_multipliers as orbit_multipliers
 from .poincare import poincare_map as poincare_map
 from .poincare import return_slope as return_slope
 from .poincare import section_derivative as section_derivative

@@ -121,7 +121,7 @@ def poincare_map(
     return later.time, later.state
 
 
-def floquet_multipliers(
+def orbit_multipliers(
     dynamics: HybridDynamics,
     x: Vector,
     *,

@@ -3,7 +3,7 @@
 An error is estimated with a second run at a looser tolerance. Trials of integrators are compared
 with a run at the tightest tolerance, which is confirmed by another integrator.
 
-Offers: `simulate_to` (an execution to a wanted accuracy), `simulate_with_error`, `settings_for`,
+Offers: `simulate_to` (an execution to a wanted accuracy), `execution_with_error`, `settings_for`,
 `difference` (of two executions); `reduction_costs` (errors of reduced models);
 `trade`, `WorkPrecision`, `read_work_precision`.
 

@@ -2,7 +2,7 @@ from .accuracy import Assured as Assured
 from .accuracy import FINEST as FINEST
 from .accuracy import settings_for as settings_for
 from .accuracy import simulate_to as simulate_to
-from .accuracy import simulate_with_error as simulate_with_error
+from .accuracy import execution_with_error as execution_with_error
 from .accuracy import why_engine as why_engine
 from .landmark import difference as difference
 from .reduced_models import ReductionCost as ReductionCost
@@ -11,6 +11,6 @@ from .trials import QUICK as QUICK
 from .trials import WorkPrecisionSettings as WorkPrecisionSettings
 from .trials import trade as trade
 from .work_precision import SAME_WORK as SAME_WORK
-from .work_precision import Trial as Trial
+from .work_precision import TimedSetting as TimedSetting
 from .work_precision import WorkPrecision as WorkPrecision
 from .work_precision import read_work_precision as read_work_precision

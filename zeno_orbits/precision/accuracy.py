@@ -157,7 +157,7 @@ def simulate_to(
     )
 
 
-def simulate_with_error(
+def execution_with_error(
     dynamics: HybridDynamics | GraphDynamics,
     state: Sequence[float] | Vector,
     *,

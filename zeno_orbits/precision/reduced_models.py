@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import ONE_ZENO, Cycle, release_section, return_slope
-from zeno_orbits.search import close_cycle, cycle_near, find_orbit
+from zeno_orbits.search import close_cycle, cycle_near, orbit_at_gains
 from zeno_orbits.simulation import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
@@ -95,7 +95,7 @@ def reduction_costs(
     """
     reduced = {word: problem.at_fidelity(word) for word in (QUASI_STATIC, CORRECTED)}
     quasi_static = reduced[QUASI_STATIC]
-    orbit = find_orbit(quasi_static, quasi_static.shared(values), shape=ONE_ZENO).unwrap()
+    orbit = orbit_at_gains(quasi_static, quasi_static.shared(values), shape=ONE_ZENO).unwrap()
     period = orbit.period
     release = np.array(quasi_static.state_vector(orbit.release_state))
     machine, full = _dynamics(quasi_static, values), _dynamics(problem, values)

@@ -27,7 +27,7 @@ from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, bind
 from zeno_orbits.precision.accuracy import at_tolerance
 from zeno_orbits.precision.landmark import apart, landmarks
 from zeno_orbits.precision.reference import Truth, true_landmarks
-from zeno_orbits.precision.work_precision import Trial, WorkPrecision
+from zeno_orbits.precision.work_precision import TimedSetting, WorkPrecision
 from zeno_orbits.simulation import (
     Completion,
     Execution,
@@ -113,7 +113,7 @@ def trade(
         *_interpreted(problem, values, state, settings),
         *_reduced(problem, values, state, settings),
     ]
-    trials: list[Trial] = []
+    trials: list[TimedSetting] = []
     for k, plan in enumerate(plans):
         on_progress(f"{plan.sweep}: {plan.name}, {plan.value:.0e}", (k + 1) / (len(plans) + 1))
         trials.append(_tried(plan, truth, settings))
@@ -268,9 +268,9 @@ def _reduced(
             yield _Plan("fidelity", word, tolerance, simulation, dynamics, own, entries)
 
 
-def _tried(plan: _Plan, truth: Truth, settings: WorkPrecisionSettings) -> Trial:
+def _tried(plan: _Plan, truth: Truth, settings: WorkPrecisionSettings) -> TimedSetting:
     """Run a plan once as a warm-up, then for timing, and compare it with the reference."""
-    trial = Trial(
+    trial = TimedSetting(
         sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
     )
     until = settings.until or settings.least
@@ -321,19 +321,19 @@ def _meshes(
     values: ParameterValues,
     settings: WorkPrecisionSettings,
     on_progress: Progress,
-) -> Iterator[Trial]:
+) -> Iterator[TimedSetting]:
     """Solve for the periodic orbit on successively finer meshes, and compare with a simulation."""
     if not settings.meshes:
         return
-    from zeno_orbits.search import SearchSettings, TranscriptionSettings, find_orbit
+    from zeno_orbits.search import SearchSettings, TranscriptionSettings, orbit_at_gains
 
     for tolerance in settings.meshes:
         on_progress(f"mesh: {tolerance:.0e}", 0.99)
         transcription = TranscriptionSettings(mesh_tolerance=tolerance)
         looked = SearchSettings(transcription=transcription, agreement=math.inf, rounds=1)
-        result = find_orbit(problem, values, settings=looked)
+        result = orbit_at_gains(problem, values, settings=looked)
         found = result.orbit is not None
-        yield Trial(
+        yield TimedSetting(
             sweep="mesh",
             name=f"{result.n_unknowns} unknowns" if found else "no orbit",
             value=tolerance,

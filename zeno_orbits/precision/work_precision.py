@@ -27,7 +27,7 @@ _CLOSURES = {"cut": "plastic below a speed", "impacts": "limit after n impacts"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class TimedSetting:
     """One setting, timed and compared with the reference.
 
     Attributes:
@@ -77,7 +77,7 @@ class WorkPrecision(Displayed):
     work: str
     truth: str
     truth_error: float
-    trials: tuple[Trial, ...]
+    trials: tuple[TimedSetting, ...]
     compared: str = "release"
 
     def __repr__(self) -> str:
@@ -95,13 +95,13 @@ class WorkPrecision(Displayed):
         return {**table, "on_front": [id(trial) in front for trial in self.trials]}
 
     @property
-    def front(self) -> tuple[Trial, ...]:
+    def front(self) -> tuple[TimedSetting, ...]:
         """The Pareto front of time and error, the fastest trial first.
 
         Errors below rounding are accidental and do not count as smaller.
         """
         comparable = [t for t in self.trials if t.sweep in SAME_WORK and math.isfinite(t.error)]
-        front: list[Trial] = []
+        front: list[TimedSetting] = []
         for trial in sorted(comparable, key=lambda t: (t.seconds, t.error)):
             if not front or max(trial.error, ROUNDING) < front[-1].error:
                 front.append(trial)
@@ -156,7 +156,7 @@ class WorkPrecision(Displayed):
             ],
         }
 
-    def cheapest(self, accuracy: float) -> Trial | None:
+    def cheapest(self, accuracy: float) -> TimedSetting | None:
         """Return the fastest trial that reached an accuracy, or ``None``."""
         return next((trial for trial in self.front if trial.error <= accuracy), None)
 
@@ -210,7 +210,7 @@ def read_work_precision(path: Path) -> WorkPrecision:
         truth_error=_number(found.truth_error),
         compared=found.compared,
         trials=tuple(
-            Trial(
+            TimedSetting(
                 sweep=entry.sweep,
                 name=entry.name,
                 value=entry.value,

@@ -22,7 +22,7 @@ from zeno_orbits.proof.fixed_point import JudgedBox
 from zeno_orbits.proof.integration.ball_system import BallSystem
 from zeno_orbits.proof.integration.orbit_walk import LEAST_SIZE
 from zeno_orbits.proof.integration.polynomial_walk import (
-    Phase,
+    PhaseDuration,
     PolynomialPass,
     PolynomialSet,
     PolynomialWalk,
@@ -171,12 +171,12 @@ def degree_for(n_variables: int) -> int:
     return max(fits, default=1)
 
 
-def _phases(passage: ProofPassage, radii: Sequence[float]) -> Callable[[bool], Phase]:
+def _phases(passage: ProofPassage, radii: Sequence[float]) -> Callable[[bool], PhaseDuration]:
     """Return a function that returns the next phase, in flight or in contact, to first order."""
     events = iter(passage.events)
     last = [0.0, *(0.0 for _ in radii)]
 
-    def phases() -> Iterator[tuple[PassageKind, Phase]]:
+    def phases() -> Iterator[tuple[PassageKind, PhaseDuration]]:
         nonlocal last
         for event in events:
             time = event.stage.time
@@ -184,11 +184,11 @@ def _phases(passage: ProofPassage, radii: Sequence[float]) -> Callable[[bool], P
             now = [float(time.middle.mid()), *slopes]
             change = [a - b for a, b in zip(now, last, strict=True)]
             last = now
-            yield event.kind, Phase(duration=change[0], slopes=change[1:])
+            yield event.kind, PhaseDuration(duration=change[0], slopes=change[1:])
 
     following = phases()
 
-    def take(held: bool) -> Phase:
+    def take(held: bool) -> PhaseDuration:
         for kind, phase in following:
             if kind is PassageKind.IMPACT and not held:
                 return phase

@@ -20,7 +20,12 @@ from zeno_orbits.orbits import OrbitPhase, ZenoOrbit
 from zeno_orbits.proof.arithmetic.balls import Ball, all_finite, exact_fraction
 from zeno_orbits.proof.claims import own_state
 from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
-from zeno_orbits.proof.integration.orbit_walk import LEAST_SIZE, prover_state, require_fit, walked
+from zeno_orbits.proof.integration.orbit_walk import (
+    LEAST_SIZE,
+    prover_state,
+    require_fit,
+    walk_period,
+)
 from zeno_orbits.proof.integration.section import SectionStart, section_places, start_on_section
 from zeno_orbits.proof.integration.sets import ProofStage
 from zeno_orbits.proof.integration.walk import PassageKind, ProofPassage, WalkSettings
@@ -67,7 +72,7 @@ class _ContradictionError(ProofError):
     """An enclosure excludes a value of the orbit file, so a smaller box cannot succeed."""
 
 
-def enclose_period(
+def enclose_one_period(
     orbit: ZenoOrbit,
     problem: Problem,
     *,
@@ -124,7 +129,7 @@ def _enclosed(
         radii = [radius * size for size in sizes]
         try:
             start = start_on_section(system, [arb(value) for value in y], places, others, radii)
-            passage = walked(orbit, system, start, settings.walk, on_progress)
+            passage = walk_period(orbit, system, start, settings.walk, on_progress)
             match = _Match(orbit, problem, system, start, settings.tolerance)
             return match.enclosure(passage, radius)
         except _ContradictionError:

@@ -255,7 +255,7 @@ def proof_versions() -> dict[str, str]:
     }
 
 
-def write_proof(data: Mapping[str, Any], path: Path) -> None:
+def write_certificate(data: Mapping[str, Any], path: Path) -> None:
     """Write a certificate.
 
     Args:

@@ -27,7 +27,12 @@ from zeno_orbits.proof.claims import (
 )
 from zeno_orbits.proof.fixed_point import JudgedBox, judge
 from zeno_orbits.proof.integration.ball_system import BallSystem
-from zeno_orbits.proof.integration.orbit_walk import LEAST_SIZE, prover_state, require_fit, walked
+from zeno_orbits.proof.integration.orbit_walk import (
+    LEAST_SIZE,
+    prover_state,
+    require_fit,
+    walk_period,
+)
 from zeno_orbits.proof.integration.polynomial_walk import PolynomialPass
 from zeno_orbits.proof.integration.section import SectionStart, section_places, start_on_section
 from zeno_orbits.proof.integration.walk import WalkSettings
@@ -70,7 +75,7 @@ class ProofSettings:
     walk: WalkSettings = field(default_factory=WalkSettings)
 
 
-def prove(
+def prove_orbit(
     orbit: ZenoOrbit,
     problem: Problem,
     *,
@@ -153,7 +158,7 @@ def _found(
         middle, radii = boxes.pop(0)
         try:
             start = start_on_section(system, middle, places, others, [*radii, *varied])
-            judged = judge(start, walked(orbit, system, start, settings.walk, on_progress))
+            judged = judge(start, walk_period(orbit, system, start, settings.walk, on_progress))
         except ProofError as error:
             failure = error
             continue
@@ -216,7 +221,7 @@ def _enlarged(
         radii = [*(factor * shape), *(float(one.rad()) for one in start.at.U[d:])]
         try:
             wide = start_on_section(system, start.at.m, start.places, start.others, radii)
-            tried = judge(wide, walked(orbit, system, wide, settings.walk, on_progress)).judged
+            tried = judge(wide, walk_period(orbit, system, wide, settings.walk, on_progress)).judged
         except ProofError:
             tried = None
         if tried is None or not tried.returned.included:
@@ -265,7 +270,7 @@ def _refined(
     radii = [max(_FINE * size, n) for size, n in zip(sizes, noise, strict=True)]
     try:
         fine = start_on_section(system, y, places, start.others, radii, start.around)
-        judged = judge(fine, walked(orbit, system, fine, settings.walk, on_progress)).judged
+        judged = judge(fine, walk_period(orbit, system, fine, settings.walk, on_progress)).judged
     except ProofError:
         return []
     outer = zip(start.centre, start.at.U, fine.centre, fine.at.U, strict=False)

@@ -1,4 +1,4 @@
-from .motion import motion_of as motion_of
+from .motion import orbit_motion as orbit_motion
 from .page import Subject as Subject
 from .page import load_bundle as load_bundle
 from .page import page_of as page_of

@@ -23,7 +23,7 @@ _SAME = 1e-6
 """Distance below which two corners are the same, in parts of the size of a drawing."""
 
 
-def motion_of(
+def orbit_motion(
     orbit: ZenoOrbit | EventOrbit,
     problem: Problem,
     dynamics: HybridDynamics | GraphDynamics,

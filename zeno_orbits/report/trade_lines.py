@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from zeno_orbits.precision import SAME_WORK, Trial, WorkPrecision
+from zeno_orbits.precision import SAME_WORK, TimedSetting, WorkPrecision
 from zeno_orbits.report.table import Column, number_column, shown_size, text_column
 
 LEAST_ERROR = 2.0**-53
@@ -46,7 +46,7 @@ def front_line(trade: WorkPrecision) -> TradeLine:
     return _line("nothing is faster and better", False, trade.front)
 
 
-def _line(label: str, is_engine: bool, trials: Sequence[Trial]) -> TradeLine:
+def _line(label: str, is_engine: bool, trials: Sequence[TimedSetting]) -> TradeLine:
     return TradeLine(
         label=label,
         is_engine=is_engine,
@@ -57,7 +57,7 @@ def _line(label: str, is_engine: bool, trials: Sequence[Trial]) -> TradeLine:
 
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
-Cheapest = tuple[float, Trial | None]
+Cheapest = tuple[float, TimedSetting | None]
 """An accuracy, and the cheapest trial that reaches it, if one does."""
 
 CHEAPEST: list[Column[Cheapest]] = [
@@ -73,10 +73,10 @@ def cheapest_of(trade: WorkPrecision) -> list[Cheapest]:
     return [(accuracy, trade.cheapest(accuracy)) for accuracy in _ACCURACIES]
 
 
-def shown_value(trial: Trial) -> str:
+def shown_value(trial: TimedSetting) -> str:
     """Return the varied setting of a trial: a count of impacts, or a tolerance."""
     return f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}"
 
 
-def _setting(trial: Trial | None) -> str:
+def _setting(trial: TimedSetting | None) -> str:
     return "none" if trial is None else f"{trial.label}, {shown_value(trial)}"

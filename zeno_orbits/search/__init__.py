@@ -3,7 +3,7 @@
 A nonlinear program is solved from a sequence of starts. Each solution is simulated and passed to a
 check. `close_orbit` closes an orbit by simulation alone.
 
-Offers: `find_orbit` and `search_gains` (with `SearchSettings`, a `SearchResult` of `Candidate`
+Offers: `orbit_at_gains` and `search_orbits` (with `SearchSettings`, a `SearchResult` of `Candidate`
 orbits, `Judgement` for checks, `StartWorkers`), `close_orbit`, `close_cycle` and `close_near`, and
 the objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`, `LeastEnergy`, `LeastPeak`,
 `FastestContraction`, `WidestMargin`, `MaxPush`.

@@ -2,11 +2,11 @@ from .shooting.closing import Closing as Closing
 from .shooting.closing import OrbitNotClosedError as OrbitNotClosedError
 from .shooting.closing import close_orbit as close_orbit
 from .events.event_search import event_orbit_of as event_orbit_of
-from .events.event_search import find_event_orbit as find_event_orbit
+from .events.event_search import settled_event_orbit as settled_event_orbit
 from .events.event_search import settled_return as settled_return
 from .events.outcome import EventCandidate as EventCandidate
 from .events.outcome import EventSearchResult as EventSearchResult
-from .events.gains import search_event_gains as search_event_gains
+from .events.gains import search_event_orbits as search_event_orbits
 from .shooting.closing import orbit_of as orbit_of
 from .shooting.fixed_point import ClosedCycle as ClosedCycle
 from .shooting.fixed_point import close_cycle as close_cycle
@@ -39,8 +39,8 @@ from .outcome import Judgement as Judgement
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult
 from .outcome import StartAttempt as StartAttempt
-from .search import find_orbit as find_orbit
-from .search import search_gains as search_gains
+from .search import orbit_at_gains as orbit_at_gains
+from .search import search_orbits as search_orbits
 from .settings import SearchSettings as SearchSettings
 from .settings import SearchStatus as SearchStatus
 from .transcription.arc import TranscriptionSettings as TranscriptionSettings

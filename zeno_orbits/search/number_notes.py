@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING
 
-from zeno_orbits.model import ParameterValues, Problem
+if TYPE_CHECKING:
+    from zeno_orbits.model import ParameterValues, Problem
 
 
 def free_gains(problem: Problem, fixed: Collection[str] = ()) -> dict[str, tuple[float, float]]:

@@ -29,7 +29,7 @@ from zeno_orbits.search.validation import check_search
 from zeno_orbits.work import Progress, silent
 
 
-def find_orbit(
+def orbit_at_gains(
     problem: Problem,
     values: ParameterValues,
     *,
@@ -45,10 +45,10 @@ def find_orbit(
         shape: The shape of the orbit. The default is the shape of the simulated attractor.
     """
     settings = replace(settings or SearchSettings(), n_starts=0)
-    return search_gains(problem, values, free={}, settings=settings, shape=shape)
+    return search_orbits(problem, values, free={}, settings=settings, shape=shape)
 
 
-def search_gains(
+def search_orbits(
     problem: Problem,
     values: ParameterValues,
     *,

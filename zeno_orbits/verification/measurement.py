@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from zeno_orbits.errors import InputError, SimulationError, did_you_mean
 from zeno_orbits.model import HybridDynamics, Problem, bind
-from zeno_orbits.orbits import Cycle, ZenoOrbit, floquet_multipliers, placed
+from zeno_orbits.orbits import Cycle, ZenoOrbit, orbit_multipliers, placed
 from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal, signal_names
 from zeno_orbits.verification.claim import Claim, claim_of
 from zeno_orbits.verification.cross_checks import energies_of
@@ -103,7 +103,7 @@ def _number(
     elif name == "margin":
         value = measured_smallest_share(dynamics, cycle)
     elif name == "spectral_radius":
-        multipliers = floquet_multipliers(
+        multipliers = orbit_multipliers(
             dynamics,
             placed(dynamics, claim.shape, claim.start),
             scale=first.scale,

@@ -22,7 +22,7 @@ from zeno_orbits.orbits import (
     ZenoOrbit,
     at_looser_tolerance,
     digest_of,
-    floquet_multipliers,
+    orbit_multipliers,
     placed,
     same_equations,
 )
@@ -264,7 +264,7 @@ def _multipliers(
     settings: VerificationSettings,
     seen: Observation,
 ) -> Multipliers:
-    return floquet_multipliers(
+    return orbit_multipliers(
         dynamics,
         placed(dynamics, claim.shape, claim.start),
         scale=first.scale,

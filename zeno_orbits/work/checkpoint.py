@@ -32,7 +32,7 @@ _LOCK = ".lock"
 
 
 @contextlib.contextmanager
-def held(folder: Path) -> Generator[None]:
+def folder_lock(folder: Path) -> Generator[None]:
     """Lock a folder against other processes within a context.
 
     The operating system frees the lock when its process ends. This process may lock its folder

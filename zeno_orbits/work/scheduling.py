@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
-from zeno_orbits.work.checkpoint import Checkpoint, held, open_checkpoint
+from zeno_orbits.work.checkpoint import Checkpoint, folder_lock, open_checkpoint
 from zeno_orbits.work.plan import LostPoint, Plan, Workers
 from zeno_orbits.work.pools import Pool, open_pool
 from zeno_orbits.work.progress import Progress, silent
@@ -101,7 +101,7 @@ def spread_in_order(
     chunks = tuple(points[k : k + plan.chunk] for k in range(0, len(points), plan.chunk))
     with ExitStack() as stack:
         if plan.checkpoint is not None:
-            stack.enter_context(held(plan.checkpoint))
+            stack.enter_context(folder_lock(plan.checkpoint))
         store = _checkpoint(plan, points, [len(chunk) for chunk in chunks])
         found = store.finished() if store is not None else {}
         report = _report(on_progress, plan.noun, chunks, found)

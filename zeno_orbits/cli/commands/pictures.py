@@ -58,13 +58,13 @@ def add_plot(commands: Any) -> None:
 
 def _run_plot(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
-    from zeno_orbits.report import motion_of, plots
+    from zeno_orbits.report import orbit_motion, plots
 
     orbit = api.any_orbit(options.orbit)
     problem = api.problem_of(orbit, options.problem)
-    dynamics = api.system_of(orbit, problem)
+    dynamics = api.dynamics_of_orbit(orbit, problem)
     require_folder(options.output)
-    execution = motion_of(orbit, problem, dynamics, periods=options.periods)
+    execution = orbit_motion(orbit, problem, dynamics, periods=options.periods)
     draw = {
         "portraits": lambda: plots.plot_portraits(problem, execution),
         "time": lambda: plots.plot_time_series(problem, execution),
@@ -77,7 +77,7 @@ def _run_plot(options: argparse.Namespace) -> int:
             raise InputError(needs_one_stop("--kind region"))
         rests = any(name.startswith("zeno ") for name in orbit.sequence)
     else:
-        one = api.system_of(orbit, problem)
+        one = api.dynamics_of_orbit(orbit, problem)
         draw["region"] = lambda: plots.plot_zeno_region(problem, one, execution)
         rests = orbit.shape.starts_at_release
         has["region"] = rests and plots.has_zeno_region(one)
@@ -185,11 +185,11 @@ def _run_figures(options: argparse.Namespace) -> int:
 
 def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plots.Material:
     import zeno_orbits as zo
-    from zeno_orbits.report import motion_of, plots
+    from zeno_orbits.report import orbit_motion, plots
 
     orbit, problem = _orbit_and_problem(options, progress)
-    dynamics = api.system_of(orbit, problem)
-    one = motion_of(orbit, problem, dynamics)
+    dynamics = api.dynamics_of_orbit(orbit, problem)
+    one = orbit_motion(orbit, problem, dynamics)
     if isinstance(orbit, zo.ZenoOrbit) and not one.zeno_points:
         message = "must reach a Zeno point, but its period contains only other impacts"
         raise InputError(f"Argument `orbit` {message}. See `verify`.")
@@ -200,7 +200,7 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plo
         dynamics=dynamics,
         period=orbit.period,
         one=one,
-        several=motion_of(orbit, problem, dynamics, periods=options.periods),
+        several=orbit_motion(orbit, problem, dynamics, periods=options.periods),
         periods=options.periods,
         other=lambda: api.counterpart_for(
             _with_one_stop(orbit),

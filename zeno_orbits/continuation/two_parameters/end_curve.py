@@ -27,7 +27,7 @@ from zeno_orbits.continuation.special_points.special_points import (
 )
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError, counted
-from zeno_orbits.orbits import Loss, Margin, PathStep, StepError, follow_path
+from zeno_orbits.orbits import Margin, MarginKind, PathStep, StepError, follow_path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,9 @@ class Spot:
     def amplitude(self) -> float:
         """Largest range of a state. NaN if it is unknown, so that every comparison is false."""
         margins = self.located.margins.items()
-        return next((value for margin, value in margins if margin.loss is Loss.AMPLITUDE), np.nan)
+        return next(
+            (value for margin, value in margins if margin.loss is MarginKind.AMPLITUDE), np.nan
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

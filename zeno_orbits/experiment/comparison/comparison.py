@@ -34,7 +34,7 @@ from zeno_orbits.experiment.comparison.signal_metrics import (
     recorded_portraits_of,
     signal_metrics,
 )
-from zeno_orbits.experiment.comparison.verdict import Verdict, contact_finding, differing
+from zeno_orbits.experiment.comparison.verdict import ComparisonVerdict, contact_finding, differing
 from zeno_orbits.experiment.orbit_table import GAP
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
@@ -42,7 +42,7 @@ from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.work import Columns, Displayed
 
-__all__ = ["Comparison", "Metric", "Verdict", "compare"]
+__all__ = ["Comparison", "ComparisonVerdict", "Metric", "compare_recording"]
 
 
 _FEWEST_CYCLES = 6
@@ -127,13 +127,13 @@ class Comparison(Displayed):
         return tuple(metrics)
 
     @cached_property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> ComparisonVerdict:
         """Verdict on the recording."""
         if self.reasons:
-            return Verdict.NO_ORBIT
+            return ComparisonVerdict.NO_ORBIT
         if not self.differences and (self.contacts is None or not self.unresolved):
-            return Verdict.THIS_ORBIT
-        return Verdict.UNDECIDED if self.unresolved else Verdict.OTHER_VALUES
+            return ComparisonVerdict.THIS_ORBIT
+        return ComparisonVerdict.UNDECIDED if self.unresolved else ComparisonVerdict.OTHER_VALUES
 
     @cached_property
     def differences(self) -> tuple[Metric, ...]:
@@ -174,7 +174,7 @@ class Comparison(Displayed):
         }
 
 
-def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Comparison:
+def compare_recording(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Comparison:
     """Compare a recording with an orbit.
 
     Args:

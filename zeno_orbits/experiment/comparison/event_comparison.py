@@ -34,7 +34,7 @@ from zeno_orbits.experiment.comparison.metrics import (
     named_metric,
     plain_number,
 )
-from zeno_orbits.experiment.comparison.verdict import Verdict, beyond_chance
+from zeno_orbits.experiment.comparison.verdict import ComparisonVerdict, beyond_chance
 from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
@@ -82,13 +82,13 @@ class EventComparison(Displayed):
         return metric_columns(self.metrics)
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> ComparisonVerdict:
         """Verdict on the recording."""
         if self.reasons:
-            return Verdict.NO_ORBIT
+            return ComparisonVerdict.NO_ORBIT
         if self.unresolved:
-            return Verdict.UNDECIDED
-        return Verdict.OTHER_VALUES if self.differences else Verdict.THIS_ORBIT
+            return ComparisonVerdict.UNDECIDED
+        return ComparisonVerdict.OTHER_VALUES if self.differences else ComparisonVerdict.THIS_ORBIT
 
     @cached_property
     def differences(self) -> tuple[Metric, ...]:

@@ -29,7 +29,7 @@ _REBOUND, _ELASTIC = 0.02, 0.98
 """Least and greatest restitution of impacts that decay."""
 
 
-class Verdict(Enum):
+class ComparisonVerdict(Enum):
     """Verdict on a recording. The value is the word in JSON."""
 
     THIS_ORBIT = "this orbit"
@@ -40,7 +40,7 @@ class Verdict(Enum):
     @property
     def shows_orbit(self) -> bool:
         """True if the recording shows the orbit, or one of the machine with other values."""
-        return self in {Verdict.THIS_ORBIT, Verdict.OTHER_VALUES}
+        return self in {ComparisonVerdict.THIS_ORBIT, ComparisonVerdict.OTHER_VALUES}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

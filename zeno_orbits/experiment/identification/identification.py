@@ -50,7 +50,7 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import ByValue, Progress, silent
 
-__all__ = ["Fitted", "Identification", "UnfittableError", "identify"]
+__all__ = ["Fitted", "Identification", "UnfittableError", "fit_parameters"]
 
 _MISFIT = 2.0
 """Ratio of the periodic part of the residuals to its expected size from noise, above which the
@@ -169,7 +169,7 @@ class Identification(ByValue):
         }
 
 
-def identify(
+def fit_parameters(
     problem: Problem,
     values: ParameterValues,
     recording: Recording,

@@ -12,7 +12,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.experiment.comparison.alignment import Alignment
-from zeno_orbits.experiment.comparison.comparison import compare
+from zeno_orbits.experiment.comparison.comparison import compare_recording
 from zeno_orbits.experiment.comparison.event_comparison import Unlaid, event_remarks, lay_events
 from zeno_orbits.experiment.comparison.event_reference import orbit_sequences, shared_event_signals
 from zeno_orbits.experiment.comparison.folding import Folded, folded
@@ -124,7 +124,7 @@ def _prepared_cycle(
         unknowns, recording, names, lambda: tabulate_orbit(begun, problem, names)
     )
     instruments, errors = unknowns.instruments(names), unknowns.start
-    first = compare(begun, problem, likely)
+    first = compare_recording(begun, problem, likely)
     laid = first.overlay
     if first.reasons or laid is None:
         raise refusal("; ".join(first.reasons))

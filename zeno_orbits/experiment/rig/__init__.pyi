@@ -6,4 +6,4 @@ from .default_stop import default_rig as default_rig
 from .cycles import rig_cycles as rig_cycles
 from .run import RigRun as RigRun
 from .run import RigSettings as RigSettings
-from .simulator import simulate_rig as simulate_rig
+from .simulator import run_rig as run_rig

@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, counted
 from zeno_orbits.experiment.rig.default_stop import default_rig
 from zeno_orbits.experiment.rig.run import RigRun, RigSettings, Touch
-from zeno_orbits.experiment.rig.simulator import simulate_rig
+from zeno_orbits.experiment.rig.simulator import run_rig
 from zeno_orbits.model import Problem, Rig
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.simulation import AttractorKind, Motion, SectionReturn, outcome_of
@@ -129,7 +129,7 @@ def rig_cycles(
     for slack in (1.1, 2.0):
         until = orbit.period * (wanted + 1) * slack
         keep_from = 0.8 * passed * orbit.period if slack == 1.1 else 0.0
-        run = simulate_rig(
+        run = run_rig(
             problem,
             orbit.values(problem),
             parts,
@@ -184,7 +184,7 @@ def periods_near(
         least = "must be at least 1, and `settle` at least 0"
         raise InputError(f"Argument `periods` {least}, but they are {periods} and {settle}.")
     passed = orbit.period * (settling_cycles(orbit) if settle is None else settle)
-    run = simulate_rig(
+    run = run_rig(
         problem,
         orbit.values(problem),
         rig or default_rig(problem, orbit=orbit),

@@ -73,7 +73,7 @@ _INSIDE = 1e-9
 """Penetration over the scale of the gap from which a reset has sent the state into a stop."""
 
 
-def simulate_rig(
+def run_rig(
     problem: Problem,
     values: ParameterValues,
     rig: Rig,

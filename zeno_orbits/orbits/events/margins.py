@@ -26,7 +26,7 @@ from zeno_orbits.simulation import (
 )
 
 
-class Loss(Enum):
+class MarginKind(Enum):
     """Kinds of margins, which are positive along a family. The value is the name in the output.
 
     ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return, in the
@@ -58,7 +58,7 @@ class Margin:
         place: Index of the return, from 0.
     """
 
-    loss: Loss
+    loss: MarginKind
     place: int = 0
 
 
@@ -76,8 +76,8 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
     ranges = np.delete(np.ptp(states, axis=0), graph.first.clock)
     sizes = np.delete(graph.own.states(found.start.size), graph.first.clock)
     margins = {
-        Margin(loss=Loss.AMPLITUDE): float(np.max(ranges / sizes)),
-        Margin(loss=Loss.FREQUENCY): 1 / found.period,
+        Margin(loss=MarginKind.AMPLITUDE): float(np.max(ranges / sizes)),
+        Margin(loss=MarginKind.FREQUENCY): 1 / found.period,
     }
     before = 0.0
     phases = phases_of_events([orbit_event_name(event) for event in found.events])
@@ -86,17 +86,21 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
         first, event = found.events[phase[0]], found.events[phase[-1]]
         if not isinstance(event, Release):
             # The end of a contact phase has a law of its own, theory (5.7).
-            margins[Margin(loss=Loss.EVENTS, place=place)] = first.time - before
+            margins[Margin(loss=MarginKind.EVENTS, place=place)] = first.time - before
         before = event.time
         if isinstance(first, Impact):
-            margins[Margin(loss=Loss.FIRST_IMPACT, place=place)] = -first.approach_rate
+            margins[Margin(loss=MarginKind.FIRST_IMPACT, place=place)] = -first.approach_rate
         if isinstance(event, Release | SwitchEvent):
             rate = fall_at(graph, arcs, event)
             if rate is not None:
-                loss = Loss.RELEASE_RATE if isinstance(event, Release) else Loss.SWITCH_RATE
+                loss = (
+                    MarginKind.RELEASE_RATE
+                    if isinstance(event, Release)
+                    else MarginKind.SWITCH_RATE
+                )
                 margins[Margin(loss=loss, place=place)] = rate
     for contact in contacts_of(found):
-        margins[Margin(loss=Loss.LOCK, place=contact.place)] = contact.duration
+        margins[Margin(loss=MarginKind.LOCK, place=contact.place)] = contact.duration
     for arc in arcs:
         place = bisect_left(ends, arc.end_time)
         for loss, value in _least_guards(graph, arc):
@@ -106,7 +110,7 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Contact:
+class ContactPhase:
     """A contact phase from a Zeno point to the release of the same stop, without other events.
 
     Attributes:
@@ -122,14 +126,14 @@ class Contact:
     duration: float
 
 
-def contacts_of(found: EventReturn) -> list[Contact]:
+def contacts_of(found: EventReturn) -> list[ContactPhase]:
     """Return the contact phases of a return that end with a release.
 
     Args:
         found: The return. Its first contact phase may begin at its end.
     """
     phases = phases_of_events([orbit_event_name(event) for event in found.events])
-    contacts: list[Contact] = []
+    contacts: list[ContactPhase] = []
     for place, phase in enumerate(phases):
         # The phase before the first is the last phase of the previous period.
         *earlier, zeno = [found.events[k] for k in phases[place - 1]]
@@ -139,11 +143,11 @@ def contacts_of(found: EventReturn) -> list[Contact]:
         impact = earlier[-1] if earlier else None
         if zeno.stop == release.stop and isinstance(impact, Impact):
             wait = release.time - zeno.time + (0.0 if place else found.period)
-            contacts.append(Contact(place=place, last_impact=impact, zeno=zeno, duration=wait))
+            contacts.append(ContactPhase(place=place, last_impact=impact, zeno=zeno, duration=wait))
     return contacts
 
 
-def contact_view(graph: GraphDynamics, found: EventReturn, contact: Contact) -> HybridDynamics:
+def contact_view(graph: GraphDynamics, found: EventReturn, contact: ContactPhase) -> HybridDynamics:
     """Return the machine with the stop of a contact phase alone, in the mode of that phase.
 
     Args:
@@ -157,20 +161,20 @@ def contact_view(graph: GraphDynamics, found: EventReturn, contact: Contact) -> 
     return graph.view((tuple(k for k in closed if k != stop), sides), stop)
 
 
-def _least_guards(graph: GraphDynamics, arc: Arc) -> list[tuple[Loss, float]]:
+def _least_guards(graph: GraphDynamics, arc: Arc) -> list[tuple[MarginKind, float]]:
     """Return the least gaps of open stops, and multipliers of closed ones, inside an arc."""
     if arc.trajectory is None:
         return []
     closed, sides = graph.mode_of(arc.closed, arc.sides)
-    found: list[tuple[Loss, float]] = []
+    found: list[tuple[MarginKind, float]] = []
     for k in range(len(graph.stop_names)):
         if k in closed:
             view = graph.holding((closed, sides), k)
             least = least_inside(arc, view.multiplier, view.multiplier_rate)
-            loss = Loss.ADHESION
+            loss = MarginKind.ADHESION
         else:
             view = graph.view((closed, sides), k)
-            least, loss = least_inside(arc, view.gap, view.gap_rate), Loss.NEAR_MISS
+            least, loss = least_inside(arc, view.gap, view.gap_rate), MarginKind.NEAR_MISS
         if least is not None:
             found.append((loss, least))
     return found

@@ -170,7 +170,7 @@ with_zero: Any = np.frompyfunc(Ball.with_zero, 1, 1)
 exactly: Any = np.frompyfunc(lambda x, bits: Ball(int(x) << bits, 0, bits), 2, 1)
 
 
-def solved(matrix: Array, right: Array) -> Array:
+def linear_solution(matrix: Array, right: Array) -> Array:
     """Return an enclosure of all solutions of ``matrix X = right``, which also proves existence."""
     rows = np.concatenate([matrix, right], axis=1)
     for k in range(len(rows)):

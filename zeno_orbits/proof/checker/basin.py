@@ -24,16 +24,16 @@ from zeno_orbits.proof.checker.balls import (
     entries,
     exactly,
     fitting_together,
+    linear_solution,
     number,
     numbers,
     radii,
     require,
     sizes,
-    solved,
 )
 from zeno_orbits.proof.checker.lanes import Lanes, lanes_of, orders_of
 from zeno_orbits.proof.checker.motion import (
-    Place,
+    RecordPosition,
     accumulated,
     held,
     lane_flow,
@@ -48,7 +48,7 @@ from zeno_orbits.proof.checker.polynomials import (
     poly_series,
     poly_values,
 )
-from zeno_orbits.proof.checker.section import Box, Section, newton_of
+from zeno_orbits.proof.checker.section import Box, ContactSection, newton_of
 from zeno_orbits.proof.checker.system import System
 from zeno_orbits.work import Plan, spread
 
@@ -138,7 +138,7 @@ def require_inside(old: PolySet, image: PolyImage, new: PolySet) -> None:
         new: The set after the record.
     """
     n = len(old.P)
-    inverse = solved(new.Q, exactly(np.eye(n, dtype=int), new.E[0].bits))
+    inverse = linear_solution(new.Q, exactly(np.eye(n, dtype=int), new.E[0].bits))
     found = sizes(inverse @ (image.P - new.P)).sum(axis=1)
     found = found + sizes(inverse @ (image.slope @ old.Q) @ old.E)
     for i, (size, bound) in enumerate(zip(found, new.E, strict=True)):
@@ -256,7 +256,7 @@ def _joined(sets: Sequence[Polys]) -> Polys:
     return Polys(sets[0].of, np.stack([one.c for one in sets]), np.stack([one.r for one in sets]))
 
 
-def poly_stepped(system: System, place: Place, flow: PolyFlow) -> PolyImage:
+def poly_stepped(system: System, place: RecordPosition, flow: PolyFlow) -> PolyImage:
     """Prove one whole step in one mode.
 
     Args:
@@ -275,7 +275,7 @@ def poly_stepped(system: System, place: Place, flow: PolyFlow) -> PolyImage:
 
 
 def poly_crossed(
-    system: System, place: Place, flow: PolyFlow, record: Mapping[str, Any]
+    system: System, place: RecordPosition, flow: PolyFlow, record: Mapping[str, Any]
 ) -> PolyImage:
     """Prove the crossing of the guard near the duration of a last step.
 
@@ -373,7 +373,7 @@ def poly_accumulated(system: System, old: PolySet, record: Mapping[str, Any]) ->
     return PolyImage(P, slope)
 
 
-def require_poly_start(system: System, section: Section, box: Box, start: PolySet) -> None:
+def require_poly_start(system: System, section: ContactSection, box: Box, start: PolySet) -> None:
     """Check that a polynomial set contains every point of the section over a box.
 
     Args:
@@ -408,7 +408,7 @@ def require_poly_start(system: System, section: Section, box: Box, start: PolySe
         everywhere = state(box.centre + box.spread, box.others + box.others_spread)
         rows = [system.gradient(name, everywhere)[row] for name, row in section.equations]
         slopes = np.array(rows, dtype=object).reshape(len(rows), n)
-        off = solved(slopes[:, section.others], ranges(rest)[:, None])[:, 0]
+        off = linear_solution(slopes[:, section.others], ranges(rest)[:, None])[:, 0]
         P[section.others, 0] = P[section.others, 0] - off
     nothing = PolySet(of, P, system.identity, system.nothing)
     require_inside(nothing, PolyImage(P, system.identity), start)
@@ -438,10 +438,10 @@ RECORDS = {
 
 def proved_image(
     system: System,
-    section: Section,
+    section: ContactSection,
     box: Box,
     part: Mapping[str, Any],
-    stations: Sequence[Place],
+    stations: Sequence[RecordPosition],
 ) -> Array:
     """Return a box of states that contains the image of a box under the return map.
 
@@ -482,7 +482,7 @@ def _reasons(system: System, of: Monomials, tasks: Sequence[Any]) -> list[str]:
         new = PolySet.read(record["set"], of, len(system.z), system.bits)
         try:
             step = steps.get(k, "")
-            image = _image(system, Place(*place), olds[k], record, step)
+            image = _image(system, RecordPosition(*place), olds[k], record, step)
             require_inside(olds[k], image, new)
             found.append("")
         except NotProved as failure:
@@ -491,7 +491,11 @@ def _reasons(system: System, of: Monomials, tasks: Sequence[Any]) -> list[str]:
 
 
 def _image(
-    system: System, place: Place, old: PolySet, record: Mapping[str, Any], step: PolyFlow | str
+    system: System,
+    place: RecordPosition,
+    old: PolySet,
+    record: Mapping[str, Any],
+    step: PolyFlow | str,
 ) -> PolyImage:
     if record["kind"] == "impact":
         return poly_struck(system, old)

@@ -31,14 +31,14 @@ from zeno_orbits.proof.checker.formulas import formulas_of
 from zeno_orbits.proof.checker.lanes import orders_of, require_rounding
 from zeno_orbits.proof.checker.motion import (
     Flow,
-    Place,
+    RecordPosition,
     accumulated,
     crossed,
     flows,
     stepped,
     struck,
 )
-from zeno_orbits.proof.checker.section import Box, Section, require_start
+from zeno_orbits.proof.checker.section import Box, ContactSection, require_start
 from zeno_orbits.proof.checker.system import System, bound_system
 from zeno_orbits.proof.checker.verdict import ClaimVerdict, ProofVerdict, Theorem
 from zeno_orbits.work import Plan, spread
@@ -79,7 +79,7 @@ def check_proof(
         data = _read(certificate)
         problem = _problem(data["problem"], problem)
         system, over, theorem = read_system(data, problem)
-        section = Section.of(system, data["section"])
+        section = ContactSection.of(system, data["section"])
         passages, verdicts, boxes = list[Passage | str](), list[ClaimVerdict](), list[Box]()
         for k, part in enumerate(_listed(data, "passes")):
             box, start, records = entries(part, "box", "start", "records")
@@ -216,7 +216,7 @@ def read_system(
 
 
 def _passage(
-    system: System, section: Section, box: Box, start: Any, records: Sequence[Any]
+    system: System, section: ContactSection, box: Box, start: Any, records: Sequence[Any]
 ) -> Passage:
     """Prove the start, each record separately, and the return, or raise an error."""
     plastic = _is_plastic(system)
@@ -259,11 +259,15 @@ def _set(system: System, box: Box, data: Any) -> Enclosure:
 
 
 def _stations(
-    section: Section, records: Sequence[Any], kinds: Mapping[str, tuple[str, ...]], *, plastic: bool
-) -> list[Place]:
+    section: ContactSection,
+    records: Sequence[Any],
+    kinds: Mapping[str, tuple[str, ...]],
+    *,
+    plastic: bool,
+) -> list[RecordPosition]:
     """Return the position of each record in the motion, after a check of their order."""
     mode, began = "free", "release" if section.end == "cross" else "impact"
-    stations = list[Place]()
+    stations = list[RecordPosition]()
     for k, record in enumerate(records):
         kind = record["kind"]
         entries(record, "kind", "set", *kinds[kind])
@@ -272,7 +276,7 @@ def _stations(
             possible.add("tail")
         if kind not in possible:
             raise InputError(f"The certificate's record {k} must be {' or '.join(possible)}.")
-        stations.append(Place(mode, began))
+        stations.append(RecordPosition(mode, began))
         if kind == "step":
             began = ""
         elif kind == "cross":
@@ -287,7 +291,7 @@ def _stations(
 
 def _about(
     theorem: Theorem,
-    section: Section,
+    section: ContactSection,
     boxes: Sequence[Box],
     passages: Sequence[Passage | str],
     names: Sequence[str],
@@ -310,7 +314,7 @@ def _about(
 
 
 def _coordinates(
-    section: Section, box: Box, names: Sequence[str]
+    section: ContactSection, box: Box, names: Sequence[str]
 ) -> dict[str, tuple[Fraction, Fraction]]:
     """Return middle and radius of each coordinate of a box."""
     pairs = zip(box.centre, box.spread, strict=True)
@@ -320,7 +324,7 @@ def _coordinates(
 
 def _basin(
     system: System,
-    section: Section,
+    section: ContactSection,
     parts: Sequence[Any],
     sets: Sequence[Box],
     passages: Sequence[Passage | str],
@@ -359,7 +363,7 @@ def _basin(
     return found
 
 
-def _word(stations: Sequence[Place], records: Sequence[Any]) -> tuple[int, int]:
+def _word(stations: Sequence[RecordPosition], records: Sequence[Any]) -> tuple[int, int]:
     """Return the number of releases of a motion, and of impacts after the last release.
 
     Together with the section, these numbers determine the return map. An execution is
@@ -395,7 +399,7 @@ def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[in
         for k, (place, _, record) in enumerate(tasks):
             old, new = olds[k], _set(system, box, record["set"])
             try:
-                mapped = _mapped(system, Place(*place), old, record, steps.get(k, ""))
+                mapped = _mapped(system, RecordPosition(*place), old, record, steps.get(k, ""))
                 require_enclosed(old, mapped, new)
             except NotProved as failure:
                 found.append(str(failure))
@@ -407,7 +411,11 @@ def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[in
 
 
 def _mapped(
-    system: System, place: Place, old: Enclosure, record: Mapping[str, Any], step: Flow | str
+    system: System,
+    place: RecordPosition,
+    old: Enclosure,
+    record: Mapping[str, Any],
+    step: Flow | str,
 ) -> Mapped:
     """Return the image of the set before a record."""
     if record["kind"] == "impact":

@@ -17,10 +17,10 @@ from zeno_orbits.proof.checker.balls import (
     NotProved,
     entries,
     exactly,
+    linear_solution,
     middles,
     numbers,
     require,
-    solved,
 )
 from zeno_orbits.proof.checker.enclosure import Enclosure
 from zeno_orbits.proof.checker.section import Box
@@ -81,7 +81,7 @@ class Passage:
     def _krawczyk(self, spread: Array) -> Array:
         d, one = self.d, exactly(np.eye(self.d, dtype=int), self.bits)
         off = one - self.slope[:, :d]
-        Y = middles(solved(middles(off), one))
+        Y = middles(linear_solution(middles(off), one))
         found = (one - Y @ off) @ spread[:d] + Y @ (self.shift + self.slope[:, d:] @ spread[d:])
         return np.concatenate([found, self.box.spread[d:]])
 
@@ -95,7 +95,7 @@ class Passage:
         re, im = (numbers(part, (d, d), self.bits) for part in entries(basis, "re", "im"))
         both = np.concatenate([np.concatenate([re, -im], axis=1), np.concatenate([im, re], axis=1)])
         J = self.slope[:, :d]
-        inverse = solved(both, exactly(np.eye(2 * d, dtype=int), self.bits))
+        inverse = linear_solution(both, exactly(np.eye(2 * d, dtype=int), self.bits))
         found = inverse @ np.concatenate([J @ both[:d], J @ both[d:]])
         re, im = found[:d, :d], found[d:, :d]
         beside = _moduli(re, im)

@@ -13,9 +13,9 @@ from zeno_orbits.proof.checker.balls import (
     NotProved,
     entries,
     exactly,
+    linear_solution,
     numbers,
     radii,
-    solved,
 )
 
 
@@ -89,7 +89,7 @@ def require_enclosed(old: Enclosure, mapped: Mapped, new: Enclosure) -> None:
     n = len(old.Z)
     image = np.concatenate([mapped.point[:, None], mapped.slope @ old.Z[:, 1:]], axis=1) - new.Z
     # Elimination uses numbers only, since intervals would widen at every row.
-    inverse = solved(new.Q, exactly(np.eye(n, dtype=int), new.m[0].bits))
+    inverse = linear_solution(new.Q, exactly(np.eye(n, dtype=int), new.m[0].bits))
     found = inverse @ image + inverse @ (mapped.slope @ old.Q) @ old.E
     for (i, j), x in np.ndenumerate(found):
         if x.size > new.E[i, j].r:

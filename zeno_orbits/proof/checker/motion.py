@@ -33,7 +33,7 @@ _SWEEPS = 4
 """Number of trials of an a-priori box."""
 
 
-class Place(NamedTuple):
+class RecordPosition(NamedTuple):
     """Position of a record in the motion: its mode, and the event at the start of its phase."""
 
     mode: str
@@ -180,7 +180,7 @@ def _horner(series: Array, part: Ball) -> Array:
     return value
 
 
-def stepped(system: System, place: Place, flow: Flow) -> Mapped:
+def stepped(system: System, place: RecordPosition, flow: Flow) -> Mapped:
     """Prove one whole step in one mode.
 
     Args:
@@ -195,7 +195,7 @@ def stepped(system: System, place: Place, flow: Flow) -> Mapped:
     return Mapped(point, slope, flow.h, system.nothing)
 
 
-def crossed(system: System, place: Place, flow: Flow, record: Mapping[str, Any]) -> Mapped:
+def crossed(system: System, place: RecordPosition, flow: Flow, record: Mapping[str, Any]) -> Mapped:
     """Prove the crossing of the guard in a last step: the gap closes, or ``-a`` vanishes.
 
     With ``g`` the guard, the derivative is ``(1 - f grad g / (grad g . f)) D phi``.
@@ -245,7 +245,13 @@ def _guard(system: System, flow: Flow, time: Ball, *, whole: bool, free: bool) -
 
 
 def require_apart(
-    system: System, place: Place, start: Array, box: Array, *, is_open: bool, last: bool = False
+    system: System,
+    place: RecordPosition,
+    start: Array,
+    box: Array,
+    *,
+    is_open: bool,
+    last: bool = False,
 ) -> None:
     """Check that the gap (in flight) or the contact force (in contact) stays positive.
 

@@ -15,10 +15,10 @@ from zeno_orbits.proof.checker.balls import (
     around_zero,
     entries,
     exactly,
+    linear_solution,
     middles,
     numbers,
     radii,
-    solved,
 )
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
 from zeno_orbits.proof.checker.system import System
@@ -34,7 +34,7 @@ _TEXTS = {
 }
 
 
-class Section(NamedTuple):
+class ContactSection(NamedTuple):
     """The set of states at which some contact quantities vanish.
 
     Attributes:
@@ -54,7 +54,7 @@ class Section(NamedTuple):
     text: str
 
     @classmethod
-    def of(cls, system: System, data: Any) -> Section:
+    def of(cls, system: System, data: Any) -> ContactSection:
         """Return the section of a certificate."""
         conditions, places = entries(data, "conditions", "places")
         pinned = {"gap": system.gap_row, "gap_rate": system.rate_row} if system.is_pinned else {}
@@ -87,7 +87,7 @@ class Box(NamedTuple):
 
     @classmethod
     def of(
-        cls, system: System, section: Section, data: Any, over: Sequence[tuple[Ball, Ball]]
+        cls, system: System, section: ContactSection, data: Any, over: Sequence[tuple[Ball, Ball]]
     ) -> Box:
         """Return the box of a certificate, followed by its parameters."""
         bits, d, n = system.bits, (len(section.places),), (len(section.others),)
@@ -101,7 +101,7 @@ class Box(NamedTuple):
             radii(reach, n, bits),
         )
 
-    def leaves(self, section: Section, image: Array) -> str:
+    def leaves(self, section: ContactSection, image: Array) -> str:
         """Return how a box of states leaves the interior of this box, or an empty text.
 
         Args:
@@ -126,7 +126,7 @@ class Box(NamedTuple):
         return all(abs(c.m - a.m) + d.r <= b.r for a, c, b, d in pairs)
 
 
-def newton_of(system: System, section: Section, box: Box) -> tuple[Any, Any]:
+def newton_of(system: System, section: ContactSection, box: Box) -> tuple[Any, Any]:
     """Return Newton's operator on the conditions of a section, and the map to all states.
 
     The operator returns the other states minus a middle, if within reach of it, and their
@@ -154,13 +154,13 @@ def newton_of(system: System, section: Section, box: Box) -> tuple[Any, Any]:
         rest = np.array([system.value(k, at)[row] for k, row in section.equations], dtype=object)
         by_u = slopes[:, inner]
         right = np.concatenate([(rest + by_u @ spread)[:, None], by_u], axis=1)
-        found = -solved(slopes[:, section.others], right)
+        found = -linear_solution(slopes[:, section.others], right)
         return found[:, 0], found[:, 1:]
 
     return newton, state
 
 
-def require_start(system: System, section: Section, box: Box, start: Enclosure) -> None:
+def require_start(system: System, section: ContactSection, box: Box, start: Enclosure) -> None:
     """Check that a set contains every point of the section whose coordinates are in a box.
 
     Newton's operator on the conditions, for all coordinates together, proves that exactly one such

@@ -102,7 +102,7 @@ def prover_state(system: BallSystem, problem: Problem, orbit: ZenoOrbit) -> list
     return x
 
 
-def walked(
+def walk_period(
     orbit: ZenoOrbit,
     system: BallSystem,
     start: SectionStart,

@@ -184,7 +184,7 @@ class PolynomialPass:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Phase:
+class PhaseDuration:
     """Approximate duration of a phase: at the middle, and its change with each variable.
 
     Attributes:
@@ -203,7 +203,7 @@ class PolynomialWalk:
         self,
         system: BallSystem,
         start: PolynomialSet,
-        phases: Callable[[bool], Phase],
+        phases: Callable[[bool], PhaseDuration],
         longest: float,
         tell: Tell,
     ) -> None:

@@ -10,7 +10,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Multipliers, ZenoOrbit
-from zeno_orbits.report.motion import motion_of
+from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.report.paths import ArcPath, paths_of
 from zeno_orbits.report.table import shown_complex
 from zeno_orbits.search import close_orbit
@@ -124,7 +124,7 @@ def _followed(
 
 
 def _described(problem: Problem, values: ParameterValues, orbit: ZenoOrbit) -> ExploredAttractor:
-    motion = motion_of(orbit, problem, problem.dynamics(values))
+    motion = orbit_motion(orbit, problem, problem.dynamics(values))
     multipliers = multipliers_of(orbit, problem)
     return ExploredAttractor(
         name=_name(multipliers, is_zeno=bool(motion.zeno_points)),

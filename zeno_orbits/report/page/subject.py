@@ -9,7 +9,7 @@ from zeno_orbits.maps import Pushes, Recovery
 from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.report.motion import motion_of
+from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate
 
@@ -57,7 +57,7 @@ class Subject:
     def followed(self) -> Subject:
         """Return the subject with one period simulated."""
         try:
-            execution = motion_of(self.orbit, self.problem, self.dynamics)
+            execution = orbit_motion(self.orbit, self.problem, self.dynamics)
         except ZenoOrbitsError as error:
             # The simulation of an invalid orbit may diverge. The page then reports this and omits
             # its plots.

@@ -16,7 +16,7 @@ from zeno_orbits.maps import ParameterMap
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import EventOrbit, Multipliers, ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.report.motion import motion_of
+from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.report.plots.certificate import plot_certificate, plot_multipliers
 from zeno_orbits.report.plots.family import plot_boundaries, plot_families
 from zeno_orbits.report.plots.map import plot_map
@@ -89,7 +89,7 @@ def _of_orbit(
     orbit: ZenoOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
     problem = problem or load_problem(orbit.problem)
-    execution = motion_of(orbit, problem, problem_dynamics(orbit, problem))
+    execution = orbit_motion(orbit, problem, problem_dynamics(orbit, problem))
     return plot_portraits(problem, execution, width=width, axes=axes)
 
 
@@ -97,7 +97,7 @@ def _of_events(
     orbit: EventOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
     problem = problem or load_problem(orbit.problem)
-    execution = motion_of(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
+    execution = orbit_motion(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
     return plot_portraits(problem, execution, width=width, axes=axes)
 
 

@@ -172,14 +172,14 @@ _NAMED = 4
 
 def _verdict(found: Comparison | EventComparison) -> list[str]:
     """Return the verdict in words."""
-    from zeno_orbits.experiment import Verdict
+    from zeno_orbits.experiment import ComparisonVerdict
 
-    if found.verdict is Verdict.THIS_ORBIT:
+    if found.verdict is ComparisonVerdict.THIS_ORBIT:
         return ["The recording shows this orbit: all quantities agree within their errors."]
-    if found.verdict is Verdict.UNDECIDED:
+    if found.verdict is ComparisonVerdict.UNDECIDED:
         why = (f"  {one}." for one in found.unresolved)
         return ["The recording cannot decide whether the machine moves on a Zeno orbit:", *why]
-    if found.verdict is Verdict.NO_ORBIT:
+    if found.verdict is ComparisonVerdict.NO_ORBIT:
         why = (f"  {one}." for one in found.reasons)
         return ["The recording does not show a Zeno orbit of this machine:", *why]
     named = found.differences[:_NAMED]

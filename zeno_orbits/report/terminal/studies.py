@@ -28,7 +28,7 @@ from zeno_orbits.report.terminal.console import print_lines, print_table
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
     from zeno_orbits.maps import Attractor, ParameterMap, Pushes, Recovery
-    from zeno_orbits.precision import ReductionCost, Trial, WorkPrecision
+    from zeno_orbits.precision import ReductionCost, TimedSetting, WorkPrecision
     from zeno_orbits.proof import Proof
 
 _ROUNDING = 1e-12
@@ -79,7 +79,7 @@ def print_trade(trade: WorkPrecision) -> None:
     from zeno_orbits.report.trade_lines import CHEAPEST, cheapest_of, shown_value
 
     front = set(map(id, trade.front))
-    columns: list[Column[Trial]] = [
+    columns: list[Column[TimedSetting]] = [
         text_column("", lambda trial: "*" if id(trial) in front else ""),
         text_column("sweep", lambda trial: trial.sweep),
         text_column("setting", lambda trial: trial.name),
@@ -103,11 +103,11 @@ def print_trade(trade: WorkPrecision) -> None:
         print_lines([f"Observed order of the error of plastic cuts in their speed: {order}."])
 
 
-def _milliseconds(trial: Trial) -> str:
+def _milliseconds(trial: TimedSetting) -> str:
     return f"{1e3 * trial.seconds:.2f}" if trial.seconds < math.inf else "-"
 
 
-def _error_of(trial: Trial) -> str:
+def _error_of(trial: TimedSetting) -> str:
     if trial.trouble:
         return "-"
     return shown_size(trial.error) if trial.error < math.inf else "another motion"

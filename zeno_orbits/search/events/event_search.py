@@ -25,7 +25,7 @@ from zeno_orbits.orbits import (
     near_return,
     orbit_event_name,
 )
-from zeno_orbits.search.homotopy.line import LinePoint, between, follow_line
+from zeno_orbits.search.homotopy.line import LinePoint, follow_line, values_on_line
 from zeno_orbits.search.shooting.closing import named
 from zeno_orbits.simulation import Execution, SimulationSettings, simulate, state_before
 from zeno_orbits.work import Progress, silent, versions
@@ -40,7 +40,7 @@ _FROM_ORBIT = StepControl(
 """Parts of the way from the values of a known orbit to other values."""
 
 
-def find_event_orbit(
+def settled_event_orbit(
     problem: Problem,
     values: ParameterValues,
     *,
@@ -132,7 +132,7 @@ def return_near(
         part: float, x: Vector, last: LinePoint[EventReturn] | None
     ) -> LinePoint[EventReturn]:
         found = closed_return(
-            problem.graph_dynamics(between(own, values, part)),
+            problem.graph_dynamics(values_on_line(own, values, part)),
             x,
             section=near.section,
             n_returns=near.n_returns,

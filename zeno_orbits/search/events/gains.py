@@ -41,13 +41,19 @@ from zeno_orbits.search.events.event_search import (
     settled_return,
 )
 from zeno_orbits.search.events.margins import EventWays
-from zeno_orbits.search.events.optimum import PRECISION, Optimum, Trial, along_edges, least_worst
+from zeno_orbits.search.events.optimum import (
+    PRECISION,
+    Evaluation,
+    Optimum,
+    along_edges,
+    least_worst,
+)
 from zeno_orbits.search.events.outcome import AcceptEvents, EventSearchResult
 from zeno_orbits.search.events.points import (
     DIFFERENCED,
     RADIUS,
-    EventPoint,
     NoEventError,
+    OrbitAtValues,
     OrbitsOverValues,
     Slope,
 )
@@ -86,7 +92,7 @@ _SMALLEST_SIZE = 1e-2
 """Smallest size of a free value, in units of its range."""
 
 
-def search_event_gains(
+def search_event_orbits(
     problem: Problem,
     values: ParameterValues,
     *,
@@ -299,7 +305,7 @@ class _Task:
         """Return free values from the unit box."""
         return self.ranges[:, 0] + u * (self.ranges[:, 1] - self.ranges[:, 0])
 
-    def trial(self, u: Vector) -> Trial:
+    def trial(self, u: Vector) -> Evaluation:
         """Return objective and rows at free values in the unit box.
 
         Raises:
@@ -322,7 +328,7 @@ class _Task:
         if isinstance(self.objective, Target):
             target = self.objective.target
             equal.append(self._in_box(self.prescribed(points[0]).scaled(1 / target, target)))
-        return Trial(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
+        return Evaluation(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
 
     def sized(self, numbers: Vector) -> _Task:
         """Return the task with the sizes of the bounded quantities at free values.
@@ -337,7 +343,7 @@ class _Task:
         sizes = {one.name: size_of(one, point.extent(one.name).largest) for one in self.bounds}
         return replace(self, sizes=sizes)
 
-    def near(self, first: Trial, *, precision: float = PRECISION) -> Optimum:
+    def near(self, first: Evaluation, *, precision: float = PRECISION) -> Optimum:
         """Return the optimum near a first trial, up to an edge of the objective.
 
         Args:
@@ -346,7 +352,7 @@ class _Task:
         """
         return least_worst(self.trial, first, precision=precision)
 
-    def finished(self, found: Optimum, first: Trial) -> Optimum:
+    def finished(self, found: Optimum, first: Evaluation) -> Optimum:
         """Return an optimum after a search along edges of the objective.
 
         Args:
@@ -362,7 +368,7 @@ class _Task:
         return Slope(value=slope.value, by=slope.by * (self.ranges[:, 1] - self.ranges[:, 0]))
 
     def _rows(
-        self, point: EventPoint, bound: Bound, numbers: Vector, corner: dict[str, float]
+        self, point: OrbitAtValues, bound: Bound, numbers: Vector, corner: dict[str, float]
     ) -> list[Slope]:
         """Return the distances of a quantity from its bounds, positive inside, in its size."""
         size = self.sizes[bound.name]
@@ -374,13 +380,13 @@ class _Task:
             number.scaled(sign).scaled(-1 / size, end) for sign, end in ends if math.isfinite(end)
         ]
 
-    def prescribed(self, point: EventPoint) -> Slope:
+    def prescribed(self, point: OrbitAtValues) -> Slope:
         """Return the quantity whose value the objective prescribes."""
         if isinstance(self.objective, TargetAmplitude):
             return point.amplitude(self.objective.state)
         return point.slopes(PERIOD)[0]
 
-    def _costs(self, point: EventPoint, numbers: Vector) -> tuple[Slope, ...]:
+    def _costs(self, point: OrbitAtValues, numbers: Vector) -> tuple[Slope, ...]:
         """Return the numbers whose largest is the objective."""
         if isinstance(self.objective, OfImpacts):
             return (point.impact_cost(self.objective),)
@@ -401,7 +407,7 @@ class _Task:
         by = [(here[name] - wanted[name]) / sizes[name] ** 2 for name in self.free]
         return (Slope(value=value, by=np.array(by)),)
 
-    def pushes(self, trial: Trial) -> list[tuple[float, Push | None]]:
+    def pushes(self, trial: Evaluation) -> list[tuple[float, Push | None]]:
         """Return the least impulse at every corner of a trial, zero where the orbit is unstable."""
         problem, objective = self.orbits.problem, self.objective
         if not isinstance(objective, MaxPush):
@@ -447,7 +453,7 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
     return _told(task, first, task.finished(best, first))
 
 
-def _strongest(task: _Task, first: Trial) -> EventSearchResult:
+def _strongest(task: _Task, first: Evaluation) -> EventSearchResult:
     """Return the orbit with the largest least push, by a search without derivatives."""
     start = first
     if first.violation:
@@ -457,7 +463,7 @@ def _strongest(task: _Task, first: Trial) -> EventSearchResult:
     known = {start.u.tobytes(): (_least_impulse(pushed), start)}
     size = _least_impulse(pushed) or 1.0
 
-    def evaluated(u: Vector) -> tuple[float, Trial | None]:
+    def evaluated(u: Vector) -> tuple[float, Evaluation | None]:
         nonlocal best, best_pushes
         u = np.clip(np.array(u), 0.0, 1.0)
         key = u.tobytes()
@@ -501,7 +507,7 @@ def _strongest(task: _Task, first: Trial) -> EventSearchResult:
     )
 
 
-def _widest(task: _Task, first: Trial) -> EventSearchResult:
+def _widest(task: _Task, first: Evaluation) -> EventSearchResult:
     """Return the orbit with the widest margin, within the bounds."""
     start = first
     if first.violation:
@@ -534,11 +540,11 @@ def _least_impulse(pushes: Sequence[tuple[float, Push | None]]) -> float:
     return min(impulse for impulse, _ in pushes)
 
 
-def _by_nominal(task: _Task, first: Trial) -> list[Optimum]:
+def _by_nominal(task: _Task, first: Evaluation) -> list[Optimum]:
     """Return the worst-case optimum near the optimum at the search's own parameters."""
     alone = replace(task, corners=({},))
     nominal = alone.near(
-        Trial(
+        Evaluation(
             u=first.u,
             points=first.points[:1],
             costs=first.costs[:1],
@@ -554,7 +560,7 @@ def _by_nominal(task: _Task, first: Trial) -> list[Optimum]:
     return [task.near(begin)]
 
 
-def _by_feasible(task: _Task, first: Trial) -> list[Optimum]:
+def _by_feasible(task: _Task, first: Evaluation) -> list[Optimum]:
     """Return the optimum near the values that keep the bounds and are nearest to the start."""
     if isinstance(task.objective, NearestGains | Target):
         return []
@@ -566,7 +572,7 @@ def _by_feasible(task: _Task, first: Trial) -> list[Optimum]:
         return []
 
 
-def _told(task: _Task, first: Trial, best: Optimum) -> EventSearchResult:
+def _told(task: _Task, first: Evaluation, best: Optimum) -> EventSearchResult:
     """Return the result of an optimum."""
     trial, objective = best.trial, task.objective
     point = trial.points[0]
@@ -604,7 +610,7 @@ def _told(task: _Task, first: Trial, best: Optimum) -> EventSearchResult:
     )
 
 
-def _extent(points: Sequence[EventPoint], name: str) -> Extent:
+def _extent(points: Sequence[OrbitAtValues], name: str) -> Extent:
     """Return the range of a quantity over all corners."""
     found = [point.extent(name) for point in points]
     return Extent(
@@ -612,7 +618,7 @@ def _extent(points: Sequence[EventPoint], name: str) -> Extent:
     )
 
 
-def _vanishing(task: _Task, first: Trial, last: Trial) -> dict[str, float]:
+def _vanishing(task: _Task, first: Evaluation, last: Evaluation) -> dict[str, float]:
     """Return the impacts that no bound keeps and whose speed falls to nothing at every corner."""
     objective = task.objective
     if not isinstance(objective, OfImpacts):
@@ -629,7 +635,7 @@ def _vanishing(task: _Task, first: Trial, last: Trial) -> dict[str, float]:
 
 
 def _least_speeds(
-    objective: Objective, first: Trial, vanishing: Mapping[str, float]
+    objective: Objective, first: Evaluation, vanishing: Mapping[str, float]
 ) -> tuple[Bound, ...]:
     """Return bounds that keep impacts which would vanish."""
     if not isinstance(objective, OfImpacts):
@@ -641,7 +647,7 @@ def _least_speeds(
     )
 
 
-def _end_of_family(task: _Task, last: Trial, vanishing: Mapping[str, float]) -> str:
+def _end_of_family(task: _Task, last: Evaluation, vanishing: Mapping[str, float]) -> str:
     numbers = zip(task.free, task.numbers(last.u), strict=True)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in numbers)
     said = [

@@ -17,8 +17,8 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
     Bound,
     EventReturn,
-    Loss,
     Margin,
+    MarginKind,
     StepError,
     closed_return,
     excess,
@@ -28,21 +28,21 @@ from zeno_orbits.orbits import (
     section_of_family,
     sequence_of,
 )
-from zeno_orbits.search.events.points import EventPoint, OrbitsOverValues
-from zeno_orbits.search.homotopy.line import Followed, LinePoint, between, follow_line
+from zeno_orbits.search.events.points import OrbitAtValues, OrbitsOverValues
+from zeno_orbits.search.homotopy.line import Followed, LinePoint, follow_line, values_on_line
 from zeno_orbits.search.homotopy.persistence import WAY
 from zeno_orbits.work import Progress, silent
 
 _LOST = {
-    Loss.AMPLITUDE: "the amplitude is zero",
-    Loss.LOCK: "the locked arc before `{}` vanishes",
-    Loss.FIRST_IMPACT: "the first impact of `{}` grazes",
-    Loss.RELEASE_RATE: "`{}` is not transversal",
-    Loss.SWITCH_RATE: "`{}` is not transversal",
-    Loss.EVENTS: "`{}` meets the event before it",
-    Loss.NEAR_MISS: "a stop is touched before `{}`",
-    Loss.ADHESION: "contact ends before `{}`",
-    Loss.FREQUENCY: "the period tends to infinity",
+    MarginKind.AMPLITUDE: "the amplitude is zero",
+    MarginKind.LOCK: "the locked arc before `{}` vanishes",
+    MarginKind.FIRST_IMPACT: "the first impact of `{}` grazes",
+    MarginKind.RELEASE_RATE: "`{}` is not transversal",
+    MarginKind.SWITCH_RATE: "`{}` is not transversal",
+    MarginKind.EVENTS: "`{}` meets the event before it",
+    MarginKind.NEAR_MISS: "a stop is touched before `{}`",
+    MarginKind.ADHESION: "contact ends before `{}`",
+    MarginKind.FREQUENCY: "the period tends to infinity",
 }
 """Losses at an event. A cause precedes the margins that vanish with it (theory (5.8))."""
 _ATTRACTION = "attraction"
@@ -88,7 +88,7 @@ class EventWays:
 
         def closed(part: float, guess: Vector, period: float) -> LinePoint[EventReturn]:
             try:
-                graph = self.problem.graph_dynamics(between(here, wanted, part))
+                graph = self.problem.graph_dynamics(values_on_line(here, wanted, part))
                 found = closed_return(
                     graph,
                     guess,
@@ -140,7 +140,7 @@ class EventWays:
             StepError: If the event of a bound does not occur.
         """
         graph = self.problem.graph_dynamics(values)
-        point = EventPoint(values=values, graph=graph, found=near, chosen=())
+        point = OrbitAtValues(values=values, graph=graph, found=near, chosen=())
         return np.array([-excess(bound, point.extent(bound.name)) for bound in self.bounds])
 
     def tell(self, stage: str) -> None:

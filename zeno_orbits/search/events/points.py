@@ -88,7 +88,7 @@ class Slope:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EventPoint:
+class OrbitAtValues:
     """An orbit of events at given values.
 
     Attributes:
@@ -315,7 +315,7 @@ class OrbitsOverValues:
         """Take the first orbit."""
         self._last[()] = found
 
-    def at(self, numbers: Vector, corner: dict[str, float]) -> EventPoint:
+    def at(self, numbers: Vector, corner: dict[str, float]) -> OrbitAtValues:
         """Return the orbit at free values and a corner of uncertain parameters.
 
         Args:
@@ -343,7 +343,7 @@ class OrbitsOverValues:
             found = self._closed(graph, settled, section, chosen)
         self.n_orbits += 1
         self._last[key] = found
-        return EventPoint(values=values, graph=graph, found=found, chosen=chosen)
+        return OrbitAtValues(values=values, graph=graph, found=found, chosen=chosen)
 
     def _closed(
         self, graph: GraphDynamics, near: EventReturn, section: str, chosen: Sequence[int]
@@ -361,7 +361,7 @@ class OrbitsOverValues:
     def differenced(
         self,
         name: str,
-        point: EventPoint,
+        point: OrbitAtValues,
         numbers: Vector,
         ranges: Vector,
         corner: dict[str, float],

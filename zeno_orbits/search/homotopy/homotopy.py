@@ -15,10 +15,10 @@ from zeno_orbits.orbits import (
     StepControl,
     StepError,
     ZenoOrbit,
-    floquet_multipliers,
+    orbit_multipliers,
     placed,
 )
-from zeno_orbits.search.homotopy.line import Followed, LinePoint, between, follow_line
+from zeno_orbits.search.homotopy.line import Followed, LinePoint, follow_line, values_on_line
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.shooting.fixed_point import close_cycle
 from zeno_orbits.simulation import SimulationSettings, scale_of
@@ -117,7 +117,7 @@ def _closed(
         SimulationError: If no orbit closes.
         StepError: If the values or the guess are not valid.
     """
-    values = between(line.first, line.last, part)
+    values = values_on_line(line.first, line.last, part)
     try:
         dynamics = line.search.dynamics(values)
         start = placed(dynamics, line.shape, guess)
@@ -158,7 +158,7 @@ def _attraction(dynamics: HybridDynamics, cycle: Cycle) -> float:
     Raises:
         StepError: If the orbit is not stable.
     """
-    multipliers = floquet_multipliers(
+    multipliers = orbit_multipliers(
         dynamics,
         cycle.start.state,
         scale=cycle.scale_at_events(),

@@ -74,7 +74,7 @@ class Followed(Generic[T_co]):
     end_error: float = 0.0
 
 
-def between(first: ParameterValues, last: ParameterValues, part: float) -> ParameterValues:
+def values_on_line(first: ParameterValues, last: ParameterValues, part: float) -> ParameterValues:
     r"""Return the values :math:`p(s) = (1 - s)\,p_0 + s\,p_1` at a position on a line.
 
     Args:
@@ -139,7 +139,7 @@ def follow_line(
     reached = f"Orbits could be followed to {where}, not beyond"
     return Followed(
         orbit=last.orbit,
-        values=between(easy, wanted, last.part),
+        values=values_on_line(easy, wanted, last.part),
         arrived=False,
         ending=f"{reached}." if cause is None else f"{reached}: there {loss}.",
         loss=loss,

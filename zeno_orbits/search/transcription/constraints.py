@@ -28,7 +28,7 @@ RADIUS_SLACK = 1e-7
 """Reduction of a bound on the spectral radius in the program: the error of its mesh."""
 
 
-def named_numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
+def quantity_terms(terms: OrbitTerms, name: str) -> list[ca.MX]:
     """Return a quantity of the orbit by its name in `measures.NUMBERS`, or its value in each phase.
 
     The quantity of an orbit of several phases is the smallest value of its phases.
@@ -129,7 +129,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
                 offset = -sign * end + slack * size
                 _hold(terms, _label(bound, sign), quantity, columns, sign, offset, size)
         return size
-    values = named_numbers(terms, bound.name)
+    values = quantity_terms(terms, bound.name)
     if len(values) > 1 and math.isfinite(bound.upper):
         wanted = f"must bound `{bound.name}` from below only for the shape `{terms.shape.text}`"
         raise InputError(f"Argument `keep` {wanted}, but it has {bound.text}.")

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array
-from zeno_orbits.search.transcription.program import Program
+from zeno_orbits.search.transcription.program import NonlinearProgram
 from zeno_orbits.work import Checked
 
 
@@ -144,7 +144,7 @@ def _quiet_about_interrupts() -> contextlib.AbstractContextManager[object]:
     return contextlib.nullcontext()
 
 
-def row_rounding(program: Program) -> Array:
+def row_rounding(program: NonlinearProgram) -> Array:
     r"""Return the rounding error of each row at the guess, ``(m,)``, a lower limit of its residual.
 
     .. math:: \epsilon \sum_j |J_{ij} x_j|
@@ -165,7 +165,7 @@ _ROUNDINGS = 4.0
 """Number of rounding errors of its terms that a row accumulates."""
 
 
-def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
+def solve(program: NonlinearProgram, settings: IpoptSettings | None = None) -> Solution:
     """Solve a program with Ipopt, from its guess.
 
     Raises:

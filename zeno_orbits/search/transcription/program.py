@@ -19,7 +19,7 @@ from zeno_orbits.search.transcription.jacobian import MappedRows, rows_jacobian
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Program:
+class NonlinearProgram:
     """A nonlinear program in scaled unknowns.
 
     Attributes:
@@ -248,7 +248,7 @@ class ProgramBuilder:
         """Declare an expression that is evaluated at the solution."""
         self._reports[name] = expression
 
-    def build(self, objective: ca.MX | None = None) -> Program:
+    def build(self, objective: ca.MX | None = None) -> NonlinearProgram:
         """Return the program. Without an objective, any feasible point is a solution."""
         bounds = np.array([np.concatenate(side) for side in zip(*self._bounds, strict=True)])
         rows = np.array(self._row_bounds)
@@ -256,7 +256,7 @@ class ProgramBuilder:
         cost = ca.MX(0) if objective is None else objective
         asked = [ca.vertcat(*self._rows), self._jacobian(unknowns), cost]
         plain, jacobian, cost, *reports = self._resolved([*asked, *self._reports.values()])
-        return Program(
+        return NonlinearProgram(
             reports=dict(zip(self._reports, reports, strict=True)),
             unknowns=unknowns,
             objective=cost,
