@@ -29,11 +29,11 @@ from zeno_orbits.experiment import (
     compare_recording,
     sampled,
 )
-from zeno_orbits.experiment.recordings.recording import cut
+from zeno_orbits.experiment.recordings.recording import crop_recording
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import Execution, simulate
 
 MACHINES = Path(__file__).parents[1] / "tests" / "support" / "machines"
@@ -89,7 +89,7 @@ def machine(name: str, cycles: int) -> Machine:
     """Return a machine of the tests or a bundled problem, over some periods and one more."""
     path = MACHINES / f"{name}.py"
     problem = load_problem(path if path.exists() else name)
-    orbit = close_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values()).unwrap()
     dynamics = problem.dynamics(problem.values())
     start = dynamics.on_stop(np.array(problem.state_vector(orbit.release_state)))
     motion = simulate(dynamics, start, until=(cycles + 1.0) * orbit.period)
@@ -119,7 +119,7 @@ def recorded(one: Machine, samples: float, cycles: int, noise: float, seed: int)
     # Recordings of different machines do not share their noise.
     rng = np.random.default_rng([zlib.crc32(one.problem.name.encode()), seed])
     since = one.orbit.period * float(rng.random())
-    part = cut(exact(one, samples), since, since + cycles * one.orbit.period)
+    part = crop_recording(exact(one, samples), since, since + cycles * one.orbit.period)
 
     def noisy(signal: RecordedSignal) -> RecordedSignal:
         values = signal.values

@@ -33,7 +33,7 @@ from contact_coverage import recorded as recorded_run
 
 import zeno_orbits as zo
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment import RecordedSignal, Recording, Source, Unknown, contact_names
+from zeno_orbits.experiment import FitParameter, RecordedSignal, Recording, Source, contact_names
 from zeno_orbits.experiment.identification.event_predictions import EventPeriod, event_period
 from zeno_orbits.experiment.identification.least_squares import weighed
 from zeno_orbits.experiment.identification.prepared import Prepared, prepared
@@ -218,7 +218,7 @@ def last_step(recording: Recording, truth: dict[str, float]) -> dict[str, Score]
     problem = zo.load_problem(PROBLEM)
     values = problem.values(parameters=truth)
     sought = [
-        Unknown(names=(name,), lower=true / 2, upper=true * 2) for name, true in truth.items()
+        FitParameter(names=(name,), lower=true / 2, upper=true * 2) for name, true in truth.items()
     ]
     unknowns = unknowns_of(problem, values, sought)
     whole = prepared(problem, values, unknowns, recording, silent)

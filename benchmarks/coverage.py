@@ -44,16 +44,16 @@ from comparison import machine, recorded, scores
 from support.spreading import add_options, arriving
 
 from zeno_orbits.experiment import (
+    FitParameter,
     RecordedSignal,
     Recording,
     Source,
     UnfittableError,
-    Unknown,
     fit_parameters,
 )
 from zeno_orbits.experiment.orbit_table import tabulate_orbit
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,13 +69,13 @@ class Case:
 
     signals: tuple[str, ...]
     velocities: tuple[str, ...]
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[FitParameter, ...]
     off: tuple[float, ...]
 
 
-def unknown(label: str, lower: float, upper: float) -> Unknown:
+def unknown(label: str, lower: float, upper: float) -> FitParameter:
     """Return an unknown with its range."""
-    return Unknown(names=tuple(label.split("+")), lower=lower, upper=upper)
+    return FitParameter(names=tuple(label.split("+")), lower=lower, upper=upper)
 
 
 ANGLES = ("theta1", "theta2")
@@ -205,7 +205,7 @@ class Judge:
         for one, off in zip(case.unknowns, case.off, strict=True):
             factor = 1.0 + self.spread * off * rng.normal()
             truth |= {name: truth[name] * factor for name in one.names}
-        orbit = close_orbit(problem, problem.values(parameters=truth)).orbit
+        orbit = orbit_by_shooting(problem, problem.values(parameters=truth)).orbit
         if orbit is None:
             return None
         names = (*case.signals, *(case.velocities if point["velocities"] else ()))
@@ -230,7 +230,7 @@ class Judge:
         source = Source.SIMULATED
         return Recording(source=source, problem=problem.name, time=times, signals=signals), truth
 
-    def sought(self, name: str) -> tuple[Unknown, ...]:
+    def sought(self, name: str) -> tuple[FitParameter, ...]:
         """Return what is found in recordings of a problem."""
         case = CASES[name]
         if not self.instruments:

@@ -18,8 +18,8 @@ import numpy as np
 from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.precision.accuracy import at_tolerance, simulate_to
-from zeno_orbits.precision.landmark import difference
+from zeno_orbits.precision.accuracy import at_tolerance, execution_to_accuracy
+from zeno_orbits.precision.landmark import execution_distance
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
@@ -64,7 +64,7 @@ def over_tolerance(
 ) -> list[float]:
     """Return the largest error in units of each tolerance."""
     return [
-        max(difference(follow(dynamics, x, tolerance, e), truth) for x, truth in motions)
+        max(execution_distance(follow(dynamics, x, tolerance, e), truth) for x, truth in motions)
         / tolerance
         for tolerance in TOLERANCES
     ]
@@ -79,10 +79,12 @@ def over_promise(
     settings = SimulationSettings(engine=e)
     for accuracy in ACCURACIES:
         told = [
-            simulate_to(dynamics, x, until=HORIZON, accuracy=accuracy, settings=settings)
+            execution_to_accuracy(dynamics, x, until=HORIZON, accuracy=accuracy, settings=settings)
             for x, _ in motions
         ]
-        errors = [difference(a.execution, t) for a, (_, t) in zip(told, motions, strict=True)]
+        errors = [
+            execution_distance(a.execution, t) for a, (_, t) in zip(told, motions, strict=True)
+        ]
         parts.append(max(errors) / accuracy)
         shares.append(max(error / a.error for a, error in zip(told, errors, strict=True)))
     return parts, shares

@@ -23,11 +23,11 @@ import numpy as np
 from zeno_orbits.continuation import (
     Continuation,
     ContinuationSettings,
-    Crew,
     CurveSteps,
     SecondParameter,
     SpecialCurve,
     SpecialPointKind,
+    WorkerPool,
     family_of_orbit,
     start_orbit,
 )
@@ -35,7 +35,7 @@ from zeno_orbits.model.library import locate_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.report import plots
 from zeno_orbits.report.terminal.progress import ProgressLine
-from zeno_orbits.work import Plan, Workers, open_pool
+from zeno_orbits.work import ExecutionPlan, Workers, open_pool
 from zeno_orbits.work.files import write_whole
 
 KP, KD = (0.5, 12.0), (-2.5, 0.0)
@@ -49,7 +49,7 @@ SETTINGS = ContinuationSettings(curve=CurveSteps(most=120))
 PROBLEM = "motor_pendulum"
 
 
-def kept(crew: Crew, name: str) -> Crew:
+def kept(crew: WorkerPool, name: str) -> WorkerPool:
     """Return the same workers for one family, which has a folder of its own in the checkpoint."""
 
     def report(stage: str, part: float | None, /) -> None:
@@ -60,7 +60,7 @@ def kept(crew: Crew, name: str) -> Crew:
     return replace(crew, plan=replace(crew.plan, checkpoint=own), on_progress=report)
 
 
-def families(problem: Problem, crew: Crew, *, curves: bool) -> dict[str, Continuation]:
+def families(problem: Problem, crew: WorkerPool, *, curves: bool) -> dict[str, Continuation]:
     """Return the families by the parameter that they are in, printing their tables."""
     orbit = start_orbit(problem, problem.values())
     found: dict[str, Continuation] = {}
@@ -89,7 +89,9 @@ def families(problem: Problem, crew: Crew, *, curves: bool) -> dict[str, Continu
     return found
 
 
-def inner_curves(problem: Problem, found: dict[str, Continuation], crew: Crew) -> Continuation:
+def inner_curves(
+    problem: Problem, found: dict[str, Continuation], crew: WorkerPool
+) -> Continuation:
     """Return the S-shaped family in Kd at a higher Kp, with its folds and flips that are new."""
     kp, kd = INNER
     inner = family_of_orbit(
@@ -175,8 +177,8 @@ def main() -> None:
     if options.checkpoint is not None:
         options.checkpoint.mkdir(parents=True, exist_ok=True)
     with open_pool(place) as pool, ProgressLine(lambda: None) as progress:
-        plan = Plan(place=place, checkpoint=options.checkpoint)
-        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, on_progress=progress)
+        plan = ExecutionPlan(place=place, checkpoint=options.checkpoint)
+        crew = WorkerPool(problem_file=problem_file, plan=plan, pool=pool, on_progress=progress)
         found = families(problem, crew, curves=not options.quick)
     curves = [in_gains(b) for one in found.values() for b in one.boundaries]
     if options.output is not None:

@@ -30,9 +30,9 @@ from zeno_orbits.precision.reduced_models import (
     CORRECTED,
     LANDMARKS,
     QUASI_STATIC,
+    errors_of_reduced_models,
     landmark_errors,
     orbit_near,
-    reduction_costs,
 )
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation.simulator import simulate
@@ -123,7 +123,7 @@ def measure(problem: Problem, inductances: Sequence[float], n_runs: int) -> list
             found[name] = (dynamics, cycle)
             near = cycle.start.state[: len(release)]
         truth = found["full"][1]
-        costs = reduction_costs(problem, values)
+        costs = errors_of_reduced_models(problem, values)
         for name, (dynamics, cycle) in found.items():
             errors = {} if name == "full" else landmark_errors(cycle, truth)
             row = Row(

@@ -32,7 +32,7 @@ from zeno_orbits.experiment.identification.unknowns import unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 
 PROBLEM = "motor_pendulum"
 SIGNALS, SOUGHT = CASES[PROBLEM].signals, CASES[PROBLEM].unknowns
@@ -51,7 +51,7 @@ def main() -> None:
     problem = load_problem(PROBLEM)
     truth = {n: v for one, v in zip(SOUGHT, TRUTH, strict=True) for n in one.names}
     values = problem.values(parameters=truth)
-    table = tabulate_orbit(close_orbit(problem, values).unwrap(), problem, SIGNALS)
+    table = tabulate_orbit(orbit_by_shooting(problem, values).unwrap(), problem, SIGNALS)
     unknowns = unknowns_of(problem, values, SOUGHT)
     orbits = Predictions(problem, unknowns, measurement(problem, SIGNALS), table.cycle)
     x = unknowns.first

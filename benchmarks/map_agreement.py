@@ -31,9 +31,9 @@ from zeno_orbits.maps.mapping import ParameterMap, parameter_map
 from zeno_orbits.maps.plane import Axis, Plane
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import Plan, spread
+from zeno_orbits.work import ExecutionPlan, parallel_map
 
-Fast = Callable[[Plane, Plan], ParameterMap]
+Fast = Callable[[Plane, ExecutionPlan], ParameterMap]
 """What is tested: from a plane to its map."""
 
 LONGER = 5.0
@@ -130,7 +130,9 @@ def looked_at_closer(one: Comparison, plane: Plane, fast: Fast) -> Comparison:
     """
     if one.agrees or one.undecided or one.near_boundary:
         return one
-    seen = {_kind(other) for other in fast(cells_around(plane, one.point), Plan()).attractors}
+    seen = {
+        _kind(other) for other in fast(cells_around(plane, one.point), ExecutionPlan()).attractors
+    }
     return replace(one, near_boundary=_kind(one.slow) in seen and len(seen) > 1)
 
 
@@ -153,7 +155,7 @@ def compare(found: ParameterMap, task: LongRuns, indices: Sequence[int]) -> list
     """Return both answers at some points of a map; the long runs are spread over all cores."""
     points = [task.plane.points()[k] for k in indices]
     with report.ProgressLine(lambda: None) as progress:
-        slow = spread(task, points, Plan(chunk=4), on_progress=progress)
+        slow = parallel_map(task, points, ExecutionPlan(chunk=4), on_progress=progress)
     return [
         Comparison(
             point=point,
@@ -165,7 +167,7 @@ def compare(found: ParameterMap, task: LongRuns, indices: Sequence[int]) -> list
     ]
 
 
-def computed(plane: Plane, plan: Plan) -> ParameterMap:
+def computed(plane: Plane, plan: ExecutionPlan) -> ParameterMap:
     """Return the map by the package's own function."""
     with report.ProgressLine(lambda: None) as progress:
         return parameter_map(plane, plan, on_progress=progress)
@@ -182,7 +184,7 @@ def main(fast: Fast = computed) -> int:
         until=options.until,
     )
     if options.map is None:
-        found = fast(plane, Plan())
+        found = fast(plane, ExecutionPlan())
     else:
         found = read_map(options.map)
         plane = replace(plane, x=found.x, y=found.y, until=found.until)

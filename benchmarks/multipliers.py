@@ -30,7 +30,7 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.monodromy import return_derivative
 from zeno_orbits.orbits.poincare import orbit_multipliers, poincare_map
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 
@@ -64,7 +64,7 @@ def compare_returns(name: str, repeats: int) -> str:
     """Return a line with the times of a return of a problem, plain and with derivatives."""
     problem, settings = load_problem(name), SimulationSettings()
     values = problem.values()
-    orbit = close_orbit(problem, values, simulation=settings).unwrap()
+    orbit = orbit_by_shooting(problem, values, simulation=settings).unwrap()
     x, horizon = np.array(list(orbit.release_state.values())), 2 * orbit.period
     dynamics = problem.dynamics(values)
 
@@ -101,7 +101,7 @@ def main() -> None:
     repeats = parser.parse_args().repeats
     problem = load_problem("motor_pendulum")
     values = problem.values()
-    orbit = close_orbit(problem, values, simulation=SimulationSettings()).unwrap()
+    orbit = orbit_by_shooting(problem, values, simulation=SimulationSettings()).unwrap()
     x, period = np.array(list(orbit.release_state.values())), orbit.period
     scale, horizon = 1.0 + np.abs(x), 2 * period
     dynamics = problem.dynamics(values)

@@ -39,7 +39,7 @@ import zeno_orbits as zo
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.orbits.bounds import Bound, is_kept
-from zeno_orbits.search import Objective, close_orbit
+from zeno_orbits.search import Objective, orbit_by_shooting
 from zeno_orbits.verification import measure
 
 MACHINES = Path(__file__).parents[1] / "tests" / "support" / "machines"
@@ -174,7 +174,9 @@ class Truth:
         numbers = {**case.numbers, **dict(zip(case.free, map(float, point), strict=True))}
         for known in (near, None) if near is not None else (None,):
             try:
-                found = close_orbit(problem, problem.values(numbers=numbers), near=known).orbit
+                found = orbit_by_shooting(
+                    problem, problem.values(numbers=numbers), near=known
+                ).orbit
             except ZenoOrbitsError:
                 continue
             if found is None:

@@ -49,7 +49,7 @@ from zeno_orbits.api import machine_of, rig_settings
 from zeno_orbits.errors import RunawayError, WorkError
 from zeno_orbits.experiment import SettledRig
 from zeno_orbits.maps import Attractor, Push, Pushes, PushSettings
-from zeno_orbits.work import LostPoint, Plan, Workers, spread
+from zeno_orbits.work import ExecutionPlan, FailedPoint, Workers, parallel_map
 
 Vector = npt.NDArray[np.float64]
 
@@ -293,8 +293,8 @@ def judged(task: Judge, points: Sequence[Any], workers: int) -> list[dict[str, A
     # A worker makes the reference anew for every chunk.
     chunk = min(100, math.ceil(len(points) / workers))
     found: list[dict[str, Any]] = []
-    for one in spread(task, points, Plan(place=Workers(count=workers), chunk=chunk)):
-        if isinstance(one, LostPoint):
+    for one in parallel_map(task, points, ExecutionPlan(place=Workers(count=workers), chunk=chunk)):
+        if isinstance(one, FailedPoint):
             raise WorkError(one.reason)
         found.append(one)
     return found

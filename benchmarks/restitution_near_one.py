@@ -30,7 +30,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.reference.closed_forms import FadingBall, SlidingBead
 from tests.support.mechanisms import GRAVITY, bead_on_disc, fading_ball
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import GuardedFlow, Leg, Passage, RungeKutta, Step, Tolerance
+from zeno_orbits.integrators import (
+    FlowWithEvent,
+    RungeKutta,
+    Segment,
+    SegmentResult,
+    Step,
+    Tolerance,
+)
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.execution import ZenoPoint
@@ -55,7 +62,7 @@ class Counter:
     n_steps: int = 0
     engine: RungeKutta = field(default_factory=RungeKutta)
 
-    def follow(self, leg: Leg) -> Passage:
+    def follow(self, leg: Segment) -> SegmentResult:
         """Follow a leg with the explicit engine; a flow with a scaled gap is a flight."""
         passage = self.engine.follow(leg)
         if len(leg.y) > self.n_x:
@@ -63,7 +70,7 @@ class Counter:
             self.n_steps += len(passage.trajectory.times) - 1
         return passage
 
-    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[Step]:
+    def steps(self, flow: FlowWithEvent, y: Vector, tolerance: Tolerance) -> Iterator[Step]:
         """Yield the steps of one flight along a curve of impacts."""
         self.flights += 1
         for step in self.engine.steps(flow, y, tolerance):

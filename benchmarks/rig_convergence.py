@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zeno_orbits.experiment import RigSettings, rig_cycles
+from zeno_orbits.experiment import RigSettings, settle_rig
 from zeno_orbits.experiment.rig import SettledRig, default_rig
 from zeno_orbits.experiment.rig.cycle_comparison import (
     OrbitCurve,
@@ -33,10 +33,10 @@ from zeno_orbits.experiment.rig.cycle_comparison import (
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.rig_parts import Contact, Controller, Rig, Switching
+from zeno_orbits.model.rig_parts import Contact, Controller, PwmSettings, Rig
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 
 FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
 LOOSE = RigSettings(tolerance=Tolerance(relative=1e-11, absolute=1e-13))
@@ -168,7 +168,7 @@ def sweep(
     for stiffness in stiffnesses:
         rig = Rig(contact=Contact(stiffness=stiffness, exponent=exponent))
         fine, loose = (
-            rig_cycles(orbit, problem, rig, cycles=CYCLES, settle=7, settings=settings)
+            settle_rig(orbit, problem, rig, cycles=CYCLES, settle=7, settings=settings)
             for settings in (FINE, LOOSE)
         )
         row, spread = middle(orbit, problem, curve, fine)
@@ -288,7 +288,7 @@ def show_portrait(orbit: ZenoOrbit, problem: Problem) -> None:
     last = math.nan
     for k in 10.0 ** np.arange(3, 12):
         rig = Rig(contact=Contact(stiffness=float(k)))
-        settled = rig_cycles(orbit, problem, rig, cycles=1, settle=4, settings=settings)
+        settled = settle_rig(orbit, problem, rig, cycles=1, settle=4, settings=settings)
         away = curve.distances(settled.run.states)
         at, touch = int(np.argmax(away)), settled.cycles[0].impact
         part = (settled.run.times[at] - touch.start) / (touch.end - touch.start)
@@ -320,9 +320,9 @@ def alone(problem: Problem) -> dict[str, Rig]:
         "MOSFETs": replace(stiff, bridge=replace(bare, resistance=bridge.resistance)),
         "dead time": replace(stiff, bridge=replace(bridge, resistance=0.0)),
         "dead time, exact": replace(
-            stiff, bridge=replace(bridge, resistance=0.0, switching=Switching.EXACT)
+            stiff, bridge=replace(bridge, resistance=0.0, switching=PwmSettings.EXACT)
         ),
-        "pulses, exact": replace(stiff, bridge=replace(bare, switching=Switching.EXACT)),
+        "pulses, exact": replace(stiff, bridge=replace(bare, switching=PwmSettings.EXACT)),
         "sampling 1 kHz": replace(stiff, controller=sampled),
         "delay 1 ms": replace(stiff, controller=controller),
         "delay 5 ms": replace(stiff, controller=replace(controller, delay=5e-3)),
@@ -350,9 +350,9 @@ def show_alone(orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve) -> None:
     )
     for name, rig in alone(problem).items():
         begun = time.process_time()
-        few = rig.bridge is not None and rig.bridge.switching is Switching.EXACT
+        few = rig.bridge is not None and rig.bridge.switching is PwmSettings.EXACT
         settle, cycles = (4, 1) if few else (8, 4)
-        settled = rig_cycles(orbit, problem, rig, cycles=cycles, settle=settle, settings=COARSE)
+        settled = settle_rig(orbit, problem, rig, cycles=cycles, settle=settle, settings=COARSE)
         spent = (time.process_time() - begun) / (settle + cycles + 1)
         rows = of_each(orbit, problem, curve, settled)
         mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
@@ -434,7 +434,7 @@ def main() -> int:
     orbit = (
         read_orbit(options.orbit)
         if options.orbit
-        else close_orbit(problem, problem.values()).unwrap()
+        else orbit_by_shooting(problem, problem.values()).unwrap()
     )
     curve = orbit_curve(orbit, problem)
     sound = True

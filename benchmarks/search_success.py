@@ -34,16 +34,16 @@ from zeno_orbits.model.library import locate_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report import terminal as report
 from zeno_orbits.search import (
-    FastestContraction,
+    MinSpectralRadius,
     NearestGains,
     Objective,
     SearchResult,
     orbit_at_gains,
     search_orbits,
 )
-from zeno_orbits.search.shooting.guess import settle
+from zeno_orbits.search.shooting.guess import run_to_attractor
 from zeno_orbits.verification.verifier import verify
-from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, spread_in_order, versions
+from zeno_orbits.work import Cluster, ExecutionPlan, FailedPoint, Workers, spread_in_order, versions
 
 SETTLED = 1e-6
 GOAL = 0.98
@@ -87,7 +87,7 @@ def has_orbit(values: ParameterValues) -> bool:
     """Tell whether a long simulation settles to a periodic orbit."""
     problem = pendulum()
     starts = [problem.state_vector(start) for start in problem.starts]
-    cycle = settle(problem.dynamics(values), starts).cycle
+    cycle = run_to_attractor(problem.dynamics(values), starts).cycle
     return cycle is not None and cycle.drift(cycle.scale()) < SETTLED
 
 
@@ -131,7 +131,7 @@ SEARCHES: Mapping[str, Callable[[ParameterValues, ParameterValues, Any], SearchR
     "fixed": lambda values, _, __: orbit_at_gains(pendulum(), values),
     "default": lambda _, wrong, __: _free(wrong, NearestGains(target={})),
     "nearest": lambda _, wrong, target: _free(wrong, NearestGains(target=target)),
-    "contraction": lambda _, wrong, __: _free(wrong, FastestContraction()),
+    "contraction": lambda _, wrong, __: _free(wrong, MinSpectralRadius()),
 }
 
 
@@ -146,7 +146,7 @@ def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
         "script": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(),
         "versions": versions(),
     }
-    plan = Plan(
+    plan = ExecutionPlan(
         place=place if options.scheduler is None else Cluster(address=options.scheduler),
         chunk=1,
         checkpoint=options.checkpoint,
@@ -161,7 +161,7 @@ def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
         while len(results) < options.problems and tried < len(problems):
             result = next(found)
             tried += 1
-            if isinstance(result, LostPoint):
+            if isinstance(result, FailedPoint):
                 results.append([result.reason] * len(kinds))
             elif result is not None:
                 results.append(result)

@@ -61,7 +61,7 @@ from zeno_orbits.continuation import (
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits import ONE_ZENO
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import SimulationSettings
 
 CHAIN = str(Path(__file__).parent / "support" / "chain.py")
@@ -281,7 +281,7 @@ class Families:
                 )
                 found = family_of_impacts(problem, values, state, parameter, box, settings=settings)
             else:
-                orbit = close_orbit(problem, values, shape=ONE_ZENO).orbit
+                orbit = orbit_by_shooting(problem, values, shape=ONE_ZENO).orbit
                 if orbit is None:
                     return {**told, "none": "no orbit to start from"}
                 found = family_of_orbit(problem, orbit, parameter, box, settings=settings)

@@ -42,9 +42,9 @@ from zeno_orbits.experiment import (
     compare_recording,
     sampled,
 )
-from zeno_orbits.experiment.recordings.recording import cut
+from zeno_orbits.experiment.recordings.recording import crop_recording
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import simulate
 
 Signal = NDArray[np.float64]
@@ -84,7 +84,7 @@ def copied(name: str, cycles: float = CYCLES) -> Recording:
     """Return a noisy recording of the orbit of a problem."""
     one = machine(name, CYCLES)
     since = 0.37 * one.orbit.period
-    return noisy(cut(exact(one, SAMPLES), since, since + cycles * one.orbit.period), 1)
+    return noisy(crop_recording(exact(one, SAMPLES), since, since + cycles * one.orbit.period), 1)
 
 
 def of_gap(name: str, values: Callable[[Signal], Signal]) -> Recording:
@@ -148,7 +148,7 @@ def other(
     whole = sampled(problem, dynamics, motion, Sampling(rate=SAMPLES / period))
     kept = {s.name for s in copied(name).signals}
     signals = tuple(s for s in whole.signals if s.name in kept)
-    part = cut(replace(whole, signals=signals), 60 * period, (60 + CYCLES) * period)
+    part = crop_recording(replace(whole, signals=signals), 60 * period, (60 + CYCLES) * period)
     return noisy(replace(part, problem=name), 3)
 
 
@@ -244,7 +244,7 @@ class Verdicts:
 def told(name: str, recording: Recording) -> dict[str, str]:
     """Return the verdict on a recording and its first reason."""
     problem = load_problem(name)
-    orbit = close_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values()).unwrap()
     found = compare_recording(orbit, problem, recording)
     reasons = [*found.reasons, *found.unresolved, *(one.name for one in found.differences)]
     return {"verdict": found.verdict.value, "reason": reasons[0] if reasons else ""}

@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from zeno_orbits.integrators import Automatic, Engine, Radau
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation.simulator import SimulationSettings
 from zeno_orbits.verification.verifier import VerificationSettings, verify
 
@@ -78,7 +78,7 @@ def measure(
 
         mark()
         values = problem.values(gains=gains)
-        orbit = close_orbit(problem, values, simulation=making, on_progress=mark).unwrap()
+        orbit = orbit_by_shooting(problem, values, simulation=making, on_progress=mark).unwrap()
         mark()
         certificate = verify(orbit, problem, settings=checking)
         mark()

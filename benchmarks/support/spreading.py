@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits.report import terminal
-from zeno_orbits.work import LostPoint, Plan, Workers, spread_in_order, versions
+from zeno_orbits.work import ExecutionPlan, FailedPoint, Workers, spread_in_order, versions
 
 FOLDERS = (Path(__file__).parents[1], Path(__file__).parents[2])
 """The scripts and the root of the repository, from which workers import."""
@@ -44,7 +44,7 @@ def arriving(
     folder = options.checkpoint
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    plan = Plan(
+    plan = ExecutionPlan(
         place=Workers(count=options.workers),
         chunk=chunk,
         checkpoint=None if folder is None else folder / name,
@@ -55,4 +55,4 @@ def arriving(
         closing(spread_in_order(task, points, plan, on_progress=progress)) as found,
     ):
         for one in found:
-            yield {"refused": one.reason} if isinstance(one, LostPoint) else one
+            yield {"refused": one.reason} if isinstance(one, FailedPoint) else one

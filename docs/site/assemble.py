@@ -19,7 +19,7 @@ from formulas import joined
 from navigation import navigation
 
 import zeno_orbits
-from zeno_orbits.work import Displayed
+from zeno_orbits.work import TableRepr
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = ("CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
@@ -93,7 +93,7 @@ def _directive(name: str) -> tuple[str, ...]:
     value = getattr(zeno_orbits, name)
     if inspect.isclass(value):
         # Results share how they become tables; nothing else of a base class is for users.
-        shared = ("   :inherited-members:",) if issubclass(value, Displayed) else ()
+        shared = ("   :inherited-members:",) if issubclass(value, TableRepr) else ()
         return (f".. autoclass:: zeno_orbits.{name}", "   :members:", *shared)
     kind = "autofunction" if inspect.isfunction(value) else "autodata"
     return (f".. {kind}:: zeno_orbits.{name}",)

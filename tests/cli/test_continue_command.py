@@ -23,7 +23,7 @@ from zeno_orbits.model import load_problem
 from zeno_orbits.orbits import write_orbit
 from zeno_orbits.report import plots
 from zeno_orbits.report import terminal as report
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 
 PENDULUM = load_problem("motor_pendulum")
 IMPACTS = [
@@ -72,7 +72,7 @@ def test_a_family_is_written_printed_and_drawn(
 def test_a_family_starts_at_an_orbit_file_and_prints_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    orbit = close_orbit(PENDULUM, PENDULUM.values()).unwrap()
+    orbit = orbit_by_shooting(PENDULUM, PENDULUM.values()).unwrap()
     file = tmp_path / "orbit.json"
     write_orbit(orbit, file)
     words = [
@@ -99,7 +99,7 @@ def test_parameters_that_a_map_would_derive_anew_are_told_to_be_held(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "orbit.json"
-    write_orbit(close_orbit(PENDULUM, PENDULUM.values()).unwrap(), file)
+    write_orbit(orbit_by_shooting(PENDULUM, PENDULUM.values()).unwrap(), file)
     words = ["continue", "motor_pendulum", "--from", str(file), "--parameter"]
     assert main([*words, "m1=0.2998:0.3002"]) == 0
     told = capsys.readouterr().out
@@ -236,7 +236,7 @@ def test_an_example_of_the_help_runs(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    write_orbit(close_orbit(PENDULUM, PENDULUM.values()).unwrap(), tmp_path / "orbit.json")
+    write_orbit(orbit_by_shooting(PENDULUM, PENDULUM.values()).unwrap(), tmp_path / "orbit.json")
     shown = examples("continue")
     assert len(shown) == 4
     answer = ask(*shown[number])

@@ -14,11 +14,11 @@ from zeno_orbits.api import SearchNotes
 from zeno_orbits.cli import build_parser
 from zeno_orbits.cli.search_output import answer, map_command, on_the_optimum
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
+from zeno_orbits.orbits import Bound, EventSequence, ZenoOrbit
 from zeno_orbits.search import (
     Candidate,
-    FastestContraction,
-    LeastEnergy,
+    MinEnergy,
+    MinSpectralRadius,
     NearestGains,
     Objective,
     SearchResult,
@@ -154,7 +154,7 @@ def test_a_motion_that_rests_need_not_be_waited_for(
 def test_a_search_for_one_shape_is_told_to_do_without(
     problem: Problem, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for shape, told in ((None, False), (OrbitShape.parsed("zeno*3"), True)):
+    for shape, told in ((None, False), (EventSequence.parsed("zeno*3"), True)):
         answer(_options(shape=shape), problem, NOTHING, _notes([]))
         assert ("Try: omit --shape" in capsys.readouterr().out) == told
 
@@ -219,27 +219,27 @@ def _said(problem: Problem, result: SearchResult, objective: Objective, candidat
 def test_an_optimum_that_one_start_found_may_be_local_and_one_of_several_is_not_called_so(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    assert "the optimum may be local" in _said(problem, _found(orbit, 1), LeastEnergy())
-    said = _said(problem, _found(orbit, 2), LeastEnergy())
+    assert "the optimum may be local" in _said(problem, _found(orbit, 1), MinEnergy())
+    said = _said(problem, _found(orbit, 2), MinEnergy())
     assert "2 of 3 starts led there" in said
     assert "local" not in said
     # Nothing is better than zero, however many starts there were; what is near has no rival.
     (one,) = _found(orbit, 1, LEAST_RADIUS).candidates
     radius = {"spectral_radius": Extent(lowest=0.0, highest=0.0)}
     least = replace(_found(orbit, 1), candidates=(replace(one, extents=radius),))
-    assert "local" not in _said(problem, least, FastestContraction())
+    assert "local" not in _said(problem, least, MinSpectralRadius())
     assert "local" not in _said(problem, _found(orbit, 1), NearestGains(target={}))
 
 
 def test_an_optimum_at_an_end_of_its_range_is_told(problem: Problem, orbit: ZenoOrbit) -> None:
     assert orbit.gains["Kp"] == 2.5
-    assert "`Kp` = 2.5 is the lower end" in _said(problem, _found(orbit, 1), LeastEnergy())
+    assert "`Kp` = 2.5 is the lower end" in _said(problem, _found(orbit, 1), MinEnergy())
     beyond = NearestGains(target={"Kp": 1.0})
     assert "`Kp` = 2.5 is the lower end" in _said(problem, _found(orbit, 1), beyond)
     assert "end of" not in _said(problem, _found(orbit, 1), NearestGains(target={"Kp": 2.5}))
 
 
 def test_fewer_candidates_than_asked_are_explained(problem: Problem, orbit: ZenoOrbit) -> None:
-    said = _said(problem, _found(orbit, 2), LeastEnergy(), candidates=3)
+    said = _said(problem, _found(orbit, 2), MinEnergy(), candidates=3)
     assert "2 fewer than requested: 3 starts and 0 initial states" in "".join(said)
-    assert "fewer" not in _said(problem, _found(orbit, 2), LeastEnergy())
+    assert "fewer" not in _said(problem, _found(orbit, 2), MinEnergy())

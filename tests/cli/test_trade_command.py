@@ -93,7 +93,7 @@ def test_an_interrupted_trade_writes_nothing(
     where: str, traded: tuple[Answer, Path], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measured = read_work_precision(traded[1] / "trade.json")
-    monkeypatch.setattr("zeno_orbits.precision.trade", lambda *_, **__: measured)
+    monkeypatch.setattr("zeno_orbits.precision.measure_work_precision", lambda *_, **__: measured)
     monkeypatch.setattr(f"zeno_orbits.{where}", raising(KeyboardInterrupt()))
     answer = ask(*TRADING, "-o", "t.json", "--plot", "t.png")
     assert answer.code == INTERRUPTED

@@ -32,12 +32,12 @@ from zeno_orbits.model import (
     HybridDynamics,
     HybridLagrangian,
     bind,
-    complete,
     full_drive,
+    hybrid_system,
     load_problem,
 )
 from zeno_orbits.orbits import ZenoOrbit, poincare_map, release_section
-from zeno_orbits.search import close_cycle, close_orbit, orbit_of
+from zeno_orbits.search import newton_on_return_map, orbit_by_shooting, orbit_of
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
@@ -126,7 +126,7 @@ def test_the_locked_arc_of_the_forced_oscillator_vanishes_where_the_closed_form_
 def test_a_locked_arc_that_vanishes_after_a_few_impacts_is_found_by_later_ones() -> None:
     # Cut after two impacts, the sequence is on the separatrix far beyond the end.
     buzzer = zo.load_problem(Path(__file__).parents[1] / "support" / "machines" / "buzzer.py")
-    orbit = close_orbit(buzzer, buzzer.values()).unwrap()
+    orbit = orbit_by_shooting(buzzer, buzzer.values()).unwrap()
     family = only(family_of_orbit(buzzer, orbit, "omega", (15.0, 25.0)).families)
     assert family.last.kind is SpecialPointKind.LOCK_VANISHES
     assert family.last.error < 1e-7
@@ -155,7 +155,7 @@ def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> 
     while high - low > 1e-9:
         middle = (low + high) / 2
         try:
-            closed = close_cycle(
+            closed = newton_on_return_map(
                 pendulum(restitution=middle), x, scale=SCALE, period=1.8, settings=SETTINGS
             )
         except SimulationError:
@@ -242,7 +242,7 @@ def linear_growth(kd: float) -> float:
         emf_constant=ca.SX(n["K_emf"]),
         voltage=-n["Kp"] * q[0] - kd * v[0],
     )
-    system = complete(mechanism, full_drive(mechanism, motor), ca.SX(n["restitution"]))
+    system = hybrid_system(mechanism, full_drive(mechanism, motor), ca.SX(n["restitution"]))
     dynamics = bind(compile_system(system, {}, PENDULUM.state_names), [])
     x, growth = np.array([0.02, 0.0, -0.5, 0.0, -0.2]), 0.0
     x = projected_release(dynamics, x)
@@ -324,9 +324,9 @@ def test_a_range_that_is_none_is_refused(
 def test_an_orbit_of_another_problem_and_one_that_does_not_close_are_refused() -> None:
     with pytest.raises(InputError, match="must be of problem `motor_pendulum`"):
         family_of_orbit(PENDULUM, oscillator_orbit(), "Kd", (-2.0, 0.0))
-    closing = close_orbit(PENDULUM, PENDULUM.values())
+    closing = orbit_by_shooting(PENDULUM, PENDULUM.values())
     orbit = closing.unwrap()
-    cycle = close_cycle(
+    cycle = newton_on_return_map(
         pendulum(), np.array(RELEASE), scale=SCALE, period=1.8, settings=SETTINGS
     ).cycle
     again = orbit_of(cycle, PENDULUM, PENDULUM.values())

@@ -26,14 +26,14 @@ from zeno_orbits.continuation.corrector import FamilyMetric, first_point
 from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import HalfCurve
 from zeno_orbits.continuation.jobs import FollowHalfCurve
-from zeno_orbits.continuation.margins import Stage, Threat, causes, consequences, threats
+from zeno_orbits.continuation.margins import Stage, VanishingMargin, causes, consequences, threats
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, ReturnMap
 from zeno_orbits.continuation.setup import Setup, start_at_release
 from zeno_orbits.continuation.two_parameters.plane import CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import load_problem
 from zeno_orbits.orbits import Line, Margin, MarginKind, Section, ZenoOrbit
-from zeno_orbits.work import plain, restored, silent
+from zeno_orbits.work import from_plain, silent, to_plain
 
 OSCILLATOR = load_problem("forced_oscillator")
 DEFAULT, SHORT = FamilySteps(), FamilySteps(first=0.003, longest=0.01)
@@ -202,7 +202,7 @@ def test_an_end_at_which_two_things_happen_says_both() -> None:
         assert branch.ending is SpecialPointKind.GRAZING
         assert branch.end is not None
         assert branch.end.also == (SpecialPointKind.EARLIER_GRAZING,)
-        again = restored(Branch, json.loads(json.dumps(plain(branch))))
+        again = from_plain(Branch, json.loads(json.dumps(to_plain(branch))))
         assert again.end is not None
         assert again.end.also == branch.end.also
 
@@ -231,7 +231,7 @@ def test_an_acceleration_is_not_approached_where_impacts_accumulate() -> None:
     setup, branch = plastic()
     points, returns = branch.points[-8:-6], setup.returns(OSCILLATOR)
     assert branch.end is not None
-    alone = Threat(margin=ACCELERATION, distance=1.0, fall=1.0)
+    alone = VanishingMargin(margin=ACCELERATION, distance=1.0, fall=1.0)
     # Without its cause among the margins it would be an end of its own.
     blind = Blind(returns=returns, kept=(ACCELERATION,))
     found = locate_end(blind, setup.metric, points, alone)

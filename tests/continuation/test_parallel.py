@@ -19,11 +19,11 @@ from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands, workers_of
 from zeno_orbits.continuation import (
     ContinuationSettings,
-    Crew,
     CurveSteps,
     FamilySteps,
     SecondParameter,
     SpecialPointKind,
+    WorkerPool,
     family_of_orbit,
     start_orbit,
 )
@@ -37,7 +37,16 @@ from zeno_orbits.continuation.setup import start_at_release
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
 from zeno_orbits.model import load_problem, locate_problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, open_pool, plain, restored, silent
+from zeno_orbits.work import (
+    Cluster,
+    ExecutionPlan,
+    FailedPoint,
+    Workers,
+    from_plain,
+    open_pool,
+    silent,
+    to_plain,
+)
 from zeno_orbits.work import scheduling as spreading_module
 
 YES, MISUSE, INTERRUPTED = 0, 2, 130
@@ -89,9 +98,9 @@ def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
     if place is None:
         return family_of_orbit(*asked, **told)
     with open_pool(place) as pool:
-        crew = Crew(
+        crew = WorkerPool(
             problem_file=locate_problem(PROBLEM),
-            plan=Plan(place=place, checkpoint=folder),
+            plan=ExecutionPlan(place=place, checkpoint=folder),
             pool=pool,
             on_progress=silent,
         )
@@ -110,7 +119,7 @@ def test_one_worker_and_two_find_what_a_continuation_without_workers_finds() -> 
     assert len(curve.x) > 3
     assert np.array(curve.x) == pytest.approx(-np.array(curve.y), abs=1e-11)
     for count in (1, 2):
-        assert plain(crewed(Workers(count=count))) == plain(alone)
+        assert to_plain(crewed(Workers(count=count))) == to_plain(alone)
 
 
 @needs_two
@@ -132,15 +141,15 @@ def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
     start = first_point(setup.returns(problem), setup.metric, begin.x, 1.0, rising=False)
     job = FollowDirection(setup=setup, start=start)
     branch = replace(job.run(problem, settings, silent), ending=SpecialPointKind.FOLD)
-    again = restored(Branch, json.loads(json.dumps(plain(branch), allow_nan=False)))
-    assert plain(again) == plain(branch)
+    again = from_plain(Branch, json.loads(json.dumps(to_plain(branch), allow_nan=False)))
+    assert to_plain(again) == to_plain(branch)
     assert again.points[0].multipliers == branch.points[0].multipliers
     # An oscillator without memory has no coordinates on its section, but that is a shape, too.
     assert again.points[0].jacobian.shape == branch.points[0].jacobian.shape == (0, 0)
     half = HalfCurve(x=(0.1, 5e-324), y=(-0.0, 1 / 3), errors=(float("inf"), 0.0), end="40 steps")
-    told = json.loads(json.dumps(plain(half), allow_nan=False))
-    assert plain(restored(HalfCurve, told)) == plain(half)
-    assert restored(HalfCurve, told) == half
+    told = json.loads(json.dumps(to_plain(half), allow_nan=False))
+    assert to_plain(from_plain(HalfCurve, told)) == to_plain(half)
+    assert from_plain(HalfCurve, told) == half
 
 
 def test_a_curve_that_closes_has_no_second_half() -> None:
@@ -168,7 +177,7 @@ def test_a_curve_that_closes_has_no_second_half() -> None:
 def test_a_job_that_fails_or_kills_every_worker_leaves_the_others_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    spread, run = dispatch.spread, FollowHalfCurve.run
+    spread, run = dispatch.parallel_map, FollowHalfCurve.run
 
     def fail(half: FollowHalfCurve, *arguments: Any) -> HalfCurve:
         if half.upwards:
@@ -182,27 +191,29 @@ def test_a_job_that_fails_or_kills_every_worker_leaves_the_others_alone(
 
     def lose_a_half(task: Any, *arguments: Any, **named: Any) -> Any:
         results = spread(task, *arguments, **named)
-        return (LostPoint(), *results[1:]) if isinstance(task.jobs[0], FollowHalfCurve) else results
+        return (
+            (FailedPoint(), *results[1:]) if isinstance(task.jobs[0], FollowHalfCurve) else results
+        )
 
-    monkeypatch.setattr(dispatch, "spread", lose_a_half)
+    monkeypatch.setattr(dispatch, "parallel_map", lose_a_half)
     (curve,) = crewed(Workers(count=1)).boundaries
-    assert curve.ends == ("2 steps", f"gave up: {LostPoint().reason}")
+    assert curve.ends == ("2 steps", f"gave up: {FailedPoint().reason}")
 
 
 @pytest.mark.slow
 def test_a_direction_that_kills_every_worker_is_an_end_that_was_given_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    spread = dispatch.spread
+    spread = dispatch.parallel_map
 
     def lose_the_second(*arguments: Any, **named: Any) -> Any:
-        return (*spread(*arguments, **named)[:1], LostPoint())
+        return (*spread(*arguments, **named)[:1], FailedPoint())
 
-    monkeypatch.setattr(dispatch, "spread", lose_the_second)
+    monkeypatch.setattr(dispatch, "parallel_map", lose_the_second)
     answer = ask(*NEAR, "--workers", "1", "--json")
     assert answer.code == 1
     first, last = answer.data["families"][0]["ends"]
-    assert (first["kind"], first["detail"]) == ("gave up", LostPoint().reason)
+    assert (first["kind"], first["detail"]) == ("gave up", FailedPoint().reason)
     assert last["kind"] != "gave up"
 
 
@@ -327,9 +338,9 @@ def test_a_place_that_cannot_be_had_is_refused_and_the_checkpoint_left_untouched
 def test_a_problem_that_workers_would_not_see_is_refused(tmp_path: Path) -> None:
     problem, orbit = oscillator()
     with open_pool(Workers(count=1)) as pool:
-        crew = Crew(
+        crew = WorkerPool(
             problem_file=locate_problem("bouncing_ball"),
-            plan=Plan(checkpoint=tmp_path / "kept"),
+            plan=ExecutionPlan(checkpoint=tmp_path / "kept"),
             pool=pool,
             on_progress=silent,
         )

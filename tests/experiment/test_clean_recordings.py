@@ -6,13 +6,20 @@ from dataclasses import replace
 
 import pytest
 
-from zeno_orbits.experiment import Recording, Sampling, Unknown, cut, fit_parameters, sampled
+from zeno_orbits.experiment import (
+    FitParameter,
+    Recording,
+    Sampling,
+    crop_recording,
+    fit_parameters,
+    sampled,
+)
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.simulation import Execution, simulate
 
 SOUGHT = {
-    "motor_pendulum": Unknown(names=("R",), lower=1.5, upper=6.0),
-    "forced_oscillator": Unknown(names=("restitution",), lower=0.2, upper=0.8),
+    "motor_pendulum": FitParameter(names=("R",), lower=1.5, upper=6.0),
+    "forced_oscillator": FitParameter(names=("restitution",), lower=0.2, upper=0.8),
 }
 SETTLED = {"motor_pendulum": 20.0, "forced_oscillator": 30.0}
 """From then on both repeat to 1e-11."""
@@ -38,7 +45,7 @@ def settled(motion: Motion, rate: float, *, velocities: bool) -> Recording:
     n_q = problem.compiled().n_q
     rates = () if velocities else problem.state_names[n_q : 2 * n_q]
     kept = tuple(one for one in whole.signals if one.name not in rates)
-    return cut(replace(whole, signals=kept), SETTLED[problem.name], None)
+    return crop_recording(replace(whole, signals=kept), SETTLED[problem.name], None)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from zeno_orbits.experiment.orbit_table import gap_coordinates
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import simulate
 
 SIGNALS = ("theta1", "theta2", "current")
@@ -280,7 +280,7 @@ def test_the_greatest_deviation_is_one_that_several_cycles_show(table: OrbitTabl
 def test_signals_that_jump_are_aligned_as_well() -> None:
     # The speed of this problem jumps by two thirds of its range; its slope knows nothing of that.
     problem = load_problem("forced_oscillator")
-    orbit = close_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values()).unwrap()
     table = tabulate_orbit(orbit, problem, ("distance", "speed"))
     found = compare_recording(orbit, problem, recorded(table, problem, noise=1e-3, rate=60.0))
     assert found.agrees, found.reasons
@@ -429,7 +429,7 @@ def test_phases_too_short_for_the_sampling_are_not_resolved_or_right(
 ) -> None:
     shaken = load_problem("vibrating_table")
     values = shaken.values(parameters={"A": amplitude, "restitution": restitution})
-    orbit = close_orbit(shaken, values).unwrap()
+    orbit = orbit_by_shooting(shaken, values).unwrap()
     table = tabulate_orbit(orbit, shaken, shaken.state_names)
     found = compare_recording(
         orbit, shaken, recorded(table, shaken, noise=1e-3, rate=rate, n_cycles=25)
@@ -458,14 +458,14 @@ def names_of_contact_metrics(found: Comparison) -> list[str]:
 @pytest.fixture(scope="module")
 def shaken() -> tuple[Problem, ZenoOrbit, OrbitTable]:
     problem = load_problem("vibrating_table")
-    orbit = close_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values()).unwrap()
     return problem, orbit, tabulate_orbit(orbit, problem, ("height", "speed"))
 
 
 @pytest.fixture(scope="module")
 def forced() -> tuple[Problem, ZenoOrbit, OrbitTable]:
     problem = load_problem("forced_oscillator")
-    orbit = close_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values()).unwrap()
     return problem, orbit, tabulate_orbit(orbit, problem, ("distance", "speed"))
 
 

@@ -24,7 +24,7 @@ from benchmarks.contact_fits import (
 )
 from tests.support.commands import ask
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment import RecordedSignal, Recording, Unknown, measurable
+from zeno_orbits.experiment import FitParameter, RecordedSignal, Recording, measurable
 from zeno_orbits.experiment.identification.contact_rows import (
     UNMATCHED,
     ContactRows,
@@ -54,7 +54,7 @@ def _stage(problem: zo.Problem, recording: Recording, names: tuple[str, ...]) ->
     """Return the residuals of a fit at its start."""
     values = problem.values()
     sought = [
-        Unknown(names=(name,), lower=0.5 * value, upper=2.0 * value)
+        FitParameter(names=(name,), lower=0.5 * value, upper=2.0 * value)
         for name in names
         for value in [values.parameters[name]]
     ]

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from tests.support.recordings_of import recorded
-from zeno_orbits.experiment import Identification, Unknown, fit_parameters, tabulate_orbit
+from zeno_orbits.experiment import FitParameter, Identification, fit_parameters, tabulate_orbit
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"
 
@@ -22,7 +22,7 @@ def fitted(
     problem: Problem, true: dict[str, float], *, noise: float, seed: int, samples: float = 150.37
 ) -> Identification:
     """Return a fit from the problem's own values to a recording of other ones."""
-    orbit = close_orbit(problem, problem.values(parameters=true)).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values(parameters=true)).unwrap()
     names = [name for name in problem.state_names if name not in {"cosine", "sine"}]
     table = tabulate_orbit(orbit, problem, names)
     start = float(np.random.default_rng(seed).random())
@@ -30,7 +30,7 @@ def fitted(
     copy = recorded(table, problem, rate=rate, noise=noise, seed=seed, start=start)
     own = problem.values().parameters
     sought = [
-        Unknown(
+        FitParameter(
             names=(name,),
             lower=own[name] / 10,
             upper=0.99 if name == "restitution" else own[name] * 10,

@@ -12,10 +12,10 @@ import pytest
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import (
+    FitParameter,
     Identification,
     Recording,
     UnfittableError,
-    Unknown,
     fit_parameters,
     tabulate_orbit,
 )
@@ -24,13 +24,13 @@ from zeno_orbits.experiment.identification.orbit_sensitivity import orbit_slope
 from zeno_orbits.experiment.identification.uncertainty import unseen_combinations
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.search import close_cycle, close_orbit
+from zeno_orbits.search import newton_on_return_map, orbit_by_shooting
 from zeno_orbits.simulation import SimulationSettings
 
 SOUGHT = (
-    Unknown(names=("R",), lower=2.0, upper=4.0),
-    Unknown(names=("K_torque", "K_emf"), lower=0.02, upper=0.05),
-    Unknown(names=("restitution",), lower=0.0, upper=0.4),
+    FitParameter(names=("R",), lower=2.0, upper=4.0),
+    FitParameter(names=("K_torque", "K_emf"), lower=0.02, upper=0.05),
+    FitParameter(names=("restitution",), lower=0.0, upper=0.4),
 )
 TRUTH = {"R": 3.12, "K_torque": 0.0303, "K_emf": 0.0303, "restitution": 0.215}
 
@@ -38,7 +38,7 @@ TRUTH = {"R": 3.12, "K_torque": 0.0303, "K_emf": 0.0303, "restitution": 0.215}
 @pytest.fixture(scope="module")
 def other(problem: Problem) -> ZenoOrbit:
     """The orbit of a machine that is not quite the problem's."""
-    return close_orbit(problem, problem.values(parameters=TRUTH)).unwrap()
+    return orbit_by_shooting(problem, problem.values(parameters=TRUTH)).unwrap()
 
 
 def record(other: ZenoOrbit, problem: Problem, seed: int, noise: float = 5e-3) -> Recording:
@@ -96,7 +96,7 @@ def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
 
     def closed(values: np.ndarray):
         dynamics = problem.dynamics(values)
-        return close_cycle(
+        return newton_on_return_map(
             dynamics, cycle.start.state, scale=cycle.scale(), period=cycle.period, settings=settings
         ).cycle
 
@@ -141,8 +141,8 @@ def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, problem: Proble
     # Only the ratio of both inertial terms I2 and m2 lc2^2 enters with lc2 as it does... I1 and
     # J_rotor enter as their sum alone, so a change of one is undone by the other.
     sought = (
-        Unknown(names=("I1",), lower=0.0005, upper=0.002),
-        Unknown(names=("J_rotor",), lower=0.01, upper=0.03),
+        FitParameter(names=("I1",), lower=0.0005, upper=0.002),
+        FitParameter(names=("J_rotor",), lower=0.01, upper=0.03),
     )
     found = fit_parameters(
         problem, problem.values(parameters=TRUTH), record(other, problem, 2), sought
@@ -170,14 +170,14 @@ def test_unseen_combinations_are_read_off_the_information() -> None:
     ("sought", "reason"),
     [
         ((), "must name a parameter"),
-        ((Unknown(names=("Kp",), lower=1, upper=3),), "names `Kp`; gains are known"),
-        ((Unknown(names=("x",), lower=1, upper=3),), "but it names `x`"),
-        ((Unknown(names=("R", "R"), lower=1, upper=3),), "must name `R` once"),
-        ((Unknown(names=("R",), lower=3, upper=3),), "must have a range LOW:HIGH for `R`"),
+        ((FitParameter(names=("Kp",), lower=1, upper=3),), "names `Kp`; gains are known"),
+        ((FitParameter(names=("x",), lower=1, upper=3),), "but it names `x`"),
+        ((FitParameter(names=("R", "R"), lower=1, upper=3),), "must name `R` once"),
+        ((FitParameter(names=("R",), lower=3, upper=3),), "must have a range LOW:HIGH for `R`"),
     ],
 )
 def test_a_question_that_cannot_be_is_refused(
-    sought: tuple[Unknown, ...], reason: str, problem: Problem
+    sought: tuple[FitParameter, ...], reason: str, problem: Problem
 ) -> None:
     time = np.arange(100) * 0.1
     recording = recording_of(problem, ("theta1",), time, np.sin(time)[None])

@@ -16,11 +16,11 @@ import pytest
 import zeno_orbits as zo
 from tests.support.commands import ask
 from tests.support.recordings_of import recorded
-from zeno_orbits.experiment import Identification, Recording, Unknown, tabulate_orbit
+from zeno_orbits.experiment import FitParameter, Identification, Recording, tabulate_orbit
 from zeno_orbits.experiment.identification.least_squares import weighed
 from zeno_orbits.experiment.identification.prepared import prepared
 from zeno_orbits.experiment.identification.unknowns import begin_of, unknowns_of
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.work import silent
 
 OSCILLATOR, TRUTH = "forced_oscillator", {"c": 2.0, "restitution": 0.45}
@@ -30,7 +30,7 @@ ERRORS = ["distance.gain", "distance.offset", "clock_rate"]
 @cache
 def _exact(noise: float = 0.0, *names: str) -> Recording:
     problem = zo.load_problem(OSCILLATOR)
-    orbit = close_orbit(problem, problem.values(parameters=TRUTH)).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values(parameters=TRUTH)).unwrap()
     table = tabulate_orbit(orbit, problem, names or ("distance", "speed"))
     rate = 150.37 / orbit.period
     return recorded(table, problem, rate=rate, noise=noise, start=0.37, n_cycles=15.0)
@@ -53,7 +53,7 @@ def test_the_derivatives_of_all_residuals_equal_finite_differences() -> None:
     problem = zo.load_problem(OSCILLATOR)
     ranges = {"c": (1.0, 3.0), "distance.gain": (0.5, 2.0), "distance.offset": (-np.inf, np.inf)}
     ranges |= {"speed.gain": (0.5, 2.0), "clock_rate": (-0.05, 0.05)}
-    sought = [Unknown(names=(n,), lower=low, upper=high) for n, (low, high) in ranges.items()]
+    sought = [FitParameter(names=(n,), lower=low, upper=high) for n, (low, high) in ranges.items()]
     begin = begin_of(problem, problem.values(), sought)
     recording = _wrong(_exact(), gain=1.2, offset=0.4, rate=1e-3)
     begun = unknowns_of(problem, begin, sought)
@@ -107,7 +107,7 @@ def test_an_error_of_an_instrument_biases_values_unless_it_is_fitted(
     name: str, gain: float, rate: float
 ) -> None:
     problem, truth = zo.load_problem("motor_pendulum"), {"R": 3.06, "restitution": 0.207}
-    orbit = close_orbit(problem, problem.values(parameters=truth)).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values(parameters=truth)).unwrap()
     table = tabulate_orbit(orbit, problem, ("theta1", "theta2", "current"))
     right = recorded(table, problem, rate=1000.0, noise=0.01, n_cycles=20.0, seed=1)
     signals = tuple(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.recordings_of import recorded
-from zeno_orbits.experiment import OrbitTable, Unknown, tabulate_orbit
+from zeno_orbits.experiment import FitParameter, OrbitTable, tabulate_orbit
 from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.comparison.folding import MOST, Folded, folded
 from zeno_orbits.experiment.identification.least_squares import Fit, fit, weighed
@@ -32,7 +32,7 @@ def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
 def orbits(orbit: ZenoOrbit, problem: Problem, table: OrbitTable) -> Predictions:
     values = orbit.values(problem)
     numbers = {name: values.number(name) for name in NAMES}
-    sought = [Unknown(names=(n,), lower=0.5 * v, upper=2.0 * v) for n, v in numbers.items()]
+    sought = [FitParameter(names=(n,), lower=0.5 * v, upper=2.0 * v) for n, v in numbers.items()]
     unknowns = unknowns_of(problem, values, sought)
     return Predictions(problem, unknowns, measurement(problem, SIGNALS), table.cycle)
 

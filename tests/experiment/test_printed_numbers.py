@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from zeno_orbits.experiment import ComparisonVerdict, Fitted, Metric, Unknown
+from zeno_orbits.experiment import ComparisonVerdict, FitParameter, FittedParameter, Metric
 from zeno_orbits.report import terminal
 
 
@@ -67,16 +67,16 @@ def test_a_comparison_that_is_a_no_says_why(capsys: pytest.CaptureFixture[str]) 
 def test_fitted_numbers_stand_with_their_errors_and_intervals(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    seen = Fitted(
-        unknown=Unknown(names=("R",), lower=1.0, upper=9.0),
+    seen = FittedParameter(
+        unknown=FitParameter(names=("R",), lower=1.0, upper=9.0),
         start=3.0,
         value=3.25,
         error=0.125,
         low=2.75,
         high=3.75,
     )
-    hidden = Fitted(
-        unknown=Unknown(names=("K", "k"), lower=0.0, upper=9.0),
+    hidden = FittedParameter(
+        unknown=FitParameter(names=("K", "k"), lower=0.0, upper=9.0),
         start=2.0,
         value=2.5,
         error=math.inf,

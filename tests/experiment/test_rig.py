@@ -20,8 +20,8 @@ from zeno_orbits.experiment import (
     Source,
     compare_cycles,
     recording_of,
-    rig_cycles,
     run_rig,
+    settle_rig,
 )
 from zeno_orbits.experiment.rig import (
     cut_cycles,
@@ -38,20 +38,20 @@ from zeno_orbits.experiment.rig.cycle_comparison import (
 from zeno_orbits.experiment.rig.cycles import settling_cycles
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import (
-    Bridge,
     CompletedSystem,
     Contact,
     Controller,
     Friction,
     Gear,
+    HBridge,
     HybridLagrangian,
     MotorBank,
     Problem,
+    PwmSettings,
     Quantity,
     Rig,
-    Switching,
-    complete,
     full_drive,
+    hybrid_system,
     load_problem,
     load_reference,
     quasi_static_drive,
@@ -82,7 +82,7 @@ def disc_system(p: Mapping[str, ca.SX], *, quasi_static: bool = False) -> Comple
         voltage=p["V0"] - p["Kp"] * angle - p["Kd"] * rate,
     )
     drive = quasi_static_drive if quasi_static else full_drive
-    return complete(disc, drive(disc, motor), p["restitution"])
+    return hybrid_system(disc, drive(disc, motor), p["restitution"])
 
 
 def gain(name: str) -> Quantity:
@@ -391,7 +391,9 @@ def test_a_current_ripples_between_its_two_closed_forms() -> None:
     final = supply / (ELECTRIC["R"] + drop)
     peak = final * (1 - math.exp(-share * period / tau)) / (1 - math.exp(-period / tau))
     valley = peak * math.exp(-(1 - share) * period / tau)
-    bridge = Bridge(supply=supply, resistance=drop, frequency=frequency, switching=Switching.EXACT)
+    bridge = HBridge(
+        supply=supply, resistance=drop, frequency=frequency, switching=PwmSettings.EXACT
+    )
     run = run_rig(
         DISC,
         DISC.values(gains={"V0": asked}, parameters={"K": 1e-12}),
@@ -412,16 +414,16 @@ def test_a_current_ripples_between_its_two_closed_forms() -> None:
 
 @pytest.mark.parametrize("asked", [4.0, -4.0])
 def test_an_averaged_bridge_gives_the_mean_current_of_an_exact_one(asked: float) -> None:
-    bridge = Bridge(supply=12.0, resistance=0.5, frequency=5e3, dead_time=2e-6, diode_drop=0.7)
+    bridge = HBridge(supply=12.0, resistance=0.5, frequency=5e3, dead_time=2e-6, diode_drop=0.7)
     values = DISC.values(gains={"V0": asked}, parameters={"K": 1e-12})
 
-    def current(switching: Switching) -> Vector:
+    def current(switching: PwmSettings) -> Vector:
         rig = Rig(bridge=replace(bridge, switching=switching))
         settings = replace(FINE, spacing=1e-6, keep_from=0.03)
         run = run_rig(DISC, values, rig, (0.0, 0.0, asked / 2.5), 0.03 + 2e-4, settings=settings)
         return run.of("current")[:200]
 
-    exact, averaged = current(Switching.EXACT), current(Switching.AVERAGED)
+    exact, averaged = current(PwmSettings.EXACT), current(PwmSettings.AVERAGED)
     # The rectangle rule over one period of 200 points, with the kinks of its edges.
     assert np.ptp(exact) > 0.1
     assert np.mean(exact) == pytest.approx(np.mean(averaged), abs=2e-4)
@@ -489,7 +491,7 @@ def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(problem: Pr
 
 def period_error(orbit: ZenoOrbit, problem: Problem, contact: Contact) -> float:
     """Return how much longer a cycle of the rig is than the orbit."""
-    settled = rig_cycles(orbit, problem, Rig(contact=contact), cycles=1, settle=6, settings=FINE)
+    settled = settle_rig(orbit, problem, Rig(contact=contact), cycles=1, settle=6, settings=FINE)
     return settled.cycles[-1].period - orbit.period
 
 
@@ -513,7 +515,7 @@ def test_each_further_contact_of_the_chatter_adds_its_length(
     scaled: list[float] = []
     for k in (1e7, 1e7 / e**2):
         rig = Rig(contact=Contact(stiffness=k))
-        settled = rig_cycles(orbit, problem, rig, cycles=1, settle=6, settings=FINE)
+        settled = settle_rig(orbit, problem, rig, cycles=1, settle=6, settings=FINE)
         scaled.append(orbit_distance(orbit, problem, curve, settled).lock_time * math.sqrt(k))
     lasting, left = spring_contact(e, 0.0)
     load = 1e-4
@@ -529,7 +531,7 @@ def test_each_further_contact_of_the_chatter_adds_its_length(
 def test_settled_cycles_begin_and_end_at_releases_and_repeat(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    settled = rig_cycles(orbit, problem, Rig(contact=Contact(stiffness=1e4)), cycles=2)
+    settled = settle_rig(orbit, problem, Rig(contact=Contact(stiffness=1e4)), cycles=2)
     first, second = settled.cycles
     assert first.release == 0.0
     assert first.end == second.release
@@ -549,7 +551,7 @@ def test_settled_cycles_begin_and_end_at_releases_and_repeat(
 def test_a_machine_that_does_not_lock_is_told_so(problem: Problem, orbit: ZenoOrbit) -> None:
     stuck = Rig(friction={"theta1": Friction(coulomb=0.5)})
     with pytest.raises(SimulationError, match=r"made \d cycles? with a lock where 3 were expected"):
-        rig_cycles(orbit, problem, stuck, cycles=1, settle=2)
+        settle_rig(orbit, problem, stuck, cycles=1, settle=2)
 
 
 def test_a_machine_gets_the_cycles_to_settle_that_the_multipliers_of_its_orbit_ask_for(
@@ -564,11 +566,11 @@ def test_a_machine_gets_the_cycles_to_settle_that_the_multipliers_of_its_orbit_a
 def test_no_cycle_at_all_is_refused(problem: Problem, orbit: ZenoOrbit) -> None:
     for cycles, settle in ((0, 1), (1, -1)):
         with pytest.raises(InputError, match="`cycles` must be at least 1, and `settle`"):
-            rig_cycles(orbit, problem, Rig(), cycles=cycles, settle=settle)
+            settle_rig(orbit, problem, Rig(), cycles=cycles, settle=settle)
 
 
 def test_touches_without_a_long_one_hold_no_cycle(orbit: ZenoOrbit, problem: Problem) -> None:
-    settled = rig_cycles(orbit, problem, Rig(contact=STIFF), cycles=2, settle=2)
+    settled = settle_rig(orbit, problem, Rig(contact=STIFF), cycles=2, settle=2)
     touches = settled.run.touches
     assert len(cut_cycles(touches, orbit)) >= 1
     assert cut_cycles([t for t in touches if t.end - t.start < 0.1], orbit) == ()
@@ -577,7 +579,7 @@ def test_touches_without_a_long_one_hold_no_cycle(orbit: ZenoOrbit, problem: Pro
 def test_the_comparison_tells_means_spreads_and_where_the_machine_is_farthest(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    settled = rig_cycles(orbit, problem, Rig(contact=Contact(stiffness=1e5)), cycles=2)
+    settled = settle_rig(orbit, problem, Rig(contact=Contact(stiffness=1e5)), cycles=2)
     comparison = compare_cycles(orbit, problem, settled)
     assert comparison.orbit == numbers_of_orbit(orbit, problem)
     assert comparison.orbit.period == orbit.period
@@ -651,7 +653,7 @@ def test_a_part_that_the_problem_has_no_place_for_is_refused_by_name(problem: Pr
         (ball, Rig(controller=Controller(period=1e-3)), "must have motors for a bridge"),
         (
             problem.at_fidelity("quasi_static"),
-            Rig(bridge=Bridge(supply=12.0)),
+            Rig(bridge=HBridge(supply=12.0)),
             "states for a bridge",
         ),
         (
@@ -695,7 +697,7 @@ def test_other_problems_have_a_rig_too(name: str) -> None:
     problem = load_problem(name)
     rig = Rig(contact=Contact(stiffness=1e5))
     if problem.state_names[-1].startswith("current"):
-        rig = replace(rig, controller=Controller(period=1e-3), bridge=Bridge(supply=24.0))
+        rig = replace(rig, controller=Controller(period=1e-3), bridge=HBridge(supply=24.0))
     start = problem.state_vector(problem.starts[0])
     run = run_rig(problem, problem.values(), rig, start, 1.0)
     assert np.all(np.isfinite(run.states))

@@ -24,11 +24,11 @@ from zeno_orbits.experiment.rig.forces import (
     teeth_torque,
 )
 from zeno_orbits.model import (
-    Bridge,
     Contact,
     Controller,
     Friction,
     Gear,
+    HBridge,
     Rig,
     Sensors,
     rig_with_numbers,
@@ -149,7 +149,7 @@ def test_teeth_carry_nothing_inside_the_play_and_push_on_either_side() -> None:
     assert at(torque, [twist, rate], -0.3, -1.0) == pytest.approx(-20.0)
 
 
-BRIDGE = Bridge(supply=10.0, frequency=1e4, dead_time=1e-6, diode_drop=0.5)
+BRIDGE = HBridge(supply=10.0, frequency=1e4, dead_time=1e-6, diode_drop=0.5)
 LOST = (10.0 + 2 * 0.5) * 1e-6 * 1e4
 STALL = ca.SX(10.0)
 
@@ -260,9 +260,9 @@ def test_noise_comes_from_its_seed() -> None:
         (lambda: Friction(creep=0.0), "creep"),
         (lambda: Gear(rotor_inertia=0.0), "rotor_inertia"),
         (lambda: Gear(rotor_inertia=1.0, play=-0.1), "play"),
-        (lambda: Bridge(supply=-12.0), "supply"),
-        (lambda: Bridge(supply=12.0, dead_time=3e-5), "dead_time"),
-        (lambda: Bridge(supply=math.nan), "supply"),
+        (lambda: HBridge(supply=-12.0), "supply"),
+        (lambda: HBridge(supply=12.0, dead_time=3e-5), "dead_time"),
+        (lambda: HBridge(supply=math.nan), "supply"),
         (lambda: Controller(period=0.0), "period"),
         (lambda: Controller(period=1e-3, delay=-1e-3), "delay"),
         (lambda: Sensors(resolution=-1.0), "resolution"),

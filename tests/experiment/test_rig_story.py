@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment import RigComparison, compare_cycles, rig_cycles, tabulate_orbit
+from zeno_orbits.experiment import RigComparison, compare_cycles, settle_rig, tabulate_orbit
 from zeno_orbits.model import Contact, Problem, Rig, load_problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"
 LOCKED = (
@@ -33,7 +33,7 @@ LOCKED = (
 
 
 def orbit_of(problem: Problem) -> ZenoOrbit:
-    return close_orbit(problem, problem.values()).unwrap()
+    return orbit_by_shooting(problem, problem.values()).unwrap()
 
 
 def machine(problem: Problem, orbit: ZenoOrbit, share: float) -> RigComparison:
@@ -41,7 +41,7 @@ def machine(problem: Problem, orbit: ZenoOrbit, share: float) -> RigComparison:
     dynamics = problem.dynamics(orbit.values(problem))
     inertia = dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
     stop = Contact(stiffness=inertia / (share * orbit.period) ** 2)
-    settled = rig_cycles(orbit, problem, Rig(contact=stop), cycles=4)
+    settled = settle_rig(orbit, problem, Rig(contact=stop), cycles=4)
     return compare_cycles(orbit, problem, settled)
 
 
@@ -82,7 +82,7 @@ def test_a_motion_of_another_shape_is_refused_by_name(name: str, shape: str) -> 
     problem = load_problem(name)
     orbit, reason = orbit_of(problem), re.escape(f"but its shape is `{shape}`")
     with pytest.raises(InputError, match=reason):
-        rig_cycles(orbit, problem, Rig(), cycles=1, settle=1)
+        settle_rig(orbit, problem, Rig(), cycles=1, settle=1)
     # Nor are recordings held against it.
     with pytest.raises(InputError, match=reason):
         tabulate_orbit(orbit, problem, problem.state_names[:1])

@@ -9,11 +9,11 @@ import pytest
 
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.experiment import (
+    FitParameter,
     Recording,
     Sampling,
     UnfittableError,
-    Unknown,
-    cut,
+    crop_recording,
     fit_parameters,
     sampled,
     tabulate_orbit,
@@ -21,12 +21,12 @@ from zeno_orbits.experiment import (
 from zeno_orbits.experiment.identification import identification
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import simulate
 
 SOUGHT = (
-    Unknown(names=("R",), lower=2.0, upper=4.0),
-    Unknown(names=("restitution",), lower=0.0, upper=0.4),
+    FitParameter(names=("R",), lower=2.0, upper=4.0),
+    FitParameter(names=("restitution",), lower=0.0, upper=0.4),
 )
 TRUTH = {"R": 3.12, "restitution": 0.215}
 SIGNALS = ("theta1", "theta2", "current")
@@ -45,7 +45,7 @@ def settling(problem: Problem) -> Recording:
 @pytest.fixture(scope="module")
 def other(problem: Problem) -> ZenoOrbit:
     """The orbit that it settles to."""
-    return close_orbit(problem, problem.values(parameters=TRUTH)).unwrap()
+    return orbit_by_shooting(problem, problem.values(parameters=TRUTH)).unwrap()
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_a_transient_is_told_and_where_it_ends(
     settling: Recording, problem: Problem, since: float, until: float
 ) -> None:
     with pytest.raises(UnfittableError, match=r"first cycle .* still settling; .* --t-start \d"):
-        fit_parameters(problem, problem.values(), cut(settling, since, until), SOUGHT)
+        fit_parameters(problem, problem.values(), crop_recording(settling, since, until), SOUGHT)
 
 
 @pytest.mark.slow
@@ -64,7 +64,7 @@ def test_without_that_check_a_transient_gives_wrong_numbers(
     settling: Recording, problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(identification, "unsteady", lambda _: None)
-    found = fit_parameters(problem, problem.values(), cut(settling, 3.6, 11.0), SOUGHT)
+    found = fit_parameters(problem, problem.values(), crop_recording(settling, 3.6, 11.0), SOUGHT)
     resistance = found.fitted[0]
     assert not resistance.low <= TRUTH["R"] <= resistance.high
 
@@ -72,7 +72,7 @@ def test_without_that_check_a_transient_gives_wrong_numbers(
 @pytest.mark.slow
 def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
     # What is drawn from one current to the other over the cycles passes for no other problem.
-    last = close_orbit(problem, problem.values(parameters={**TRUTH, "R": 3.24})).unwrap()
+    last = orbit_by_shooting(problem, problem.values(parameters={**TRUTH, "R": 3.24})).unwrap()
     tables = [tabulate_orbit(orbit, problem, SIGNALS) for orbit in (other, last)]
     period = other.period
     time = np.arange(int(8 * period * 200.0)) / 200.0
@@ -89,7 +89,7 @@ def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
 
 @pytest.mark.slow
 def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, problem: Problem) -> None:
-    second = close_orbit(problem, problem.values(parameters={**TRUTH, "R": 3.16})).unwrap()
+    second = orbit_by_shooting(problem, problem.values(parameters={**TRUTH, "R": 3.16})).unwrap()
     tables = [tabulate_orbit(orbit, problem, SIGNALS) for orbit in (other, second)]
     time = np.arange(int(8 * other.period * 200.0)) / 200.0
     phases = time / other.period
@@ -118,7 +118,7 @@ def test_a_stop_that_is_never_touched_gives_no_parameters(
     problem: Problem, names: tuple[str, ...]
 ) -> None:
     # Arms that swing at the orbit's own period, the second far from its stop.
-    orbit = close_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values()).unwrap()
     time = np.arange(int(9 * orbit.period * 200.0)) / 200.0
     angle = 2 * np.pi * time / orbit.period
     of = {"theta1": 1.4 * np.sin(angle), "theta2": -1.0 - 0.6 * np.cos(angle)}

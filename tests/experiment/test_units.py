@@ -10,18 +10,18 @@ import pytest
 import zeno_orbits as zo
 from tests.support.units import Units, dimension_of, in_units
 from zeno_orbits.experiment import (
+    FitParameter,
     RigSettings,
-    Unknown,
     compare_cycles,
     compare_recording,
     default_rig,
     fit_parameters,
     recording_of,
-    rig_cycles,
     run_rig,
+    settle_rig,
 )
 from zeno_orbits.experiment.rig.run import rate_weight, rig_tolerance
-from zeno_orbits.model import Contact, OwnScale, Rig
+from zeno_orbits.model import CharacteristicScales, Contact, Rig
 
 GRAMS = Units(mass=1e3, length=1e3, time=1e3)
 """Gram, millimetre, millisecond."""
@@ -53,25 +53,25 @@ def test_a_machine_that_nobody_declared_is_the_same(units: Units) -> None:
 
 def test_a_stiff_stop_is_followed_as_exactly_as_its_force_asks_for() -> None:
     soft, stiff = Contact(stiffness=1e4), Contact(stiffness=4e7)
-    assert rig_tolerance(soft, OwnScale()).relative == 1e-10
+    assert rig_tolerance(soft, CharacteristicScales()).relative == 1e-10
     # It gives way by 1 / 4e7 under a load of 1, of which 3e-7 is 7.5e-15.
-    assert rig_tolerance(stiff, OwnScale()).absolute == pytest.approx(7.5e-15)
+    assert rig_tolerance(stiff, CharacteristicScales()).absolute == pytest.approx(7.5e-15)
     # The same part of a gap of a million under a load of a million.
-    far = OwnScale(gap=1e6, multiplier=1e6)
+    far = CharacteristicScales(gap=1e6, multiplier=1e6)
     assert rig_tolerance(stiff, far).absolute == pytest.approx(7.5e-15)
     ball = Contact(stiffness=1e12, exponent=1.5)
-    assert rig_tolerance(ball, OwnScale()).absolute == pytest.approx(3e-15)
+    assert rig_tolerance(ball, CharacteristicScales()).absolute == pytest.approx(3e-15)
 
 
 def test_rates_in_contact_are_held_to_what_rounding_of_the_gap_leaves() -> None:
     # A soft stop holds rates as coordinates, a stiff one as a soft one: 1e-12 over 7.5e-15 is 133.
-    assert rate_weight(Contact(stiffness=1e4), OwnScale(), 1.0) == 1.0
-    assert rate_weight(Contact(stiffness=4e7), OwnScale(), 40.0) == pytest.approx(1e2)
+    assert rate_weight(Contact(stiffness=1e4), CharacteristicScales(), 1.0) == 1.0
+    assert rate_weight(Contact(stiffness=4e7), CharacteristicScales(), 40.0) == pytest.approx(1e2)
     # 1e-15 of a gap excites 1e-15 * 2e5 of its rate, which is 2.7e4 times 7.5e-15.
-    assert rate_weight(Contact(stiffness=4e7), OwnScale(), 1e-3) == pytest.approx(1e4)
+    assert rate_weight(Contact(stiffness=4e7), CharacteristicScales(), 1e-3) == pytest.approx(1e4)
     # The load of 1 presses a ball in by 1e-8; there its stop is one of 1.5e12 * 1e-4.
     ball = Contact(stiffness=1e12, exponent=1.5)
-    assert rate_weight(ball, OwnScale(), 1.5e-2) == pytest.approx(1e4)
+    assert rate_weight(ball, CharacteristicScales(), 1.5e-2) == pytest.approx(1e4)
 
 
 def test_a_leg_of_too_many_steps_ends_with_where_it_was() -> None:
@@ -87,7 +87,7 @@ def test_a_leg_of_too_many_steps_ends_with_where_it_was() -> None:
 def test_cycles_on_a_stiff_stop_do_not_scatter() -> None:
     pendulum = zo.load_problem("motor_pendulum")
     orbit = zo.find_orbit_by_shooting(pendulum).unwrap()
-    settled = rig_cycles(orbit, pendulum, Rig(contact=Contact(stiffness=8e7)), cycles=5)
+    settled = settle_rig(orbit, pendulum, Rig(contact=Contact(stiffness=8e7)), cycles=5)
     # Local errors shake the link on its stop: 2.5e-6 s at a tolerance of 1e-9, 7e-8 at 1e-10. The
     # machine's period differs from the orbit's by 9.5e-7 s, which is to be known to a hundredth.
     assert np.ptp([one.period for one in settled.cycles]) < 9.5e-9
@@ -103,7 +103,7 @@ def test_the_period_of_a_very_stiff_machine_exceeds_the_orbits_by_the_law(name: 
     products = []
     for stiffness in (1e9, 1e11):
         rig = Rig(contact=Contact(stiffness=stiffness))
-        mean = np.mean([one.period for one in rig_cycles(orbit, problem, rig, cycles=2).cycles])
+        mean = np.mean([one.period for one in settle_rig(orbit, problem, rig, cycles=2).cycles])
         products.append((mean - orbit.period) * math.sqrt(stiffness))
     assert products[0] == pytest.approx(products[1], rel=5e-4)
 
@@ -117,7 +117,7 @@ def told(name: str, units: Units) -> dict[str, float]:
     inertia = dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
     stop = Contact(stiffness=inertia / (STIFF * orbit.period) ** 2, slowest=1e-6 * gap / units.time)
     settings = RigSettings(spacing=orbit.period / 997.3)
-    settled = rig_cycles(orbit, problem, Rig(contact=stop), cycles=5, settings=settings)
+    settled = settle_rig(orbit, problem, Rig(contact=stop), cycles=5, settings=settings)
     cycles = compare_cycles(orbit, problem, settled)
     record = recording_of(settled.run, problem)
     seen = compare_recording(orbit, problem, record)
@@ -134,7 +134,7 @@ def told(name: str, units: Units) -> dict[str, float]:
         facts |= {metric.name: metric.data / size, f"{metric.name}, error": metric.error / size}
     true = known.values().number("restitution")
     start = problem.values(parameters={"restitution": 0.97 * true})
-    sought = Unknown(names=("restitution",), lower=true / 2, upper=(1 + true) / 2)
+    sought = FitParameter(names=("restitution",), lower=true / 2, upper=(1 + true) / 2)
     found = fit_parameters(problem, start, record, [sought])
     (one,) = found.fitted
     return facts | {"fit": one.value, "fit, error": one.error, "misfit": found.misfit}

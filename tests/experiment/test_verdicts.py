@@ -26,7 +26,7 @@ from zeno_orbits.experiment import (
 )
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import ZenoOrbit, write_orbit
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"
 GAPS = {"motor_flap": "angle", "juggler": "height", "rocking_block": "tilt"}
@@ -44,7 +44,7 @@ def _orbit_of(
     name: str, parameters: tuple[tuple[str, float], ...]
 ) -> tuple[Problem, ZenoOrbit, OrbitTable]:
     problem = load_problem(MACHINES / f"{name}.py")
-    orbit = close_orbit(problem, problem.values(parameters=dict(parameters))).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values(parameters=dict(parameters))).unwrap()
     signals = [one for one in problem.state_names if one not in {"cosine", "sine"}]
     return problem, orbit, tabulate_orbit(orbit, problem, signals)
 
@@ -134,10 +134,10 @@ def test_a_machine_with_other_values_is_named_as_such(
 @pytest.mark.slow
 def test_a_changed_stop_is_no_mistaken_unit() -> None:
     problem = load_problem("forced_oscillator")
-    orbit = close_orbit(problem, problem.values()).unwrap()
+    orbit = orbit_by_shooting(problem, problem.values()).unwrap()
     names = ("distance", "speed")
     for stop in (-0.6, -0.45, -0.3):
-        other = close_orbit(problem, problem.values(parameters={"stop": stop})).unwrap()
+        other = orbit_by_shooting(problem, problem.values(parameters={"stop": stop})).unwrap()
         # The distance from the stop is up to eight times as large.
         copy = recorded(tabulate_orbit(other, problem, names), problem, rate=24.0, noise=2e-3)
         found = compare_recording(orbit, problem, copy)

@@ -11,9 +11,9 @@ from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import (
     ENGINES,
-    Leg,
-    Outcome,
     PlainFlow,
+    Segment,
+    Termination,
     Tolerance,
     engine_named,
 )
@@ -28,7 +28,7 @@ FALLING = PlainFlow(
 def test_every_engine_of_a_row_follows_a_flow_to_the_fall_of_its_guard(name: str) -> None:
     engine = engine_named(name)
     passage = engine.follow(
-        Leg(
+        Segment(
             flow=FALLING,
             y=np.array([1.0, 0.0]),
             horizon=5.0,
@@ -36,7 +36,7 @@ def test_every_engine_of_a_row_follows_a_flow_to_the_fall_of_its_guard(name: str
             on_guard=False,
         )
     )
-    assert passage.outcome is Outcome.FALL
+    assert passage.outcome is Termination.FALL
     assert math.isclose(passage.duration, 1.0, rel_tol=1e-13)
     assert np.allclose(passage.state, [0.0, -2.0], atol=1e-12)
 

@@ -13,15 +13,15 @@ from zeno_orbits.errors import StepSizeError
 from zeno_orbits.integrators import (
     Automatic,
     ExplicitStep,
-    GuardedFlow,
-    Leg,
-    Outcome,
-    Passage,
+    FlowWithEvent,
     PlainFlow,
     Radau,
     RungeKutta,
+    Segment,
+    SegmentResult,
     StageGuess,
     SteppedTrajectory,
+    Termination,
     Tolerance,
     flow_eigenvalues,
     radau_scheme,
@@ -43,18 +43,18 @@ def _prothero_robinson(rate: float) -> PlainFlow:
     )
 
 
-def _leg(flow: GuardedFlow, y: Vector, horizon: float, tolerance: Tolerance = TIGHT) -> Leg:
-    return Leg(flow=flow, y=y, horizon=horizon, tolerance=tolerance, on_guard=False)
+def _leg(flow: FlowWithEvent, y: Vector, horizon: float, tolerance: Tolerance = TIGHT) -> Segment:
+    return Segment(flow=flow, y=y, horizon=horizon, tolerance=tolerance, on_guard=False)
 
 
-def _n_steps(passage: Passage) -> int:
+def _n_steps(passage: SegmentResult) -> int:
     return len(passage.trajectory.times) - 1
 
 
 @pytest.mark.parametrize("rate", [1.0, 1e3, 1e6, 1e9])
 def test_a_decay_changes_neither_the_guard_time_nor_the_number_of_steps(rate: float) -> None:
     passage = Radau().follow(_leg(_prothero_robinson(rate), np.array([1.0, 0.0]), 10.0))
-    assert passage.outcome is Outcome.FALL
+    assert passage.outcome is Termination.FALL
     # cos t falls through zero at pi / 2 with slope -1: the error of the time is that of the state.
     assert passage.duration == pytest.approx(math.pi / 2, abs=10 * TIGHT.relative)
     # The first guess of a step starts from the size of the slope alone; then steps grow sixfold.
@@ -194,7 +194,7 @@ def test_two_motors_ten_times_apart_are_followed_implicitly() -> None:
     assert steps[0] < 2 * steps[1] < 500
 
 
-def _n_explicit(passage: Passage) -> int:
+def _n_explicit(passage: SegmentResult) -> int:
     trajectory = passage.trajectory
     assert isinstance(trajectory, SteppedTrajectory)
     return sum(isinstance(step, ExplicitStep) for step in trajectory.steps)
@@ -255,12 +255,12 @@ def test_flights_that_share_their_memory_do_not_disturb_each_other() -> None:
         assert flows[0].guard(together[1][0]) == alone[1][1]
 
 
-def _explicit_end(flow: GuardedFlow, y: Vector) -> tuple[Vector, tuple[float, float]]:
+def _explicit_end(flow: FlowWithEvent, y: Vector) -> tuple[Vector, tuple[float, float]]:
     after, _ = flow.attempt(y, 1e-3, TIGHT)
     return after, flow.guard(after)
 
 
-def _implicit_end(flow: GuardedFlow, y: Vector) -> tuple[Vector, tuple[float, float]]:
+def _implicit_end(flow: FlowWithEvent, y: Vector) -> tuple[Vector, tuple[float, float]]:
     after = flow.newton(radau_scheme(7)).begin(y, 1e-3, TIGHT, None).after
     return after, flow.guard(after)
 

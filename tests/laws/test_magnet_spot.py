@@ -13,12 +13,12 @@ import pytest
 from scipy.optimize import brentq
 
 from tests.support.magnet_spot import PROBLEM, WIDTH
-from zeno_orbits.integrators import GuardedFlow, PlainFlow
+from zeno_orbits.integrators import FlowWithEvent, PlainFlow
 from zeno_orbits.maps import Axis, Plane, parameter_map
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import verify
-from zeno_orbits.work import Plan, Workers
+from zeno_orbits.work import ExecutionPlan, Workers
 
 A, OMEGA, G, PULL, SPOT = 0.015, 30.0, 9.81, 12.0, 0.3
 
@@ -47,7 +47,7 @@ def test_a_map_counts_the_release_at_the_magnet_where_it_is_strong_enough() -> N
         start=(0.0, 0.0, 1.0, 0.0),
         until=20.0,
     )
-    found = parameter_map(plane, Plan(place=Workers(count=1), chunk=6))
+    found = parameter_map(plane, ExecutionPlan(place=Workers(count=1), chunk=6))
     assert [attractor.returns for attractor in found.attractors] == [1, 2, 2] * 2
     assert _weight_less_lift(SPOT) + PULL == pytest.approx(5.82, abs=0.01)
 
@@ -69,7 +69,7 @@ def test_samples_at_bounded_steps_refuse_it_where_the_search_for_events_is_blind
 ) -> None:
     machine = PROBLEM.dynamics(unaware.values(PROBLEM))
 
-    def without_bounds(flow: GuardedFlow) -> PlainFlow:
+    def without_bounds(flow: FlowWithEvent) -> PlainFlow:
         return PlainFlow(field=flow.rate, guard_and_rate=flow.guard)
 
     blind = replace(

@@ -22,16 +22,16 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError, StepSizeError
 from zeno_orbits.integrators import (
     Automatic,
-    Leg,
-    Outcome,
-    Passage,
     PlainFlow,
     Radau,
     RadauStep,
     RungeKutta,
     SciPy,
+    Segment,
+    SegmentResult,
     SteppedTrajectory,
     SteppingEngine,
+    Termination,
     Tolerance,
 )
 from zeno_orbits.model import CompiledFlow, HybridDynamics, load_problem, mode_functions
@@ -50,8 +50,8 @@ def dynamics_of(name: str, **parameters: float) -> HybridDynamics:
 
 def leg_of(
     dynamics: HybridDynamics, y: tuple[float, ...], horizon: float = 1e3, *, on_guard: bool = False
-) -> Leg:
-    return Leg(
+) -> Segment:
+    return Segment(
         flow=dynamics.free,
         y=np.array(y),
         horizon=horizon,
@@ -60,14 +60,14 @@ def leg_of(
     )
 
 
-def in_c(leg: Leg, engine: SteppingEngine) -> Passage:
+def in_c(leg: Segment, engine: SteppingEngine) -> SegmentResult:
     """Follow a leg in compiled code, which is another trajectory than the engine's own."""
     passage = LegFollower(engine).follow(leg)
     assert not isinstance(passage.trajectory, SteppedTrajectory)
     return passage
 
 
-def outcome_of(follow: Callable[[], Passage]) -> tuple[object, ...]:
+def outcome_of(follow: Callable[[], SegmentResult]) -> tuple[object, ...]:
     """Return the end of a leg, an error too, in values that both must share."""
     try:
         passage = follow()
@@ -76,7 +76,7 @@ def outcome_of(follow: Callable[[], Passage]) -> tuple[object, ...]:
     return passage.outcome, passage.duration, *passage.state.tolist()
 
 
-def require_same_steps(mine: Passage, other: Passage, tolerance: float) -> None:
+def require_same_steps(mine: SegmentResult, other: SegmentResult, tolerance: float) -> None:
     """Hold two passages together: outcome, number of steps, times, states, dense output."""
     assert mine.outcome is other.outcome
     assert len(mine.trajectory.times) == len(other.trajectory.times)
@@ -92,14 +92,14 @@ def require_same_steps(mine: Passage, other: Passage, tolerance: float) -> None:
 @pytest.mark.parametrize(
     ("y", "horizon", "outcome"),
     [
-        ((1.0, 0.0), 1e3, Outcome.FALL),
-        ((1.0, 0.0), 0.25, Outcome.HORIZON),
-        ((1.0, 1e5), 1e9, Outcome.FALL),
-        ((1.0, 0.0), 1e-12, Outcome.HORIZON),
+        ((1.0, 0.0), 1e3, Termination.FALL),
+        ((1.0, 0.0), 0.25, Termination.HORIZON),
+        ((1.0, 1e5), 1e9, Termination.FALL),
+        ((1.0, 0.0), 1e-12, Termination.HORIZON),
     ],
 )
 def test_a_fall_and_the_end_of_the_time_are_equal_to_the_last_bit(
-    y: tuple[float, float], horizon: float, outcome: Outcome
+    y: tuple[float, float], horizon: float, outcome: Termination
 ) -> None:
     leg = leg_of(dynamics_of("bouncing_ball"), y, horizon)
     for engine in (Automatic(), RungeKutta(largest_step=0.01 * min(horizon, 1e5))):
@@ -185,7 +185,7 @@ def test_a_flow_that_blows_up_is_the_same_error_at_the_same_place(engine: Steppi
     # y' = y^2 from 1 is infinite at t = 1; rounding of the time ends the steps before.
     y, p = ca.SX.sym("y"), ca.SX.sym("p")
     mode = mode_functions("blow", y, p, y * y, ca.vertcat(y, y * y))
-    leg = Leg(
+    leg = Segment(
         flow=CompiledFlow(mode, np.zeros(1)),
         y=np.ones(1),
         horizon=5.0,
@@ -207,7 +207,9 @@ def test_where_a_jacobian_is_not_finite_both_take_explicit_steps() -> None:
     rate = ca.vertcat(-y[0], -ca.sqrt(y[1]))
     mode = mode_functions("root", y, p, rate, ca.vertcat(y[0], rate[0]))
     flow = CompiledFlow(mode, np.zeros(1))
-    leg = Leg(flow=flow, y=np.array([1.0, 0.0]), horizon=40.0, tolerance=TOLERANCE, on_guard=False)
+    leg = Segment(
+        flow=flow, y=np.array([1.0, 0.0]), horizon=40.0, tolerance=TOLERANCE, on_guard=False
+    )
     assert not np.all(np.isfinite(flow.jacobian(leg.y)))
     mine = in_c(leg, Automatic())
     require_same_steps(mine, Automatic().follow(leg), 1e-11)
@@ -227,8 +229,8 @@ def test_a_rise_of_rounding_off_the_guard_is_no_fall(engine: SteppingEngine) -> 
     mode = mode_functions("noisy", y, p, rate, guard)
     start = np.array([0.0, 0.0, math.cos(0.7), math.sin(0.7), 0.0])
     tight = Tolerance(relative=1e-12, absolute=1e-24)
-    for rounding, outcome in ((1e-14, Outcome.HORIZON), (0.0, Outcome.FALL)):
-        leg = Leg(
+    for rounding, outcome in ((1e-14, Termination.HORIZON), (0.0, Termination.FALL)):
+        leg = Segment(
             flow=CompiledFlow(mode, np.zeros(1)),
             y=start,
             horizon=1.0,

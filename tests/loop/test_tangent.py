@@ -23,10 +23,10 @@ from zeno_orbits.orbits import orbit_multipliers
 from zeno_orbits.simulation import (
     ArcShifts,
     Execution,
-    Perturbations,
     PlasticAfter,
     SimulationSettings,
     SimulationTask,
+    VariationalEquation,
     ZenoExtrapolation,
     motion_of,
 )
@@ -46,9 +46,9 @@ COMBINED = [(name, "usual") for name in one_stop_problems()] + [
 ]
 
 
-def _walk(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Perturbations:
+def _walk(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> VariationalEquation:
     assert dynamics.differentiation is not None
-    return Perturbations(
+    return VariationalEquation(
         dynamics=dynamics,
         differentials=dynamics.differentiation.by(chosen),
         n_parameters=len(chosen),
@@ -66,7 +66,7 @@ def _rows(shifts: list[ArcShifts]) -> Vector:
     )
 
 
-def _by_loop(walk: Perturbations, run: Execution) -> Vector:
+def _by_loop(walk: VariationalEquation, run: Execution) -> Vector:
     motions = motion_of(walk, run, walk.at_start())
     return _rows([motions.of(arc) for arc in run.arcs if id(arc) in motions.shifts])
 
@@ -87,7 +87,7 @@ def _distance(found: Vector, expected: Vector) -> float:
     return float(np.max(np.abs(found - expected) / sizes, initial=0.0))
 
 
-def _of_one_rounding(task: SimulationTask, walk: Perturbations, expected: Vector) -> float:
+def _of_one_rounding(task: SimulationTask, walk: VariationalEquation, expected: Vector) -> float:
     """Return how far the derivatives in Python move if the start is rounded once."""
     run = looped(replace(task, state=np.nextafter(task.state, np.inf))).execution
     assert run is not None
@@ -184,7 +184,7 @@ def test_multipliers_and_cut_returns_take_their_derivatives_from_the_loop(
     def refused(*_: object, **__: object) -> list[ArcShifts]:
         raise AssertionError("derivatives are carried in Python")
 
-    monkeypatch.setattr(Perturbations, "along", refused)
+    monkeypatch.setattr(VariationalEquation, "along", refused)
     problem = zo.load_problem("motor_pendulum")
     x = np.array([0.1985068301199, 0, -5.2365375521764, 0, -1.8591703843225])
     found = orbit_multipliers(

@@ -16,7 +16,7 @@ from tests.support.mechanisms import clocked_oscillator, oscillator
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.maps import Attractor, Fate
 from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
-from zeno_orbits.model import Escape, Problem, load_problem
+from zeno_orbits.model import Problem, StateLimit, load_problem
 from zeno_orbits.simulation import SimulationSettings
 
 QUICK = LongRun(
@@ -84,7 +84,7 @@ def test_what_runs_away_is_named_by_what_it_means(
 def test_a_link_that_swings_past_half_a_turn_and_comes_back_does_not_run_away(
     problem: Problem,
 ) -> None:
-    close = problem.escapes | {"theta2": Escape(beyond=2.0, phrase="nearly")}
+    close = problem.escapes | {"theta2": StateLimit(beyond=2.0, phrase="nearly")}
     numbers = {"Kp": 3.56, "Kd": -1.48}
     assert at(problem, **numbers).fate is Fate.ZENO
     assert at(replace(problem, escapes=close), **numbers).detail == "nearly"

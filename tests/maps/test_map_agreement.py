@@ -11,7 +11,7 @@ from benchmarks import map_agreement
 from tests.reference.long_simulation import LongRun
 from zeno_orbits.maps import Attractor, Axis, Fate, Plane, parameter_map
 from zeno_orbits.model import locate_problem
-from zeno_orbits.work import Plan, Workers
+from zeno_orbits.work import ExecutionPlan, Workers
 
 ZENO = Attractor(fate=Fate.ZENO, returns=1, period=1.8, multipliers=(0.5 + 0j,))
 
@@ -67,7 +67,7 @@ def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
         start=(1.0, 0.0),
         until=60.0,
     )
-    found = parameter_map(plane, Plan(place=Workers(count=1)))
+    found = parameter_map(plane, ExecutionPlan(place=Workers(count=1)))
     assert not any(map_agreement.near_boundary(found, k) for k in range(8))
     mixed = replace(found, attractors=(ZENO, *found.attractors[1:]))
     near = [k for k in range(8) if map_agreement.near_boundary(mixed, k)]
@@ -89,7 +89,7 @@ def test_a_closer_look_excuses_only_a_fate_that_it_has_seen(fates: str, near: bo
     )
     looked: list[Plane] = []
 
-    def fast(cells: Plane, _plan: Plan) -> SimpleNamespace:
+    def fast(cells: Plane, _plan: ExecutionPlan) -> SimpleNamespace:
         looked.append(cells)
         seen = [kinds[fates[k % 2]] for k in range(len(cells.points()))]
         return SimpleNamespace(attractors=seen)

@@ -37,12 +37,12 @@ from zeno_orbits.maps import (
     require_plane,
     write_map,
 )
-from zeno_orbits.model import Escape, bundled_problems, load_problem, locate_problem
-from zeno_orbits.work import Cluster, Plan, Workers
+from zeno_orbits.model import StateLimit, bundled_problems, load_problem, locate_problem
+from zeno_orbits.work import Cluster, ExecutionPlan, Workers
 
 YES, NO, MISUSE = 0, 1, 2
 CORES = int(joblib.cpu_count())
-ONE = Plan(place=Workers(count=1), chunk=4)
+ONE = ExecutionPlan(place=Workers(count=1), chunk=4)
 BALL = ("map", "bouncing_ball", "--x", "m=1:2", "--y", "restitution=0:0.5", "--grid", "3x2")
 
 needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
@@ -229,7 +229,7 @@ def test_a_reduced_model_can_be_mapped() -> None:
 def test_a_problem_that_lets_an_unknown_state_escape_is_refused() -> None:
     problem = load_problem("bouncing_ball")
     with pytest.raises(InputError, match=r"`escapes` must be one of height, speed, but it is `x`"):
-        replace(problem, escapes={"x": Escape(beyond=1.0, phrase="x leaves")})
+        replace(problem, escapes={"x": StateLimit(beyond=1.0, phrase="x leaves")})
 
 
 def test_a_checkpoint_of_another_problem_of_the_same_name_is_refused(tmp_path: Path) -> None:
@@ -496,7 +496,7 @@ def test_a_problem_object_is_refused_where_other_processes_or_a_checkpoint_need_
     tmp_path: Path,
 ) -> None:
     alone = table(source=load_problem("vibrating_table"))
-    for plan in (Plan(place=Workers(count=2)), replace(ONE, checkpoint=tmp_path / "kept")):
+    for plan in (ExecutionPlan(place=Workers(count=2)), replace(ONE, checkpoint=tmp_path / "kept")):
         with pytest.raises(InputError, match="`problem` must be a name or a file"):
             parameter_map(alone, plan)
     assert list(tmp_path.iterdir()) == []

@@ -25,7 +25,7 @@ from zeno_orbits import (
     hybrid_system,
     no_drive,
 )
-from zeno_orbits.model import audited_in
+from zeno_orbits.model import with_energy_ledger
 from zeno_orbits.simulation import simulate
 
 EXACT = 1e-12
@@ -140,7 +140,7 @@ def test_a_coenergy_of_currents_voltages_and_position_obeys_equations_derived_by
 def test_source_heat_field_and_motion_share_the_energy() -> None:
     mass = _mass(gap=0.2, gravity=6.0)
     system = hybrid_system(mass, circuit_drive(mass, _magnet(mass)[0]), ca.SX(0.6))
-    dynamics = bound(audited_in(1.0)(system))
+    dynamics = bound(with_energy_ledger(1.0)(system))
     run = simulate(dynamics, [0.3, -0.2, 0.5, 0.7, 0.0, 0.0, 0.0], until=3.0)
     lost = sum(
         (1 - 0.6**2) / 2 * dynamics.normal_inertia(one.state_minus) * one.approach_rate**2

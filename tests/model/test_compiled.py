@@ -17,7 +17,7 @@ from zeno_orbits.model import (
     HybridLagrangian,
     bind,
     compile_system,
-    complete,
+    hybrid_system,
     load_problem,
     no_drive,
 )
@@ -32,7 +32,7 @@ def _uncoupled_ball() -> HybridDynamics:
     lagrangian = HybridLagrangian.from_energies(
         q=q, v=v, kinetic=ca.sumsqr(v) / 2, potential=9.81 * q[1], gap=q[1]
     )
-    system = complete(lagrangian, no_drive(lagrangian), e)
+    system = hybrid_system(lagrangian, no_drive(lagrangian), e)
     compiled = compile_system(system, {"restitution": e}, ("x", "y", "vx", "vy"))
     return bind(compiled, [0.3])
 

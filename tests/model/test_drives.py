@@ -10,8 +10,8 @@ from tests.support.mechanisms import bound, evaluated
 from zeno_orbits.model import (
     HybridLagrangian,
     MotorBank,
-    complete,
     full_drive,
+    hybrid_system,
     ideal_torque_drive,
     no_drive,
     quasi_static_drive,
@@ -110,10 +110,10 @@ def test_only_the_full_drive_has_current_states(
         6: quasi_static_drive(mechanism, motors),
     }
     for n_x, drive in drives.items():
-        assert complete(mechanism, drive, ca.SX(0.5)).state.numel() == n_x
+        assert hybrid_system(mechanism, drive, ca.SX(0.5)).state.numel() == n_x
     ideal = ideal_torque_drive(mechanism, selection=motors.selection, torque=torque)
-    assert complete(mechanism, ideal, ca.SX(0.5)).state.numel() == 6
-    assert complete(mechanism, no_drive(mechanism), ca.SX(0.5)).state.numel() == 6
+    assert hybrid_system(mechanism, ideal, ca.SX(0.5)).state.numel() == 6
+    assert hybrid_system(mechanism, no_drive(mechanism), ca.SX(0.5)).state.numel() == 6
 
 
 def test_an_ideal_torque_acts_through_the_selection(
@@ -149,7 +149,7 @@ def _motorized_rotor(inductance: float | None) -> tuple[float, ...]:
     )
     drive = (quasi_static_drive if inductance is None else full_drive)(rotor, motors)
     start = (1.0, 0.0) if inductance is None else (1.0, 0.0, 0.0)
-    dynamics = bound(complete(rotor, drive, ca.SX(0.5)))
+    dynamics = bound(hybrid_system(rotor, drive, ca.SX(0.5)))
     return tuple(simulate(dynamics, start, until=1.0).end_state)
 
 

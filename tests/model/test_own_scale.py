@@ -11,7 +11,7 @@ import zeno_orbits as zo
 from tests.support.families import CIRCLE
 from tests.support.one_stop import one_stop_problems
 from tests.support.units import Units, in_units
-from zeno_orbits.model import USUAL, OwnScale, constraint_sizes
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales, constraint_sizes
 
 TABLE = zo.load_problem("vibrating_table")
 
@@ -51,12 +51,12 @@ def test_sizes_far_from_one_are_those_of_the_machine() -> None:
 
 
 def test_a_state_that_is_next_to_nothing_gets_the_largest_size() -> None:
-    own = OwnScale(sizes=(1e-6, 1e3))
+    own = CharacteristicScales(sizes=(1e-6, 1e3))
     sizes = np.array([2e-6, 1e-7, 3.0])
     # In own sizes 2, 1e-10 and 3; the speed has none of its own.
     assert own.not_small(sizes, 1e-9) == pytest.approx([2e-6, 3e3, 3.0])
     assert own.not_small(np.zeros(3), 1e-9) == pytest.approx([1e-6, 1e3, 1.0])
-    assert USUAL.not_small(sizes, 1e-9) == pytest.approx(sizes)
+    assert UNIT_SCALES.not_small(sizes, 1e-9) == pytest.approx(sizes)
 
 
 def test_numbers_beyond_all_sizes_do_not_warn() -> None:

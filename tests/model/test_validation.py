@@ -22,7 +22,7 @@ from zeno_orbits.model import (
     HybridLagrangian,
     MotorBank,
     bundled_problems,
-    complete,
+    hybrid_system,
     load_problem,
     no_drive,
     powers_of,
@@ -322,7 +322,7 @@ def test_a_mass_that_vanishes_nearby_is_found(units: Units) -> None:
         body = HybridLagrangian.from_energies(
             q=q, v=v, kinetic=p["m"] * (1 - q / p["far"]) * v**2 / 2, potential=p["k"] * q, gap=q
         )
-        return complete(body, no_drive(body), p["restitution"])
+        return hybrid_system(body, no_drive(body), p["restitution"])
 
     problem = Problem(
         name="thinning",
@@ -410,7 +410,7 @@ def test_matrices_keep_an_applied_force_and_its_clock() -> None:
         mass_matrix=mass, applied_force=pushed, clock=clock, **given
     )
     free = HybridLagrangian.from_matrices(mass_matrix=mass, **given)
-    systems = [complete(one, no_drive(one), ca.SX(0.5)) for one in (forced, free)]
+    systems = [hybrid_system(one, no_drive(one), ca.SX(0.5)) for one in (forced, free)]
     states = [one.state for one in systems]
     accelerations = [one.free_flow[2:4] for one in systems]
     look = ca.Function("a", [states[0]], [*accelerations, systems[0].input_power, mass])

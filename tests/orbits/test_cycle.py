@@ -17,12 +17,12 @@ from zeno_orbits.model import HybridDynamics, load_problem
 from zeno_orbits.orbits import (
     ONE_ZENO,
     Cycle,
+    EventSequence,
     Moment,
-    OrbitShape,
     cycle_between,
     cycles,
     first_cycles,
-    gone_round_twice,
+    minimal_period,
     phases_of,
     round_again,
 )
@@ -123,10 +123,10 @@ def test_the_scale_counts_what_is_largest_on_the_locked_arc() -> None:
 
 def test_a_period_gone_round_twice_is_told_by_the_state_half_way(turns: Execution) -> None:
     first, second, _ = cycles(turns)
-    assert gone_round_twice(first) is None
+    assert minimal_period(first) is None
     twice = cycle_between(turns, (*first.phases, *second.phases))
     assert twice.shorter_periods(twice.scale()) == {first.shape: 0.0}
-    assert gone_round_twice(twice) == first.shape
+    assert minimal_period(twice) == first.shape
     text, once = twice.shape.text, first.shape.text
     assert (
         round_again(twice)
@@ -143,7 +143,7 @@ def test_two_unlike_returns_are_no_period_gone_round_twice(machine: HybridDynami
     off = np.abs(second.start.state - first.start.state) / scale
     assert np.min(off) < np.max(off)
     assert twice.shorter_periods(scale) == {first.shape: np.max(off)}
-    assert gone_round_twice(twice) is None
+    assert minimal_period(twice) is None
     assert round_again(twice) == ""
 
 
@@ -204,13 +204,13 @@ def test_returns_end_where_the_stop_lets_go_and_no_fall_before_is_one() -> None:
 
 
 def test_periods_follow_each_other_from_the_start_on() -> None:
-    run, twice = execution_of(*RETURNS), OrbitShape.parsed("zeno*2")
+    run, twice = execution_of(*RETURNS), EventSequence.parsed("zeno*2")
     assert [c.start.time for c in first_cycles(run, START, ONE_ZENO)] == [0.0, 3.0, 6.0, 9.0]
     assert [c.start.time for c in first_cycles(run, START, twice)] == [0.0, 6.0]
-    thrice = OrbitShape.parsed("zeno*3")
+    thrice = EventSequence.parsed("zeno*3")
     assert [(c.start.time, c.end.time) for c in first_cycles(run, START, thrice)] == [(0.0, 9.0)]
-    assert first_cycles(run, START, OrbitShape.parsed("plastic")) == ()
-    assert first_cycles(run, START, OrbitShape.parsed("zeno*5")) == ()
+    assert first_cycles(run, START, EventSequence.parsed("plastic")) == ()
+    assert first_cycles(run, START, EventSequence.parsed("zeno*5")) == ()
 
 
 def test_periods_end_where_a_return_between_them_is_none() -> None:
@@ -220,7 +220,7 @@ def test_periods_end_where_a_return_between_them_is_none() -> None:
     assert len(phases_of(run, START)) == 3
     (only,) = first_cycles(run, START, ONE_ZENO)
     assert (only.start.time, only.end.time) == (0.0, 3.0)
-    assert first_cycles(run, START, OrbitShape.parsed("zeno*2")) == ()
+    assert first_cycles(run, START, EventSequence.parsed("zeno*2")) == ()
     # Touched in the first one: there is nothing to begin with.
     run = execution_of(("t", 1.0), *RETURNS[1:])
     assert first_cycles(run, START, ONE_ZENO) == ()
@@ -289,7 +289,10 @@ def test_a_drift_is_the_largest_change_in_units_of_the_scale() -> None:
 
 def test_each_shorter_shape_is_judged_by_the_start_of_its_second_period() -> None:
     run = execution_of(*RETURNS)
-    (first, *_), names = first_cycles(run, START, OrbitShape.parsed("zeno*4")), ("zeno", "zeno*2")
+    (first, *_), names = (
+        first_cycles(run, START, EventSequence.parsed("zeno*4")),
+        ("zeno", "zeno*2"),
+    )
     scale = np.array([1.0, 2.0])
 
     def at_distances(one: float, two: float) -> Cycle:
@@ -312,13 +315,13 @@ def test_each_shorter_shape_is_judged_by_the_start_of_its_second_period() -> Non
 
 def test_the_shortest_shape_that_a_cycle_goes_round_is_named_with_its_number_of_turns() -> None:
     run = execution_of(*RETURNS)
-    (four,) = first_cycles(run, START, OrbitShape.parsed("zeno*4"))
+    (four,) = first_cycles(run, START, EventSequence.parsed("zeno*4"))
     half = tuple(
         replace(phase, start=Moment(time=phase.start.time, state=at(k % 2)))
         for k, phase in enumerate(four.phases)
     )
     twice = replace(four, phases=half)
-    assert gone_round_twice(twice) == OrbitShape.parsed("zeno*2")
+    assert minimal_period(twice) == EventSequence.parsed("zeno*2")
     text = round_again(twice)
     assert "`zeno*4`" in text
     assert "`zeno*2`, traversed 2 times" in text

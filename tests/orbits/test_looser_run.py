@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from zeno_orbits.integrators import RungeKutta, Tolerance
-from zeno_orbits.orbits import at_looser_tolerance, extrapolated, loosened
+from zeno_orbits.orbits import extrapolated, relaxed_settings, relaxed_tolerance
 from zeno_orbits.simulation import SimulationSettings, Truncation, ZenoExtrapolation, ZenoPassage
 
 FINE = SimulationSettings(
@@ -19,23 +19,23 @@ FINE = SimulationSettings(
 
 
 def test_looser_tolerances_are_a_hundred_times_those_of_the_run_and_the_rest_stays() -> None:
-    rough = at_looser_tolerance(FINE)
+    rough = relaxed_tolerance(FINE)
     assert rough.tolerance.relative == pytest.approx(1e-7, rel=1e-12)
     assert rough.tolerance.absolute == pytest.approx(1e-10, rel=1e-12)
     assert replace(rough, tolerance=FINE.tolerance) == FINE
-    tenfold = at_looser_tolerance(FINE, factor=10.0).tolerance
+    tenfold = relaxed_tolerance(FINE, factor=10.0).tolerance
     assert (tenfold.relative, tenfold.absolute) == pytest.approx((1e-8, 1e-11), rel=1e-12)
 
 
 def test_a_looser_run_finds_its_zeno_points_less_well_too() -> None:
-    rough = loosened(FINE)
-    assert rough.tolerance == at_looser_tolerance(FINE).tolerance
+    rough = relaxed_settings(FINE)
+    assert rough.tolerance == relaxed_tolerance(FINE).tolerance
     assert isinstance(rough.completion, ZenoExtrapolation)
     assert rough.completion.tolerance == pytest.approx(1e-8, rel=1e-12)
     assert rough.completion.resolved == 1e-2
     assert (rough.engine, rough.far) == (FINE.engine, 7.0)
-    tenfold = loosened(FINE, factor=10.0)
-    assert tenfold.tolerance == at_looser_tolerance(FINE, factor=10.0).tolerance
+    tenfold = relaxed_settings(FINE, factor=10.0)
+    assert tenfold.tolerance == relaxed_tolerance(FINE, factor=10.0).tolerance
     assert isinstance(tenfold.completion, ZenoExtrapolation)
     assert tenfold.completion.tolerance == pytest.approx(1e-9, rel=1e-12)
 
@@ -45,7 +45,7 @@ def test_impacts_are_left_out_up_to_half_the_first_speed_or_as_they_were(
     resolved: float, left: float
 ) -> None:
     settings = replace(FINE, completion=ZenoExtrapolation(resolved=resolved))
-    rough = loosened(settings, resolved=10.0).completion
+    rough = relaxed_settings(settings, resolved=10.0).completion
     assert isinstance(rough, ZenoExtrapolation)
     assert rough.resolved == pytest.approx(left, rel=1e-12)
 

@@ -25,12 +25,12 @@ from zeno_orbits.model import (
     HybridDynamics,
     HybridLagrangian,
     Problem,
-    complete,
+    hybrid_system,
     load_problem,
     no_drive,
 )
 from zeno_orbits.orbits import (
-    OrbitShape,
+    EventSequence,
     PhaseKind,
     ReturnDerivative,
     differentials_of,
@@ -38,21 +38,21 @@ from zeno_orbits.orbits import (
     monodromy,
     orbit_multipliers,
     phases_of,
+    poincare_jacobian,
     poincare_map,
     release_section,
     return_derivative,
-    return_slope,
-    section_derivative,
+    section_jacobian,
     to_next_release,
 )
 from zeno_orbits.orbits.monodromy import period_derivative
 from zeno_orbits.simulation import (
     Ending,
-    EventShift,
     Impact,
-    Perturbations,
+    SaltationDerivative,
     SimulationSettings,
     Truncation,
+    VariationalEquation,
     ZenoExtrapolation,
     motion_of,
     simulate,
@@ -165,7 +165,7 @@ def test_at_fixed_coordinates_a_release_stays_one_whatever_the_gains(problem: Pr
         machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS, parameters=places
     )
     section = release_section(machine, CENTRE, SCALE)
-    on_section = section_derivative(machine, derivative, SCALE)
+    on_section = section_jacobian(machine, derivative, SCALE)
     for k, place in enumerate(places):
 
         def moved(part: float, place: int = place) -> Vector:
@@ -188,7 +188,7 @@ def test_a_plastic_impact_has_a_derivative_of_rank_one(problem: Problem) -> None
     machine = problem.dynamics(values)
     derivative = return_derivative(machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS)
     section = release_section(machine, CENTRE, SCALE)
-    jacobian = section_derivative(machine, derivative, SCALE).jacobian
+    jacobian = section_jacobian(machine, derivative, SCALE).jacobian
     measured = np.transpose(
         [
             differences(
@@ -282,7 +282,7 @@ def test_the_error_of_the_multipliers_bounds_the_true_one(
     found = orbit_multipliers(machine, CENTRE, scale=scale, period=PERIOD, settings=settings)
     # Seven digits are known.
     assert abs(found.values[0] - MULTIPLIER) <= found.error + 5e-8
-    finest = return_slope(machine, CENTRE, scale=scale, period=PERIOD, settings=SETTINGS)
+    finest = poincare_jacobian(machine, CENTRE, scale=scale, period=PERIOD, settings=SETTINGS)
     true = np.linalg.eigvals(finest)
     off = max(float(np.min(np.abs(true - value))) for value in found.values)
     assert off <= found.error
@@ -388,9 +388,9 @@ def test_the_impact_oscillator_of_coco_has_its_published_multipliers() -> None:
     assert (values[0] * values[1]).real == pytest.approx(product, rel=1e-12)
 
 
-def perturbations_of(machine: HybridDynamics, parameters: tuple[int, ...]) -> Perturbations:
+def perturbations_of(machine: HybridDynamics, parameters: tuple[int, ...]) -> VariationalEquation:
     """Return the equations of perturbations of a system."""
-    return Perturbations(
+    return VariationalEquation(
         dynamics=machine,
         differentials=differentials_of(machine, parameters),
         n_parameters=len(parameters),
@@ -398,7 +398,9 @@ def perturbations_of(machine: HybridDynamics, parameters: tuple[int, ...]) -> Pe
     )
 
 
-def _zeno_shift(machine: HybridDynamics, x: Vector, parameters: tuple[int, ...]) -> EventShift:
+def _zeno_shift(
+    machine: HybridDynamics, x: Vector, parameters: tuple[int, ...]
+) -> SaltationDerivative:
     """Return how the Zeno point of a ball moves."""
     settings = replace(SETTINGS, completion=ZenoExtrapolation())
     run = simulate(machine, x, until=1e4, settings=settings)
@@ -476,7 +478,7 @@ def _clock_on_a_circle() -> Problem:
             passive_force=ca.vertcat(q[1] - FORCED.damping * v[0], kept),
             holonomic=ca.sumsqr(q[1:]) - 1,
         )
-        return complete(mechanism, no_drive(mechanism), p["restitution"])
+        return hybrid_system(mechanism, no_drive(mechanism), p["restitution"])
 
     names = ("x", "y", "z", "dx", "dy", "dz")
     return replace(
@@ -495,7 +497,7 @@ def test_a_holonomic_constraint_takes_its_two_dimensions_from_the_section() -> N
     x = np.array([FORCED.stop, math.cos(t), math.sin(t), 0.0, -math.sin(t), math.cos(t)])
     derivative = return_derivative(machine, x, horizon=9.0, settings=SETTINGS)
     assert derivative.period.value == pytest.approx(2 * math.pi, abs=1e-10)
-    jacobian = section_derivative(machine, derivative, np.ones(6)).jacobian
+    jacobian = section_jacobian(machine, derivative, np.ones(6)).jacobian
     assert jacobian.shape == (1, 1)
     # The bead's speed u obeys u' = RATE (1 - u^2) u, with the slope -2 RATE at 1.
     expected = math.exp(-2 * RATE * 2 * math.pi)
@@ -531,7 +533,7 @@ def test_a_model_without_formulas_has_no_exact_derivative(machine: HybridDynamic
 def test_differences_see_a_replaced_part_that_formulas_would_not(machine: HybridDynamics) -> None:
     wrong = replace(machine, reset_map=lambda x, r: machine.reset_map(x, 1.05 * r))
     true, seen = (
-        return_slope(each, CENTRE, scale=SCALE, period=PERIOD, settings=SETTINGS)
+        poincare_jacobian(each, CENTRE, scale=SCALE, period=PERIOD, settings=SETTINGS)
         for each in (machine, wrong)
     )
     assert np.max(np.abs(true - seen)) > 1e-3
@@ -588,14 +590,14 @@ def test_a_period_of_impacts_has_the_multipliers_that_coco_publishes(turns: int)
     problem = clocked_oscillator(COCO, attracting=False)
     machine = problem.dynamics(problem.values())
     start = np.array(oscillator_state(phase, COCO.stop, velocity))
-    shape = OrbitShape(phases=turns * (PhaseKind.IMPACT,))
+    shape = EventSequence(phases=turns * (PhaseKind.IMPACT,))
     derivative = period_derivative(machine, start, shape, horizon=20.0, settings=SETTINGS)
     assert derivative.start.tolist() == start.tolist()
     assert derivative.end == pytest.approx(start, abs=1e-11)
     assert derivative.period.value == pytest.approx(2 * math.pi * turns, abs=1e-11)
     assert derivative.period.by_parameters.tolist() == []
     published = complex(-0.58429531434153, 0.00560035149247) ** turns
-    slope = return_slope(
+    slope = poincare_jacobian(
         machine,
         start,
         scale=np.array([1.0, 2.0, 3.0, 4.0]),
@@ -667,7 +669,7 @@ def test_a_start_flies_at_once_if_it_locks_for_a_millionth_of_a_return(
 
 def test_one_entry_that_overflows_is_enough_to_refuse_a_derivative() -> None:
     state = np.array([[1.0, 2.0], [np.inf, 3.0]])
-    shift = EventShift(time=np.zeros(2), state=state, rate=np.zeros(2))
+    shift = SaltationDerivative(time=np.zeros(2), state=state, rate=np.zeros(2))
     with pytest.raises(SimulationError, match="is not finite") as caught:
         monodromy._require_finite(shift, 2.5, at(0.25))
     assert (caught.value.time, caught.value.state) == (2.5, (0.25, 0.0))

@@ -28,7 +28,7 @@ from zeno_orbits.orbits import (
     read_orbit,
     write_orbit,
 )
-from zeno_orbits.verification import OrbitCertificate, certified
+from zeno_orbits.verification import OrbitCertificate, with_certificate
 
 STATE = {"height": 0.1, "speed": -1 / 3}
 SMALL = ZenoOrbit(
@@ -98,7 +98,7 @@ def _changed(*path: str | int, to: Any) -> str:
 def test_a_found_orbit_comes_back_bit_for_bit(
     orbit: ZenoOrbit, certificate: OrbitCertificate, tmp_path: Path
 ) -> None:
-    whole = certified(orbit, certificate)
+    whole = with_certificate(orbit, certificate)
     again = _round_trip(whole, tmp_path)
     assert again == whole
     write_orbit(whole, str(tmp_path / "by_name.json"))
@@ -113,7 +113,7 @@ def test_a_found_orbit_comes_back_bit_for_bit(
 def test_the_file_has_every_entry_of_the_contract(
     orbit: ZenoOrbit, certificate: OrbitCertificate, problem: Problem
 ) -> None:
-    data = json.loads(json.dumps(certified(orbit, certificate).as_json(), allow_nan=False))
+    data = json.loads(json.dumps(with_certificate(orbit, certificate).as_json(), allow_nan=False))
     assert set(data) == ORBIT_KEYS | {"problem_digest"}
     assert data["format"] == 1
     assert data["shape"] == "zeno"

@@ -12,12 +12,12 @@ from tests.support.executions import at, execution_of
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.orbits import (
     ONE_ZENO,
-    OrbitShape,
+    EventSequence,
     cycle_of,
     first_return,
     followed,
     period,
-    placed,
+    place_on_section,
 )
 from zeno_orbits.orbits.period import later_releases, to_release
 from zeno_orbits.simulation import Execution, SimulationSettings
@@ -105,14 +105,19 @@ def test_periods_are_followed_until_their_releases_or_impacts_have_passed(
 ) -> None:
     simulated.left = [execution_of(("f", 1.0))]
     followed(
-        STOP, START, OrbitShape.parsed(shape), horizon=7.0, settings=SETTINGS, n_periods=n_periods
+        STOP,
+        START,
+        EventSequence.parsed(shape),
+        horizon=7.0,
+        settings=SETTINGS,
+        n_periods=n_periods,
     )
     assert simulated.asked == [{"until": 7.0, **asked}]
 
 
 def test_by_default_one_period_is_followed(simulated: Simulated) -> None:
     simulated.left = [execution_of(*TWO)]
-    followed(STOP, START, OrbitShape.parsed("zeno*2"), horizon=7.0, settings=SETTINGS)
+    followed(STOP, START, EventSequence.parsed("zeno*2"), horizon=7.0, settings=SETTINGS)
     assert simulated.asked == [{"until": 7.0, "releases": 2}]
 
 
@@ -120,7 +125,7 @@ def test_the_period_that_an_execution_begins_with_is_the_one(simulated: Simulate
     run = execution_of(*TWO)
     simulated.left = [run, run]
     # At this restitution a shape with a plastic impact is one with an accumulation.
-    cycle = cycle_of(STOP, START, OrbitShape.parsed("plastic"), horizon=9.0, settings=SETTINGS)
+    cycle = cycle_of(STOP, START, EventSequence.parsed("plastic"), horizon=9.0, settings=SETTINGS)
     assert (cycle.start.time, cycle.end.time) == (0.0, 3.0)
     assert cycle.phases[0].flight is run.arcs[0]
 
@@ -147,7 +152,7 @@ def test_a_motion_of_another_shape_tells_which_phases_it_has_and_where_they_end(
 ) -> None:
     simulated.left = [run]
     with pytest.raises(SimulationError) as caught:
-        cycle_of(STOP, START, OrbitShape.parsed(shape), horizon=9.5, settings=SETTINGS)
+        cycle_of(STOP, START, EventSequence.parsed(shape), horizon=9.5, settings=SETTINGS)
     assert caught.value.reason.endswith(f"not `{shape}`: {seen}")
     assert (caught.value.time, caught.value.state) == (time, (0.0, 1.0))
 
@@ -163,12 +168,12 @@ def test_a_start_is_moved_along_the_impulse_by_its_gap_and_no_other_way() -> Non
             on_stop=lambda _: START,
         )
 
-    impact = OrbitShape.parsed("impact")
+    impact = EventSequence.parsed("impact")
     x = np.array([0.5, -0.25, 1.0, 2.0, 3.0])
-    moved = placed(system(0.5), impact, x)
+    moved = place_on_section(system(0.5), impact, x)
     assert moved.tolist() == [0.5 - 0.1875, -0.25 - 0.0625, 1.0, 2.0, 3.0]
     assert x.tolist() == [0.5, -0.25, 1.0, 2.0, 3.0]
     exact = np.array([0.5, -0.5, 1.0, 2.0, 3.0])
-    assert placed(system(0.5), impact, exact) is exact
+    assert place_on_section(system(0.5), impact, exact) is exact
     for shape, restitution in ((impact, 0.0), (ONE_ZENO, 0.5), (ONE_ZENO, 0.0)):
-        assert placed(system(restitution), shape, x) is START
+        assert place_on_section(system(restitution), shape, x) is START

@@ -15,14 +15,14 @@ from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics, load_problem
 from zeno_orbits.orbits import (
     ONE_ZENO,
-    OrbitShape,
+    EventSequence,
     Phase,
     PhaseKind,
     cycle_of,
     follow_each_other,
     kinds_of,
     phases_of,
-    placed,
+    place_on_section,
 )
 from zeno_orbits.simulation import Execution, Mode, SimulationSettings, simulate
 
@@ -99,10 +99,10 @@ def test_a_start_after_an_impact_keeps_its_speed_and_loses_its_gap(
     striker: HybridDynamics, oscillator: HybridDynamics
 ) -> None:
     off = _strike() + np.array([1e-9, 0.0, 0.0, 0.0])
-    moved = placed(striker, OrbitShape.parsed("impact"), off)
+    moved = place_on_section(striker, EventSequence.parsed("impact"), off)
     assert striker.gap(moved) == pytest.approx(0.0, abs=1e-16)
     assert moved[1] == off[1]
-    rested = placed(oscillator, ONE_ZENO, np.array(LOCKED) + 1e-9)
+    rested = place_on_section(oscillator, ONE_ZENO, np.array(LOCKED) + 1e-9)
     assert oscillator.gap_rate(rested) == pytest.approx(0.0, abs=1e-16)
 
 
@@ -111,13 +111,13 @@ def test_a_period_of_another_shape_is_refused(
 ) -> None:
     settings = SimulationSettings()
     cycle = cycle_of(
-        striker, _strike(), OrbitShape.parsed("impact*2"), horizon=20.0, settings=settings
+        striker, _strike(), EventSequence.parsed("impact*2"), horizon=20.0, settings=settings
     )
     assert cycle.end.time == pytest.approx(2 * TURN, rel=1e-9)
     with pytest.raises(SimulationError, match="shape of the motion is not `zeno`"):
         cycle_of(striker, _strike(), ONE_ZENO, horizon=20.0, settings=settings)
     # Too short a time for two.
-    twice = OrbitShape.parsed("zeno*2")
+    twice = EventSequence.parsed("zeno*2")
     start = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
     with pytest.raises(SimulationError, match="shape of the motion is not `zeno\\*2`: zeno"):
         cycle_of(oscillator, start, twice, horizon=8.0, settings=settings)

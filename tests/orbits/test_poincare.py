@@ -23,14 +23,14 @@ from zeno_orbits.orbits import (
     ONE_ZENO,
     RELEASE_ROWS,
     REST_ROWS,
+    EventSequence,
     Multipliers,
-    OrbitShape,
     orbit_multipliers,
     poincare,
+    poincare_jacobian,
     poincare_map,
-    projected,
+    project_to_section,
     release_section,
-    return_slope,
     rows_of,
     to_next_release,
 )
@@ -223,7 +223,7 @@ def test_a_state_without_a_section_near_it_is_told(
     machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     away = CENTRE + 1e-3
-    near = projected(machine, RELEASE_ROWS, away, SCALE)
+    near = project_to_section(machine, RELEASE_ROWS, away, SCALE)
     assert conditions(machine, RELEASE_ROWS, near) == pytest.approx(np.zeros(3), abs=1e-12)
     # Conditions that stay where they are, by as little as rounding may leave or by more.
     size = np.max(np.abs(release_section(machine, CENTRE, SCALE).normal @ np.ones(3)))
@@ -231,7 +231,7 @@ def test_a_state_without_a_section_near_it_is_told(
         stuck = np.full(3, off * 1e-9 / size)
         monkeypatch.setattr(sections, "conditions", lambda *_, stuck=stuck: stuck)
         with nullcontext() if found else pytest.raises(SimulationError, match="cannot be placed"):
-            projected(machine, RELEASE_ROWS, CENTRE, SCALE)
+            project_to_section(machine, RELEASE_ROWS, CENTRE, SCALE)
 
 
 @pytest.mark.parametrize(
@@ -240,8 +240,8 @@ def test_a_state_without_a_section_near_it_is_told(
 def test_a_period_from_an_impact_starts_on_the_stop_and_at_rest_after_a_plastic_one(
     restitution: float, rows: tuple[int, ...]
 ) -> None:
-    assert rows_of(OrbitShape.parsed("impact"), restitution) == rows
-    assert rows_of(OrbitShape.parsed("zeno"), restitution) == RELEASE_ROWS
+    assert rows_of(EventSequence.parsed("impact"), restitution) == rows
+    assert rows_of(EventSequence.parsed("zeno"), restitution) == RELEASE_ROWS
 
 
 def test_the_error_of_multipliers_is_the_farthest_of_the_rougher_ones_and_noise() -> None:
@@ -260,9 +260,9 @@ def test_the_slope_of_a_system_without_formulas_is_that_of_differences(
 ) -> None:
     given = {"scale": SCALE, "period": PERIOD, "settings": SETTINGS}
     blind = replace(machine, differentiation=None)
-    exact = poincare.return_slope(machine, CENTRE, **given)
+    exact = poincare.poincare_jacobian(machine, CENTRE, **given)
     # The fourth order in the step of 2e-5 leaves the noise of a return, 1e-12, over it.
-    assert poincare.return_slope(blind, CENTRE, **given) == pytest.approx(exact, abs=1e-6)
+    assert poincare.poincare_jacobian(blind, CENTRE, **given) == pytest.approx(exact, abs=1e-6)
 
 
 def test_a_section_that_is_a_point_has_no_multipliers_by_differences_either() -> None:
@@ -309,10 +309,10 @@ def test_a_return_is_waited_for_twice_as_long_as_the_period_that_is_given(*, exa
     dynamics = dynamics if exact else replace(dynamics, differentiation=None)
     x = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
     given = {"scale": np.ones(4), "settings": SETTINGS}
-    found = return_slope(dynamics, x, period=0.55 * 2 * math.pi, **given)
+    found = poincare_jacobian(dynamics, x, period=0.55 * 2 * math.pi, **given)
     assert found[0, 0] == pytest.approx(math.exp(-2 * math.pi), abs=1e-8)
     with pytest.raises(SimulationError):
-        return_slope(dynamics, x, period=0.45 * 2 * math.pi, **given)
+        poincare_jacobian(dynamics, x, period=0.45 * 2 * math.pi, **given)
 
 
 def _slopes(
@@ -329,7 +329,7 @@ def _slopes(
             raise SimulationError("It does not return", time=1.0, state=())
         return rough
 
-    monkeypatch.setattr(poincare, "return_slope", slope)
+    monkeypatch.setattr(poincare, "poincare_jacobian", slope)
     system: Any = SimpleNamespace(differentiation=object())
     settings = SimulationSettings(
         tolerance=Tolerance(relative=1e-6, absolute=1e-8),
@@ -382,14 +382,14 @@ def test_differences_are_central_and_extrapolated_over_two_steps(
         return SimpleNamespace(end=SimpleNamespace(state=after))
 
     monkeypatch.setattr(poincare, "_section", chart)
-    monkeypatch.setattr(poincare, "placed", lambda _, __, x: x)
+    monkeypatch.setattr(poincare, "place_on_section", lambda _, __, x: x)
     monkeypatch.setattr(poincare, "cycle_of", cycle)
     given: Any = {"scale": np.ones(2), "period": 1.0, "settings": SETTINGS}
     system: Any = SimpleNamespace(differentiation=None)
     near, far = poincare._differences(system, np.zeros(2), ONE_ZENO, **given)
     assert near == pytest.approx(2 * (slope + cubic * 2e-5**2), rel=1e-9)
     assert far == pytest.approx(2 * (slope + cubic * 4e-5**2), rel=1e-9)
-    assert return_slope(system, np.zeros(2), **given) == pytest.approx(2 * slope, rel=1e-9)
+    assert poincare_jacobian(system, np.zeros(2), **given) == pytest.approx(2 * slope, rel=1e-9)
     found = orbit_multipliers(system, np.zeros(2), **given, noise=4e-5)
     assert found.jacobian == pytest.approx(2 * slope, rel=1e-9)
     off = [min(abs(np.linalg.eigvals(near) - value)) for value in np.linalg.eigvals(2 * slope)]

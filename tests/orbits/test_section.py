@@ -16,7 +16,7 @@ from zeno_orbits.orbits import (
     RELEASE_ROWS,
     REST_ROWS,
     Line,
-    projected,
+    project_to_section,
     section_along,
     section_around,
 )
@@ -216,23 +216,23 @@ def test_differences_for_a_section_without_formulas_err_by_the_square_of_a_milli
 
 def test_a_state_is_projected_to_the_nearest_one_in_scaled_states() -> None:
     line: Any = _line_by_parameters()
-    found = projected(line, IMPACT_ROWS, np.array([0.5, 0.5]), np.array([2.0, 0.5]))
+    found = project_to_section(line, IMPACT_ROWS, np.array([0.5, 0.5]), np.array([2.0, 0.5]))
     assert found == pytest.approx([0.5 - 16 / 17, 0.5 - 1 / 17], abs=ROUNDING)
     for start in ([1.2, 0.9], [-0.4, 0.3], [0.0, -1.5], [0.5, 0.0]):
         x = np.array(start)
-        found = projected(circle(gradient=_of_circle), IMPACT_ROWS, x, np.ones(2))
+        found = project_to_section(circle(gradient=_of_circle), IMPACT_ROWS, x, np.ones(2))
         assert found == pytest.approx(x / np.linalg.norm(x), abs=ROUNDING)
 
 
 def test_a_projection_ends_at_rounding_or_after_twenty_corrections() -> None:
     for value, calls in ((4e-16, 1), (-4e-16, 1), (6e-16, 20), (1e-9, 20), (-1e-9, 20)):
         system = stuck(value)
-        found = projected(system, IMPACT_ROWS, np.zeros(2), np.ones(2))
+        found = project_to_section(system, IMPACT_ROWS, np.zeros(2), np.ones(2))
         assert system.calls == calls
         assert found == pytest.approx([-calls * value, 0.0], rel=1e-12, abs=0.0)
     with pytest.raises(SimulationError, match="cannot be placed") as caught:
-        projected(stuck(-1.2e-9), IMPACT_ROWS, np.array([0.0, 2.0]), np.ones(2))
+        project_to_section(stuck(-1.2e-9), IMPACT_ROWS, np.array([0.0, 2.0]), np.ones(2))
     assert caught.value.time == 0.0
     assert caught.value.state == pytest.approx((20 * 1.2e-9, 2.0))
     with pytest.raises(SimulationError):
-        projected(stuck([0.0, 1.2e-9]), REST_ROWS, np.zeros(2), np.ones(2))
+        project_to_section(stuck([0.0, 1.2e-9]), REST_ROWS, np.zeros(2), np.ones(2))

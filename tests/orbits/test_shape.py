@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.orbits import ONE_ZENO, OrbitShape, PhaseKind
+from zeno_orbits.orbits import ONE_ZENO, EventSequence, PhaseKind
 
 ZENO, PLASTIC, IMPACT = PhaseKind.ZENO, PhaseKind.PLASTIC, PhaseKind.IMPACT
 
@@ -30,16 +30,16 @@ KINDS = st.one_of(
     ],
 )
 def test_a_shape_is_read_and_written(text: str, kinds: tuple[PhaseKind, ...]) -> None:
-    shape = OrbitShape.parsed(text)
+    shape = EventSequence.parsed(text)
     assert shape.phases == kinds
     assert shape.text == text
-    assert OrbitShape.parsed(text.replace(",", " , ")) == shape
+    assert EventSequence.parsed(text.replace(",", " , ")) == shape
 
 
 @given(KINDS)
 def test_every_shape_is_read_as_it_is_written(kinds: list[PhaseKind]) -> None:
-    shape = OrbitShape(phases=tuple(kinds))
-    assert OrbitShape.parsed(shape.text) == shape
+    shape = EventSequence(phases=tuple(kinds))
+    assert EventSequence.parsed(shape.text) == shape
     assert shape.n_phases == len(kinds)
     assert shape.n_releases == len(kinds) - kinds.count(IMPACT)
     assert shape.starts_at_release == (shape.n_releases > 0)
@@ -49,8 +49,8 @@ def test_every_shape_is_read_as_it_is_written(kinds: list[PhaseKind]) -> None:
 def test_a_shape_gone_round_again_names_what_it_goes_round(
     kinds: list[PhaseKind], times: int
 ) -> None:
-    shape = OrbitShape(phases=tuple(kinds))
-    again = OrbitShape(phases=times * shape.phases)
+    shape = EventSequence(phases=tuple(kinds))
+    again = EventSequence(phases=times * shape.phases)
     assert shape in again.shorter
     assert all(len(again.phases) % len(one.phases) == 0 for one in again.shorter)
     assert again not in again.shorter
@@ -62,59 +62,59 @@ def test_a_shape_gone_round_again_names_what_it_goes_round(
 )
 def test_a_text_that_is_no_shape_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="`shape` must be zeno, plastic or impact"):
-        OrbitShape.parsed(text)
+        EventSequence.parsed(text)
 
 
 def test_a_slip_of_the_pen_makes_no_period_of_a_million_phases() -> None:
     with pytest.raises(InputError, match="but it is `impact\\*1000000`"):
-        OrbitShape.parsed("impact*1000000")
+        EventSequence.parsed("impact*1000000")
 
 
 @pytest.mark.parametrize(
     ("text", "n"), [("impact*1000", 1000), ("impact*500,impact*499,plastic", 1000)]
 )
 def test_a_period_has_a_thousand_phases_at_most(text: str, n: int) -> None:
-    assert OrbitShape.parsed(text).n_phases == n
+    assert EventSequence.parsed(text).n_phases == n
     with pytest.raises(InputError, match="`shape` must be zeno"):
-        OrbitShape.parsed(f"impact,{text}")
+        EventSequence.parsed(f"impact,{text}")
 
 
 @pytest.mark.parametrize("text", ["zeno,impact", "plastic,zeno", "impact,zeno,impact"])
 def test_impacts_of_an_accumulation_are_no_phases_of_their_own(text: str) -> None:
     with pytest.raises(InputError, match="must not mix zeno"):
-        OrbitShape.parsed(text)
+        EventSequence.parsed(text)
 
 
 def test_a_period_with_a_release_starts_at_one() -> None:
     with pytest.raises(InputError, match="must end with the plastic impact"):
-        OrbitShape.parsed("plastic,impact")
+        EventSequence.parsed("plastic,impact")
     with pytest.raises(InputError, match="must have a phase"):
-        OrbitShape(phases=())
+        EventSequence(phases=())
 
 
 def test_the_stop_decides_whether_what_holds_accumulates() -> None:
     assert ONE_ZENO.at_restitution(0.0).text == "plastic"
-    assert OrbitShape.parsed("plastic*2").at_restitution(0.3).text == "zeno*2"
-    assert OrbitShape.parsed("impact*2").at_restitution(0.0).text == "impact*2"
+    assert EventSequence.parsed("plastic*2").at_restitution(0.3).text == "zeno*2"
+    assert EventSequence.parsed("impact*2").at_restitution(0.0).text == "impact*2"
 
 
 def test_a_plastic_shape_agrees_with_an_accumulating_one_and_with_no_other() -> None:
-    plastic = OrbitShape.parsed("plastic")
+    plastic = EventSequence.parsed("plastic")
     assert plastic.agreed(ONE_ZENO) is plastic
     assert plastic.agreed(None) is plastic
     with pytest.raises(InputError, match="must be the shape `plastic` of the orbit"):
-        plastic.agreed(OrbitShape.parsed("impact"))
+        plastic.agreed(EventSequence.parsed("impact"))
 
 
-@pytest.mark.parametrize("shape", [ONE_ZENO, OrbitShape.parsed("plastic")])
-def test_one_phase_that_holds_has_one_release(shape: OrbitShape) -> None:
+@pytest.mark.parametrize("shape", [ONE_ZENO, EventSequence.parsed("plastic")])
+def test_one_phase_that_holds_has_one_release(shape: EventSequence) -> None:
     assert shape.has_one_release
     shape.require_one_release()
 
 
 @pytest.mark.parametrize("text", ["zeno*2", "impact", "impact,plastic"])
 def test_what_needs_one_release_says_which_shape_it_was_given(text: str) -> None:
-    shape = OrbitShape.parsed(text)
+    shape = EventSequence.parsed(text)
     assert not shape.has_one_release
     with pytest.raises(InputError, match="one Zeno point and one release") as caught:
         shape.require_one_release()

@@ -20,12 +20,12 @@ from zeno_orbits.integrators import Automatic, Radau, RungeKutta, SciPy, Toleran
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.precision import (
     FINEST,
-    Assured,
+    ExecutionWithError,
     accuracy,
-    difference,
+    execution_distance,
+    execution_to_accuracy,
     execution_with_error,
     settings_for,
-    simulate_to,
     why_engine,
 )
 from zeno_orbits.precision.accuracy import COARSEST
@@ -68,7 +68,7 @@ def _truth(problem: Problem) -> dict[str, list[tuple[float, Vector]]]:
     }
 
 
-def error_of(assured: Assured, truth: dict[str, list[tuple[float, Vector]]]) -> float:
+def error_of(assured: ExecutionWithError, truth: dict[str, list[tuple[float, Vector]]]) -> float:
     """Return the true error of an execution, in the units of its estimate."""
     run = assured.execution
     found = {
@@ -113,7 +113,7 @@ def test_the_estimate_bounds_the_true_error_and_keeps_the_accuracy(
     wanted: float, machine: HybridDynamics, truth: dict[str, list[tuple[float, Vector]]]
 ) -> None:
     start = (0.6, 0.0, 0.0, 0.0, 0.0)
-    assured = simulate_to(machine, start, until=2.5 * PERIOD, accuracy=wanted)
+    assured = execution_to_accuracy(machine, start, until=2.5 * PERIOD, accuracy=wanted)
     assert error_of(assured, truth) <= assured.error <= wanted
 
 
@@ -123,14 +123,14 @@ def test_an_execution_that_is_off_is_seen_to_be(
 ) -> None:
     """The same comparison on a start that is off by more than the accuracy."""
     start = (0.6 * (1 + 10 * wanted), 0.0, 0.0, 0.0, 0.0)
-    assured = simulate_to(machine, start, until=2.5 * PERIOD, accuracy=wanted)
+    assured = execution_to_accuracy(machine, start, until=2.5 * PERIOD, accuracy=wanted)
     assert error_of(assured, truth) > assured.error
 
 
 @pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("until", [0.1, 0.6, 5.0, 1e6])
 def test_a_ball_is_as_exact_as_said(ball: HybridDynamics, until: float, wanted: float) -> None:
-    assured = simulate_to(ball, (1.0, 0.0), until=until, accuracy=wanted)
+    assured = execution_to_accuracy(ball, (1.0, 0.0), until=until, accuracy=wanted)
     assert 0.0 < assured.error <= wanted
     run = assured.execution
     if run.impacts:
@@ -148,8 +148,8 @@ def test_times_are_judged_by_the_last_event_and_not_by_a_far_horizon(
     """A ball that lies still for eleven days excuses no error of its bounces."""
     early, late = (simulate(ball, (height, 0.0), until=1e6) for height in (1.0, 1.0 + 2e-3))
     # The times grow by the root of the height, the speeds too.
-    assert difference(early, late) == pytest.approx(1e-3, rel=0.01, abs=1.1e-3)
-    assert difference(early, late) > 0.9e-3
+    assert execution_distance(early, late) == pytest.approx(1e-3, rel=0.01, abs=1.1e-3)
+    assert execution_distance(early, late) > 0.9e-3
 
 
 def test_what_cannot_be_reached_ends_in_a_no(
@@ -163,8 +163,8 @@ def test_what_cannot_be_reached_ends_in_a_no(
 
     monkeypatch.setattr(accuracy, "simulate", shaken)
     with pytest.raises(SimulationError, match=r"1e-10 is out of reach: the best estimate is"):
-        simulate_to(ball, (1.0, 0.0), until=5.0, accuracy=1e-10)
-    assert simulate_to(ball, (1.0, 0.0), until=5.0, accuracy=1e-6).error > 1e-10
+        execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-10)
+    assert execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-6).error > 1e-10
 
 
 def test_a_run_too_coarse_to_go_through_is_not_the_end_but_the_finest_one_is(
@@ -183,11 +183,11 @@ def test_a_run_too_coarse_to_go_through_is_not_the_end_but_the_finest_one_is(
 
     monkeypatch.setattr(accuracy, "simulate", fragile)
     least = 1e-8
-    assured = simulate_to(ball, (1.0, 0.0), until=5.0, accuracy=1e-4)
+    assured = execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-4)
     assert assured.settings.tolerance.relative < least
     least = 0.0
     with pytest.raises(PenetrationError):
-        simulate_to(ball, (1.0, 0.0), until=5.0, accuracy=1e-4)
+        execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-4)
 
 
 def test_the_zeno_points_own_doubt_counts_where_two_runs_share_it(
@@ -201,9 +201,9 @@ def test_the_zeno_points_own_doubt_counts_where_two_runs_share_it(
         return replace(run, events=doubts)
 
     monkeypatch.setattr(accuracy, "simulate", doubtful)
-    assert simulate_to(ball, (1.0, 0.0), until=5.0, accuracy=1e-3).error >= 1e-5
+    assert execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-3).error >= 1e-5
     with pytest.raises(SimulationError, match="out of reach"):
-        simulate_to(ball, (1.0, 0.0), until=5.0, accuracy=1e-6)
+        execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-6)
 
 
 # ------------------------------------------------------------ the error of Zeno points, total
@@ -319,7 +319,7 @@ def test_zeno_points_that_only_one_run_has_are_of_unknown_error(ball: HybridDyna
 def test_a_zeno_point_at_the_horizon_is_no_reason_to_say_no(
     ball: HybridDynamics, shift: float
 ) -> None:
-    assured = simulate_to(ball, (1.0, 0.0), until=ZENO * (1 + shift), accuracy=1e-6)
+    assured = execution_to_accuracy(ball, (1.0, 0.0), until=ZENO * (1 + shift), accuracy=1e-6)
     assert assured.error <= 1e-6
     assert abs(assured.execution.end_state[0]) <= 1e-6
 
@@ -328,7 +328,7 @@ def test_a_zeno_point_at_the_horizon_is_no_reason_to_say_no(
 def test_an_event_of_the_orbit_at_the_horizon_is_no_reason_to_say_no(
     machine: HybridDynamics, where: float
 ) -> None:
-    assured = simulate_to(machine, RELEASE, until=where, accuracy=1e-6)
+    assured = execution_to_accuracy(machine, RELEASE, until=where, accuracy=1e-6)
     assert assured.error <= 1e-6
     if where == ZENO_TIME:
         # Off by the error, in units of each state's size; the largest is below 20.
@@ -343,7 +343,7 @@ def test_an_event_that_one_run_has_and_the_other_has_not_counts_by_how_late_it_i
     second = simulate(ball, ((1 + 2e-6 / ZENO) ** 2, 0.0), until=ZENO + 1e-6)
     assert len(first.zeno_points) == 1
     assert not second.zeno_points
-    shorter, longer = difference(first, second), difference(second, first)
+    shorter, longer = execution_distance(first, second), execution_distance(second, first)
     assert min(shorter, longer) > 1e-7
     assert max(shorter, longer) < 1e-4
 
@@ -352,9 +352,9 @@ def test_one_impact_more_before_the_horizon_is_held_against_the_end(ball: Hybrid
     before, after = (simulate(ball, (h, 0.0), until=FALL) for h in (1 + 1e-6, 1 - 1e-6))
     assert (len(before.impacts), len(after.impacts)) == (0, 1)
     # The speed at the end of the one is the speed before the impact of the other.
-    assert difference(before, after) < 1e-5
+    assert execution_distance(before, after) < 1e-5
     far = simulate(ball, (2.0, 0.0), until=FALL)
-    assert difference(far, after) > 0.1
+    assert execution_distance(far, after) > 0.1
 
 
 def test_executions_that_go_different_ways_are_infinitely_apart(machine: HybridDynamics) -> None:
@@ -362,8 +362,8 @@ def test_executions_that_go_different_ways_are_infinitely_apart(machine: HybridD
     first = run.returns(PERIOD)[0]
     without = tuple(event for event in run.events if event is not first)
     assert len(without) == len(run.events) - 1
-    assert math.isinf(difference(run, replace(run, events=without)))
-    assert difference(run, run) == 0.0
+    assert math.isinf(execution_distance(run, replace(run, events=without)))
+    assert execution_distance(run, run) == 0.0
 
 
 def test_shifted_landmarks_of_equal_count_are_far_apart(machine: HybridDynamics) -> None:
@@ -411,7 +411,7 @@ def test_a_state_is_measured_by_its_largest_value_and_not_by_that_at_an_impact(
         simulate(ball, (1.0, 0.0), until=0.6, settings=SimulationSettings(tolerance=tolerance))
         for tolerance in (Tolerance(relative=1e-6), Tolerance())
     )
-    assert difference(first, second) < 1e-5
+    assert execution_distance(first, second) < 1e-5
     assert sizes(second)[0] == 1.0
 
 
@@ -423,12 +423,12 @@ def test_a_motion_without_any_event_is_judged_by_its_end(ball: HybridDynamics) -
     assert landmarks(simulate(ball, (1.0, 0.0), until=5.0))[0].kind is LandmarkKind.ZENO
     other = simulate(ball, (1.0, 1e-3), until=0.1)
     # The largest speed of the other one is 0.98 m/s.
-    assert difference(run, other) == pytest.approx(1e-3 / (0.1 * GRAVITY - 1e-3))
+    assert execution_distance(run, other) == pytest.approx(1e-3 / (0.1 * GRAVITY - 1e-3))
 
 
 def test_a_ball_at_rest_has_no_error_but_its_tolerance(ball: HybridDynamics) -> None:
     """All states are zero all the time."""
-    assured = simulate_to(ball, (0.0, 0.0), until=1.0, accuracy=1e-9)
+    assured = execution_to_accuracy(ball, (0.0, 0.0), until=1.0, accuracy=1e-9)
     # No run claims to be better than its tolerance, even one that is.
     assert 0.0 < assured.error == assured.settings.tolerance.relative <= 1e-9
     assert not assured.execution.end_state.any()
@@ -449,7 +449,9 @@ def test_every_engine_keeps_the_accuracy(
     engine: Automatic | RungeKutta | Radau, machine: HybridDynamics
 ) -> None:
     settings = SimulationSettings(engine=engine)
-    assured = simulate_to(machine, RELEASE, until=1.1 * PERIOD, accuracy=1e-6, settings=settings)
+    assured = execution_to_accuracy(
+        machine, RELEASE, until=1.1 * PERIOD, accuracy=1e-6, settings=settings
+    )
     assert abs(assured.execution.returns(PERIOD)[0].time - PERIOD) <= assured.error * PERIOD
     assert assured.settings.engine == engine
 
@@ -458,7 +460,7 @@ def test_an_error_estimate_is_the_same_number_in_any_units() -> None:
     # So small a table in so long a second that 1 and 1e-12 of an SI unit would be vast beside it.
     # Own sizes are powers of a thousand, so steps differ by what less than that is.
     table = load_problem("vibrating_table")
-    found: list[Assured] = []
+    found: list[ExecutionWithError] = []
     for problem, unit in ((table, 1.0), (in_units(table, Units(length=1e-12, time=1e-6)), 1e-6)):
         dynamics = problem.dynamics(problem.values())
         start = problem.state_vector(problem.starts[0])

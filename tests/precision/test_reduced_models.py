@@ -25,14 +25,14 @@ from zeno_orbits.model import (
     MotorBank,
     ParameterValues,
     Problem,
-    complete,
     corrected_drive,
     full_drive,
+    hybrid_system,
     load_problem,
     quasi_static_drive,
 )
 from zeno_orbits.orbits import read_orbit
-from zeno_orbits.precision import ReductionCost, reduction_costs
+from zeno_orbits.precision import ReductionCost, errors_of_reduced_models
 from zeno_orbits.precision.reduced_models import (
     CORRECTED,
     LANDMARKS,
@@ -91,7 +91,7 @@ def _slow_pair(inductance: float) -> NDArray[np.complex128]:
 
 def _reduced_pair(inductance: float, drive_of: object) -> NDArray[np.complex128]:
     cart, bank = _cart(inductance)
-    system = complete(cart, drive_of(cart, bank), ca.SX(0.5))  # type: ignore[operator]
+    system = hybrid_system(cart, drive_of(cart, bank), ca.SX(0.5))  # type: ignore[operator]
     matrix = evaluated(
         ca.jacobian(system.free_flow, system.state), {"x": (0.0, 0.0)}, x=system.state
     )
@@ -148,7 +148,7 @@ def test_coupled_motors_with_gears_are_corrected_to_second_order() -> None:
     def slow(inductance: float, *, full: bool) -> NDArray[np.complex128]:
         carts, motors = _two_carts(inductance)
         drive = full_drive(carts, motors) if full else corrected_drive(carts, motors)
-        system = complete(carts, drive, ca.SX(0.5))
+        system = hybrid_system(carts, drive, ca.SX(0.5))
         at = {"x": np.zeros(system.state.numel())}
         matrix = evaluated(ca.jacobian(system.free_flow, system.state), at, x=system.state)
         values = np.linalg.eigvals(matrix)
@@ -184,7 +184,7 @@ def test_a_corrected_restitution_is_that_of_the_slow_motion_to_second_order(
     corrected, bare = [], []
     for inductance in INDUCTANCES:
         cart, bank = _cart(inductance)
-        system = complete(cart, corrected_drive(cart, bank), ca.SX(restitution))
+        system = hybrid_system(cart, corrected_drive(cart, bank), ca.SX(restitution))
         exact = _after_the_layer(inductance, restitution)
         corrected.append(abs(float(system.restitution) - exact))
         bare.append(abs(restitution - exact))
@@ -200,7 +200,7 @@ def test_a_braking_motor_makes_a_stop_more_elastic_and_a_driving_one_less() -> N
     for gain in (-3.0, 3.0):
         drive = corrected_drive(rotor, _bank(ca.SX(1), 0.01, gain * v))
         expected = 1.5 / (1 + K * 0.01 * (gain - K) / R**2) - 1
-        assert float(complete(rotor, drive, ca.SX(0.5)).restitution) == pytest.approx(expected)
+        assert float(hybrid_system(rotor, drive, ca.SX(0.5)).restitution) == pytest.approx(expected)
 
 
 # ------------------------------------------------------------------------------ what is refused
@@ -233,7 +233,7 @@ def _corrected_two_joints(gap_of: str) -> Drive:
     gap = joints.q[0] if gap_of == "shoulder" else joints.q[1]
     joints = replace(joints, gap=gap)
     drive = corrected_drive(joints, _bank(ca.SX([1, 0]), 0.01, joints.v[0]))
-    complete(joints, drive, ca.SX(0.3))
+    hybrid_system(joints, drive, ca.SX(0.3))
     return drive
 
 
@@ -306,7 +306,7 @@ def costs(problem: Problem) -> Mapping[tuple[str, float], ReductionCost]:
     return {
         (word, inductance): cost
         for inductance in (2e-2, 2e-3, 2e-4)
-        for word, cost in reduction_costs(
+        for word, cost in errors_of_reduced_models(
             problem, _with_inductance(problem, inductance), measure=True
         ).items()
     }
@@ -371,14 +371,14 @@ def test_the_correction_pays_a_hundredfold_at_the_declared_inductance(
 
 def test_the_estimate_holds_on_another_machine(problem: Problem) -> None:
     values = _with_inductance(problem, 6e-3, restitution=0.35)
-    cost = reduction_costs(problem, values, measure=True)[QUASI_STATIC]
+    cost = errors_of_reduced_models(problem, values, measure=True)[QUASI_STATIC]
     for landmark in LANDMARKS:
         assert cost.estimate[landmark] == pytest.approx(cost.measured[landmark], rel=0.1)
 
 
 def test_a_plastic_impact_has_no_zeno_state_to_compare(problem: Problem) -> None:
     values = _with_inductance(problem, 2e-3, restitution=0.0)
-    cost = reduction_costs(problem, values, measure=True)[QUASI_STATIC]
+    cost = errors_of_reduced_models(problem, values, measure=True)[QUASI_STATIC]
     assert set(cost.measured) == set(LANDMARKS) - {"zeno_state"}
     for landmark, error in cost.measured.items():
         assert cost.estimate[landmark] == pytest.approx(error, rel=0.05)
@@ -527,8 +527,8 @@ def test_the_commands_list_the_fidelities_and_say_what_they_cost(
 def test_numbers_without_names_keep_a_cart_of_one_motor_in_step() -> None:
     # The corrected cart follows the full one off the stop, once the current has settled.
     cart, bank = _cart(2e-3)
-    full = bound(complete(cart, full_drive(cart, bank), ca.SX(0.5)))
-    corrected = bound(complete(cart, corrected_drive(cart, bank), ca.SX(0.5)))
+    full = bound(hybrid_system(cart, full_drive(cart, bank), ca.SX(0.5)))
+    corrected = bound(hybrid_system(cart, corrected_drive(cart, bank), ca.SX(0.5)))
     settled = simulate(full, (1.0, 0.0, -KP / R), until=0.05).end_state
     ends = (
         simulate(full, settled, until=0.5).end_state[:2],

@@ -22,7 +22,7 @@ from zeno_orbits.precision import (
     TimedSetting,
     WorkPrecision,
     WorkPrecisionSettings,
-    trade,
+    measure_work_precision,
 )
 from zeno_orbits.precision import trials as trading
 from zeno_orbits.precision.landmark import LandmarkKind
@@ -44,7 +44,7 @@ TINY = WorkPrecisionSettings(
 @pytest.fixture(name="measured", scope="module")
 def _measured(problem: Problem) -> WorkPrecision:
     """Two releases and a Zeno point, from rest."""
-    return trade(
+    return measure_work_precision(
         problem, problem.values(), (0.6, 0.0, 0.0, 0.0, 0.0), settings=replace(TINY, until=3.0)
     )
 
@@ -120,7 +120,9 @@ def test_a_false_truth_makes_every_trial_err(
 
     monkeypatch.setattr(trading, "true_landmarks", false)
     monkeypatch.setattr(trading, "engines", lambda: {"explicit": RungeKutta()})
-    found = trade(problem, problem.values(), RELEASE, settings=replace(TINY, cuts=(), impacts=()))
+    found = measure_work_precision(
+        problem, problem.values(), RELEASE, settings=replace(TINY, cuts=(), impacts=())
+    )
     assert min(t.error for t in found.trials) > 0.9e-3 / TINY.until
 
 
@@ -141,7 +143,9 @@ def test_a_trial_that_fails_is_a_row_with_its_trouble(
     }
     sound = {"explicit": RungeKutta()}
     monkeypatch.setattr(trading, "engines", lambda: broken | sound)
-    found = trade(problem, problem.values(), RELEASE, settings=replace(TINY, cuts=(), impacts=()))
+    found = measure_work_precision(
+        problem, problem.values(), RELEASE, settings=replace(TINY, cuts=(), impacts=())
+    )
     rows = {t.name: t for t in found.trials}
     for name in broken:
         assert math.isinf(rows[name].error)
@@ -158,13 +162,13 @@ def test_an_interrupt_ends_the_trials(problem: Problem, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(trading, "simulate", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        trade(problem, problem.values(), RELEASE, settings=TINY)
+        measure_work_precision(problem, problem.values(), RELEASE, settings=TINY)
 
 
 def test_progress_names_what_is_measured_and_rises(problem: Problem) -> None:
     said: list[tuple[str, float]] = []
     few = replace(TINY, tolerances=(1e-4,), slow_from=1.0, cuts=(), impacts=())
-    trade(
+    measure_work_precision(
         problem,
         problem.values(),
         RELEASE,
@@ -185,12 +189,14 @@ def test_meshes_are_solved_where_there_is_an_orbit_and_say_why_where_there_is_no
     none = replace(
         TINY, tolerances=(1e-4,), slow_from=1.0, cuts=(), impacts=(), meshes=(1e-2, 1e-5)
     )
-    found = trade(problem, problem.values(), RELEASE, settings=none)
+    found = measure_work_precision(problem, problem.values(), RELEASE, settings=none)
     coarse, fine = (t for t in found.trials if t.sweep == "mesh")
     assert fine.error < 0.1 * coarse.error
     assert "mesh" not in {t.sweep for t in found.front}
     ball = load_problem("bouncing_ball")
-    missing = trade(ball, ball.values(), (1.0, 0.0), settings=replace(none, until=5.0))
+    missing = measure_work_precision(
+        ball, ball.values(), (1.0, 0.0), settings=replace(none, until=5.0)
+    )
     (row,) = (t for t in missing.trials if t.sweep == "mesh")
     assert math.isinf(row.error)
     assert "No simulation settled" in row.trouble
@@ -244,7 +250,7 @@ def test_the_truth_is_judged_by_the_largest_state_on_the_way(problem: Problem) -
 
 def test_nothing_to_judge_by_is_said(problem: Problem) -> None:
     with pytest.raises(ZenoOrbitsError, match="no event within"):
-        trade(
+        measure_work_precision(
             problem, problem.values(), (0.6, 0.1, 0.0, 0.0, 0.0), settings=replace(TINY, until=1e-3)
         )
 
@@ -252,7 +258,9 @@ def test_nothing_to_judge_by_is_said(problem: Problem) -> None:
 @pytest.mark.parametrize("until", [0.0, -1.0, math.nan, math.inf])
 def test_a_horizon_that_is_none_is_refused(until: float, problem: Problem) -> None:
     with pytest.raises(InputError, match="`until`"):
-        trade(problem, problem.values(), RELEASE, settings=replace(TINY, until=until))
+        measure_work_precision(
+            problem, problem.values(), RELEASE, settings=replace(TINY, until=until)
+        )
 
 
 # --------------------------------------------------------------------------------- the front
@@ -312,7 +320,7 @@ def test_the_window_holds_what_the_problem_is_about() -> None:
     start = table.state_vector(table.starts[0])
     # In the first three seconds nothing strikes.
     assert simulate(table.dynamics(table.values()), start, until=3.0).impacts == ()
-    found = trade(table, table.values(), start, settings=quick)
+    found = measure_work_precision(table, table.values(), start, settings=quick)
     assert "1 Zeno point" in found.work
     assert all(trial.n_impacts > 0 for trial in found.trials if trial.sweep == "engine")
 
@@ -320,7 +328,7 @@ def test_the_window_holds_what_the_problem_is_about() -> None:
 def test_a_window_holds_the_zeno_point_of_a_falling_ball() -> None:
     quick = replace(TINY, until=None, least=3.0, tolerances=(1e-8,), cuts=(), impacts=(), meshes=())
     ball = load_problem("bouncing_ball")
-    found = trade(ball, ball.values(), (1.0, 0.0), settings=quick)
+    found = measure_work_precision(ball, ball.values(), (1.0, 0.0), settings=quick)
     # The closed form, and the part by which a window is longer.
     zeno_time = math.sqrt(2.0 / 9.81) * (1.0 + 0.8) / (1.0 - 0.8)
     assert float(found.work.split()[0]) == pytest.approx(1.1 * zeno_time, rel=5e-3)

@@ -12,8 +12,8 @@ from zeno_orbits.model import (
     HybridLagrangian,
     MotorBank,
     Problem,
-    complete,
     full_drive,
+    hybrid_system,
     ideal_torque_drive,
     load_problem,
     quasi_static_drive,
@@ -73,7 +73,7 @@ def _motor(links: HybridLagrangian, p: Symbols) -> MotorBank:
 
 def _quasi_static(p: Symbols) -> CompletedSystem:
     links = _links(p)
-    return complete(links, quasi_static_drive(links, _motor(links, p)), p["restitution"])
+    return hybrid_system(links, quasi_static_drive(links, _motor(links, p)), p["restitution"])
 
 
 def _ideal_torque(p: Symbols) -> CompletedSystem:
@@ -81,12 +81,12 @@ def _ideal_torque(p: Symbols) -> CompletedSystem:
     motor = _motor(links, p)
     torque = p["K_torque"] * (motor.voltage - p["K_emf"] * links.v[0]) / p["R"]
     drive = ideal_torque_drive(links, selection=motor.selection, torque=torque)
-    return complete(links, drive, p["restitution"])
+    return hybrid_system(links, drive, p["restitution"])
 
 
 def _constrained(p: Symbols) -> CompletedSystem:
     links = _links(p, split_inertia=p["I2"] / 2)
-    return complete(links, full_drive(links, _motor(links, p)), p["restitution"])
+    return hybrid_system(links, full_drive(links, _motor(links, p)), p["restitution"])
 
 
 def _problem(model: Callable[[Symbols], CompletedSystem], **changes: object) -> Problem:

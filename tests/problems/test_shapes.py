@@ -18,8 +18,8 @@ from tests.support.orbits import changed
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Radau
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import OrbitPhase, OrbitShape, ZenoOrbit, read_orbit, write_orbit
-from zeno_orbits.search import SearchStatus, close_orbit, orbit_at_gains, search_orbits
+from zeno_orbits.orbits import EventSequence, OrbitPhase, ZenoOrbit, read_orbit, write_orbit
+from zeno_orbits.search import SearchStatus, orbit_at_gains, orbit_by_shooting, search_orbits
 from zeno_orbits.simulation import SimulationSettings, simulate
 from zeno_orbits.verification import OrbitCertificate, VerificationSettings, verify
 
@@ -39,7 +39,7 @@ def found(
     problem = load_problem(name)
     gains = {key: value for key, value in numbers if key in DOUBLED}
     parameters = {key: value for key, value in numbers if key not in DOUBLED}
-    wanted = None if shape is None else OrbitShape.parsed(shape)
+    wanted = None if shape is None else EventSequence.parsed(shape)
     values = problem.values(gains=gains, parameters=parameters)
     return orbit_at_gains(problem, values, shape=wanted).unwrap()
 
@@ -283,7 +283,7 @@ def test_an_impact_that_lets_go_at_once_has_its_multiplier_in_closed_form() -> N
 def test_closed_by_simulation_it_is_the_same_orbit(orbit: Callable[[], ZenoOrbit]) -> None:
     solved = orbit()
     problem = load_problem(solved.problem)
-    closing = close_orbit(problem, solved.values(problem), near=solved)
+    closing = orbit_by_shooting(problem, solved.values(problem), near=solved)
     closed = closing.unwrap()
     assert closed.shape == solved.shape
     assert closed.period == pytest.approx(solved.period, rel=AGREES)
@@ -294,7 +294,7 @@ def test_closed_by_simulation_it_is_the_same_orbit(orbit: Callable[[], ZenoOrbit
 
 def test_a_motion_closed_by_simulation_may_have_any_shape() -> None:
     problem = load_problem("impact_oscillator")
-    closed = close_orbit(problem, problem.values()).unwrap()
+    closed = orbit_by_shooting(problem, problem.values()).unwrap()
     assert closed.shape.text == "impact"
     assert dict(closed.start_state) == pytest.approx(dict(struck().start_state), abs=1e-10)
 
@@ -307,18 +307,18 @@ def test_an_orbit_of_another_shape_is_searched_from_one_at_other_numbers() -> No
     assert orbit.shape.text == "impact"
     assert checked(orbit).passed
     with pytest.raises(InputError, match="must be the shape `impact` of the orbit"):
-        search_orbits(problem, values, free={}, near=struck(), shape=OrbitShape.parsed("zeno"))
+        search_orbits(problem, values, free={}, near=struck(), shape=EventSequence.parsed("zeno"))
 
 
 def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
     # The larger the force, the harder the impact: the bound is met where it just binds.
     from zeno_orbits.orbits import Bound
-    from zeno_orbits.search import LeastEnergy
+    from zeno_orbits.search import MinEnergy
 
     problem = load_problem("impact_oscillator")
     bound = Bound(name="first_impact_speed", lower=1.5)
     result = search_orbits(
-        problem, problem.values(), free={"A": (0.6, 1.5)}, objective=LeastEnergy(), bounds=(bound,)
+        problem, problem.values(), free={"A": (0.6, 1.5)}, objective=MinEnergy(), bounds=(bound,)
     )
     orbit = result.unwrap()
     assert orbit.shape.text == "impact"
@@ -346,10 +346,10 @@ def test_free_gains_bring_a_doubled_orbit_to_a_wanted_period() -> None:
 
 def test_a_shape_that_the_motion_does_not_settle_to_is_a_no_with_the_one_it_has() -> None:
     problem = load_problem("impact_oscillator")
-    result = orbit_at_gains(problem, problem.values(), shape=OrbitShape.parsed("zeno"))
+    result = orbit_at_gains(problem, problem.values(), shape=EventSequence.parsed("zeno"))
     assert result.status is SearchStatus.NO_GUESS
     assert "settles to an orbit of shape `impact`" in result.detail
-    twice = orbit_at_gains(problem, problem.values(), shape=OrbitShape.parsed("impact*2"))
+    twice = orbit_at_gains(problem, problem.values(), shape=EventSequence.parsed("impact*2"))
     assert twice.orbit is None
     assert "is one of shape `impact`, traversed 2 times" in twice.detail
 
@@ -519,7 +519,7 @@ def test_a_true_orbit_with_a_false_shape_is_refused() -> None:
     # It does come to rest: an accumulation is no single impact, and the reverse.
     phase = two_tones().phases[0]
     bounced = OrbitPhase(
-        kind=OrbitShape.parsed("impact").phases[0],
+        kind=EventSequence.parsed("impact").phases[0],
         start_time=0.0,
         start_state=phase.start_state,
         impacts=phase.impacts[:1],
@@ -527,7 +527,7 @@ def test_a_true_orbit_with_a_false_shape_is_refused() -> None:
     assert not checked(replace(two_tones(), phases=(bounced,))).passed
     rested = replace(
         struck().phases[0],
-        kind=OrbitShape.parsed("zeno").phases[0],
+        kind=EventSequence.parsed("zeno").phases[0],
         zeno_time=struck().period,
         zeno_state=struck().start_state,
     )
@@ -541,7 +541,7 @@ def test_a_plastic_impact_that_holds_passes_for_none_that_lets_go() -> None:
     held = falls(0.03)
     phase = held.phases[0]
     let_go = OrbitPhase(
-        kind=OrbitShape.parsed("impact").phases[0],
+        kind=EventSequence.parsed("impact").phases[0],
         start_time=0.0,
         start_state=phase.start_state,
         impacts=phase.impacts,

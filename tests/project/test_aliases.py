@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import zeno_orbits as zo
+import zeno_orbits.work
 from zeno_orbits.aliases import ALIASES
 
 SAME = sorted(set(ALIASES) - {"QUICK", "cut", "positive", "restitution", "rig_cycles", "trade"})
@@ -100,3 +101,9 @@ def test_the_accuracy_of_a_simulation_takes_a_problem_or_its_dynamics() -> None:
         zo.simulate_to_accuracy(dynamics, accuracy=1e-8)
     with pytest.raises(zo.InputError, match="exclude each other"):
         zo.simulate_with_error(ball, state, start={"height": 1.0})
+
+
+def test_the_old_name_of_a_failed_point_gives_its_class() -> None:
+    with pytest.warns(DeprecationWarning, match="is now zeno_orbits.work.FailedPoint"):
+        from zeno_orbits.work import LostPoint
+    assert LostPoint is zeno_orbits.work.FailedPoint

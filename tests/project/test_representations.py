@@ -17,7 +17,7 @@ from zeno_orbits.continuation import (
 from zeno_orbits.maps import Attractor, Axis, Fate
 from zeno_orbits.search import SearchStatus, StartAttempt
 from zeno_orbits.simulation import simulate
-from zeno_orbits.verification import certified
+from zeno_orbits.verification import with_certificate
 
 MOST_CHARACTERS = 600
 
@@ -46,7 +46,7 @@ def test_an_execution_shows_its_span_and_its_events(
 def test_an_orbit_shows_its_gains_period_and_multipliers(
     orbit: zo.ZenoOrbit, certificate: zo.OrbitCertificate
 ) -> None:
-    text = shown(certified(orbit, certificate))
+    text = shown(with_certificate(orbit, certificate))
     assert text.startswith("<ZenoOrbit of motor_pendulum: Kp=2.5, Kd=-1, period=1.813712939 s")
     assert "verified=True" in text
     assert "verified=False" in shown(orbit)

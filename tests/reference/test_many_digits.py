@@ -20,7 +20,13 @@ from tests.reference.many_digits.run import ExtendedRun, Trace
 from tests.reference.many_digits.system import ExtendedSystem
 from tests.support.mechanisms import clocked_oscillator
 from zeno_orbits.errors import InputError, SimulationError, TranslationError
-from zeno_orbits.model import CompletedSystem, HybridLagrangian, complete, load_problem, no_drive
+from zeno_orbits.model import (
+    CompletedSystem,
+    HybridLagrangian,
+    hybrid_system,
+    load_problem,
+    no_drive,
+)
 from zeno_orbits.simulation import simulate
 
 BALL = load_problem("bouncing_ball")
@@ -174,7 +180,7 @@ def test_a_holonomic_constraint_changes_no_digit() -> None:
         swing = HybridLagrangian.from_energies(
             q=q, v=v, kinetic=0.125 * v**2, potential=G * height, gap=ca.sin(q)
         )
-        return complete(swing, no_drive(swing), p["restitution"])
+        return hybrid_system(swing, no_drive(swing), p["restitution"])
 
     def planar(p: Mapping[str, ca.SX]) -> CompletedSystem:
         q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
@@ -187,7 +193,7 @@ def test_a_holonomic_constraint_changes_no_digit() -> None:
             gap=q[0],
             holonomic=ca.sumsqr(q) - 0.25,
         )
-        return complete(swing, no_drive(swing), p["restitution"])
+        return hybrid_system(swing, no_drive(swing), p["restitution"])
 
     ends: list[Decimal] = []
     for model, names, state in (
@@ -280,7 +286,7 @@ def test_a_model_that_is_not_analytic_is_refused_by_name() -> None:
         braked = HybridLagrangian.from_energies(
             q=q, v=v, kinetic=v**2 / 2, potential=G * q, gap=q, passive_force=-ca.sign(v)
         )
-        return complete(braked, no_drive(braked), p["restitution"])
+        return hybrid_system(braked, no_drive(braked), p["restitution"])
 
     problem = replace(BALL, model=model)
     with pytest.raises(TranslationError, match="one of them is `sign`"):

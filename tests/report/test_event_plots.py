@@ -149,7 +149,7 @@ def test_the_legend_lacks_a_contact_phase_that_is_a_point_of_the_portrait() -> N
 def test_the_gap_of_a_zoom_is_the_gap_of_the_stop_at_the_zeno_point() -> None:
     orbit, problem = _orbit("clapper"), zo.load_problem("clapper")
     graph = problem.graph_dynamics(orbit.values(problem))
-    figure = plots.plot_zeno_zoom(problem, _motion("clapper"), graph)
+    figure = plots.plot_zeno_neighbourhood(problem, _motion("clapper"), graph)
     assert figure.axes[0].get_ylabel() == "gap $h$ of upper [m]"
     times, gaps = _points(figure.axes[0].lines[1]).T
     middle = len(times) // 2

@@ -31,7 +31,7 @@ from zeno_orbits.report.plots import (
     plot_certificate,
     save_figure,
 )
-from zeno_orbits.search import Closing, OrbitNotClosedError, SearchStatus
+from zeno_orbits.search import OrbitNotClosedError, SearchStatus, ShootingResult
 from zeno_orbits.verification import RESIDUALS
 
 
@@ -190,10 +190,10 @@ def test_multipliers_have_a_picture_and_a_closing_is_drawn_as_its_orbit(
     (circle,) = figure_of(found).axes
     shown = {complex(*np.ravel(line.get_xydata())) for line in circle.get_lines()}
     assert shown == set(found.values)
-    labels = [ax.get_xlabel() for ax in figure_of(Closing(orbit=orbit)).axes]
+    labels = [ax.get_xlabel() for ax in figure_of(ShootingResult(orbit=orbit)).axes]
     assert labels == [ax.get_xlabel() for ax in figure_of(orbit).axes]
     with pytest.raises(OrbitNotClosedError, match="nothing comes back"):
-        figure_of(Closing(orbit=None, detail="nothing comes back"))
+        figure_of(ShootingResult(orbit=None, detail="nothing comes back"))
 
 
 @pytest.mark.parametrize("width", [2.5, COLUMN_WIDTH, FULL_WIDTH])

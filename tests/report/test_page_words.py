@@ -18,7 +18,7 @@ import pytest
 
 from tests.support.periods_by_hand import arc, impact, system, zeno
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.orbits import OrbitShape
+from zeno_orbits.orbits import EventSequence
 from zeno_orbits.report.page import Bundle, Subject, page_of, words
 from zeno_orbits.report.page import subject as subjects
 from zeno_orbits.report.page.page import _contents, commands_of
@@ -465,7 +465,7 @@ def _page(**parts: Any) -> str:
     shape = parts.pop("shape", "zeno")
     named = {
         "problem": problem,
-        "orbit": _orbit(0.5, 0.75, shape=OrbitShape.parsed(shape), values=lambda _: None),
+        "orbit": _orbit(0.5, 0.75, shape=EventSequence.parsed(shape), values=lambda _: None),
         "dynamics": system(restitution=0.25, gap_acceleration=lambda _: -8.0),
         "date": "",
         "proof": "",
@@ -586,7 +586,7 @@ def _whole(monkeypatch: pytest.MonkeyPatch, motion: Any) -> Subject:
             raise motion
         return motion
 
-    monkeypatch.setattr(subjects, "motion_of", of)
+    monkeypatch.setattr(subjects, "orbit_motion", of)
     some: Any = None
     return Subject(orbit=some, problem=some, dynamics=some, certificate=some).followed()
 

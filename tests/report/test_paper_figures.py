@@ -30,11 +30,11 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.experiment import (
-    Counterpart,
+    MatchedRun,
     OrbitTable,
     Recording,
     Source,
-    cut,
+    crop_recording,
     recording_counterpart,
     tabulate_orbit,
 )
@@ -88,7 +88,7 @@ def signals_of(execution: Execution, problem: Problem) -> tuple[Vector, dict[str
 
 
 @pytest.fixture(scope="module")
-def other(several: Execution, problem: Problem) -> Counterpart:
+def other(several: Execution, problem: Problem) -> MatchedRun:
     """A motion beside the model's: its own, every angle a hundredth smaller."""
     times, signals = signals_of(several, problem)
     smaller = {name: 0.99 * values for name, values in signals.items()}
@@ -120,7 +120,7 @@ def parts(
         table = tabulate_orbit(orbit, problem, ("theta1", "theta2"))
         return replace(recorded(table, problem, n_cycles=8.0), source=Source.MEASURED)
 
-    monkeypatch.setattr(counterparts, "rig_cycles", rig_cycles)
+    monkeypatch.setattr(counterparts, "settle_rig", rig_cycles)
     monkeypatch.setattr("zeno_orbits.experiment.read_recording", read_recording)
 
 
@@ -140,13 +140,13 @@ def _figures(
     machine: HybridDynamics,
     one: Execution,
     several: Execution,
-    other: Counterpart,
+    other: MatchedRun,
 ) -> dict[str, Figure]:
     two = TwoMotions(problem=problem, dynamics=machine, model=one, other=other)
     return {
         "fig2_systems": plots.plot_graph(problem, orbit.values(problem)),
         "fig3_mechanism": plots.plot_mechanism(problem, orbit.values(problem), one, orbit.period),
-        "region": plots.plot_zeno_region(problem, machine, one, width=COLUMN_WIDTH),
+        "region": plots.plot_zeno_set(problem, machine, one, width=COLUMN_WIDTH),
         "fig4_portraits": plots.plot_portraits(problem, one, width=COLUMN_WIDTH),
         "fig5a_over_time": plots.plot_beside_over_time(replace(two, model=several)),
         "fig5a_by_phase": plots.plot_beside_by_phase(two),
@@ -303,7 +303,7 @@ def test_the_rig_is_called_simulated_and_never_measured(figures: dict[str, Figur
         assert "measured" not in words, name
 
 
-def test_the_other_motion_lies_where_it_was(figures: dict[str, Figure], other: Counterpart) -> None:
+def test_the_other_motion_lies_where_it_was(figures: dict[str, Figure], other: MatchedRun) -> None:
     (line,) = [
         line
         for line in figures["fig5a_over_time"].axes[1].get_lines()
@@ -338,7 +338,7 @@ def test_the_impacts_are_seen_from_the_first_to_beyond_the_release(
 
 
 def test_gaps_where_a_coordinate_is_missing_stay_gaps(
-    problem: Problem, machine: HybridDynamics, one: Execution, other: Counterpart
+    problem: Problem, machine: HybridDynamics, one: Execution, other: MatchedRun
 ) -> None:
     holed = other.states.copy()
     holed[100:200, 1] = math.nan
@@ -489,7 +489,7 @@ def _holed(recording: Recording) -> Recording:
     ("spoil", "said"),
     [
         (lambda x: replace(x, signals=x.signals[:1]), "but `theta2` is missing"),
-        (lambda x: cut(x, None, 3.0), "must last two periods, 3.627 s, at least"),
+        (lambda x: crop_recording(x, None, 3.0), "must last two periods, 3.627 s, at least"),
         (_holed, "lacks values of `theta1`"),
         (_noisy, "Argument `data` must show such an orbit, but"),
         (_turned, "but `theta1` looks like its sign reversed"),
@@ -711,9 +711,9 @@ def test_the_same_orbit_gives_the_same_bytes(orbit_file: Path) -> None:
 def test_a_recording_takes_the_place_of_the_rig(
     orbit_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(counterparts, "rig_cycles", None)
+    monkeypatch.setattr(counterparts, "settle_rig", None)
     Path("run.csv").touch()
-    seen: list[Counterpart] = []
+    seen: list[MatchedRun] = []
     draw = plots.plot_beside_portraits
 
     def look(two: TwoMotions) -> Figure:
@@ -734,7 +734,7 @@ def test_what_a_problem_does_not_have_is_said_and_left_out(
     def still(*_: Any, **__: Any) -> Any:
         raise SimulationError("The rig does not move in cycles", time=1.0, state=(0.0,))
 
-    monkeypatch.setattr(counterparts, "rig_cycles", still)
+    monkeypatch.setattr(counterparts, "settle_rig", still)
     # A film without ffmpeg, and nothing that takes long.
     monkeypatch.setitem(PAPER, "animation", lambda _: {"machine.gif": b"GIF8"})
     monkeypatch.setitem(PAPER, "region", lambda _: {})
@@ -912,7 +912,7 @@ def test_a_folder_in_the_place_of_a_file_is_left_alone(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("parts")
 @pytest.mark.parametrize(
     ("command", "drawn"),
-    [("plot", "plot_zeno_zoom"), ("figures", "paper_figures.plot_beside_portraits")],
+    [("plot", "plot_zeno_neighbourhood"), ("figures", "paper_figures.plot_beside_portraits")],
 )
 def test_a_picture_that_fails_in_the_middle_leaves_none(
     orbit_file: Path, monkeypatch: pytest.MonkeyPatch, command: str, drawn: str

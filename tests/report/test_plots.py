@@ -28,7 +28,7 @@ from zeno_orbits.model import (
     HybridLagrangian,
     Problem,
     Quantity,
-    complete,
+    hybrid_system,
     load_problem,
     no_drive,
 )
@@ -40,8 +40,8 @@ from zeno_orbits.report.plots import (
     plot_portraits,
     plot_time_series,
     plot_trade,
-    plot_zeno_region,
-    plot_zeno_zoom,
+    plot_zeno_neighbourhood,
+    plot_zeno_set,
     save_figure,
 )
 from zeno_orbits.simulation import (
@@ -68,9 +68,9 @@ class Shown(NamedTuple):
         return [
             plot_portraits(problem, execution, width=width),
             plot_time_series(problem, execution, width=width),
-            plot_zeno_zoom(problem, execution, dynamics, width=width),
-            plot_zeno_region(problem, dynamics, execution, width=width),
-            plot_zeno_region(problem, dynamics, width=width),
+            plot_zeno_neighbourhood(problem, execution, dynamics, width=width),
+            plot_zeno_set(problem, dynamics, execution, width=width),
+            plot_zeno_set(problem, dynamics, width=width),
         ]
 
 
@@ -101,7 +101,7 @@ def sliding_puck() -> Problem:
             potential=9 * q[0] * q[1],
             gap=q[1] - 0.5,
         )
-        return complete(puck, no_drive(puck), p["restitution"])
+        return hybrid_system(puck, no_drive(puck), p["restitution"])
 
     return Problem(
         name="puck",
@@ -327,7 +327,7 @@ def test_a_zeno_tail_without_impacts_leaves_no_hole_in_the_curve() -> None:
 
 def test_the_first_order_law_meets_every_impact_of_a_ball() -> None:
     ball = early_ball()
-    ax = plot_zeno_zoom(ball.problem, ball.execution, ball.dynamics).axes[2]
+    ax = plot_zeno_neighbourhood(ball.problem, ball.execution, ball.dynamics).axes[2]
     (law,) = labelled(ax, "first-order law")
     remaining, speed = points(law)[0]
     measured = marked(ax)
@@ -336,7 +336,7 @@ def test_the_first_order_law_meets_every_impact_of_a_ball() -> None:
 
 def test_the_flights_of_the_law_continue_the_resolved_ones_of_a_ball() -> None:
     ball = early_ball()
-    ax = plot_zeno_zoom(ball.problem, ball.execution, ball.dynamics).axes[0]
+    ax = plot_zeno_neighbourhood(ball.problem, ball.execution, ball.dynamics).axes[0]
     law = [points(line) for line in labelled(ax, "first-order law")]
     last = ball.execution.impacts[-1]
     highest = (0.8 * last.approach_rate) ** 2 / (2 * 9.81)
@@ -346,7 +346,7 @@ def test_the_flights_of_the_law_continue_the_resolved_ones_of_a_ball() -> None:
 
 
 def test_the_boundary_of_the_region_is_the_published_curve(orbit: Shown) -> None:
-    ax = plot_zeno_region(orbit.problem, orbit.dynamics).axes[0]
+    ax = plot_zeno_set(orbit.problem, orbit.dynamics).axes[0]
     (boundary,) = [item for item in ax.collections if np.ravel(item.get_linewidth())[0] == 1.2]
     vertices = [np.asarray(path.vertices) for path in boundary.get_paths()]
     angle, current = np.concatenate(vertices).T
@@ -356,13 +356,13 @@ def test_the_boundary_of_the_region_is_the_published_curve(orbit: Shown) -> None
 
 def test_a_problem_without_current_shows_its_region_over_coordinate_and_velocity() -> None:
     puck = PROBLEMS["puck"]()
-    ax = plot_zeno_region(puck.problem, puck.dynamics, puck.execution).axes[0]
+    ax = plot_zeno_set(puck.problem, puck.dynamics, puck.execution).axes[0]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$x$ [m]", r"$\dot{x}$ [m/s]")
 
 
 def test_a_problem_with_one_coordinate_shows_a_curve_over_its_velocity() -> None:
     ball = PROBLEMS["ball"]()
-    (ax,) = plot_zeno_region(ball.problem, ball.dynamics, ball.execution).axes
+    (ax,) = plot_zeno_set(ball.problem, ball.dynamics, ball.execution).axes
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("speed [m/s]", r"$\ddot h$ [m/s$^2$]")
     (curve,) = labelled(ax, r"$\ddot h$")
     assert np.allclose(points(curve)[:, 1], -9.81)
@@ -371,7 +371,7 @@ def test_a_problem_with_one_coordinate_shows_a_curve_over_its_velocity() -> None
 def test_a_zoom_needs_a_zeno_point() -> None:
     falling = simulated(load_problem("bouncing_ball"), (1.0, 0.0), until=0.1)
     with pytest.raises(InputError, match="`execution` lacks a Zeno point"):
-        plot_zeno_zoom(falling.problem, falling.execution, falling.dynamics)
+        plot_zeno_neighbourhood(falling.problem, falling.execution, falling.dynamics)
 
 
 def test_a_flight_without_events_is_drawn_all_the_same() -> None:

@@ -13,15 +13,15 @@ import pytest
 from tests.support.searches import question_of
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ONE_ZENO, Bound, Moment, OrbitShape, PhaseKind, placed
-from zeno_orbits.search import LeastEnergy, SearchSettings, SearchStatus, TargetPeriod, confirmation
+from zeno_orbits.orbits import ONE_ZENO, Bound, EventSequence, Moment, PhaseKind, place_on_section
+from zeno_orbits.search import MinEnergy, SearchSettings, SearchStatus, TargetPeriod, confirmation
 from zeno_orbits.search.confirmation import confirm, one_cycle, tightened
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import Impact, SimulationSettings, ZenoPoint
 
-TWICE = OrbitShape.parsed("zeno*2")
-STRUCK = OrbitShape.parsed("impact*2")
+TWICE = EventSequence.parsed("zeno*2")
+STRUCK = EventSequence.parsed("impact*2")
 SCALE = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
 SINCE = 100.0
 """When the simulated period starts [s]."""
@@ -32,7 +32,7 @@ def _state(number: int) -> Any:
     return number + np.array([0.1, 0.2, 0.3, 0.4, 0.5])
 
 
-def _unknowns(shape: OrbitShape = TWICE) -> dict[str, Any]:
+def _unknowns(shape: EventSequence = TWICE) -> dict[str, Any]:
     """Return a solution of two phases of two impacts each; the period is 8 s."""
     told: dict[str, Any] = {"period": np.array([[8.0]])}
     for k, kind in enumerate(shape.phases):
@@ -57,7 +57,7 @@ def _impact(time: float, state: Any) -> Impact:
     return Impact(time=time, state_minus=state, state_plus=-state, approach_rate=-1.0)
 
 
-def _cycle(shape: OrbitShape = TWICE, drift: float = 0.0) -> Any:
+def _cycle(shape: EventSequence = TWICE, drift: float = 0.0) -> Any:
     """Return the simulated period of that solution."""
     phases: list[Any] = []
     for k, kind in enumerate(shape.phases):
@@ -87,14 +87,16 @@ def _cycle(shape: OrbitShape = TWICE, drift: float = 0.0) -> Any:
 
 
 def _search(problem: Problem, **changes: Any) -> SearchProblem:
-    return question_of(problem, **{"objective": LeastEnergy(), **changes})
+    return question_of(problem, **{"objective": MinEnergy(), **changes})
 
 
 # How far they differ.
 
 
 @pytest.mark.parametrize("shape", [TWICE, STRUCK])
-def test_a_solution_that_is_the_simulated_period_does_not_differ_from_it(shape: OrbitShape) -> None:
+def test_a_solution_that_is_the_simulated_period_does_not_differ_from_it(
+    shape: EventSequence,
+) -> None:
     assert confirmation._difference(_cycle(shape), _unknowns(shape)) == 0.0
     # What does not close differs by that.
     assert confirmation._difference(_cycle(shape, drift=0.25), _unknowns(shape)) == 0.25
@@ -169,7 +171,7 @@ class _Confirmed:
             "round_again": "",
             "escape_of": "",
             "_orbit": "the orbit",
-            "placed": "the start",
+            "place_on_section": "the start",
         }
         for name in self.told:
             monkeypatch.setattr(confirmation, name, self._telling(name))
@@ -181,7 +183,7 @@ class _Confirmed:
 
         return telling
 
-    def __call__(self, objective: Any = None, shape: OrbitShape = TWICE, **changes: Any) -> Any:
+    def __call__(self, objective: Any = None, shape: EventSequence = TWICE, **changes: Any) -> Any:
         before = StartOutcome(status=SearchStatus.NOT_SOLVED, detail="before", iterations=7)
         search = _search(self.problem, **changes)
         values = self.problem.values(gains={"Kp": 3.0})
@@ -207,7 +209,7 @@ def test_a_solution_that_simulation_follows_is_an_orbit(
     assert solution.cycle is confirmed.told["one_cycle"]
     assert set(solution.unknowns) == set(_unknowns())
     asked = dict(confirmed.asked)
-    machine, shape, start = asked["placed"]
+    machine, shape, start = asked["place_on_section"]
     assert (shape, start.tolist()) == (TWICE, _state(0).tolist())
     # Twice the period is long enough for one.
     assert asked["one_cycle"] == (machine, "the start", 16.0, TWICE)
@@ -221,7 +223,7 @@ def test_a_solution_that_simulation_follows_is_an_orbit(
     ],
 )
 def test_a_solution_without_a_period_is_not_followed(
-    confirmed: _Confirmed, shape: OrbitShape, words: str
+    confirmed: _Confirmed, shape: EventSequence, words: str
 ) -> None:
     confirmed.told["one_cycle"] = None
     unknowns = {"period": np.array([[8.0]]), "release state": _state(0)[:, None]}
@@ -265,7 +267,7 @@ def test_a_target_has_to_be_met_by_the_simulation(confirmed: _Confirmed) -> None
     assert confirmed(TargetPeriod(target=10.0)).agreement == 0.5
     confirmed.told["_difference"] = 0.0
     assert confirmed(TargetPeriod(target=8.0)).status is SearchStatus.FOUND
-    assert confirmed(LeastEnergy()).agreement == 0.0
+    assert confirmed(MinEnergy()).agreement == 0.0
 
 
 # Bounds between the nodes.
@@ -333,7 +335,7 @@ def test_bounds_are_drawn_in_by_what_they_were_passed_by_while_something_is_left
 
 @pytest.mark.parametrize("shape", [TWICE, STRUCK])
 def test_the_orbit_of_a_solution_has_its_phases_with_times_since_its_start(
-    problem: Problem, shape: OrbitShape
+    problem: Problem, shape: EventSequence
 ) -> None:
     values = problem.values(gains={"Kp": 3.0})
     orbit = confirmation._orbit(_search(problem), _unknowns(shape), values, shape)
@@ -346,8 +348,8 @@ def test_the_orbit_of_a_solution_has_its_phases_with_times_since_its_start(
     assert orbit.shape == shape
     for k, phase in enumerate(orbit.phases):
         assert phase.start_time == 4.0 * k
-        before = OrbitShape(phases=shape.phases[:1])
-        assert phase.start_state == named(placed(machine, before, _state(10 * k)))
+        before = EventSequence(phases=shape.phases[:1])
+        assert phase.start_state == named(place_on_section(machine, before, _state(10 * k)))
         count = 2 if shape is TWICE else 1
         assert [one.time for one in phase.impacts] == [4.0 * k + 1.0, 4.0 * k + 1.5][:count]
         assert [one.state_minus for one in phase.impacts] == [
@@ -366,12 +368,12 @@ def test_a_phase_starts_where_the_one_before_it_ends(
 ) -> None:
     asked: list[Any] = []
 
-    def kept(_: Any, before: OrbitShape, state: Any) -> Any:
+    def kept(_: Any, before: EventSequence, state: Any) -> Any:
         asked.append((before.phases, state.tolist()))
         return state
 
-    shape = OrbitShape.parsed("impact,plastic")
-    monkeypatch.setattr(confirmation, "placed", kept)
+    shape = EventSequence.parsed("impact,plastic")
+    monkeypatch.setattr(confirmation, "place_on_section", kept)
     unknowns = _unknowns(shape)
     unknowns["phase 1: release state"] = unknowns.pop("phase 1: start state")
     unknowns["phase 2: start state"] = unknowns.pop("phase 2: release state")

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits import ONE_ZENO, OrbitShape
-from zeno_orbits.search import ClosedCycle, close_cycle, close_near, cycle_near
+from zeno_orbits.orbits import ONE_ZENO, EventSequence
+from zeno_orbits.search import PeriodicCycle, cycle_near, newton_from_cycle, newton_on_return_map
 from zeno_orbits.search.shooting import fixed_point
 from zeno_orbits.simulation import SimulationSettings
 
 SETTINGS = SimulationSettings()
-TWICE = OrbitShape.parsed("zeno*2")
+TWICE = EventSequence.parsed("zeno*2")
 
 
 def _failure(words: str = "It fails") -> SimulationError:
@@ -66,19 +66,19 @@ class Map:
 
 
 @pytest.fixture(name="closed")
-def _closed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., ClosedCycle]:
+def _closed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., PeriodicCycle]:
     """Close the period of a map from the origin of its section."""
 
-    def closed(told: Map, n: int = 1, slope: Any = None) -> ClosedCycle:
+    def closed(told: Map, n: int = 1, slope: Any = None) -> PeriodicCycle:
         section = SimpleNamespace(
             dimension=n, state=lambda _, at: np.array(at), coordinates=lambda x: x
         )
         monkeypatch.setattr(fixed_point, "section_around", lambda *_: section)
-        monkeypatch.setattr(fixed_point, "placed", lambda _machine, _shape, state: state)
+        monkeypatch.setattr(fixed_point, "place_on_section", lambda _machine, _shape, state: state)
         monkeypatch.setattr(fixed_point, "cycle_of", told.cycle_of)
-        monkeypatch.setattr(fixed_point, "return_slope", told.return_slope)
+        monkeypatch.setattr(fixed_point, "poincare_jacobian", told.return_slope)
         machine: Any = SimpleNamespace(restitution=0.5)
-        return close_cycle(
+        return newton_on_return_map(
             machine,
             np.array([7.0, 8.0]),
             scale=np.ones(n),
@@ -284,7 +284,7 @@ def test_a_period_is_closed_from_its_start_in_sizes_at_its_events(
         asked.append((arguments, named))
         return "closed"
 
-    monkeypatch.setattr(fixed_point, "close_cycle", close)
+    monkeypatch.setattr(fixed_point, "newton_on_return_map", close)
     cycle: Any = SimpleNamespace(
         start=SimpleNamespace(state="start"),
         scale_at_events=lambda: "sizes",
@@ -292,7 +292,7 @@ def test_a_period_is_closed_from_its_start_in_sizes_at_its_events(
         shape=TWICE,
     )
     machine: Any = "machine"
-    assert close_near(machine, cycle, SETTINGS) == "closed"  # type: ignore[comparison-overlap]
+    assert newton_from_cycle(machine, cycle, SETTINGS) == "closed"  # type: ignore[comparison-overlap]
     named = {"scale": "sizes", "period": 3.0, "settings": SETTINGS, "shape": TWICE}
     assert asked == [(("machine", "start"), named)]
 
@@ -302,16 +302,16 @@ def test_a_period_is_closed_from_its_start_in_sizes_at_its_events(
     [
         (ONE_ZENO, ["zeno", "zeno"], 0),
         (TWICE, ["zeno", "zeno"], 0),
-        (OrbitShape.parsed("impact*2"), ["zeno", "impact", "impact", "impact"], 1),
+        (EventSequence.parsed("impact*2"), ["zeno", "impact", "impact", "impact"], 1),
         # The stop is not plastic.
-        (OrbitShape.parsed("plastic"), ["impact", "impact", "zeno"], 2),
+        (EventSequence.parsed("plastic"), ["impact", "impact", "zeno"], 2),
         (ONE_ZENO, ["impact"], None),
         (TWICE, ["zeno"], None),
-        (OrbitShape.parsed("impact*2"), [], None),
+        (EventSequence.parsed("impact*2"), [], None),
     ],
 )
 def test_the_first_period_of_a_shape_is_cut_out_of_a_motion_over_two(
-    monkeypatch: pytest.MonkeyPatch, shape: OrbitShape, kinds: list[str], place: Any
+    monkeypatch: pytest.MonkeyPatch, shape: EventSequence, kinds: list[str], place: Any
 ) -> None:
     asked: list[Any] = []
 
@@ -329,7 +329,7 @@ def test_the_first_period_of_a_shape_is_cut_out_of_a_motion_over_two(
     monkeypatch.setattr(
         fixed_point,
         "kinds_of",
-        lambda some: tuple(fixed_point.OrbitShape.parsed(one.kind).phases[0] for one in some),
+        lambda some: tuple(fixed_point.EventSequence.parsed(one.kind).phases[0] for one in some),
     )
     monkeypatch.setattr(fixed_point, "follow_each_other", lambda _: True)
     monkeypatch.setattr(fixed_point, "cycle_between", lambda _, some: [one.place for one in some])

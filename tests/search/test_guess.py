@@ -22,9 +22,16 @@ from tests.support.mechanisms import (
 )
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import Escape, HybridDynamics, OwnScale, Problem, load_problem, own_time
-from zeno_orbits.orbits import OrbitShape
-from zeno_orbits.search import SettlingSettings, settle
+from zeno_orbits.model import (
+    CharacteristicScales,
+    HybridDynamics,
+    Problem,
+    StateLimit,
+    load_problem,
+    own_time,
+)
+from zeno_orbits.orbits import EventSequence
+from zeno_orbits.search import TransientSettings, run_to_attractor
 from zeno_orbits.search.shooting import guess
 from zeno_orbits.search.shooting.guess import FollowedMotion, back_on_constraints
 from zeno_orbits.search.shooting.recurrence import Recurring
@@ -37,23 +44,25 @@ from zeno_orbits.simulation import (
     simulate,
 )
 
-SHORT = SettlingSettings(horizon=30.0)
+SHORT = TransientSettings(horizon=30.0)
 LOCKED = oscillator_state(0.0, FORCED.stop, 0.0)
 
 
 def test_the_pendulum_settles_to_the_declared_period(
     machine: HybridDynamics, problem: Problem
 ) -> None:
-    settling = settle(machine, [problem.state_vector({"theta1": 0.6})])
+    settling = run_to_attractor(machine, [problem.state_vector({"theta1": 0.6})])
     assert settling.reason == ""
     assert settling.cycle is not None
     # The motion repeats to 1e-6; what is left shrinks by 0.02 a period.
     assert settling.cycle.period == pytest.approx(PERIOD, abs=1e-6)
-    assert settling.cycle.drift(settling.cycle.scale()) < SettlingSettings().settled
+    assert settling.cycle.drift(settling.cycle.scale()) < TransientSettings().settled
 
 
 def test_a_motion_that_repeats_from_the_start_is_known_at_once() -> None:
-    settling = settle(forced_oscillator(FORCED, 0.5), [LOCKED], replace(SHORT, chunk=20.0))
+    settling = run_to_attractor(
+        forced_oscillator(FORCED, 0.5), [LOCKED], replace(SHORT, chunk=20.0)
+    )
     assert settling.cycle is not None
     assert settling.cycle.period == pytest.approx(2 * math.pi, abs=1e-8)
 
@@ -61,20 +70,24 @@ def test_a_motion_that_repeats_from_the_start_is_known_at_once() -> None:
 def test_a_coordinate_beyond_its_escape_is_told_in_the_words_of_the_problem() -> None:
     problem = load_problem("motor_pendulum")
     whirling = problem.state_vector({"theta1": 0.6, "dtheta1": 60.0})
-    settling = settle(problem.dynamics(problem.values()), [whirling], SHORT, problem=problem)
+    settling = run_to_attractor(
+        problem.dynamics(problem.values()), [whirling], SHORT, problem=problem
+    )
     assert settling.cycle is None
     assert settling.reason in {escape.phrase for escape in problem.escapes.values()}
 
 
 def test_a_mass_that_leaves_for_good_runs_away_though_nobody_says_how_far_is_far() -> None:
     # It grows by e^t: by more than e^7 = 1096 in the second half of 15 s.
-    settling = settle(pushed_away(1.0), [(1.0, 1.0)], SettlingSettings(horizon=15.0, chunk=1.0))
+    settling = run_to_attractor(
+        pushed_away(1.0), [(1.0, 1.0)], TransientSettings(horizon=15.0, chunk=1.0)
+    )
     assert settling.cycle is None
     assert settling.reason == "x0 runs away"
 
 
 def test_a_mass_that_flies_far_at_a_steady_speed_has_not_run_away() -> None:
-    settling = settle(falling_away(1.0), [(0.0, 1.0)], SHORT)
+    settling = run_to_attractor(falling_away(1.0), [(0.0, 1.0)], SHORT)
     assert settling.reason == "no release is followed by a Zeno point after 30 s"
     assert settling.undecided
 
@@ -95,7 +108,7 @@ def test_slow_and_large_motions_are_waited_for_in_their_own_scales(
     problem = load_problem(name)
     dynamics = problem.dynamics(problem.values(parameters=numbers))
     starts = [problem.state_vector(start) for start in problem.starts]
-    settling = settle(dynamics, starts, problem=problem)
+    settling = run_to_attractor(dynamics, starts, problem=problem)
     assert settling.reason == ""
     assert settling.cycle is not None
     assert settling.cycle.period == pytest.approx(period, rel=1e-6)
@@ -105,7 +118,9 @@ def test_slow_and_large_motions_are_waited_for_in_their_own_scales(
 def test_a_table_too_slow_to_toss_anything_is_told_to_come_to_rest(omega: float) -> None:
     problem = load_problem("vibrating_table")
     dynamics = problem.dynamics(problem.values(parameters={"omega": omega}))
-    settling = settle(dynamics, [problem.state_vector(problem.starts[0])], problem=problem)
+    settling = run_to_attractor(
+        dynamics, [problem.state_vector(problem.starts[0])], problem=problem
+    )
     assert settling.reason == "the motion comes to rest"
 
 
@@ -114,7 +129,7 @@ def test_a_mass_that_is_held_while_its_clock_turns_does_not_rest() -> None:
     problem = load_problem("forced_oscillator")
     dynamics = problem.dynamics(problem.values())
     start = problem.state_vector(problem.starts[0])
-    settling = settle(dynamics, [start], SettlingSettings(chunk=0.1), problem=problem)
+    settling = run_to_attractor(dynamics, [start], TransientSettings(chunk=0.1), problem=problem)
     assert settling.reason == ""
 
 
@@ -144,7 +159,7 @@ def test_a_link_on_its_stop_does_not_rest_while_a_slow_current_grows() -> None:
     valve = load_problem("motor_valve")
     values = valve.values(parameters={"L": 10.0, "restitution": 0.05})
     dynamics, start = valve.dynamics(values), valve.state_vector(valve.starts[0])
-    settling = settle(dynamics, [start], problem=valve)
+    settling = run_to_attractor(dynamics, [start], problem=valve)
     *_, before, last = simulate(dynamics, start, until=120.0).impacts
     assert settling.cycle is not None, settling.reason
     # The state repeats to `settled`, 1e-6 of its size.
@@ -152,20 +167,20 @@ def test_a_link_on_its_stop_does_not_rest_while_a_slow_current_grows() -> None:
 
 
 def test_a_mass_at_rest_off_its_stop_rests() -> None:
-    settling = settle(spring_mass(1.0, 0.5), [(0.0, 0.0)], SHORT)
+    settling = run_to_attractor(spring_mass(1.0, 0.5), [(0.0, 0.0)], SHORT)
     assert settling.reason == "the motion comes to rest"
     assert not settling.undecided
 
 
 def test_a_mass_that_swings_without_impacts_has_no_zeno_point() -> None:
-    settling = settle(spring_mass(1.0, 0.5), [(0.5, 0.0)], SHORT)
+    settling = run_to_attractor(spring_mass(1.0, 0.5), [(0.5, 0.0)], SHORT)
     assert settling.reason == "no release is followed by a Zeno point after 30 s"
 
 
 def test_a_mass_that_bounces_for_ever_has_no_zeno_point(problem: Problem) -> None:
     values = problem.values(parameters={"restitution": 0.5})
     bouncing = problem.dynamics(values)
-    settling = settle(bouncing, [problem.state_vector({"theta1": 0.6})], SHORT)
+    settling = run_to_attractor(bouncing, [problem.state_vector({"theta1": 0.6})], SHORT)
     assert settling.cycle is None
     assert settling.reason.endswith("after 30 s")
 
@@ -173,19 +188,21 @@ def test_a_mass_that_bounces_for_ever_has_no_zeno_point(problem: Problem) -> Non
 def test_a_start_that_cannot_be_simulated_says_so() -> None:
     right = forced_oscillator(FORCED, 0.5)
     wrong = replace(right, reset_map=lambda x, rate: right.reset_map(x, -rate))
-    settling = settle(wrong, [LOCKED], SHORT)
+    settling = run_to_attractor(wrong, [LOCKED], SHORT)
     words = "the simulation fails: the reset map sends the state into the stop"
     assert settling.reason.lower() == words
 
 
 def test_the_first_start_that_settles_is_taken() -> None:
-    settling = settle(forced_oscillator(FORCED, 0.5), [(-2.0, 0.0, 0.0, 0.0), LOCKED], SHORT)
+    settling = run_to_attractor(
+        forced_oscillator(FORCED, 0.5), [(-2.0, 0.0, 0.0, 0.0), LOCKED], SHORT
+    )
     assert settling.cycle is not None
 
 
 def test_every_reason_is_told_once() -> None:
     resting, swinging = (0.0, 0.0), (0.5, 0.0)
-    settling = settle(spring_mass(1.0, 0.5), [resting, swinging, resting], SHORT)
+    settling = run_to_attractor(spring_mass(1.0, 0.5), [resting, swinging, resting], SHORT)
     assert settling.reason == (
         "the motion comes to rest / no release is followed by a Zeno point after 30 s"
     )
@@ -204,7 +221,7 @@ def test_a_motion_is_not_followed_beyond_the_horizon(
         return simulate(*arguments, until=until, **options)
 
     monkeypatch.setattr(guess, "simulate", counted)
-    settling = settle(
+    settling = run_to_attractor(
         spring_mass(1.0, 0.5), [(0.5, 0.0)], replace(SHORT, horizon=horizon, chunk=chunk)
     )
     assert settling.reason == f"no release is followed by a Zeno point after {horizon:g} s"
@@ -217,9 +234,9 @@ def test_a_motion_that_still_drifts_is_a_guess_if_it_drifts_little(
 ) -> None:
     # With a multiplier of 0.02 the third or fourth period repeats to 1e-3 but not to 1e-15.
     start = problem.state_vector({"theta1": 0.6})
-    strict = SettlingSettings(horizon=10.0, settled=0.0)
-    assert settle(machine, [start], strict).cycle is not None
-    hopeless = settle(machine, [start], replace(strict, usable=0.0))
+    strict = TransientSettings(horizon=10.0, settled=0.0)
+    assert run_to_attractor(machine, [start], strict).cycle is not None
+    hopeless = run_to_attractor(machine, [start], replace(strict, usable=0.0))
     assert hopeless.cycle is None
     assert hopeless.reason == "its periods differ after 10 s"
 
@@ -237,13 +254,13 @@ def test_a_long_loose_simulation_does_not_drift_off_what_a_start_has_to_keep(
     # Without being put back, the state leaves clock or stop by 1e-8, and no simulation admits it.
     problem = load_problem("curved_surface")
     dynamics = problem.dynamics(problem.values(parameters=numbers))
-    settling = settle(dynamics, [problem.state_vector(start) for start in problem.starts])
+    settling = run_to_attractor(dynamics, [problem.state_vector(start) for start in problem.starts])
     assert (settling.cycle is not None) == (what == "clock")
 
 
 def test_a_motion_that_comes_back_after_more_than_a_chunk_is_found() -> None:
     # The period is 2 pi; every look but those from a release is shorter by far.
-    settling = settle(forced_oscillator(FORCED, 0.5), [LOCKED], replace(SHORT, chunk=1.0))
+    settling = run_to_attractor(forced_oscillator(FORCED, 0.5), [LOCKED], replace(SHORT, chunk=1.0))
     assert settling.cycle is not None
     assert settling.cycle.period == pytest.approx(2 * math.pi, abs=1e-8)
 
@@ -253,7 +270,7 @@ def test_a_state_is_put_back_on_its_constraint_in_any_unit(unit: float) -> None:
     def holonomic(state: np.ndarray) -> np.ndarray:
         return np.array([(state[0] ** 2 + state[1] ** 2) / unit**2 - 1.0])
 
-    circle: Any = SimpleNamespace(holonomic=holonomic, own=OwnScale())
+    circle: Any = SimpleNamespace(holonomic=holonomic, own=CharacteristicScales())
     off = unit * np.array([0.6, 0.8001])
     back = back_on_constraints(circle, off, locked=False)
     # One step of Newton's method leaves the square of what was off, 1.6e-4.
@@ -271,7 +288,7 @@ def _machine(**changes: Any) -> Any:
         "state_names": ("a", "b", "da", "db"),
         "clock": (),
         "restitution": 0.5,
-        "own": OwnScale(),
+        "own": CharacteristicScales(),
         "free": SimpleNamespace(rate=lambda x: -x),
         "locked": SimpleNamespace(rate=lambda x: 10 * x),
         "holonomic": lambda _: np.zeros(0),
@@ -300,14 +317,14 @@ def _piece(
         zeno_points=[],
         impacts=list(impacts),
         events=[*let_go, *impacts, *(events * [None])],
-        own=OwnScale(),
+        own=CharacteristicScales(),
         found=list(found),
     )
 
 
 def _lap(change: float = 1.0, *, since: float = 1.0, speed: float = 1.0) -> Any:
     """Return a return that changes each state by a part of its size, 1."""
-    phases = [SimpleNamespace(kind=kind) for kind in OrbitShape.parsed("zeno").phases]
+    phases = [SimpleNamespace(kind=kind) for kind in EventSequence.parsed("zeno").phases]
     return SimpleNamespace(
         state_names=("a", "b", "da", "db"),
         start=SimpleNamespace(time=0.0, state=since * np.ones(4)),
@@ -424,7 +441,7 @@ def test_a_return_that_repeats_is_taken_at_once(told: Told) -> None:
     assert found == FollowedMotion(cycle=lap)
     assert len(told.asked) == 1
     wanted = _followed(
-        told, _piece(1.0, releases=[(1.0, START)], found=[lap]), wanted=OrbitShape.parsed("zeno")
+        told, _piece(1.0, releases=[(1.0, START)], found=[lap]), wanted=EventSequence.parsed("zeno")
     )
     assert wanted.cycle is lap
 
@@ -432,7 +449,7 @@ def test_a_return_that_repeats_is_taken_at_once(told: Told) -> None:
 def test_a_motion_that_settles_to_another_shape_is_followed_no_longer(told: Told) -> None:
     lap = _lap(1e-7)
     piece = _piece(1.0, releases=[(1.0, START)], found=[lap])
-    found = _followed(told, piece, wanted=OrbitShape.parsed("zeno*2"))
+    found = _followed(told, piece, wanted=EventSequence.parsed("zeno*2"))
     assert len(told.asked) == 1
     assert found.reason == "the motion settles to an orbit of shape `zeno`"
     assert not found.undecided
@@ -599,10 +616,10 @@ def test_what_was_waited_for_one_start_is_taken_from_the_next_down_to_a_third(
     starts = _Starts(ends=[ended, repeats], asked=[])
     monkeypatch.setattr(guess, "_settle_from", starts)
     monkeypatch.setattr(guess, "own_time", lambda *_: 1.0)
-    settings, wanted = SettlingSettings(horizon=9.0), OrbitShape.parsed("plastic")
-    assert settle(_machine(), [(0.0,), (1.0,)], settings, wanted) is repeats
+    settings, wanted = TransientSettings(horizon=9.0), EventSequence.parsed("plastic")
+    assert run_to_attractor(_machine(), [(0.0,), (1.0,)], settings, wanted) is repeats
     # The stop is not plastic.
-    zeno = OrbitShape.parsed("zeno")
+    zeno = EventSequence.parsed("zeno")
     assert starts.asked == [([0.0], 9.0, zeno), ([1.0], pytest.approx(left), zeno)]
 
 
@@ -617,12 +634,12 @@ def test_what_was_waited_adds_up_and_any_start_may_be_undecided(
     ]
     starts = _Starts(ends=[*ends], asked=[])
     monkeypatch.setattr(guess, "_settle_from", starts)
-    found = settle(_machine(), 3 * [(0.0,)], SettlingSettings(horizon=9.0))
+    found = run_to_attractor(_machine(), 3 * [(0.0,)], TransientSettings(horizon=9.0))
     assert found == FollowedMotion(cycle=None, reason="it stays / it goes", undecided=True)
     assert [left for _, left, _ in starts.asked] == [9.0, 8.0, 6.0]
     assert [wanted for *_, wanted in starts.asked] == [None, None, None]
     monkeypatch.setattr(guess, "_settle_from", _Starts(ends=[ends[0]], asked=[]))
-    assert not settle(_machine(), [(0.0,)]).undecided
+    assert not run_to_attractor(_machine(), [(0.0,)]).undecided
 
 
 # Limits of the wait.
@@ -633,11 +650,11 @@ def test_the_wait_is_measured_in_the_problems_own_time_unless_told(
 ) -> None:
     monkeypatch.setattr(guess, "own_time", lambda *_: 2.0)
     machine, state = _machine(), np.zeros(4)
-    alone = guess._watch(machine, state, SettlingSettings(), None)
+    alone = guess._watch(machine, state, TransientSettings(), None)
     assert (alone.horizon, alone.chunk, alone.turn) == (115 * 2.0, 6 * 2.0, 2.0)
     assert (alone.settings.far, alone.phrases) == (math.inf, {})
     assert (alone.settled, alone.usable) == (1e-6, 0.1)
-    told = SettlingSettings(horizon=7.0, chunk=3.0, settled=0.25, usable=0.5)
+    told = TransientSettings(horizon=7.0, chunk=3.0, settled=0.25, usable=0.5)
     watch = guess._watch(machine, state, told, None)
     assert (watch.horizon, watch.chunk, watch.settled, watch.usable) == (7.0, 3.0, 0.25, 0.5)
     assert watch.settings == replace(told.simulation, far=math.inf)
@@ -647,28 +664,28 @@ def test_the_wait_knows_how_far_coordinates_of_a_problem_may_go(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(guess, "own_time", lambda *_: 2.0)
-    escapes = {"theta2": Escape(beyond=3.0, phrase="it falls off")}
+    escapes = {"theta2": StateLimit(beyond=3.0, phrase="it falls off")}
     pendulum = replace(problem, escapes=escapes)
-    watch = guess._watch(_machine(), np.zeros(5), SettlingSettings(), pendulum)
+    watch = guess._watch(_machine(), np.zeros(5), TransientSettings(), pendulum)
     # Ten turns of a link of which nothing is said.
     assert watch.settings.far == (pytest.approx(20 * math.pi), 3.0)
     assert watch.phrases == {"theta2": "it falls off"}
     assert watch.horizon == 115 * 2.0
     shaken = load_problem("forced_oscillator")
     machine = _machine(n_q=shaken.dynamics(shaken.values()).n_q)
-    assert guess._watch(machine, np.zeros(4), SettlingSettings(), shaken).horizon == 300 * 2.0
+    assert guess._watch(machine, np.zeros(4), TransientSettings(), shaken).horizon == 300 * 2.0
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, math.inf, math.nan])
 def test_a_time_to_wait_that_is_not_positive_is_refused(wrong: float) -> None:
     with pytest.raises(InputError, match="`until` must be a positive number"):
-        SettlingSettings(horizon=wrong)
+        TransientSettings(horizon=wrong)
     with pytest.raises(InputError, match="`chunk` must be a positive number"):
-        SettlingSettings(chunk=wrong)
+        TransientSettings(chunk=wrong)
 
 
 def test_a_motion_is_settled_more_loosely_than_it_is_verified() -> None:
-    usual = SettlingSettings()
+    usual = TransientSettings()
     assert (usual.settled, usual.usable) == (1e-6, 0.1)
     assert usual.simulation.tolerance == Tolerance(relative=1e-8, absolute=1e-10)
     assert usual.simulation.completion == ZenoExtrapolation(tolerance=1e-11)
@@ -689,9 +706,9 @@ def test_a_period_that_was_not_followed_in_one_piece_is_simulated_from_its_start
         return cycle
 
     monkeypatch.setattr(guess, "cycle_of", simulated)
-    monkeypatch.setattr(guess, "placed", lambda _machine, shape, x: (shape, x)[1])
+    monkeypatch.setattr(guess, "place_on_section", lambda _machine, shape, x: (shape, x)[1])
     settings = SimulationSettings()
-    shape = OrbitShape.parsed("zeno*2")
+    shape = EventSequence.parsed("zeno*2")
     found = Recurring(shape=shape, start=START + 1.0, period=3.0, change=0.0)
     assert guess._period(_machine(), found, settings) == FollowedMotion(cycle=cycle)
     assert asked == [((START + 1.0).tolist(), shape, 6.0, settings)]

@@ -10,7 +10,7 @@ import pytest
 import zeno_orbits as zo
 from tests.reference.exact_flights import clearly_settled
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.search import SearchSettings, close_orbit, orbit_at_gains
+from zeno_orbits.search import SearchSettings, orbit_at_gains, orbit_by_shooting
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.verification import verify
 
@@ -50,7 +50,7 @@ def test_a_search_returns_the_orbit_that_the_motion_settles_to(
 
 
 def test_an_orbit_is_not_refused_for_what_errors_of_the_check_itself_grow_to() -> None:
-    orbit = close_orbit(TABLE, shaken(THIRTEEN, 30.0), simulation=FINEST).unwrap()
+    orbit = orbit_by_shooting(TABLE, shaken(THIRTEEN, 30.0), simulation=FINEST).unwrap()
     assert len(orbit.impacts) > 25
     # Local errors of 1e-12 are 1e-8 at its last impacts.
     assert verify(orbit, TABLE).passed

@@ -24,12 +24,12 @@ from zeno_orbits.model import locate_problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import (
     Candidate,
-    Judgement,
+    MaxMargin,
     SearchResult,
     SearchSettings,
     SearchStatus,
     StartWorkers,
-    WidestMargin,
+    Verdict,
     search_orbits,
 )
 from zeno_orbits.search import multistart as starts
@@ -37,7 +37,7 @@ from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import DeltaCut, OrbitCertificate, verify
-from zeno_orbits.work import LostPoint, Plan, Workers, plain, restored, versions
+from zeno_orbits.work import ExecutionPlan, FailedPoint, Workers, from_plain, to_plain, versions
 from zeno_orbits.work import scheduling as spreading_module
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
@@ -62,11 +62,11 @@ class Picky:
 
     refused: float = 0.0
 
-    def __call__(self, orbit: ZenoOrbit) -> Judgement:
+    def __call__(self, orbit: ZenoOrbit) -> Verdict:
         """Return the objection, or the certificate."""
         if orbit.parameters["restitution"] == self.refused:
-            return Judgement(objection="It is the usual one.")
-        return Judgement(certificate=verify(orbit, locate_problem(PROBLEM).load()))
+            return Verdict(objection="It is the usual one.")
+        return Verdict(certificate=verify(orbit, locate_problem(PROBLEM).load()))
 
 
 def search(place: Workers | None, *, folder: Path | None = None, **changes: Any) -> SearchResult:
@@ -74,7 +74,9 @@ def search(place: Workers | None, *, folder: Path | None = None, **changes: Any)
     problem_file = locate_problem(PROBLEM)
     spread = None
     if place is not None:
-        spread = StartWorkers(problem_file=problem_file, plan=Plan(place=place, checkpoint=folder))
+        spread = StartWorkers(
+            problem_file=problem_file, plan=ExecutionPlan(place=place, checkpoint=folder)
+        )
     settings = SearchSettings(n_starts=2, candidates=4, seed=changes.pop("seed", 0))
     told: dict[str, Any] = {"accept": Picky(), "settings": settings, **changes}
     problem = problem_file.load()
@@ -83,7 +85,7 @@ def search(place: Workers | None, *, folder: Path | None = None, **changes: Any)
 
 def timeless(result: SearchResult) -> Any:
     """Return everything that a search promises but the time it took, as comparable data."""
-    return plain(replace(result, wall_time=0.0, solve_time=0.0))
+    return to_plain(replace(result, wall_time=0.0, solve_time=0.0))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -147,9 +149,9 @@ def test_what_came_of_a_start_survives_json_to_the_last_bit(alone: SearchResult)
         candidate=candidate,
     )
     for outcome in (whole, StartOutcome(status=SearchStatus.NO_GUESS, detail="It rests.")):
-        back = restored(StartOutcome, json.loads(json.dumps(plain(outcome), allow_nan=False)))
+        back = from_plain(StartOutcome, json.loads(json.dumps(to_plain(outcome), allow_nan=False)))
         # As texts, in which NaN equals NaN and -0.0 differs from 0.0.
-        assert repr(plain(back)) == repr(plain(outcome))
+        assert repr(to_plain(back)) == repr(to_plain(outcome))
         assert type(back.status) is SearchStatus
 
 
@@ -162,7 +164,7 @@ def test_starts_are_tried_here_first_and_by_workers_then_until_there_are_enough(
     file = locate_problem(PROBLEM)
     problem, ended = file.load(), list[bool]()
     settings = SearchSettings(n_starts=2)
-    asked = question_of(problem, free=FREE, objective=WidestMargin(), settings=settings)
+    asked = question_of(problem, free=FREE, objective=MaxMargin(), settings=settings)
 
     def tried(_: SearchProblem, number: int, accept: Any) -> StartOutcome:
         return StartOutcome(
@@ -170,7 +172,7 @@ def test_starts_are_tried_here_first_and_by_workers_then_until_there_are_enough(
         )
 
     def spread(
-        task: Any, numbers: Any, plan: Plan, *, here: Callable[..., Any], on_progress: Any
+        task: Any, numbers: Any, plan: ExecutionPlan, *, here: Callable[..., Any], on_progress: Any
     ) -> Iterator[Any]:
         assert (list(numbers), plan.chunk, plan.noun) == ([0, 1, 2], 1, "starts at most")
         assert plan.identity == {}
@@ -178,7 +180,7 @@ def test_starts_are_tried_here_first_and_by_workers_then_until_there_are_enough(
         try:
             yield here([0])[0]
             yield task([1])[0]
-            yield LostPoint()
+            yield FailedPoint()
         finally:
             ended.append(True)
 
@@ -187,16 +189,18 @@ def test_starts_are_tried_here_first_and_by_workers_then_until_there_are_enough(
     monkeypatch.setattr(starts, "try_start", tried)
     monkeypatch.setattr(starts, "spread_in_order", spread)
     told: list[str] = []
-    workers = StartWorkers(problem_file=file, plan=Plan(), tell=lambda stage, _: told.append(stage))
+    workers = StartWorkers(
+        problem_file=file, plan=ExecutionPlan(), tell=lambda stage, _: told.append(stage)
+    )
     found = [*starts.outcomes_spread(asked, None, workers)]
-    assert [one.detail for one in found] == ["0", "1", LostPoint().reason]
+    assert [one.detail for one in found] == ["0", "1", FailedPoint().reason]
     assert [one.repels for one in found] == [True, True, False]
     assert {one.status for one in found} == {SearchStatus.NOT_SOLVED}
     # The box is looked at only when a start needs it: no other than the first is asked about here.
     assert looked == [0, 0, 1]
     assert (told, ended) == (["told"], [True])
     some = starts.outcomes_spread(asked, None, workers)
-    assert plain(next(some)) == plain(found[0])
+    assert to_plain(next(some)) == to_plain(found[0])
     some.close()
     assert ended == [True, True]
     here = [*starts.outcomes_here(asked, None)]
@@ -216,7 +220,7 @@ def test_one_worker_and_two_find_what_a_search_without_workers_finds(alone: Sear
 @needs_two
 @pytest.mark.slow
 def test_an_optimum_is_the_same_whoever_looks_at_the_box() -> None:
-    asked = {"objective": WidestMargin(), "settings": SearchSettings(n_starts=3)}
+    asked = {"objective": MaxMargin(), "settings": SearchSettings(n_starts=3)}
     here = search(None, **asked)
     assert here.candidates
     assert timeless(search(Workers(count=2), **asked)) == timeless(here)
@@ -276,13 +280,13 @@ def test_a_start_that_kills_every_worker_is_a_failure_by_name(
 
     def lose_the_second(*arguments: Any, **named: Any) -> Iterator[Any]:
         for k, result in enumerate(spread_in_order(*arguments, **named)):
-            yield LostPoint() if k == 1 else result
+            yield FailedPoint() if k == 1 else result
 
     monkeypatch.setattr(starts, "spread_in_order", lose_the_second)
     result = search(Workers(count=1))
     found = [attempt.status is SearchStatus.FOUND for attempt in result.attempts]
     assert found == [True, False, True]
-    assert result.attempts[1].detail == LostPoint().reason
+    assert result.attempts[1].detail == FailedPoint().reason
 
 
 # ---------------------------------------------------------------------------- checkpoints
@@ -347,7 +351,7 @@ def test_the_checkpoint_of_another_search_is_refused_and_left_untouched(
 def test_a_checkpoint_knows_all_that_the_outcome_of_a_start_depends_on() -> None:
     file = locate_problem(PROBLEM)
     problem = file.load()
-    asked = question_of(problem, free=FREE, objective=WidestMargin(), order=(1, 0))
+    asked = question_of(problem, free=FREE, objective=MaxMargin(), order=(1, 0))
     task = starts._Task(problem_file=file, question=asked.question(), accept=Picky())
     known = starts._identity(task)
     assert {*known} == {
@@ -414,7 +418,10 @@ def test_a_problem_that_workers_would_not_see_is_refused() -> None:
         InputError, match="`problem` must be the problem that the workers of `spread` load"
     ):
         search_orbits(
-            other, other.values(), free=FREE, spread=StartWorkers(problem_file=problem, plan=Plan())
+            other,
+            other.values(),
+            free=FREE,
+            spread=StartWorkers(problem_file=problem, plan=ExecutionPlan()),
         )
 
 
@@ -422,7 +429,7 @@ def test_a_judge_that_has_no_name_cannot_be_told_from_another_by_a_checkpoint(
     tmp_path: Path,
 ) -> None:
     with pytest.raises(InputError, match="`accept` must consist of"):
-        search(Workers(count=1), folder=tmp_path / "kept", accept=lambda _: Judgement())
+        search(Workers(count=1), folder=tmp_path / "kept", accept=lambda _: Verdict())
 
 
 # ---------------------------------------------------------------------------- the pendulum

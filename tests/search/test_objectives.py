@@ -20,25 +20,25 @@ from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import Bound, ZenoOrbit, orbit_multipliers
 from zeno_orbits.search import (
     OBJECTIVES,
-    FastestContraction,
-    Judgement,
-    LeastEnergy,
-    LeastPeak,
+    MaxMargin,
     MaxPush,
     MinBounceTime,
+    MinEnergy,
     MinImpactLoss,
+    MinPeak,
+    MinSpectralRadius,
     NearestGains,
     Objective,
     Operand,
     SearchSettings,
     SearchStatus,
-    SettlingSettings,
     TargetAmplitude,
     TargetPeriod,
-    WidestMargin,
-    close_orbit,
+    TransientSettings,
+    Verdict,
     objective_help,
     orbit_at_gains,
+    orbit_by_shooting,
     search_orbits,
     start,
 )
@@ -63,7 +63,7 @@ def _scan(
     near: ZenoOrbit | None = None
     for value in entries:
         values = problem.values().replaced({**fixed, name: value})
-        near = close_orbit(problem, values, near=near).unwrap()
+        near = orbit_by_shooting(problem, values, near=near).unwrap()
         extent = measure(near, problem, [quantity])[quantity]
         found.append(extent.largest)
     return found
@@ -175,7 +175,7 @@ def test_on_the_way_to_a_target_the_distance_from_it_is_the_cost() -> None:
 
 @pytest.mark.parametrize(("work", "cost"), [(-20.0, -1.0), (4.0, 1.0), (0.0, 0.0)])
 def test_energy_costs_what_it_is_in_units_of_the_guess(work: float, cost: float) -> None:
-    objective = LeastEnergy()
+    objective = MinEnergy()
     scaled = ca.MX(work)
     found, rows, _ = _made(objective, electrical_work=scaled)
     assert found == pytest.approx(cost)
@@ -186,7 +186,7 @@ def test_energy_costs_what_it_is_in_units_of_the_guess(work: float, cost: float)
 
 
 def test_a_peak_is_an_unknown_in_units_of_its_size_on_all_arcs() -> None:
-    objective = LeastPeak(signal="v")
+    objective = MinPeak(signal="v")
     cost, rows, program = _made(objective, HILL, course((0.0,), (0.5, -3.0)))
     assert cost == pytest.approx(1.0)
     assert set(rows) == {"peak of v: not above it", "peak of v: not below minus it"}
@@ -194,17 +194,17 @@ def test_a_peak_is_an_unknown_in_units_of_its_size_on_all_arcs() -> None:
     assert min(rows["peak of v: not below minus it"]) == pytest.approx(0.001)
     assert program.scales[program.names["peak of v"][0]] == pytest.approx(2.5)
     assert objective.wish == "the least peak of v"
-    assert LeastPeak(signal="x").score({}, NEAR, EXTENTS) == 3.0
+    assert MinPeak(signal="x").score({}, NEAR, EXTENTS) == 3.0
 
 
 def test_a_peak_that_is_not_there_costs_nothing() -> None:
-    cost, _, _ = _made(LeastPeak(signal="v"), course((1.0,), (0.0,)))
+    cost, _, _ = _made(MinPeak(signal="v"), course((1.0,), (0.0,)))
     # Where a signal vanishes its size is a convention, a unit of its own.
     assert cost == pytest.approx(1.0)
 
 
 def test_a_radius_is_an_unknown_above_all_multipliers() -> None:
-    objective = FastestContraction()
+    objective = MinSpectralRadius()
     slope = ca.MX(ca.DM([[0.5, 1.0], [0.0, -0.25]]))
     cost, rows, program = _made(objective, return_slope=slope)
     radius = 1.01 * 0.5
@@ -223,17 +223,17 @@ def test_a_radius_is_an_unknown_above_all_multipliers() -> None:
 
 
 def test_multipliers_that_vanish_leave_the_least_radius() -> None:
-    cost, _, _ = _made(FastestContraction(), return_slope=ca.MX(ca.DM([[1e-7]])))
+    cost, _, _ = _made(MinSpectralRadius(), return_slope=ca.MX(ca.DM([[1e-7]])))
     assert cost == pytest.approx(1.01e-4)
 
 
 def test_a_contraction_without_a_return_map_is_a_mistake() -> None:
     with pytest.raises(ValueError, match="lacks the return map"):
-        _made(FastestContraction())
+        _made(MinSpectralRadius())
 
 
 def test_a_margin_is_no_row_of_a_program() -> None:
-    objective = WidestMargin()
+    objective = MaxMargin()
     cost, rows, _ = _made(objective)
     # ((2 - 1) / 0.5)^2 / 2, the distance from the start.
     assert cost == pytest.approx(2.0)
@@ -261,10 +261,10 @@ def test_every_word_makes_its_objective(problem: Problem) -> None:
         "nearest": NearestGains(target={"Kp": 2.0}),
         "period": TargetPeriod(target=1.8),
         "amplitude": TargetAmplitude(target=0.5, state="theta1"),
-        "energy": LeastEnergy(),
-        "peak": LeastPeak(signal="current"),
-        "contraction": FastestContraction(),
-        "margin": WidestMargin(),
+        "energy": MinEnergy(),
+        "peak": MinPeak(signal="current"),
+        "contraction": MinSpectralRadius(),
+        "margin": MaxMargin(),
         "push": MaxPush(direction={"theta2": 1.0}),
         "robustness": MaxPush(),
         "impacts": MinImpactLoss(stop="lower"),
@@ -309,7 +309,7 @@ def test_the_least_peak_is_that_of_a_scan(problem: Problem, quantity: str) -> No
         problem,
         problem.values(),
         free={"Kp": (2.0, 3.0)},
-        objective=LeastPeak(signal=quantity),
+        objective=MinPeak(signal=quantity),
         settings=ONCE,
     )
     best = result.candidates[0]
@@ -325,7 +325,7 @@ def test_the_fastest_contraction_is_that_of_a_scan(problem: Problem) -> None:
         problem,
         problem.values(gains={"Kd": -1.15}),
         free={"Kd": (-1.2, -1.1)},
-        objective=FastestContraction(),
+        objective=MinSpectralRadius(),
         settings=ONCE,
     )
     assert result.candidates[0].score == pytest.approx(min(scan), rel=1e-3)
@@ -419,7 +419,7 @@ def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(proble
         problem,
         problem.values(),
         free=box,
-        objective=LeastEnergy(),
+        objective=MinEnergy(),
         bounds=[
             Bound(name="spectral_radius", upper=radius),
             Bound(name="current", lower=-current, upper=current),
@@ -494,7 +494,7 @@ def test_a_free_parameter_is_found_and_what_is_derived_from_it_stays(problem: Pr
     # The calibration would have moved the rotor; the orbit says what it stands for.
     other = problem.values(parameters={"L1": orbit.parameters["L1"]})
     assert other.parameters["J_rotor"] != orbit.parameters["J_rotor"]
-    closed = close_orbit(problem, orbit.values(problem), near=orbit).unwrap()
+    closed = orbit_by_shooting(problem, orbit.values(problem), near=orbit).unwrap()
     assert closed.period == pytest.approx(1.8, abs=1e-8)
 
 
@@ -508,7 +508,7 @@ def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(problem
         settings=ONCE,
     )
     orbit = result.unwrap()
-    closed = close_orbit(problem, orbit.values(problem)).unwrap()
+    closed = orbit_by_shooting(problem, orbit.values(problem)).unwrap()
     assert closed.period == pytest.approx(1.8126, abs=1e-8)
     assert 0.2 < orbit.parameters["restitution"] < 0.3
 
@@ -519,7 +519,7 @@ def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(problem
 def test_a_known_orbit_is_followed_to_other_numbers(problem: Problem, orbit: ZenoOrbit) -> None:
     values = problem.values(parameters={"restitution": 0.3, "R": 2.8})
     result = search_orbits(problem, values, free={}, near=orbit, settings=ONCE)
-    alone = close_orbit(problem, values).unwrap()
+    alone = orbit_by_shooting(problem, values).unwrap()
     assert result.unwrap().period == pytest.approx(alone.period, abs=1e-8)
 
 
@@ -535,7 +535,7 @@ def test_the_end_of_a_family_is_named(problem: Problem, orbit: ZenoOrbit) -> Non
 
 def test_a_start_that_settles_to_nothing_is_reached_from_an_easier_one(problem: Problem) -> None:
     # Too short a wait for the motion to settle at these gains, but not at the problem's own.
-    brief = SearchSettings(n_starts=0, settling=SettlingSettings(horizon=12.0, usable=1e-5))
+    brief = SearchSettings(n_starts=0, settling=TransientSettings(horizon=12.0, usable=1e-5))
     values = problem.values(gains={"Kp": 2.5, "Kd": -0.5})
     result = orbit_at_gains(problem, values, settings=brief)
     patient = orbit_at_gains(problem, values)
@@ -570,11 +570,11 @@ def test_the_best_orbit_that_attracts_is_taken_where_the_best_of_all_lies_on_a_f
     on_fold = replace(certificate, multipliers=(1.0 + 0.0j,))
     seen: list[ZenoOrbit] = []
 
-    def refuse_the_first(orbit: ZenoOrbit) -> Judgement:
+    def refuse_the_first(orbit: ZenoOrbit) -> Verdict:
         seen.append(orbit)
         if len(seen) == 1:
-            return Judgement(objection="It does not attract.", certificate=on_fold)
-        return Judgement(certificate=certificate)
+            return Verdict(objection="It does not attract.", certificate=on_fold)
+        return Verdict(certificate=certificate)
 
     result = search_orbits(
         problem,
@@ -597,11 +597,11 @@ def test_an_orbit_on_the_way_is_taken_where_no_bounded_search_finds_one_that_att
     on_fold = replace(certificate, multipliers=(1.0 + 0.0j,))
     seen: list[ZenoOrbit] = []
 
-    def refuse_some(orbit: ZenoOrbit) -> Judgement:
+    def refuse_some(orbit: ZenoOrbit) -> Verdict:
         seen.append(orbit)
         if len(seen) <= 8:
-            return Judgement(objection="It does not attract.", certificate=on_fold)
-        return Judgement(certificate=certificate)
+            return Verdict(objection="It does not attract.", certificate=on_fold)
+        return Verdict(certificate=certificate)
 
     lost = StartOutcome(status=SearchStatus.NOT_SOLVED)
     from_start = start.from_start
@@ -664,7 +664,7 @@ def test_gains_beyond_a_fold_lead_to_the_nearest_orbit_that_attracts(problem: Pr
         ({}, [Bound(name="margin", lower=1.0)], None, "a `margin` below 1"),
         ({}, [Bound(name="period", upper=0.0)], None, "a positive `period`"),
         ({}, [Bound(name="period", upper=2.0)] * 2, None, "must bound `period` once"),
-        ({"Kp": (1.0, 2.0)}, [], LeastPeak(signal="torque"), "`objective` must name .*`torque`"),
+        ({"Kp": (1.0, 2.0)}, [], MinPeak(signal="torque"), "`objective` must name .*`torque`"),
         ({"Kp": (1.0, 2.0)}, [], NearestGains(target={"R": 2.0}), "names `R`"),
     ],
 )
@@ -682,4 +682,4 @@ def test_a_question_that_makes_no_sense_is_refused(
 def test_an_orbit_of_another_problem_is_no_start(problem: Problem, orbit: ZenoOrbit) -> None:
     other = problem.at_fidelity("quasi_static")
     with pytest.raises(InputError, match="`near` must be of problem `motor_pendulum@quasi_static`"):
-        search_orbits(other, other.values(), free={}, near=orbit, objective=LeastEnergy())
+        search_orbits(other, other.values(), free={}, near=orbit, objective=MinEnergy())

@@ -8,7 +8,7 @@ import zeno_orbits as zo
 from tests.support.commands import YES, ask
 from zeno_orbits.continuation import family_of_orbit
 from zeno_orbits.model import load_problem
-from zeno_orbits.search import SearchSettings, WidestMargin, orbit_at_gains, search_orbits
+from zeno_orbits.search import MaxMargin, SearchSettings, orbit_at_gains, search_orbits
 
 ONCE = SearchSettings(n_starts=0)
 
@@ -19,7 +19,7 @@ def widest(
     """Return the orbit of the widest margin, its margin, and the sentences on it."""
     problem = load_problem(name)
     values = problem.values(numbers=start or {})
-    result = search_orbits(problem, values, free=free, objective=WidestMargin(), settings=ONCE)
+    result = search_orbits(problem, values, free=free, objective=MaxMargin(), settings=ONCE)
     extent = result.candidates[0].extents["persistence"]
     return result.unwrap(), extent.lowest, result.detail
 
@@ -85,7 +85,7 @@ def test_a_margin_keeps_the_bounds() -> None:
         problem,
         problem.values(),
         free={"A": (0.7, 1.3)},
-        objective=WidestMargin(),
+        objective=MaxMargin(),
         bounds=[zo.Bound(name="energy", upper=0.008569559586875221)],
         settings=ONCE,
     )

@@ -13,12 +13,11 @@ import pytest
 from tests.support.searches import question_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ONE_ZENO, Bound, OrbitShape, ZenoOrbit
+from zeno_orbits.orbits import ONE_ZENO, Bound, EventSequence, ZenoOrbit
 from zeno_orbits.search import (
     Candidate,
-    FastestContraction,
-    Judgement,
-    LeastEnergy,
+    MinEnergy,
+    MinSpectralRadius,
     NearestGains,
     OrbitNotFoundError,
     SearchResult,
@@ -26,6 +25,7 @@ from zeno_orbits.search import (
     SearchStatus,
     StartAttempt,
     TargetPeriod,
+    Verdict,
     orbit_at_gains,
     scan,
     search,
@@ -60,7 +60,7 @@ def _searched(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Any:
             yield from outcomes
 
         monkeypatch.setattr(search, "outcomes_here", told)
-        asked: dict[str, Any] = {"objective": LeastEnergy(), **changes}
+        asked: dict[str, Any] = {"objective": MinEnergy(), **changes}
         return search_orbits(problem, problem.values(), free={"Kp": (1.0, 5.0)}, **asked)
 
     return searched
@@ -99,7 +99,7 @@ def test_a_few_starts_are_compared_if_no_two_agree_on_the_best(
 
 def test_a_score_that_nothing_can_be_below_ends_the_search(searched: Any, orbit: ZenoOrbit) -> None:
     told = [_found(orbit, LEAST_RADIUS, 1.5), _found(orbit, LEAST_RADIUS, 2.5)]
-    result = searched(told, objective=FastestContraction(), settings=SearchSettings())
+    result = searched(told, objective=MinSpectralRadius(), settings=SearchSettings())
     assert len(result.attempts) == 1
 
 
@@ -336,7 +336,7 @@ def test_nothing_is_enough_before_there_are_as_many_as_asked(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:
     settings = SearchSettings(candidates=2)
-    asked = question_of(problem, free={}, objective=LeastEnergy(), settings=settings)
+    asked = question_of(problem, free={}, objective=MinEnergy(), settings=settings)
     one, two = (_found(orbit, score, score).candidate for score in (1.0, 2.0))
     assert one is not None
     assert two is not None
@@ -381,21 +381,21 @@ def test_a_search_is_asked_what_its_arguments_say(
     orbit_at_gains(problem, problem.values())
     assert seen.pop()[0].settings == SearchSettings(n_starts=0)
 
-    def judge(_: ZenoOrbit) -> Judgement:
-        return Judgement()
+    def judge(_: ZenoOrbit) -> Verdict:
+        return Verdict()
 
     there, bound = {"theta1": 0.5}, Bound(name="period", upper=2.0)
     changes: dict[str, Any] = {"initial_states": [there], "bounds": [bound], "accept": judge}
     free = {"Kp": (1.0, 5.0)}
     search_orbits(
-        problem, problem.values(), free=free, near=orbit, objective=LeastEnergy(), **changes
+        problem, problem.values(), free=free, near=orbit, objective=MinEnergy(), **changes
     )
     asked, accept = seen.pop()
     assert (asked.free, asked.bounds, asked.near) == (free, (bound,), orbit)
-    assert (asked.shape, asked.objective) == (orbit.shape, LeastEnergy())
+    assert (asked.shape, asked.objective) == (orbit.shape, MinEnergy())
     assert (asked.initial_states, accept) == ((there,), judge)
     assert (asked.settings, asked.sizes) == (SearchSettings(), {"Kp": 2.5})
-    twice = OrbitShape.parsed("zeno*2")
+    twice = EventSequence.parsed("zeno*2")
     with pytest.raises(InputError, match="`shape`"):
         search_orbits(problem, problem.values(), free=free, near=orbit, shape=twice)
     with pytest.raises(InputError, match="`free`"):
@@ -453,7 +453,7 @@ def test_an_outcome_of_which_nothing_is_told_has_no_numbers() -> None:
     )
     assert (result.candidates, result.detail, result.scan) == ((), "", "")
     assert (result.undecided, result.repels) == (False, False)
-    assert Judgement().objection == ""
+    assert Verdict().objection == ""
 
 
 # The question itself.
@@ -465,11 +465,11 @@ def test_free_numbers_are_measured_in_their_own_size_or_a_part_of_their_range(
     told: dict[str, Any] = {
         "values": problem.values(gains={"Kd": 0.0}),
         "free": {"Kp": (1.0, 5.0), "Kd": (-3.0, 1.0)},
-        "objective": LeastEnergy(),
+        "objective": MinEnergy(),
     }
     asked = with_targets(question_of(problem, **told))
     assert asked.sizes == {"Kp": 2.5, "Kd": pytest.approx(4e-3)}
-    assert asked.objective == LeastEnergy()
+    assert asked.objective == MinEnergy()
     below = with_targets(question_of(problem, **told | {"values": problem.values()}))
     assert below.sizes == {"Kp": 2.5, "Kd": 1.0}
     # Nearness is measured from the numbers it is asked from.
@@ -506,7 +506,7 @@ def test_free_numbers_are_measured_in_their_own_size_or_a_part_of_their_range(
 def test_an_optimum_is_sought_all_over_the_box_unless_an_orbit_is_known(
     problem: Problem, orbit: ZenoOrbit, changes: dict[str, Any], compared: bool
 ) -> None:
-    told: dict[str, Any] = {"objective": LeastEnergy(), **changes}
+    told: dict[str, Any] = {"objective": MinEnergy(), **changes}
     told["near"] = orbit if told.get("near") else None
     assert question_of(problem, **told).seeks_optimum is compared
 
@@ -516,7 +516,7 @@ def test_a_question_is_all_of_a_search_but_its_problem_and_who_is_told(problem: 
         problem=problem,
         values=problem.values(),
         free={},
-        objective=LeastEnergy(),
+        objective=MinEnergy(),
         initial_states=problem.starts,
         settings=SearchSettings(),
         order=(1, 0),

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zeno_orbits.model import OwnScale
-from zeno_orbits.orbits import ONE_ZENO, OrbitShape, PhaseKind
+from zeno_orbits.model import CharacteristicScales
+from zeno_orbits.orbits import ONE_ZENO, EventSequence, PhaseKind
 from zeno_orbits.search.shooting.recurrence import (
     MOST_IMPACTS,
     Recurrence,
@@ -20,7 +20,7 @@ from zeno_orbits.search.shooting.recurrence import (
 )
 from zeno_orbits.simulation import PERIODS, Impact
 
-ZENO_TWICE = OrbitShape.parsed("zeno*2")
+ZENO_TWICE = EventSequence.parsed("zeno*2")
 
 
 def _lap(
@@ -65,7 +65,10 @@ def _seen(**changes: Any) -> Recurrence:
 
 
 def _run(
-    *impacts: float, releases: int = 0, zeno_points: int = 0, own: OwnScale | None = None
+    *impacts: float,
+    releases: int = 0,
+    zeno_points: int = 0,
+    own: CharacteristicScales | None = None,
 ) -> Any:
     """Return a piece of a motion with impacts at times."""
     x = np.zeros(2)
@@ -74,7 +77,7 @@ def _run(
         impacts=struck,
         releases=releases * [None],
         zeno_points=zeno_points * [None],
-        own=own or OwnScale(),
+        own=own or CharacteristicScales(),
     )
 
 
@@ -111,7 +114,7 @@ def test_no_more_is_kept_than_four_times_the_longest_period() -> None:
 
 
 def test_sizes_are_those_of_the_last_piece() -> None:
-    own = OwnScale(sizes=(1e-3, 1.0))
+    own = CharacteristicScales(sizes=(1e-3, 1.0))
     assert _seen().after(_run(own=own), [], since=0.0).own == own
 
 
@@ -140,7 +143,7 @@ def test_a_period_of_several_returns_adds_their_times_and_takes_the_largest_size
     seen = _seen(returns=laps)
     found = seen._after_returns(3)
     assert found is not None
-    assert found.shape == OrbitShape.parsed("zeno*3")
+    assert found.shape == EventSequence.parsed("zeno*3")
     assert found.period == 2.0 + 3.0 + 4.0
     # From 1 to 2 in units of 16.
     assert found.change == 1 / 16
@@ -170,7 +173,7 @@ def test_impacts_are_one_period_once_as_many_have_repeated() -> None:
     seen = _seen(struck=struck)
     found = seen._after_impacts(2)
     assert found is not None
-    assert found.shape == OrbitShape.parsed("impact*2")
+    assert found.shape == EventSequence.parsed("impact*2")
     assert found.start.tolist() == [2.0, 20.5]
     assert found.period == 2.0
     # 1.125 against 1, in units of the largest, 2.
@@ -201,7 +204,7 @@ def test_a_state_that_vanishes_at_the_impacts_has_the_largest_size(
     assert found is not None
     assert found.change == pytest.approx(change)
     # In the problem's own sizes both are as large.
-    own = OwnScale(sizes=(1.0, 1e-12))
+    own = CharacteristicScales(sizes=(1.0, 1e-12))
     alone = _seen(struck=_struck((1.0, 0.0), (1.0, size)), own=own)._after_impacts(1)
     assert alone is not None
     assert alone.change == pytest.approx(1.0)
@@ -255,7 +258,7 @@ def test_states_of_returns_are_measured_in_the_problems_own_sizes() -> None:
     # Of a size of 1e-15 the state would be rounding beside another of 1.
     lap = _lap(1e-15, 2e-15, size=1e-15)
     assert _seen(returns=(lap,)).settled_to() is not None
-    assert _seen(returns=(lap,), own=OwnScale(sizes=(1e-15, 1.0))).settled_to() is None
+    assert _seen(returns=(lap,), own=CharacteristicScales(sizes=(1e-15, 1.0))).settled_to() is None
 
 
 @pytest.mark.parametrize("n", [1, 2, MOST_IMPACTS])
@@ -263,7 +266,7 @@ def test_the_shortest_number_of_impacts_that_repeats_is_the_period(n: int) -> No
     places = 4 * [(float(k), 1.0) for k in range(1, n + 1)]
     found = _seen(struck=_struck(*places)).settled_to()
     assert found is not None
-    assert found.shape == OrbitShape(phases=n * (PhaseKind.IMPACT,))
+    assert found.shape == EventSequence(phases=n * (PhaseKind.IMPACT,))
     assert found.change == 0.0
 
 
@@ -335,10 +338,10 @@ def test_without_returns_impacts_are_a_guess() -> None:
     struck = _struck((1.0, 1.0), (0.5, 1.0), (1.0, 1.0), (0.51, 1.0))
     found = _seen(struck=struck).nearest(usable=0.1)
     assert found is not None
-    assert found.shape == OrbitShape.parsed("impact*2")
+    assert found.shape == EventSequence.parsed("impact*2")
     once = _seen(struck=_struck((1.0, 1.0), (1.0625, 1.0))).nearest(usable=0.1)
     assert once is not None
-    assert once.shape == OrbitShape.parsed("impact")
+    assert once.shape == EventSequence.parsed("impact")
     longest = 2 * [(float(k), 1.0) for k in range(1, MOST_IMPACTS + 1)]
     found = _seen(struck=_struck(*longest)).nearest(usable=0.01)
     assert found is not None
@@ -358,9 +361,9 @@ def test_periods_of_the_wanted_shape_end_at_the_last_event() -> None:
     assert one.cycle is laps[-1]
     (two,) = _seen(returns=laps, wanted=ZENO_TWICE).of_wanted_shape()
     assert (two.period, two.change) == (2.0, 2.0)
-    assert _seen(returns=laps, wanted=OrbitShape.parsed("plastic")).of_wanted_shape() == []
+    assert _seen(returns=laps, wanted=EventSequence.parsed("plastic")).of_wanted_shape() == []
     struck = _struck((1.0, 1.0), (2.0, 1.0), (1.0, 1.0), (2.0, 1.0))
-    wanted = OrbitShape.parsed("impact*2")
+    wanted = EventSequence.parsed("impact*2")
     (struck_twice,) = _seen(struck=struck, wanted=wanted).of_wanted_shape()
     assert (struck_twice.shape, struck_twice.change) == (wanted, 0.0)
     assert _seen(struck=struck[:3], wanted=wanted).of_wanted_shape() == []

@@ -16,8 +16,8 @@ from zeno_orbits.model import Problem
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits import Bound
 from zeno_orbits.search import (
-    FastestContraction,
-    LeastEnergy,
+    MinEnergy,
+    MinSpectralRadius,
     NearestGains,
     Objective,
     SearchSettings,
@@ -282,7 +282,7 @@ def test_a_program_is_transcribed_on_the_mesh_that_is_asked_for(
 
 def test_at_fixed_numbers_nothing_is_kept_or_minimised(problem: Problem, made: _Made) -> None:
     bounds = (Bound(name="spectral_radius", upper=0.5), Bound(name="current", upper=1.0))
-    outcome = _once(_search(problem, free={}, bounds=bounds), FastestContraction())
+    outcome = _once(_search(problem, free={}, bounds=bounds), MinSpectralRadius())
     assert outcome.status is FOUND
     assert made.kept == []
     assert made.cost() == 0.0
@@ -297,9 +297,9 @@ def test_at_fixed_numbers_nothing_is_kept_or_minimised(problem: Problem, made: _
     ("objective", "bounds", "slope"),
     [
         (NEAREST, (), False),
-        (LeastEnergy(), (Bound(name="current", upper=1.0),), False),
+        (MinEnergy(), (Bound(name="current", upper=1.0),), False),
         (NEAREST, (Bound(name="spectral_radius", upper=0.5),), True),
-        (FastestContraction(), (), True),
+        (MinSpectralRadius(), (), True),
     ],
 )
 def test_the_return_map_is_carried_where_it_is_asked_for_and_has_no_second_derivatives(
@@ -310,7 +310,7 @@ def test_the_return_map_is_carried_where_it_is_asked_for_and_has_no_second_deriv
     bounds: tuple[Bound, ...],
     slope: bool,
 ) -> None:
-    monkeypatch.setattr(FastestContraction, "cost", lambda _, terms: terms.return_slope)
+    monkeypatch.setattr(MinSpectralRadius, "cost", lambda _, terms: terms.return_slope)
     _once(_search(problem, bounds=bounds), objective)
     assert [name for name, _ in made.kept] == [bound.name for bound in bounds]
     assert made.settings.hessian is (Hessian.LIMITED_MEMORY if slope else Hessian.EXACT)

@@ -14,14 +14,14 @@ from tests.support.searches import question_of
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Attractor, Fate
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import Bound, OrbitShape
+from zeno_orbits.orbits import Bound, EventSequence
 from zeno_orbits.search import (
-    FastestContraction,
+    MinSpectralRadius,
     NearestGains,
     SearchSettings,
     SearchStatus,
-    SettlingSettings,
     TargetPeriod,
+    TransientSettings,
     scan,
     search_orbits,
 )
@@ -38,7 +38,7 @@ def _search(problem: Problem, **changes: Any) -> SearchProblem:
     told: dict[str, Any] = {
         "values": problem.values(gains={"Kd": -1.0}),
         "free": {"Kd": BOX},
-        "objective": FastestContraction(),
+        "objective": MinSpectralRadius(),
     }
     return with_targets(question_of(problem, **told | changes))
 
@@ -118,7 +118,7 @@ def test_orbits_of_another_number_of_releases_are_no_starts_for_a_shape(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _landscape(monkeypatch, problem, lambda kd: _orbit(0.1, returns=2 if kd < -1.5 else 1))
-    search = _search(problem, shape=OrbitShape.parsed("zeno*2"))
+    search = _search(problem, shape=EventSequence.parsed("zeno*2"))
     assert _gains(search, start_order(search))[0] < -1.5
 
 
@@ -157,7 +157,7 @@ def test_the_fastest_contraction_of_the_whole_box_is_found_beyond_a_hill(problem
         problem,
         problem.values(),
         free={"Kd": (-1.9, -1.2)},
-        objective=FastestContraction(),
+        objective=MinSpectralRadius(),
     )
     assert result.candidates[0].score == LEAST_RADIUS
     # A scan in steps of 1e-4 by simulation: the multiplier passes zero between -1.5658 and -1.5657.
@@ -283,7 +283,7 @@ def test_places_are_asked_about_with_the_starts_and_the_wait_of_the_search(
 ) -> None:
     asked: list[Any] = []
     monkeypatch.setattr(scan, "_settled", lambda *arguments: asked.append(arguments) or ())
-    settings = SearchSettings(settling=SettlingSettings(horizon=9.0))
+    settings = SearchSettings(settling=TransientSettings(horizon=9.0))
     search = _search(problem, settings=settings, initial_states=({"theta1": 0.5},))
     scan._attractors(search)
     ((of, places, starts, until),) = asked
@@ -318,7 +318,7 @@ def test_places_with_an_orbit_come_first_and_those_that_are_decided_last(
     unknown = scan._rank(search, values, Attractor(fate=fate, returns=1))
     assert unknown == (max(group, 1), False, 0.0)
     monkeypatch.setattr(scan, "_scored", lambda *_: scan._Rank(0))
-    twice = _search(problem, shape=OrbitShape.parsed("zeno*2"))
+    twice = _search(problem, shape=EventSequence.parsed("zeno*2"))
     assert scan._rank(twice, values, Attractor(fate=fate, returns=1)).group == max(group, 1)
     assert scan._rank(twice, values, Attractor(fate=fate, returns=2)).group == group
 
@@ -347,7 +347,7 @@ def test_an_orbit_is_scored_by_what_a_map_tells_and_measured_for_the_rest(
     assert scan._scored(fastest, values, replace(seen, multipliers=())) == (0, False, 4.0)
     ((orbit, of, names, simulation),) = asked
     assert (orbit.period, of, names) == (2.5, problem, ["spectral_radius"])
-    assert simulation == SettlingSettings().simulation
+    assert simulation == TransientSettings().simulation
     swung = replace(fastest, bounds=(Bound(name="theta1", upper=3.5),))
     assert scan._scored(swung, values, seen) == (0, True, 0.25)
     assert asked[-1][2] == ["theta1"]
@@ -367,24 +367,24 @@ def test_a_period_of_an_attractor_has_its_returns_or_the_impacts_of_a_little_mor
     monkeypatch.setattr(
         scan, "simulate", lambda *a, **named: asked.append((a[1].tolist(), named)) or hits
     )
-    monkeypatch.setattr(scan, "placed", lambda _machine, _shape, x: x)
+    monkeypatch.setattr(scan, "place_on_section", lambda _machine, _shape, x: x)
     monkeypatch.setattr(scan, "cycle_of", lambda *a, **named: (a[1].tolist(), a[2], named))
     search, values, state = _search(problem), problem.values(), {"theta1": 0.5}
     start = list(problem.state_vector(state))
-    settings = SettlingSettings().simulation
+    settings = TransientSettings().simulation
     named = {"horizon": 4.0, "settings": settings}
     seen = _orbit(0.5, returns=2, state=state)
     found: Any = scan.cycle_at(search, values, seen)
-    assert found == (start, OrbitShape.parsed("zeno*2"), named)
+    assert found == (start, EventSequence.parsed("zeno*2"), named)
     assert asked == []
     struck = _orbit(0.5, fate=Fate.NO_ZENO, returns=0, state=state)
     found = scan.cycle_at(search, values, struck)
-    assert found == (start, OrbitShape.parsed("impact*3"), named)
+    assert found == (start, EventSequence.parsed("impact*3"), named)
     # The last impact is that at the end of the period, which rounding may put after it.
     assert asked == [(start, {"until": pytest.approx(2.002), "settings": settings})]
     simple = _orbit(0.5, fate=Fate.SIMPLE, state=state)
     found = scan.cycle_at(search, values, simple)
-    assert found[1] == OrbitShape.parsed("plastic")
+    assert found[1] == EventSequence.parsed("plastic")
 
 
 def test_a_valley_is_no_worse_than_the_two_nearest_orbits_for_each_number() -> None:

@@ -20,17 +20,17 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem, load_reference
 from zeno_orbits.orbits import ONE_ZENO, ZenoOrbit
 from zeno_orbits.search import (
-    FastestContraction,
-    Judgement,
-    LeastEnergy,
+    MinEnergy,
+    MinSpectralRadius,
     NearestGains,
     OrbitNotFoundError,
     SearchResult,
     SearchSettings,
     SearchStatus,
-    SettlingSettings,
     TargetAmplitude,
     TargetPeriod,
+    TransientSettings,
+    Verdict,
     orbit_at_gains,
     search_orbits,
 )
@@ -39,7 +39,7 @@ from zeno_orbits.verification import OrbitCertificate, VerificationSettings, ver
 
 ACCURACY = 1e-8
 """What is promised of an orbit; the first one is within 1e-11 of the declared numbers."""
-IMPATIENT = SearchSettings(settling=SettlingSettings(horizon=40.0))
+IMPATIENT = SearchSettings(settling=TransientSettings(horizon=40.0))
 
 
 def _one_period(orbit: ZenoOrbit, problem: Problem) -> Execution:
@@ -175,7 +175,7 @@ def test_less_energy_is_found_where_gains_may_give(
 ) -> None:
     once = SearchSettings(n_starts=0)
     result = search_orbits(
-        problem, problem.values(), free={"Kd": (-1.1, -0.9)}, objective=LeastEnergy(), settings=once
+        problem, problem.values(), free={"Kd": (-1.1, -0.9)}, objective=MinEnergy(), settings=once
     )
     orbit = result.unwrap()
     spent = verify(orbit, problem, settings=VerificationSettings(n_periods=1)).energies
@@ -249,9 +249,9 @@ def test_orbits_are_looked_for_from_the_given_states_alone(problem: Problem) -> 
 def test_an_orbit_that_nobody_accepts_is_not_returned(problem: Problem) -> None:
     seen: list[ZenoOrbit] = []
 
-    def refuse(orbit: ZenoOrbit) -> Judgement:
+    def refuse(orbit: ZenoOrbit) -> Verdict:
         seen.append(orbit)
-        return Judgement(objection="it is too plain")
+        return Verdict(objection="it is too plain")
 
     result = search_orbits(
         problem,
@@ -273,7 +273,7 @@ def test_progress_is_told_in_order(problem: Problem) -> None:
         problem,
         problem.values(),
         free={},
-        accept=lambda _: Judgement(),
+        accept=lambda _: Verdict(),
         on_progress=lambda stage, _: told.append(stage),
     )
     assert result.status is SearchStatus.FOUND
@@ -351,7 +351,7 @@ def test_the_last_orbit_on_the_way_to_an_optimum_is_kept_where_the_way_is_lost()
         pendulum,
         values,
         free={"Kp": (2.2, 3.0), "Kd": (-1.2, -0.9)},
-        objective=FastestContraction(),
+        objective=MinSpectralRadius(),
         settings=SearchSettings(n_starts=0, ipopt=HASTY),
     )
     assert "The way to the fastest contraction was lost" in result.detail

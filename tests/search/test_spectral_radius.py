@@ -15,8 +15,8 @@ from tests.support.hand_made import SCALE, K, course, hand_made, rows_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, bind, load_problem
-from zeno_orbits.orbits import orbit_multipliers, placed
-from zeno_orbits.search import TranscriptionSettings, close_orbit
+from zeno_orbits.orbits import orbit_multipliers, place_on_section
+from zeno_orbits.search import TranscriptionSettings, orbit_by_shooting
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.transcription import spectral_radius
 from zeno_orbits.search.transcription.closure import closures_of
@@ -39,10 +39,10 @@ def _terms(
 ) -> tuple[OrbitTerms, Vector]:
     """Return the terms of an orbit's program, and its multipliers by differences."""
     values = problem.values().replaced(numbers)
-    orbit = close_orbit(problem, values).unwrap()
+    orbit = orbit_by_shooting(problem, values).unwrap()
     compiled = problem.compiled()
     dynamics = bind(compiled, values.vector)
-    start = placed(dynamics, orbit.shape, np.array(list(orbit.start_state.values())))
+    start = place_on_section(dynamics, orbit.shape, np.array(list(orbit.start_state.values())))
     cycle = one_cycle(dynamics, start, 2 * orbit.period, orbit.shape)
     assert cycle is not None
     terms = transcribe(

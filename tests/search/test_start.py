@@ -15,12 +15,12 @@ from zeno_orbits.model import Problem
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits import Bound
 from zeno_orbits.search import (
-    FastestContraction,
-    Judgement,
-    LeastEnergy,
+    MinEnergy,
+    MinSpectralRadius,
     SearchSettings,
     SearchStatus,
     TargetPeriod,
+    Verdict,
     scan,
 )
 from zeno_orbits.search import start as starts
@@ -58,8 +58,8 @@ def _certificate(*multipliers: complex, passed: bool = True, stable: bool = Fals
     return SimpleNamespace(passed=passed, stable=stable, multipliers=multipliers)
 
 
-def _repelled(*multipliers: complex) -> Judgement:
-    return Judgement(objection="It repels.", certificate=_certificate(*multipliers))
+def _repelled(*multipliers: complex) -> Verdict:
+    return Verdict(objection="It repels.", certificate=_certificate(*multipliers))
 
 
 @pytest.fixture(name="ways")
@@ -124,7 +124,7 @@ def test_the_box_is_looked_at_when_a_start_needs_it_and_once(
     assert ordered == replace(search, order=(2, 0, 1))
     assert told == ["simulating points of the whole box"]
     assert scanned(ordered, 2) is ordered
-    optimum = _search(problem, objective=LeastEnergy())
+    optimum = _search(problem, objective=MinEnergy())
     assert scanned(optimum, 0).order == (2, 0, 1)
     assert len(looked) == 2
 
@@ -197,13 +197,13 @@ def test_a_start_tells_its_numbers_and_keeps_its_candidate_alone(
 ) -> None:
     told: list[str] = []
     search = _search(
-        problem, objective=LeastEnergy(), on_progress=lambda stage, _: told.append(stage)
+        problem, objective=MinEnergy(), on_progress=lambda stage, _: told.append(stage)
     )
     search = replace(search, order=(0, 1), bounds=(Bound(name="period", upper=2.0),))
     there = problem.values(gains={"Kp": 3.5})
     asked = ways(lambda *_: _found(there), measured={"energy": 4.0, "period": 1.5})
     certificate = _certificate(0.5, stable=True)
-    outcome = try_start(search, 0, lambda _: Judgement(certificate=certificate))
+    outcome = try_start(search, 0, lambda _: Verdict(certificate=certificate))
     assert outcome.start == {"Kp": 2.5}
     assert outcome.solution is None
     assert outcome.candidate is not None
@@ -230,7 +230,7 @@ def test_nothing_is_measured_of_an_orbit_of_which_nothing_is_asked(
     assert (outcome.candidate.score, outcome.candidate.certificate) == (0.0, None)
     assert outcome.candidate.extents == {}
     # At fixed numbers an objective has nothing to choose, but bounds are kept.
-    fixed = _search(problem, free={}, objective=LeastEnergy())
+    fixed = _search(problem, free={}, objective=MinEnergy())
     bounded = replace(fixed, bounds=(Bound(name="period", upper=2.0),))
     assert try_start(fixed, 0, None).candidate is not None
     assert len(asked) == 2
@@ -244,7 +244,7 @@ def test_an_orbit_beyond_a_bound_is_refused_before_it_is_checked(
     ways(lambda *_: _found(problem.values()), measured={"period": 2.5})
     search = _search(problem, bounds=(Bound(name="period", upper=2.0),))
 
-    def never(_orbit: Any) -> Judgement:
+    def never(_orbit: Any) -> Verdict:
         raise AssertionError
 
     outcome = try_start(search, 0, never)
@@ -261,7 +261,7 @@ def test_an_orbit_that_cannot_be_measured_is_refused_with_the_reason(
         raise ZenoOrbitsError("It falls over.")
 
     monkeypatch.setattr(starts, "measure", fails)
-    outcome = try_start(_search(problem, objective=LeastEnergy()), 0, None)
+    outcome = try_start(_search(problem, objective=MinEnergy()), 0, None)
     assert (outcome.status, outcome.detail) == (REFUSED, "It falls over.")
 
 
@@ -270,7 +270,7 @@ def test_a_start_without_an_orbit_is_not_judged(
     problem: Problem, ways: Any, status: SearchStatus
 ) -> None:
     ways(lambda *_: _found(problem.values(), status=status, detail="So."))
-    outcome = try_start(_search(problem), 2, lambda _: Judgement(objection="never"))
+    outcome = try_start(_search(problem), 2, lambda _: Verdict(objection="never"))
     assert (outcome.status, outcome.detail) == (status, "So.")
     ways(lambda *_: StartOutcome(status=FOUND))
     assert try_start(_search(problem), 0, None) == StartOutcome(status=FOUND, start={"Kp": 2.5})
@@ -288,8 +288,8 @@ def test_a_start_without_an_orbit_is_not_judged(
 def test_an_orbit_repels_that_passes_but_is_refused_for_its_stability(
     certificate: Any, repels: bool
 ) -> None:
-    assert Judgement(objection="No.", certificate=certificate).repels is repels
-    assert Judgement(certificate=certificate).repels is False
+    assert Verdict(objection="No.", certificate=certificate).repels is repels
+    assert Verdict(certificate=certificate).repels is False
 
 
 # Where the best orbit of all does not attract.
@@ -300,10 +300,10 @@ def _place(outcome: StartOutcome) -> float:
     return outcome.candidate.orbit.values(None).gains["Kp"]  # type: ignore[arg-type]
 
 
-def _stable_below(limit: float, *multipliers: complex) -> Callable[[Any], Judgement]:
-    def accept(orbit: Any) -> Judgement:
+def _stable_below(limit: float, *multipliers: complex) -> Callable[[Any], Verdict]:
+    def accept(orbit: Any) -> Verdict:
         stable = orbit.values(None).gains["Kp"] < limit
-        return Judgement() if stable else _repelled(*multipliers)
+        return Verdict() if stable else _repelled(*multipliers)
 
     return accept
 
@@ -384,7 +384,7 @@ def test_a_refusal_stands_where_nothing_attracts_or_stability_is_asked_for_alrea
         outcome = try_start(search, 0, repelled)
         assert (outcome.status, outcome.detail, outcome.repels) == (REFUSED, "It repels.", True)
         assert len(asked) == words
-    optimum = _search(problem, objective=FastestContraction())
+    optimum = _search(problem, objective=MinSpectralRadius())
     outcome = try_start(replace(optimum, order=(0, 1)), 0, repelled)
     assert (outcome.status, outcome.detail, outcome.repels) == (REFUSED, "It repels.", True)
 
@@ -402,7 +402,7 @@ def test_an_orbit_that_is_refused_for_another_reason_is_not_replaced(
     problem: Problem, ways: Any
 ) -> None:
     asked = ways(lambda *_: _found(problem.values()))
-    outcome = try_start(_search(problem), 0, lambda _: Judgement(objection="Ugly."))
+    outcome = try_start(_search(problem), 0, lambda _: Verdict(objection="Ugly."))
     assert (outcome.status, outcome.detail, len(asked)) == (REFUSED, "Ugly.", 1)
 
 

@@ -14,9 +14,9 @@ from tests.support.searches import question_of
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits import ONE_ZENO, Bound, OrbitShape, ZenoOrbit, cycles
+from zeno_orbits.orbits import ONE_ZENO, Bound, EventSequence, ZenoOrbit, cycles
 from zeno_orbits.search import (
-    LeastEnergy,
+    MinEnergy,
     NearestGains,
     SearchSettings,
     TargetAmplitude,
@@ -24,7 +24,7 @@ from zeno_orbits.search import (
     at_ends,
     strategy,
 )
-from zeno_orbits.search.homotopy.homotopy import homotopy
+from zeno_orbits.search.homotopy import homotopy
 from zeno_orbits.search.homotopy.line import Followed
 from zeno_orbits.search.objectives import TowardTarget
 from zeno_orbits.search.outcome import SearchStatus, SimulatedSolution, StartOutcome
@@ -176,12 +176,12 @@ def test_the_slope_is_taken_where_returns_alone_lead_away(
 
     section = SimpleNamespace(dimension=2)
     monkeypatch.setattr(fixed_point, "section_around", lambda *_: section)
-    monkeypatch.setattr(fixed_point, "placed", lambda _dynamics, _shape, state: state)
+    monkeypatch.setattr(fixed_point, "place_on_section", lambda _dynamics, _shape, state: state)
     monkeypatch.setattr(fixed_point, "_tried", tried)
-    monkeypatch.setattr(fixed_point, "return_slope", exact)
+    monkeypatch.setattr(fixed_point, "poincare_jacobian", exact)
     machine: Any = SimpleNamespace(restitution=0.2)
     settings: Any = None
-    found = fixed_point.close_cycle(
+    found = fixed_point.newton_on_return_map(
         machine, np.zeros(2), scale=np.ones(2), period=1.0, settings=settings, slope=slope
     )
     assert found.cycle.start.state == pytest.approx([0.01, 0.01], abs=1e-14)
@@ -193,7 +193,7 @@ def test_the_slope_is_taken_where_returns_alone_lead_away(
 FOUND, UNSOLVED = SearchStatus.FOUND, SearchStatus.NOT_SOLVED
 
 
-def _period(name: str = "period", *, shape: OrbitShape = ONE_ZENO, length: float = 2.0) -> Any:
+def _period(name: str = "period", *, shape: EventSequence = ONE_ZENO, length: float = 2.0) -> Any:
     """Return a period as far as ways look at it; each is told from the others by its name."""
     return SimpleNamespace(
         name=name, shape=shape, period=length, start=SimpleNamespace(state=np.array([1.0, 2.0]))
@@ -327,11 +327,11 @@ def test_a_motion_is_simulated_once_more_over_one_period_or_told_why_not(
     problem: Problem, ways: Ways
 ) -> None:
     cycle, again = _period("loose", length=3.0), _period("exact")
-    ways.tell("settle", FollowedMotion(cycle=cycle))
+    ways.tell("run_to_attractor", FollowedMotion(cycle=cycle))
     ways.tell("one_cycle", again)
     search, values = _asked(problem), problem.values()
     assert strategy.simulated(search, values).cycle is again
-    ((_, starts, settling, shape, of),) = ways.asked("settle")
+    ((_, starts, settling, shape, of),) = ways.asked("run_to_attractor")
     assert starts == [problem.state_vector({"theta1": 0.6})]
     assert (settling, shape, of) == (search.settings.settling, None, problem)
     ((_, state, horizon, kind),) = ways.asked("one_cycle")
@@ -340,7 +340,7 @@ def test_a_motion_is_simulated_once_more_over_one_period_or_told_why_not(
     ways.tell("one_cycle", None)
     assert strategy.simulated(search, values).cycle is cycle
     nothing = FollowedMotion(cycle=None, reason="it rests")
-    ways.tell("settle", nothing)
+    ways.tell("run_to_attractor", nothing)
     assert strategy.simulated(search, values) is nothing
 
 
@@ -350,9 +350,9 @@ def test_a_motion_is_simulated_once_more_over_one_period_or_told_why_not(
 def test_a_period_of_a_wanted_shape_or_of_several_phases_is_closed_first(
     problem: Problem, ways: Ways, wanted: Any, settled: str
 ) -> None:
-    cycle = _period(shape=OrbitShape.parsed(settled))
+    cycle = _period(shape=EventSequence.parsed(settled))
     nearer = FollowedMotion(cycle=_period("nearer"))
-    ways.tell("settle", FollowedMotion(cycle=cycle))
+    ways.tell("run_to_attractor", FollowedMotion(cycle=cycle))
     ways.tell("_brought_nearer", nearer)
     search = _asked(problem, shape=wanted)
     assert strategy.simulated(search, problem.values()) is nearer
@@ -365,12 +365,12 @@ def test_a_period_that_closes_is_taken_and_one_that_does_not_is_left_as_it_is(
 ) -> None:
     search, cycle, near = _asked(problem), _period(), _period("near", length=4.0)
     machine: Any = SimpleNamespace()
-    ways.tell("close_near", ZenoOrbitsError("It does not close."))
+    ways.tell("newton_from_cycle", ZenoOrbitsError("It does not close."))
     assert strategy._brought_nearer(search, machine, cycle) == FollowedMotion(cycle=cycle)
-    ways.tell("close_near", SimpleNamespace(cycle=near))
-    ways.tell("gone_round_twice", None)
+    ways.tell("newton_from_cycle", SimpleNamespace(cycle=near))
+    ways.tell("minimal_period", None)
     assert strategy._brought_nearer(search, machine, cycle) == FollowedMotion(cycle=near)
-    assert ways.asked("gone_round_twice") == [[near]]
+    assert ways.asked("minimal_period") == [[near]]
 
 
 def test_a_period_that_is_gone_round_twice_is_halved_unless_that_shape_is_wanted(
@@ -378,8 +378,8 @@ def test_a_period_that_is_gone_round_twice_is_halved_unless_that_shape_is_wanted
 ) -> None:
     cycle, near, once = _period(), _period("near", length=4.0), _period("once")
     machine: Any = SimpleNamespace()
-    ways.tell("close_near", SimpleNamespace(cycle=near))
-    ways.tell("gone_round_twice", ONE_ZENO)
+    ways.tell("newton_from_cycle", SimpleNamespace(cycle=near))
+    ways.tell("minimal_period", ONE_ZENO)
     ways.tell("round_again", "The orbit is gone round twice.")
     ways.tell("one_cycle", once)
     assert strategy._brought_nearer(_asked(problem), machine, cycle).cycle is once
@@ -388,7 +388,7 @@ def test_a_period_that_is_gone_round_twice_is_halved_unless_that_shape_is_wanted
     assert (state.tolist(), horizon, shape) == ([1.0, 2.0], 4.0, ONE_ZENO)
     ways.tell("one_cycle", None)
     assert strategy._brought_nearer(_asked(problem), machine, cycle).cycle is near
-    wanted = _asked(problem, shape=OrbitShape.parsed("zeno*2"))
+    wanted = _asked(problem, shape=EventSequence.parsed("zeno*2"))
     found = strategy._brought_nearer(wanted, machine, cycle)
     assert found == FollowedMotion(cycle=None, reason="the orbit is gone round twice")
 
@@ -398,7 +398,7 @@ def test_an_orbit_that_simulation_closes_is_found_with_what_is_left_of_its_miss(
 ) -> None:
     search, values, found = _asked(problem, free={}), problem.values(), _period("closed")
     orbit: Any = SimpleNamespace()
-    ways.tell("close_near", SimpleNamespace(cycle=found, miss=3e-13))
+    ways.tell("newton_from_cycle", SimpleNamespace(cycle=found, miss=3e-13))
     ways.tell("round_again", "")
     ways.tell("escape_of", "")
     ways.tell("orbit_of", orbit)
@@ -410,7 +410,7 @@ def test_an_orbit_that_simulation_closes_is_found_with_what_is_left_of_its_miss(
         values=values, cycle=found, unknowns={}, orbit=orbit, excesses={}
     )
     assert ways.asked("orbit_of") == [[found, problem, values]]
-    ((_, _, settings),) = ways.asked("close_near")
+    ((_, _, settings),) = ways.asked("newton_from_cycle")
     usual = SimulationSettings().tolerance
     assert settings.tolerance.relative == pytest.approx(usual.relative / 100, rel=1e-9, abs=0.0)
     for name in ("round_again", "escape_of"):
@@ -421,7 +421,7 @@ def test_an_orbit_that_simulation_closes_is_found_with_what_is_left_of_its_miss(
     target = replace(search, objective=TargetPeriod(target=1.0))
     assert strategy._closed(target, values, _period()) is None
     assert strategy._closed(search, values, _period()) is not None
-    ways.tell("close_near", ZenoOrbitsError("It does not close."))
+    ways.tell("newton_from_cycle", ZenoOrbitsError("It does not close."))
     assert strategy._closed(search, values, _period()) is None
 
 
@@ -554,9 +554,7 @@ def test_an_objective_is_reached_in_small_steps_where_one_program_fails(
     problem: Problem, ways: Ways
 ) -> None:
     told: list[str] = []
-    search = _asked(
-        problem, objective=LeastEnergy(), on_progress=lambda stage, _: told.append(stage)
-    )
+    search = _asked(problem, objective=MinEnergy(), on_progress=lambda stage, _: told.append(stage))
     here, there = problem.values(), problem.values(gains={"Kp": 3.0})
     cycle, last = _period(), _period("last")
     ways.tell("refine", *_refined(UNSOLVED, FOUND))
@@ -585,7 +583,7 @@ def test_where_no_orbit_keeps_the_bounds_the_one_that_does_nearly_is_told(
     problem: Problem, ways: Ways
 ) -> None:
     bounds = (Bound(name="period", upper=2.0),)
-    search = _asked(problem, objective=LeastEnergy(), bounds=bounds)
+    search = _asked(problem, objective=MinEnergy(), bounds=bounds)
     here, there = problem.values(), problem.values(gains={"Kp": 3.0})
     cycle, last = _period(), _period("last")
     ways.tell("refine", replace(_refined(UNSOLVED)[0], iterations=7))

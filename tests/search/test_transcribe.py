@@ -15,7 +15,7 @@ from tests.reference.reference_orbit import PERIOD, RELEASE, ZENO_TIME
 from tests.support.mechanisms import clocked_oscillator
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, bind
-from zeno_orbits.orbits import Cycle, OrbitShape, cycles
+from zeno_orbits.orbits import Cycle, EventSequence, cycles
 from zeno_orbits.search import SearchStatus, TranscriptionSettings, orbit_at_gains
 from zeno_orbits.search.transcription import transcribe as transcription
 from zeno_orbits.search.transcription.closure import closures_of
@@ -313,7 +313,7 @@ def _put_together(
     monkeypatch.setattr(transcription, "PhaseWriter", _Writer)
     cycle: Any = SimpleNamespace(
         phases=tuple(f"phase {k}" for k in range(n)),
-        shape=OrbitShape.parsed(f"zeno*{n}"),
+        shape=EventSequence.parsed(f"zeno*{n}"),
         start=SimpleNamespace(state="the start"),
     )
     closures: Any = [f"closure {k}" for k in range(n if n_closures is None else n_closures)]
@@ -441,5 +441,5 @@ def test_the_law_of_impact_depends_on_what_is_free_only_if_it_does(
 def test_a_phase_starts_at_a_release_if_the_one_before_it_holds(
     text: str, blocks: list[str]
 ) -> None:
-    shape = OrbitShape.parsed(text)
+    shape = EventSequence.parsed(text)
     assert [start_block(shape, k) for k in range(shape.n_phases)] == blocks

@@ -10,7 +10,7 @@ from tests.support.units import PENDULUM, Units
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound
 from zeno_orbits.search import (
-    LeastPeak,
+    MinPeak,
     NearestGains,
     Objective,
     SearchSettings,
@@ -62,7 +62,7 @@ def test_an_orbit_is_followed_to_other_gains(problem: Problem, units: Units) -> 
 @pytest.mark.parametrize(
     ("objective", "bound"),
     [
-        (LeastPeak(signal="current"), ("locked_time", 0.485, (0, 0, 1))),
+        (MinPeak(signal="current"), ("locked_time", 0.485, (0, 0, 1))),
         (TargetAmplitude(state="theta1", target=1.59), ("period", 1.8, (0, 0, 1))),
         (NearestGains(target={}), ("first_impact_speed", 17.1, (0, 0, -1))),
     ],

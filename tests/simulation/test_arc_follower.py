@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError
-from zeno_orbits.integrators import Leg, Outcome, Passage, Tolerance
-from zeno_orbits.model import OwnScale
+from zeno_orbits.integrators import Segment, SegmentResult, Termination, Tolerance
+from zeno_orbits.model import CharacteristicScales
 from zeno_orbits.simulation import Ending, Mode
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 
-OWN = OwnScale(gap=2.0, multiplier=5.0, gap_acceleration=8.0)
+OWN = CharacteristicScales(gap=2.0, multiplier=5.0, gap_acceleration=8.0)
 TOLERANCE = Tolerance(relative=1e-7, absolute=1e-8)
 UNTIL = 10.0
 NAMES = ("a", "b", "da", "db", "current")
@@ -25,15 +25,15 @@ STATE = np.array([0.1, -0.2, 3.0, -4.0, 50.0])
 class Told:
     """An engine that gives one answer, and keeps what it was asked."""
 
-    leg: Leg
+    leg: Segment
 
-    def __init__(self, outcome: Outcome, duration: float) -> None:
+    def __init__(self, outcome: Termination, duration: float) -> None:
         self.outcome, self.duration = outcome, duration
         self.trajectory: Any = object()
 
-    def follow(self, leg: Leg) -> Passage:
+    def follow(self, leg: Segment) -> SegmentResult:
         self.leg = leg
-        return Passage(
+        return SegmentResult(
             outcome=self.outcome,
             duration=self.duration,
             state=2 * leg.y,
@@ -63,7 +63,7 @@ def follow(engine: Told, start: ArcStart, **limits: Any) -> tuple[Any, Any, ArcF
 
 @pytest.mark.parametrize(("mode", "rounding"), [(Mode.FREE, 2e-3), (Mode.LOCKED, 5e-3)])
 def test_an_arc_that_ends_at_its_guard_has_its_natural_ending(mode: Mode, rounding: float) -> None:
-    engine = Told(Outcome.FALL, 1.5)
+    engine = Told(Termination.FALL, 1.5)
     arc, state, _ = follow(engine, ArcStart(mode=mode, time=4.0, state=STATE))
     leg = engine.leg
     assert (leg.flow, leg.on_guard, leg.tolerance) == ("flow", True, TOLERANCE)
@@ -77,7 +77,7 @@ def test_an_arc_that_ends_at_its_guard_has_its_natural_ending(mode: Mode, roundi
 
 
 def test_a_rescaled_flight_counts_in_its_speed_and_carries_its_scaled_gap() -> None:
-    engine = Told(Outcome.FALL, 3.0)
+    engine = Told(Termination.FALL, 3.0)
     arc, state, _ = follow(engine, ArcStart(mode=Mode.FREE, time=4.0, state=STATE, speed=0.5))
     leg = engine.leg
     assert leg.y.tolist() == [*STATE.tolist(), 0.0, 1.0]
@@ -88,7 +88,7 @@ def test_a_rescaled_flight_counts_in_its_speed_and_carries_its_scaled_gap() -> N
 
 
 def test_an_arc_that_time_cuts_ends_exactly_then() -> None:
-    engine = Told(Outcome.HORIZON, 6.0 - 1e-12)
+    engine = Told(Termination.HORIZON, 6.0 - 1e-12)
     arc, _, _ = follow(engine, ArcStart(mode=Mode.FREE, time=4.0, state=STATE))
     assert (arc.end_time, arc.ending) == (UNTIL, Ending.HORIZON)
 
@@ -96,13 +96,13 @@ def test_an_arc_that_time_cuts_ends_exactly_then() -> None:
 def test_an_arc_that_leaves_the_admissible_set_tells_when_and_where() -> None:
     start = ArcStart(mode=Mode.FREE, time=4.0, state=STATE, speed=0.5)
     with pytest.raises(PenetrationError) as caught:
-        follow(Told(Outcome.LEFT, 3.0), start)
+        follow(Told(Termination.LEFT, 3.0), start)
     assert caught.value.time == 5.5
     assert caught.value.state == tuple((2 * STATE).tolist())
 
 
 def test_a_motion_is_gone_beyond_the_bound_of_any_of_its_coordinates() -> None:
-    engine = Told(Outcome.FALL, 1.0)
+    engine = Told(Termination.FALL, 1.0)
     start = ArcStart(mode=Mode.FREE, time=4.0, state=STATE, speed=0.5)
     for far, reach in ((3.0, [3.0, 3.0]), ((3.0, 9.0), [3.0, 9.0]), ((math.inf, 9.0), None)):
         _, _, one = follow(engine, start, far=far)

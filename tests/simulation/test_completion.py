@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.mechanisms import fading_ball
 from zeno_orbits.integrators import RungeKutta
-from zeno_orbits.model import HybridDynamics, OwnScale
+from zeno_orbits.model import CharacteristicScales, HybridDynamics
 from zeno_orbits.simulation import (
     FixedImpacts,
     TailEstimate,
@@ -145,7 +145,9 @@ class _Asked:
         del dynamics
         self.flights.append(given)
 
-    def is_settled(self, estimates: Sequence[TailEstimate], e: float, own: OwnScale) -> bool:
+    def is_settled(
+        self, estimates: Sequence[TailEstimate], e: float, own: CharacteristicScales
+    ) -> bool:
         del e, own
         return len(estimates) >= self.settled
 
@@ -166,7 +168,7 @@ def _far(n: int, e: float = 0.9, **last: float) -> list[TailEstimate]:
 def test_the_curve_is_asked_for_from_the_last_impact_with_the_flights_that_are_left(
     asked: _Asked,
 ) -> None:
-    dynamics = replace(_machine(0.9), scaling=lambda: OwnScale(sizes=(1.0, 1e-3)))
+    dynamics = replace(_machine(0.9), scaling=lambda: CharacteristicScales(sizes=(1.0, 1e-3)))
     estimates = _far(6)
     engine = RungeKutta(largest_step=0.5)
     rule = ZenoPassage(tolerance=1e-9, resolved=1e-6, engine=engine)

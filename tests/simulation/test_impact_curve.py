@@ -12,18 +12,18 @@ import pytest
 from tests.support.mechanisms import bead_on_disc, fading_ball
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import RungeKutta, Tolerance, doubled_nodes, radau_nodes
-from zeno_orbits.model import HybridDynamics, OwnScale
+from zeno_orbits.model import CharacteristicScales, HybridDynamics
 from zeno_orbits.simulation.zeno import impact_curve
 from zeno_orbits.simulation.zeno.impact_curve import (
     CurveEnd,
     CurveLostError,
+    CurvePiece,
     ImpactCurve,
-    Piece,
     converged,
     correction,
     differentiated,
     iterated,
-    refined,
+    refined_piece,
     relative,
     start_at,
     straight_piece,
@@ -51,7 +51,7 @@ def _no_flight(state_plus: Vector, speed: float) -> tuple[float, Vector, float] 
 
 
 def test_points_are_measured_in_the_sizes_of_the_problem() -> None:
-    own = OwnScale(time=100.0, sizes=(10.0, 1.0, 5.0))
+    own = CharacteristicScales(time=100.0, sizes=(10.0, 1.0, 5.0))
     curve = _curve(replace(fading_ball(WEIGHT, 0.0, E), scaling=lambda: own))
     x = np.array([20.0, 3.0, -10.0, 4.0])
     point = curve.scaled(x, 300.0)
@@ -64,7 +64,7 @@ class _Falling:
     """A stop onto which every move leaves one more of some gaps."""
 
     gaps: tuple[float, ...]
-    own: OwnScale
+    own: CharacteristicScales
     moves: int = 0
     state_names: tuple[str, ...] = ("x", "v")
 
@@ -91,7 +91,7 @@ class _Falling:
 def test_a_state_is_moved_onto_the_stop_until_its_gap_is_rounding(
     gaps: tuple[float, ...], moves: int
 ) -> None:
-    stop = _Falling(gaps=gaps, own=OwnScale(time=7.0, gap=2.0, sizes=(10.0, 5.0)))
+    stop = _Falling(gaps=gaps, own=CharacteristicScales(time=7.0, gap=2.0, sizes=(10.0, 5.0)))
     curve = ImpactCurve(cast("HybridDynamics", stop), _no_flight, 0)
     assert curve.on_stop(np.array([30.0, -50.0])).tolist() == [30.0, -50.0]
     assert stop.moves == moves
@@ -102,7 +102,7 @@ def test_a_state_is_moved_onto_the_stop_until_its_gap_is_rounding(
 
 @pytest.mark.parametrize("w", [0.0, 1e-2, 0.3])
 def test_the_slope_of_a_ball_of_constant_weight_is_the_same_at_every_speed(w: float) -> None:
-    own = OwnScale(time=4.0, sizes=(1.0, 2.0, 1.0, 1.0))
+    own = CharacteristicScales(time=4.0, sizes=(1.0, 2.0, 1.0, 1.0))
     dynamics = replace(fading_ball(WEIGHT, 0.0, E), scaling=lambda: own)
     curve = _curve(dynamics)
     slope, fall = curve.slope(np.array([0.0, 0.7, 0.0, 1.5, 9.0]), w)
@@ -193,7 +193,7 @@ def test_directions_on_the_stop_are_seen_however_large_the_state(clock: float) -
 
 def test_directions_on_a_curved_stop_keep_gap_and_gap_rate_in_the_sizes_of_the_problem() -> None:
     sizes = np.array([2.0, 0.5, 4.0, 0.25])
-    own = OwnScale(time=8.0, sizes=tuple(sizes.tolist()))
+    own = CharacteristicScales(time=8.0, sizes=tuple(sizes.tolist()))
     curve = _curve(replace(bead_on_disc(E), scaling=lambda: own))
     x, y, along = 0.6, 0.8, 0.5
     basis = curve.tangents(np.append(np.array([x, y, along * y, -along * x]) / sizes, 3.0))
@@ -286,12 +286,12 @@ def _start(w: float = 0.9) -> CurveEnd:
     )
 
 
-def _places(piece: Piece) -> Vector:
+def _places(piece: CurvePiece) -> Vector:
     """Return the points at the nodes of a piece."""
     return piece.start.z + piece.length * piece.nodes.integral @ piece.slopes
 
 
-def _off(piece: Piece) -> float:
+def _off(piece: CurvePiece) -> float:
     """Return by how much a piece misses the law at its nodes."""
     speeds = piece.speeds(piece.nodes.places)
     slopes, falls = _linear().slopes(_places(piece), speeds)
@@ -366,7 +366,7 @@ def test_a_piece_at_more_nodes_is_the_same_polynomial() -> None:
         falls=at(nodes.places, np.array([0.4, -0.3, 0.0, 0.0])),
         changes=(1.0, 0.5),
     )
-    finer = refined(piece, 7)
+    finer = refined_piece(piece, 7)
     places = radau_nodes(7).places
     assert finer.nodes is radau_nodes(7)
     assert finer.slopes == pytest.approx(at(places, slopes), abs=ROUNDING)
@@ -422,13 +422,13 @@ def test_further_iterations_change_what_a_series_of_the_last_two_would(
     assert piece.rest == pytest.approx(rest, rel=1e-12)
 
 
-Scripted = Callable[[ImpactCurve, Piece], Piece]
+Scripted = Callable[[ImpactCurve, CurvePiece], CurvePiece]
 
 
 def _scripted(*changes: float) -> Scripted:
     left = list(changes)
 
-    def one(_curve: ImpactCurve, piece: Piece) -> Piece:
+    def one(_curve: ImpactCurve, piece: CurvePiece) -> CurvePiece:
         return replace(piece, changes=(*piece.changes, left.pop(0)))
 
     return one
@@ -471,7 +471,7 @@ def test_iterations_that_do_not_converge_are_lost(
     made: list[float] = []
     one = _scripted(*changes)
 
-    def counted(curve: ImpactCurve, piece: Piece) -> Piece:
+    def counted(curve: ImpactCurve, piece: CurvePiece) -> CurvePiece:
         after = one(curve, piece)
         made.append(after.changes[-1])
         return after

@@ -12,14 +12,14 @@ import pytest
 from tests.support.mechanisms import fading_ball
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import radau_nodes
-from zeno_orbits.model import HybridDynamics, OwnScale
+from zeno_orbits.model import CharacteristicScales, HybridDynamics
 from zeno_orbits.simulation import TailEstimate, ZenoLimit
 from zeno_orbits.simulation.zeno import zeno_passage
 from zeno_orbits.simulation.zeno.impact_curve import (
     CurveEnd,
     CurveLostError,
+    CurvePiece,
     ImpactCurve,
-    Piece,
     straight_piece,
 )
 from zeno_orbits.simulation.zeno.zeno_passage import CurveStep, is_settled, pass_through
@@ -84,12 +84,12 @@ class _Script:
             z=z, w=w, basis=basis, slope=self.slope, fall=self.fall, derivative=derivative
         )
 
-    def straight_piece(self, start: CurveEnd, length: float, n: int, slope: Vector) -> Piece:
+    def straight_piece(self, start: CurveEnd, length: float, n: int, slope: Vector) -> CurvePiece:
         assert n == FEW
         self.guesses.append(float(slope[1]))
         return straight_piece(start, length, n, slope)
 
-    def iterated(self, curve: ImpactCurve, piece: Piece) -> Piece:
+    def iterated(self, curve: ImpactCurve, piece: CurvePiece) -> CurvePiece:
         del curve
         n, done = len(piece.slopes), len(piece.changes)
         self.iterations.append((n, piece.length))
@@ -99,15 +99,15 @@ class _Script:
             change = (self.some if n == SOME else self.many)(piece.length) / 10**done
         return replace(piece, slopes=np.tile(self.slope, (n, 1)), changes=(*piece.changes, change))
 
-    def differentiated(self, curve: ImpactCurve, piece: Piece) -> Piece:
+    def differentiated(self, curve: ImpactCurve, piece: CurvePiece) -> CurvePiece:
         assert len(piece.changes) == 1
         return self.iterated(curve, piece)
 
-    def converged(self, curve: ImpactCurve, piece: Piece, tolerance: float) -> Piece:
+    def converged(self, curve: ImpactCurve, piece: CurvePiece, tolerance: float) -> CurvePiece:
         del curve, tolerance
         return replace(piece, changes=(self.rest,))
 
-    def correction(self, curve: ImpactCurve, piece: Piece) -> Vector:
+    def correction(self, curve: ImpactCurve, piece: CurvePiece) -> Vector:
         del curve
         return np.array([self.error(len(piece.slopes), piece.length), 0.0, 0.0, 0.0, 0.0])
 
@@ -466,7 +466,7 @@ def test_a_line_along_which_the_weight_halves_or_doubles_is_no_first_guess(
 
 
 def test_a_piece_is_read_along_its_time() -> None:
-    own = OwnScale(time=4.0, sizes=(2.0, 1.0, 1.0, 0.5))
+    own = CharacteristicScales(time=4.0, sizes=(2.0, 1.0, 1.0, 0.5))
     dynamics = replace(fading_ball(WEIGHT, 0.0, 0.9), scaling=lambda: own)
     curve = ImpactCurve(dynamics, lambda _x, _w: None, 0)
     z = np.array([1.0, -2.0, 3.0, 4.0, 0.25])

@@ -14,7 +14,7 @@ from tests.support.families import BALL, CIRCLE
 from tests.support.mechanisms import fading_ball, forced_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ChatterError, InputError, RunawayError
-from zeno_orbits.model import HybridDynamics, OwnScale, load_problem
+from zeno_orbits.model import CharacteristicScales, HybridDynamics, load_problem
 from zeno_orbits.simulation import (
     Ending,
     Execution,
@@ -31,7 +31,7 @@ G = 9.81
 
 def _ball(e: float = 0.5, **own: Any) -> HybridDynamics:
     ball = BALL.at(m=1.0, g=G, c=0.0, e=e)
-    return replace(ball, scaling=lambda: OwnScale(**own)) if own else ball
+    return replace(ball, scaling=lambda: CharacteristicScales(**own)) if own else ball
 
 
 def _begun(dynamics: HybridDynamics, state: Any, **chosen: Any) -> Execution:
@@ -97,7 +97,9 @@ def _on_circle(radius: float, outward: float = 0.0) -> Vector:
 def test_a_state_off_its_constraint_by_a_billionth_is_refused(sizes: tuple[float, ...]) -> None:
     # The constraint x^2 + y^2 = l^2 changes by 2 (x^2 + y^2) where x and y do by their sizes, which
     # are 1 at least: by 2 (0.6 + 0.8) here. That of the velocities is x dx + y dy, twice.
-    circle = replace(CIRCLE.at(m=1.0, l=1.0, g=G, e=0.5), scaling=lambda: OwnScale(sizes=sizes))
+    circle = replace(
+        CIRCLE.at(m=1.0, l=1.0, g=G, e=0.5), scaling=lambda: CharacteristicScales(sizes=sizes)
+    )
     least = np.ones(4)
     least[: len(sizes)] = sizes
     by_place = 2 * (0.6 * 1.0 + 0.8 * 1.0)
@@ -121,7 +123,9 @@ def test_a_small_constraint_of_usual_numbers_may_be_off_by_a_billionth_of_one(
 ) -> None:
     # On a circle of a hundredth the constraint changes by no more than 0.028.
     radius = 0.01
-    circle = replace(CIRCLE.at(m=1.0, l=radius, g=G, e=0.5), scaling=lambda: OwnScale(sizes=sizes))
+    circle = replace(
+        CIRCLE.at(m=1.0, l=radius, g=G, e=0.5), scaling=lambda: CharacteristicScales(sizes=sizes)
+    )
     state = _on_circle(radius + 0.9e-9 / (2 * radius))
     if refused:
         with pytest.raises(InputError, match="off by 9e-10"):

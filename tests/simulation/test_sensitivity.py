@@ -22,10 +22,10 @@ from zeno_orbits.simulation import (
     Ending,
     Execution,
     FixedImpacts,
-    Perturbations,
     PlasticAfter,
     SimulationSettings,
     SimulationTask,
+    VariationalEquation,
     ZenoExtrapolation,
     by_reference,
     course_of,
@@ -55,9 +55,9 @@ both_paths = pytest.mark.parametrize("run", [_by_loop, _by_python], ids=["loop",
 """Derivatives in the loop, and in Python along an execution that Python followed."""
 
 
-def _walk(machine: HybridDynamics, chosen: tuple[int, ...]) -> Perturbations:
+def _walk(machine: HybridDynamics, chosen: tuple[int, ...]) -> VariationalEquation:
     assert machine.differentiation is not None
-    return Perturbations(
+    return VariationalEquation(
         dynamics=machine,
         differentials=machine.differentiation.by(chosen),
         n_parameters=len(chosen),
@@ -65,7 +65,7 @@ def _walk(machine: HybridDynamics, chosen: tuple[int, ...]) -> Perturbations:
     )
 
 
-def _motions(walk: Perturbations, run: Execution) -> list[ArcShifts]:
+def _motions(walk: VariationalEquation, run: Execution) -> list[ArcShifts]:
     motions = motion_of(walk, run, walk.at_start())
     return [motions.of(arc) for arc in run.arcs]
 

@@ -16,7 +16,7 @@ from tests.reference import closed_forms
 from tests.reference.closed_forms import FORCED
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import HybridDynamics, OwnScale, Resting, load_problem
+from zeno_orbits.model import CharacteristicScales, ContactProjection, HybridDynamics, load_problem
 from zeno_orbits.simulation import (
     SimulationSettings,
     TailEstimate,
@@ -336,14 +336,16 @@ def test_the_error_is_relative_to_the_sizes_of_the_problem() -> None:
             )
             for w in (0.4**k for k in range(7))
         ]
-        return combine(estimates, OwnScale(time=time, sizes=(length,)))
+        return combine(estimates, CharacteristicScales(time=time, sizes=(length,)))
 
     assert of(1e-6, 1e-6).error == pytest.approx(of(1.0, 1.0).error, rel=1e-9)
     assert of(1e-6, 1e3).error == pytest.approx(of(1.0, 1.0).error, rel=1e-9)
 
 
 def test_a_tail_leads_along_the_locked_flow_for_as_long_as_it_lasts() -> None:
-    resting = Resting(state=np.array([0.0, 2.0]), gap_acceleration=-4.0, rate=np.array([0.0, -3.0]))
+    resting = ContactProjection(
+        state=np.array([0.0, 2.0]), gap_acceleration=-4.0, rate=np.array([0.0, -3.0])
+    )
     estimate = tail_from(resting, 0.75, 7.0, 0.5)
     assert estimate is not None
     # 2 times 0.5 over 4 times a quarter: a second.
@@ -373,7 +375,7 @@ def test_the_error_is_the_largest_of_time_and_states_each_in_its_own_size(
     sign: float, way: float, largest: int
 ) -> None:
     sizes = np.array([2.0, 0.5, 4.0])
-    own = OwnScale(time=2.0, sizes=(0.5, 4.0))
+    own = CharacteristicScales(time=2.0, sizes=(0.5, 4.0))
     first = sign * np.array([6.0, 1.0, 12.0])
     change = way * 0.003 * sizes
     change[largest] *= 2

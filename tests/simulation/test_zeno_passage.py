@@ -25,7 +25,7 @@ from tests.support.mechanisms import (
 from tests.support.units import Units, dimension_of, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import RungeKutta, Tolerance
-from zeno_orbits.model import HybridDynamics, OwnScale, load_problem
+from zeno_orbits.model import CharacteristicScales, HybridDynamics, load_problem
 from zeno_orbits.simulation import (
     Execution,
     SimulationSettings,
@@ -433,7 +433,7 @@ def test_a_transient_counts_in_the_size_that_its_state_usually_has() -> None:
     both = [replace(one, resting=x) for one, x in zip(smooth, states, strict=True)]
     assert is_settled(both, 0.999)
     usual = (*(1.0 for _ in smooth[0].resting), 1e-14)
-    assert not is_settled(both, 0.999, OwnScale(sizes=usual))
+    assert not is_settled(both, 0.999, CharacteristicScales(sizes=usual))
 
 
 def _simulated(

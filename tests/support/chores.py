@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from zeno_orbits.work import tell_part
+from zeno_orbits.work import report_part
 
 
 def square(points: Sequence[float]) -> list[float]:
@@ -22,7 +22,7 @@ def telling(points: Sequence[float]) -> list[float]:
     """Return squares, slowly, and tell after each how many are done."""
     for k in range(len(points)):
         time.sleep(0.15)
-        tell_part((k + 1) / len(points))
+        report_part((k + 1) / len(points))
     return square(points)
 
 

@@ -30,7 +30,7 @@ from zeno_orbits.model import (
     HybridDynamics,
     Problem,
     bind,
-    complete,
+    hybrid_system,
     load_problem,
     load_reference,
     quasi_static_drive,
@@ -536,7 +536,7 @@ def _quasi_static() -> tuple[Problem, CompiledSystem]:
 
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         links = problem_file["lagrangian"](p)
-        return complete(
+        return hybrid_system(
             links, quasi_static_drive(links, problem_file["motor"](links, p)), p["restitution"]
         )
 

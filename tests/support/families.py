@@ -19,7 +19,7 @@ from zeno_orbits.model import (
     HybridLagrangian,
     bind,
     compile_system,
-    complete,
+    hybrid_system,
     no_drive,
 )
 
@@ -54,7 +54,7 @@ class Family:
         """The functions of the family, built at the first use."""
         symbols = {name: ca.SX.sym(name) for name in self.parameters}
         mechanism = self.lagrangian(symbols)
-        system = complete(mechanism, no_drive(mechanism), symbols["e"])
+        system = hybrid_system(mechanism, no_drive(mechanism), symbols["e"])
         return compile_system(system, symbols, [f"x{k}" for k in range(len(self.states))])
 
     def at(self, **numbers: float) -> HybridDynamics:

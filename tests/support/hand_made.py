@@ -18,7 +18,7 @@ from numpy.polynomial import Polynomial
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import radau_scheme
 from zeno_orbits.model import ContactQuantities
-from zeno_orbits.orbits import OrbitShape, PhaseKind
+from zeno_orbits.orbits import EventSequence, PhaseKind
 from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.mesh import stage_fractions
 from zeno_orbits.search.transcription.phase import PhaseTerms
@@ -155,7 +155,7 @@ class HandMade:
             compiled=compiled(),
             p=self.p,
             free=free or {},
-            shape=OrbitShape(phases=tuple(kinds)) if kinds else None,
+            shape=EventSequence(phases=tuple(kinds)) if kinds else None,
             period=ca.MX(8.0),
             electrical_work=ca.MX(-20.0),
             phases=phases,

@@ -19,7 +19,7 @@ from zeno_orbits.model import (
     Quantity,
     bind,
     compile_system,
-    complete,
+    hybrid_system,
     no_drive,
 )
 
@@ -32,7 +32,7 @@ def numeric(
     lagrangian: HybridLagrangian, *, restitution: float, drive: Drive | None = None
 ) -> HybridDynamics:
     """Return a mechanism without named parameters as numeric functions."""
-    return bound(complete(lagrangian, drive or no_drive(lagrangian), ca.SX(restitution)))
+    return bound(hybrid_system(lagrangian, drive or no_drive(lagrangian), ca.SX(restitution)))
 
 
 def bound(system: CompletedSystem) -> HybridDynamics:
@@ -175,7 +175,7 @@ def clocked_oscillator(oscillator: StoppedOscillator, *, attracting: bool) -> Pr
                 q[1] - oscillator.damping * v[0], _kept(q, v) if attracting else 0
             ),
         )
-        return complete(mechanism, no_drive(mechanism), p["restitution"])
+        return hybrid_system(mechanism, no_drive(mechanism), p["restitution"])
 
     return Problem(
         name="clocked_oscillator",
@@ -223,7 +223,7 @@ def oscillator(damping: float = 0.1, stiffness: float = 1.0) -> Problem:
             gap=q + 10,
             passive_force=-p["c"] * v,
         )
-        return complete(mechanism, no_drive(mechanism), p["restitution"])
+        return hybrid_system(mechanism, no_drive(mechanism), p["restitution"])
 
     quantities = (
         Quantity(name="c", unit="1/s", meaning="damping", default=damping),

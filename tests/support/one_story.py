@@ -9,13 +9,13 @@ import numpy as np
 
 import zeno_orbits as zo
 from zeno_orbits.experiment import (
+    FitParameter,
     RecordedSignal,
     Recording,
     Source,
-    Unknown,
     compare_cycles,
     fit_parameters,
-    rig_cycles,
+    settle_rig,
     tabulate_orbit,
 )
 from zeno_orbits.model import Contact, Rig
@@ -149,7 +149,7 @@ def _rigged(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
     dynamics = problem.dynamics(orbit.values(problem))
     inertia = dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
     stop = Contact(stiffness=inertia / (STIFF * orbit.period) ** 2)
-    settled = rig_cycles(orbit, problem, Rig(contact=stop), cycles=4)
+    settled = settle_rig(orbit, problem, Rig(contact=stop), cycles=4)
     mean = compare_cycles(orbit, problem, settled).mean
     return abs(mean.period / orbit.period - 1)
 
@@ -172,6 +172,6 @@ def _identified(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
         source=Source.SIMULATED, problem=problem.name, time=times, signals=signals
     )
     begin = problem.values(parameters={"restitution": OFF * true})
-    sought = Unknown(names=("restitution",), lower=true / 2, upper=(1 + true) / 2)
+    sought = FitParameter(names=("restitution",), lower=true / 2, upper=(1 + true) / 2)
     (found,) = fit_parameters(problem, begin, recording, [sought]).fitted
     return abs(found.value / true - 1)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.orbits import Moment, OrbitShape
+from zeno_orbits.orbits import EventSequence, Moment
 from zeno_orbits.simulation import Arc, Ending, Impact, Mode, ZenoPoint
 from zeno_orbits.verification.claim import Claim, ClaimedPhase
 from zeno_orbits.verification.integration import FirstCycle
@@ -106,7 +106,7 @@ def phase(
 
 def cycle(phases: Sequence[Any], arcs: Sequence[Arc] = (), **parts: Any) -> Any:
     """Return a period of some phases."""
-    named = {"shorter_periods": lambda _: dict[OrbitShape, float](), **parts}
+    named = {"shorter_periods": lambda _: dict[EventSequence, float](), **parts}
     return SimpleNamespace(
         phases=tuple(phases),
         impacts=tuple(one for part in phases for one in part.impacts),
@@ -126,7 +126,7 @@ def first_cycle(period: Any, *, gap: float = 2.0, force: float = 50.0) -> FirstC
 def claim(shape: str, period: float, phases: Sequence[Any]) -> Claim:
     """Return what an orbit says that has these phases, to the last digit."""
     return Claim(
-        shape=OrbitShape.parsed(shape),
+        shape=EventSequence.parsed(shape),
         period=period,
         phases=tuple(
             ClaimedPhase(

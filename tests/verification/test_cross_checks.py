@@ -247,7 +247,7 @@ class _Ledger:
         self.audited: list[Any] = []
         self.asked: list[tuple[Any, dict[str, Any]]] = []
         monkeypatch.setattr(cross_checks, "simulate", self._simulate)
-        monkeypatch.setattr(cross_checks, "audited_in", lambda unit: f"in {unit:g} J")
+        monkeypatch.setattr(cross_checks, "with_energy_ledger", lambda unit: f"in {unit:g} J")
 
     def _simulate(self, _: Any, start: Any, **named: Any) -> Any:
         self.asked.append((start, named))

@@ -13,7 +13,7 @@ import pytest
 from tests.support.periods_by_hand import arc, claim, cycle, impact, phase, state, system, zeno
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.orbits import ONE_ZENO, Moment, OrbitShape, PhaseKind
+from zeno_orbits.orbits import ONE_ZENO, EventSequence, Moment, PhaseKind
 from zeno_orbits.simulation import Mode, SimulationSettings, ZenoExtrapolation
 from zeno_orbits.verification import integration
 from zeno_orbits.verification.integration import _measured, _missing, distance, observe
@@ -41,7 +41,7 @@ class _Runs:
         monkeypatch.setattr(integration, "followed", self._followed)
         monkeypatch.setattr(integration, "first_cycles", self._first_cycles)
 
-    def _followed(self, _: Any, x: Any, shape: OrbitShape, **named: Any) -> Any:
+    def _followed(self, _: Any, x: Any, shape: EventSequence, **named: Any) -> Any:
         self.asked.append({"x": x, "shape": shape, **named})
         ends = self._ends.pop(0)
         if ends and isinstance(ends[0], Exception):
@@ -182,7 +182,7 @@ def test_the_first_thing_that_a_motion_lacks_is_named(
 
     monkeypatch.setattr(integration, "phases_of", phases)
     # No more phases are told than the shape has.
-    assert _missing(execution, state(0.0), OrbitShape.parsed("zeno*2")).endswith(said)
+    assert _missing(execution, state(0.0), EventSequence.parsed("zeno*2")).endswith(said)
 
 
 def test_a_motion_without_impacts_has_none_of_the_phases(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,7 +191,7 @@ def test_a_motion_without_impacts_has_none_of_the_phases(monkeypatch: pytest.Mon
         return ()
 
     monkeypatch.setattr(integration, "phases_of", phases)
-    assert _missing(_execution(), state(0.0), OrbitShape.parsed("impact")).endswith("but none")
+    assert _missing(_execution(), state(0.0), EventSequence.parsed("impact")).endswith("but none")
 
 
 # Sizes.

@@ -105,9 +105,9 @@ class _Parts:
             ("observe", self._observe),
             ("signal", lambda *_: shown),
             ("margins_of", lambda *_: self.margins),
-            ("placed", lambda *_: "placed"),
+            ("place_on_section", lambda *_: "placed"),
             ("energies_of", lambda *_: {"input_work": 5.0, "impact_loss": 1.0}),
-            ("floquet_multipliers", self._multipliers),
+            ("orbit_multipliers", self._multipliers),
         ):
             monkeypatch.setattr(measurement, name, value)
         self._found = multipliers

@@ -21,8 +21,8 @@ from tests.support.periods_by_hand import (
     system,
     zeno,
 )
-from zeno_orbits.model import Escape
-from zeno_orbits.orbits import ONE_ZENO, Moment, OrbitShape
+from zeno_orbits.model import StateLimit
+from zeno_orbits.orbits import ONE_ZENO, EventSequence, Moment
 from zeno_orbits.simulation import Mode
 from zeno_orbits.verification.claim import Claim
 from zeno_orbits.verification.integration import Observation
@@ -174,7 +174,7 @@ def test_the_start_is_as_far_off_its_section_as_its_largest_part(
     shape: str, e: float, start: tuple[float, ...], sizes: float, bare: float
 ) -> None:
     said = _said(0, start=state(*start))
-    said = replace(said, shape=OrbitShape.parsed(shape))
+    said = replace(said, shape=EventSequence.parsed(shape))
     first = first_cycle(cycle(HELD))
     assert _off_section(system(restitution=e), said, first) == pytest.approx(sizes)
     # Without a period there are no sizes.
@@ -271,10 +271,10 @@ def test_a_coordinate_escapes_by_what_it_goes_beyond_in_units_of_its_escape() ->
     problem: Any = SimpleNamespace(
         state_names=("a", "b", "c"),
         escapes={
-            "a": Escape(beyond=0.8, phrase="a flies off"),
+            "a": StateLimit(beyond=0.8, phrase="a flies off"),
             # Its size is 10: that far it may go.
-            "b": Escape(beyond=10.0, phrase="b flies off"),
-            "c": Escape(beyond=50.0, phrase="c flies off"),
+            "b": StateLimit(beyond=10.0, phrase="b flies off"),
+            "c": StateLimit(beyond=50.0, phrase="c flies off"),
         },
     )
     found = escapes_of(problem, first)
@@ -314,9 +314,9 @@ def test_a_plastic_impact_that_lets_go_has_a_margin_of_that_and_others_have_not(
 def test_phases_are_apart_by_the_nearest_shorter_period_in_the_sizes_of_the_states() -> None:
     asked: list[Any] = []
 
-    def shorter(scale: Any) -> dict[OrbitShape, float]:
+    def shorter(scale: Any) -> dict[EventSequence, float]:
         asked.append(scale)
-        return {ONE_ZENO: 0.3, OrbitShape.parsed("zeno*2"): 0.1}
+        return {ONE_ZENO: 0.3, EventSequence.parsed("zeno*2"): 0.1}
 
     first = first_cycle(cycle(HELD, shorter_periods=shorter))
     assert margins_of(system(), first)["phases_apart"] == 0.1
@@ -388,13 +388,13 @@ def test_holonomic_constraints_are_looked_at_where_arcs_end() -> None:
 def test_the_farthest_escape_is_the_residual() -> None:
     seen = _seen(HELD, (0, 0, 1))
     escapes = {
-        "a": Escape(beyond=0.8, phrase="off"),
-        "c": Escape(beyond=50.0, phrase="off"),
-        "b": Escape(beyond=99.0, phrase="off"),
+        "a": StateLimit(beyond=0.8, phrase="off"),
+        "c": StateLimit(beyond=50.0, phrase="off"),
+        "b": StateLimit(beyond=99.0, phrase="off"),
     }
     problem: Any = SimpleNamespace(state_names=("a", "b", "c"), escapes=escapes)
     assert orbit_residuals(system(), problem, _claim(), seen)["escape"] == pytest.approx(1.0)
-    problem.escapes = {"b": Escape(beyond=99.0, phrase="off")}
+    problem.escapes = {"b": StateLimit(beyond=99.0, phrase="off")}
     assert orbit_residuals(system(), problem, _claim(), seen)["escape"] == 0.0
 
 

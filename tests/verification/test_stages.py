@@ -13,8 +13,8 @@ import pytest
 from tests.support.periods_by_hand import arc, cycle, first_cycle, impact, phase, system, zeno
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import Escape
-from zeno_orbits.orbits import ONE_ZENO, Moment, Multipliers, OrbitShape
+from zeno_orbits.model import StateLimit
+from zeno_orbits.orbits import ONE_ZENO, EventSequence, Moment, Multipliers
 from zeno_orbits.simulation import Mode, SimulationSettings
 from zeno_orbits.verification import (
     DeltaCut,
@@ -82,8 +82,8 @@ class _Stages:
             ("energies_of", lambda: self.energies),
             ("second_model", lambda: 4e-11),
             ("margins_of", lambda: {"locked_time": 0.25}),
-            ("placed", lambda: "placed"),
-            ("floquet_multipliers", lambda: self.multipliers),
+            ("place_on_section", lambda: "placed"),
+            ("orbit_multipliers", lambda: self.multipliers),
         ):
             monkeypatch.setattr(verifier, name, self._stage(name, answer))
 
@@ -151,7 +151,7 @@ def test_stages_are_given_the_settings(stages: _Stages) -> None:
     assert given[3:] == (stages.first.cycle, SETTINGS.simulation)
     [(given, named)] = stages.asked["problem_dynamics"]
     assert named == {"use_reference": False}
-    [(given, named)] = stages.asked["floquet_multipliers"]
+    [(given, named)] = stages.asked["orbit_multipliers"]
     assert given[1] == "placed"
     assert named["scale"] is stages.first.scale
     assert (named["period"], named["shape"]) == (1.5, ONE_ZENO)
@@ -168,7 +168,7 @@ def test_multipliers_are_no_finer_than_they_are_read_and_no_coarser_than_asked(
         asked = Tolerance(relative=relative, absolute=absolute)
         rough = replace(SETTINGS, simulation=SimulationSettings(tolerance=asked))
         stages.certificate(settings=rough)
-        _, named = stages.asked["floquet_multipliers"][-1]
+        _, named = stages.asked["orbit_multipliers"][-1]
         used = named["settings"].tolerance
         assert used.relative == max(relative, 1e-10)
         assert 1e11 * used.absolute == pytest.approx(1e11 * max(absolute, 1e-11))
@@ -216,7 +216,7 @@ def test_without_a_period_nothing_is_looked_at_more_finely(stages: _Stages) -> N
     assert math.isnan(seen.period)
     assert math.isnan(seen.delta_order)
     assert seen.trouble == "It is lost"
-    assert "floquet_multipliers" not in stages.asked
+    assert "orbit_multipliers" not in stages.asked
 
 
 # What repeats the period in another way.
@@ -287,13 +287,13 @@ def test_every_contradiction_is_a_clause(stages: _Stages, monkeypatch: pytest.Mo
     monkeypatch.setattr(verifier, "same_equations", same)
     monkeypatch.setattr(verifier, "digest_of", lambda _: (2.0,))
     stages.orbit.problem_digest = (1.0,)
-    stages.orbit.shape = OrbitShape.parsed("plastic")
+    stages.orbit.shape = EventSequence.parsed("plastic")
     stages.seen = replace(stages.seen, trouble="It is lost later")
     # The sizes of the three states are 1, 10 and 100.
     stages.problem.escapes = {
-        "a": Escape(beyond=2.0, phrase="a flies off"),
-        "b": Escape(beyond=5.0, phrase="b flies off"),
-        "c": Escape(beyond=5.0, phrase="c flies off"),
+        "a": StateLimit(beyond=2.0, phrase="a flies off"),
+        "b": StateLimit(beyond=5.0, phrase="b flies off"),
+        "c": StateLimit(beyond=5.0, phrase="c flies off"),
     }
     clauses = stages.certificate().trouble.split("; ")
     assert asked == [((1.0,), (2.0,))]
@@ -307,7 +307,7 @@ def test_every_contradiction_is_a_clause(stages: _Stages, monkeypatch: pytest.Mo
 
 
 def test_a_shape_is_that_of_the_systems_restitution(stages: _Stages) -> None:
-    stages.orbit.shape = stages.claim.shape = OrbitShape.parsed("plastic")
+    stages.orbit.shape = stages.claim.shape = EventSequence.parsed("plastic")
     assert stages.certificate(dynamics=system(restitution=0.0)).trouble == ""
     assert stages.certificate(dynamics=system(restitution=0.0)).shape == "plastic"
 
@@ -319,7 +319,7 @@ def test_multipliers_alone_are_those_of_one_period(stages: _Stages) -> None:
     assert multipliers_of(stages.orbit, stages.problem, settings=SETTINGS) is stages.multipliers
     [(given, _)] = stages.asked["observe"]
     assert given[2:] == (SETTINGS.simulation, 1)
-    [(_, named)] = stages.asked["floquet_multipliers"]
+    [(_, named)] = stages.asked["orbit_multipliers"]
     assert 1e12 * named["noise"] == pytest.approx(2.0)
     multipliers_of(stages.orbit, stages.problem)
     assert stages.asked["observe"][-1][0][2] == SimulationSettings()

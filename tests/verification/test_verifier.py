@@ -21,10 +21,10 @@ from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.integrators import Automatic, Leg, Passage, Tolerance
-from zeno_orbits.model import CompletedSystem, Escape, HybridDynamics, Problem, load_problem
+from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
+from zeno_orbits.model import CompletedSystem, HybridDynamics, Problem, StateLimit, load_problem
 from zeno_orbits.orbits import OrbitImpact, PhaseKind, ZenoOrbit
-from zeno_orbits.search import close_orbit, orbit_at_gains
+from zeno_orbits.search import orbit_at_gains, orbit_by_shooting
 from zeno_orbits.simulation import (
     Execution,
     Mode,
@@ -39,9 +39,9 @@ from zeno_orbits.verification import (
     RESIDUALS,
     OrbitCertificate,
     VerificationSettings,
-    certified,
     cross_checks,
     verify,
+    with_certificate,
 )
 from zeno_orbits.verification.claim import claim_of
 from zeno_orbits.verification.cross_checks import cut_order, delta_sweep
@@ -159,7 +159,7 @@ def test_an_orbit_that_may_have_any_amplitude_is_not_called_stable() -> None:
 
 
 def test_the_orbit_carries_its_certificate(orbit: ZenoOrbit, certificate: OrbitCertificate) -> None:
-    whole = certified(orbit, certificate)
+    whole = with_certificate(orbit, certificate)
     assert whole.certificate == certificate.as_json()
     assert whole.floquet_multipliers == certificate.multipliers
     assert replace(whole, certificate={}, floquet_multipliers=()) == orbit
@@ -521,7 +521,7 @@ def _flight_of(orbit: ZenoOrbit, machine: HybridDynamics) -> Vector:
 class _Careless:
     """An engine that takes any tolerance near the usual one, or above it, for a coarse one."""
 
-    def follow(self, leg: Leg) -> Passage:
+    def follow(self, leg: Segment) -> SegmentResult:
         loose = leg.tolerance.relative > Tolerance().relative / 50
         coarse = Tolerance(relative=1e-5, absolute=1e-6)
         return Automatic().follow(replace(leg, tolerance=coarse) if loose else leg)
@@ -578,7 +578,7 @@ class _LateOnce:
 @pytest.mark.parametrize("place", [0, 1])
 def test_one_wrong_zeno_limit_of_two_is_enough(place: int) -> None:
     table = load_problem("two_tone_table")
-    orbit = close_orbit(table, table.values()).unwrap()
+    orbit = orbit_by_shooting(table, table.values()).unwrap()
     times = [phase.zeno_time or math.nan for phase in orbit.phases]
     assert len(times) == 2
     assert verify(orbit, table, settings=QUICK).passed
@@ -612,7 +612,7 @@ def test_a_cut_that_cannot_be_followed_is_told_by_an_error_without_bound(
 
 def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(problem: Problem) -> None:
     # The family in e ends at 0.41679; its cubic error there is seen at four cuts still.
-    near = close_orbit(problem, problem.values(parameters={"restitution": 0.4167})).unwrap()
+    near = orbit_by_shooting(problem, problem.values(parameters={"restitution": 0.4167})).unwrap()
     seen = verify(near, problem)
     assert seen.passed
     assert len(seen.delta_sweep) > len(VerificationSettings().cuts)
@@ -716,7 +716,7 @@ class _HastyAtTheEnd:
     flow: object
     end: float
 
-    def follow(self, leg: Leg) -> Passage:
+    def follow(self, leg: Segment) -> SegmentResult:
         hasty = leg.flow is self.flow and leg.horizon < self.end
         coarse = Tolerance(relative=1e-5, absolute=1e-6)
         return Automatic().follow(replace(leg, tolerance=coarse) if hasty else leg)
@@ -754,7 +754,7 @@ def _largest(motion: Execution, state: int) -> float:
 def test_margins_are_the_least_of_all_phases() -> None:
     table = load_problem("two_tone_table")
     values = table.values()
-    seen = verify(close_orbit(table, values).unwrap(), table, settings=QUICK)
+    seen = verify(orbit_by_shooting(table, values).unwrap(), table, settings=QUICK)
     with mp.workdps(DIGITS):
         truth, e = Table.of(values.parameters), values.parameters["restitution"]
         first = throw(truth, mp.mpf(0), e)
@@ -795,7 +795,7 @@ def test_a_coordinate_beyond_its_escape_fails_alone(
     start = machine.on_stop(np.array(list(orbit.release_state.values())))
     _, states = simulate(machine, start, until=orbit.period).sampled()
     largest = float(np.max(np.abs(states[:, problem.state_names.index(state)])))
-    escape = Escape(beyond=part * largest, phrase="it goes over the top")
+    escape = StateLimit(beyond=part * largest, phrase="it goes over the top")
     seen = verify(orbit, replace(problem, escapes={state: escape}), settings=QUICK)
     assert seen.failed == failed
     assert seen.residuals["escape"] == pytest.approx(1 / part - 1 if failed else 0.0, abs=1e-3)

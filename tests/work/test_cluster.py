@@ -20,7 +20,7 @@ from tests.support.commands import ask
 from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.maps import Axis, Plane, parameter_map, write_map
 from zeno_orbits.model import bundled_problems, locate_problem
-from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, spread
+from zeno_orbits.work import Cluster, ExecutionPlan, FailedPoint, Workers, parallel_map
 
 pytest.importorskip("distributed", reason="needs the extra `cluster`")
 
@@ -52,8 +52,8 @@ def _cluster(tmp_path: Path) -> Iterator[DaskCluster]:
         yield cluster
 
 
-def plan(place: Workers | Cluster, checkpoint: Path | None = None) -> Plan:
-    return Plan(place=place, chunk=4, checkpoint=checkpoint)
+def plan(place: Workers | Cluster, checkpoint: Path | None = None) -> ExecutionPlan:
+    return ExecutionPlan(place=place, chunk=4, checkpoint=checkpoint)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -75,9 +75,9 @@ def test_two_workers_of_a_cluster_one_killed_leave_the_checkpoint_of_a_single_pr
 
     with ThreadPoolExecutor(1) as thread:
         killing = thread.submit(kill_one)
-        there = spread(slow, POINTS, plan(cluster.place(), tmp_path / "there"))
+        there = parallel_map(slow, POINTS, plan(cluster.place(), tmp_path / "there"))
         killing.result()
-    here = spread(slow, POINTS, plan(Workers(count=1), tmp_path / "here"))
+    here = parallel_map(slow, POINTS, plan(Workers(count=1), tmp_path / "here"))
     assert there == here
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
@@ -126,16 +126,20 @@ def test_a_family_on_a_cluster_with_a_worker_killed_is_the_file_made_here(
 def test_a_point_that_kills_every_worker_of_a_cluster_is_named(cluster: DaskCluster) -> None:
     cluster.start_worker("--nanny")
     task = Deadly(points=(POINTS[1],))
-    assert spread(task, POINTS[:3], plan(cluster.place())) == (POINTS[0], LostPoint(), POINTS[2])
+    assert parallel_map(task, POINTS[:3], plan(cluster.place())) == (
+        POINTS[0],
+        FailedPoint(),
+        POINTS[2],
+    )
 
 
 @pytest.mark.slow
 def test_failures_come_home_from_a_cluster_and_its_end_is_noticed(cluster: DaskCluster) -> None:
     with pytest.raises(InputError, match=r"lacks a worker after 0\.5 s"):
-        spread(chores.square, POINTS, plan(cluster.place(patience=0.5)))
+        parallel_map(chores.square, POINTS, plan(cluster.place(patience=0.5)))
     cluster.start_worker("--no-nanny")
     with pytest.raises(WorkError, match="there is no answer for"):
-        spread(chores.fail, POINTS, plan(cluster.place()))
+        parallel_map(chores.fail, POINTS, plan(cluster.place()))
 
     def stop(_what: str, part: float) -> None:
         if part > 0.0:
@@ -144,7 +148,7 @@ def test_failures_come_home_from_a_cluster_and_its_end_is_noticed(cluster: DaskC
     (cluster.folder / "diary").mkdir()
     slow = Diary(folder=str(cluster.folder / "diary"), pause=0.2)
     with pytest.raises(WorkError, match="has lost its scheduler or all its workers"):
-        spread(slow, POINTS, plan(cluster.place()), on_progress=stop)
+        parallel_map(slow, POINTS, plan(cluster.place()), on_progress=stop)
 
 
 @pytest.mark.slow
@@ -188,14 +192,14 @@ def test_workers_with_other_code_are_refused(
     cluster.start_worker("--no-nanny")
     monkeypatch.setattr("zeno_orbits.work.cluster.code_digest", lambda: "another")
     with pytest.raises(InputError, match="another version of zeno_orbits"):
-        spread(chores.square, POINTS, plan(cluster.place()))
+        parallel_map(chores.square, POINTS, plan(cluster.place()))
 
 
 def test_the_address_of_a_worker_is_not_that_of_a_scheduler(cluster: DaskCluster) -> None:
     cluster.start_worker("--no-nanny")
-    (address,) = spread(chores.addresses, [0.0], plan(cluster.place()))
+    (address,) = parallel_map(chores.addresses, [0.0], plan(cluster.place()))
     with pytest.raises(InputError, match="is the address of a Worker"):
-        spread(chores.square, POINTS, plan(Cluster(address=address)))
+        parallel_map(chores.square, POINTS, plan(Cluster(address=address)))
 
 
 @contextlib.contextmanager
@@ -211,22 +215,22 @@ def test_a_server_that_says_nothing_is_given_up() -> None:
         silent_server() as address,
         pytest.raises(InputError, match=r"does not answer within 0\.5 s"),
     ):
-        spread(chores.square, POINTS, plan(Cluster(address=address, patience=0.5)))
+        parallel_map(chores.square, POINTS, plan(Cluster(address=address, patience=0.5)))
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "localhost:1"])
 def test_a_closed_port_does_not_answer(address: str) -> None:
     with pytest.raises(InputError, match=r"does not answer within 0\.5 s"):
-        spread(chores.square, POINTS, plan(Cluster(address=address, patience=0.5)))
+        parallel_map(chores.square, POINTS, plan(Cluster(address=address, patience=0.5)))
 
 
 @pytest.mark.parametrize("address", ["", "nonsense", "http://127.0.0.1:80", "tcp://127.0.0.1:x"])
 def test_what_is_no_address_is_refused(address: str) -> None:
     with pytest.raises(InputError, match="must be the address of a Dask scheduler"):
-        spread(chores.square, POINTS, plan(Cluster(address=address, patience=0.5)))
+        parallel_map(chores.square, POINTS, plan(Cluster(address=address, patience=0.5)))
 
 
 def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"zeno_orbits\[cluster\]"):
-        spread(chores.square, POINTS, plan(Cluster(address="tcp://127.0.0.1:1")))
+        parallel_map(chores.square, POINTS, plan(Cluster(address="tcp://127.0.0.1:1")))

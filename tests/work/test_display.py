@@ -16,10 +16,10 @@ from tests.report.test_plots import EVERY_FATE, TRADE, small_map
 from zeno_orbits.continuation import Continuation
 from zeno_orbits.errors import InputError
 from zeno_orbits.search import SearchResult
-from zeno_orbits.work import Columns, Displayed, by_name
+from zeno_orbits.work import Columns, TableRepr, by_name
 
 
-class Numbered(Displayed):
+class Numbered(TableRepr):
     """A result of some rows whose texts are HTML."""
 
     def __init__(self, rows: int) -> None:

@@ -19,7 +19,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.search import SearchSettings
 from zeno_orbits.verification import OrbitCertificate, VerificationSettings
-from zeno_orbits.work import EntryError, plain, restored
+from zeno_orbits.work import EntryError, from_plain, to_plain
 from zeno_orbits.work.files import read_json
 
 
@@ -55,9 +55,9 @@ class Thing:
     ],
 )
 def test_a_value_becomes_what_json_holds(value: Any, expected: Any) -> None:
-    assert plain(value) == expected
-    assert type(plain(value)) is type(expected)
-    assert json.loads(json.dumps(plain(value), allow_nan=False)) == expected
+    assert to_plain(value) == expected
+    assert type(to_plain(value)) is type(expected)
+    assert json.loads(json.dumps(to_plain(value), allow_nan=False)) == expected
 
 
 def test_a_dataclass_is_told_from_another_with_the_same_fields() -> None:
@@ -66,22 +66,22 @@ def test_a_dataclass_is_told_from_another_with_the_same_fields() -> None:
         inside: Any
         count: int = 2
 
-    thing = plain(Thing(inside=Colour.RED))
+    thing = to_plain(Thing(inside=Colour.RED))
     assert thing == {"kind": "tests.work.test_serialization.Thing", "inside": "RED", "count": 2}
-    assert plain(Other(inside=Colour.RED)) != thing
+    assert to_plain(Other(inside=Colour.RED)) != thing
 
 
 def test_every_bit_of_a_values_counts() -> None:
     least = math.nextafter(3e-10, 1.0)
-    assert plain(SearchSettings()) == plain(SearchSettings())
-    assert plain(SearchSettings()) != plain(SearchSettings(agreement=least))
-    assert plain(VerificationSettings()) != plain(VerificationSettings(n_periods=4))
+    assert to_plain(SearchSettings()) == to_plain(SearchSettings())
+    assert to_plain(SearchSettings()) != to_plain(SearchSettings(agreement=least))
+    assert to_plain(VerificationSettings()) != to_plain(VerificationSettings(n_periods=4))
 
 
 @pytest.mark.parametrize("value", [object(), lambda: 0, Thing(inside=object()), {1, 2}])
 def test_what_plain_data_cannot_hold_is_refused_and_not_left_out(value: Any) -> None:
     with pytest.raises(InputError, match="`accept` must consist of values"):
-        plain(value, "accept")
+        to_plain(value, "accept")
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,9 @@ WHOLE = Whole(
 
 
 def test_every_bit_of_a_value_comes_back_through_json() -> None:
-    told = json.loads(json.dumps(plain(WHOLE), allow_nan=False))
-    back = restored(Whole, told)
-    assert plain(back) == plain(WHOLE)
+    told = json.loads(json.dumps(to_plain(WHOLE), allow_nan=False))
+    back = from_plain(Whole, told)
+    assert to_plain(back) == to_plain(WHOLE)
     assert (back.pair, back.roots, back.by_colour) == (WHOLE.pair, WHOLE.roots, WHOLE.by_colour)
     assert math.copysign(1.0, back.roots["a"].real) == -1.0
     assert back.parts[0].number.hex() == WHOLE.parts[0].number.hex()
@@ -126,7 +126,9 @@ def test_every_bit_of_a_value_comes_back_through_json() -> None:
 
 
 def test_the_certificate_of_an_orbit_comes_back(certificate: OrbitCertificate) -> None:
-    assert restored(OrbitCertificate, json.loads(json.dumps(plain(certificate)))) == certificate
+    assert (
+        from_plain(OrbitCertificate, json.loads(json.dumps(to_plain(certificate)))) == certificate
+    )
 
 
 @pytest.mark.parametrize(
@@ -148,17 +150,17 @@ def test_the_certificate_of_an_orbit_comes_back(certificate: OrbitCertificate) -
 )
 def test_an_entry_that_does_not_fit_is_named(change: Mapping[str, Any], told: str) -> None:
     with pytest.raises(EntryError, match=re.escape(told)):
-        restored(Whole, {**plain(WHOLE), **change})
+        from_plain(Whole, {**to_plain(WHOLE), **change})
 
 
 @pytest.mark.parametrize("number", ["inf", "nan", 10**400], ids=["inf", "nan", "huge"])
 def test_numbers_that_are_not_finite_are_refused_where_a_result_must_be(number: Any) -> None:
     told = {"number": number}
-    assert not math.isfinite(restored(Part, told).number)
+    assert not math.isfinite(from_plain(Part, told).number)
     with pytest.raises(EntryError, match="`number` must be a finite number"):
-        restored(Part, told, finite=True)
+        from_plain(Part, told, finite=True)
     with pytest.raises(EntryError, match="`matrix` must be a list of finite numbers"):
-        restored(Part, {"number": 1.0, "matrix": [1.0, math.inf]}, finite=True)
+        from_plain(Part, {"number": 1.0, "matrix": [1.0, math.inf]}, finite=True)
 
 
 @pytest.mark.parametrize(

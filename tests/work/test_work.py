@@ -21,7 +21,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 from tests.support import chores
 from tests.support.chores import Deadly, Diary
 from zeno_orbits.errors import CheckpointError, InputError, WorkError
-from zeno_orbits.work import LostPoint, Plan, Workers, spread, spread_in_order
+from zeno_orbits.work import ExecutionPlan, FailedPoint, Workers, parallel_map, spread_in_order
 from zeno_orbits.work import scheduling as spreading_module
 
 CORES = int(joblib.cpu_count())
@@ -32,8 +32,8 @@ IDENTITY = {"command": "test", "settings": {"until": 60.0, "seed": 0}}
 needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
 
 
-def plan(folder: Path | None = None, *, place: Workers = TWO, **changes: Any) -> Plan:
-    return Plan(place=place, chunk=4, checkpoint=folder, identity={**IDENTITY, **changes})
+def plan(folder: Path | None = None, *, place: Workers = TWO, **changes: Any) -> ExecutionPlan:
+    return ExecutionPlan(place=place, chunk=4, checkpoint=folder, identity={**IDENTITY, **changes})
 
 
 def alone(points: Sequence[float] = POINTS) -> list[dict[str, Any]]:
@@ -66,18 +66,18 @@ def _diary(tmp_path: Path) -> Diary:
 @needs_two
 def test_one_worker_and_two_return_what_the_task_itself_returns(diary: Diary) -> None:
     for count in (1, 2):
-        assert list(spread(diary, POINTS, plan(place=Workers(count=count)))) == alone()
+        assert list(parallel_map(diary, POINTS, plan(place=Workers(count=count)))) == alone()
 
 
 def test_a_last_chunk_may_be_short_and_no_points_need_no_worker(diary: Diary) -> None:
-    assert list(spread(diary, POINTS[:10], plan())) == alone(POINTS[:10])
-    assert spread(diary, [], plan()) == ()
+    assert list(parallel_map(diary, POINTS[:10], plan())) == alone(POINTS[:10])
+    assert parallel_map(diary, [], plan()) == ()
 
 
 def test_results_are_what_comes_out_of_json_with_or_without_a_checkpoint(tmp_path: Path) -> None:
     points = [0.1, 5e-324, 1.7976931348623157e308, -0.0]
-    fresh = spread(chores.echo, points, plan(tmp_path / "kept"))
-    again = spread(chores.echo, points, plan(tmp_path / "kept"))
+    fresh = parallel_map(chores.echo, points, plan(tmp_path / "kept"))
+    again = parallel_map(chores.echo, points, plan(tmp_path / "kept"))
     assert fresh == again == tuple([point.hex(), [point]] for point in points)
     assert str(fresh[-1][1][0]) == "-0.0"
 
@@ -85,18 +85,18 @@ def test_results_are_what_comes_out_of_json_with_or_without_a_checkpoint(tmp_pat
 @pytest.mark.slow
 def test_every_core_is_used_if_nothing_is_said(diary: Diary) -> None:
     slow = Diary(folder=diary.folder, pause=0.2)
-    spread(slow, POINTS, Plan(chunk=1))
+    parallel_map(slow, POINTS, ExecutionPlan(chunk=1))
     assert 1 <= len(slow.workers()) <= CORES
     assert CORES < 2 or len(slow.workers()) > 1
 
 
 def test_numerical_libraries_get_one_thread_in_a_worker(tmp_path: Path) -> None:
-    assert spread(chores.environment, [1.0], plan(tmp_path / "kept"))[0] == ["1", "1", "1"]
+    assert parallel_map(chores.environment, [1.0], plan(tmp_path / "kept"))[0] == ["1", "1", "1"]
 
 
 def test_progress_is_told_up_to_the_end(diary: Diary) -> None:
     told: list[tuple[str, float]] = []
-    spread(diary, POINTS, plan(), on_progress=lambda what, part: told.append((what, part)))
+    parallel_map(diary, POINTS, plan(), on_progress=lambda what, part: told.append((what, part)))
     parts = [part for _, part in told]
     assert parts == sorted(parts)
     assert parts[0] == 0.0
@@ -106,8 +106,8 @@ def test_progress_is_told_up_to_the_end(diary: Diary) -> None:
 @pytest.mark.slow
 def test_progress_goes_by_points_inside_a_chunk_that_tells_it() -> None:
     told: list[tuple[str, float]] = []
-    whole = Plan(place=Workers(count=1), chunk=8)
-    spread(chores.telling, POINTS[:8], whole, on_progress=lambda *one: told.append(one))
+    whole = ExecutionPlan(place=Workers(count=1), chunk=8)
+    parallel_map(chores.telling, POINTS[:8], whole, on_progress=lambda *one: told.append(one))
     parts = [part for _, part in told]
     assert parts == sorted(parts)
     assert len({part for part in parts if 0.0 < part < 1.0}) >= 3
@@ -122,29 +122,29 @@ def test_progress_goes_by_points_inside_a_chunk_that_tells_it() -> None:
 @pytest.mark.parametrize("count", [CORES + 1, 0, -1])
 def test_more_workers_than_cores_or_none_are_refused(count: int) -> None:
     with pytest.raises(InputError, match=rf"`workers` must be .*but it is {count}\."):
-        spread(chores.square, POINTS, plan(place=Workers(count=count)))
+        parallel_map(chores.square, POINTS, plan(place=Workers(count=count)))
 
 
 def test_an_empty_chunk_is_refused() -> None:
     with pytest.raises(InputError, match="`chunk` must be at least 1, but it is 0"):
-        Plan(chunk=0)
+        ExecutionPlan(chunk=0)
 
 
 def test_the_exception_of_a_task_is_told_with_its_place_even_if_it_cannot_travel() -> None:
     with pytest.raises(WorkError, match=r"OddError: there is no answer for 0\.0") as caught:
-        spread(chores.fail, POINTS, plan())
+        parallel_map(chores.fail, POINTS, plan())
     assert "chores.py" in caught.value.trace
 
 
 @pytest.mark.parametrize("name", ["not_plain", "too_few"])
 def test_a_task_that_does_not_return_plain_data_one_a_point_is_refused(name: str) -> None:
     with pytest.raises((WorkError, InputError), match=r"JSON|one result per point"):
-        spread(getattr(chores, name), POINTS, plan())
+        parallel_map(getattr(chores, name), POINTS, plan())
 
 
 def test_a_task_that_cannot_be_sent_is_refused() -> None:
     with pytest.raises(WorkError, match="cannot be sent"):
-        spread(chores.Unsendable(), POINTS, plan())
+        parallel_map(chores.Unsendable(), POINTS, plan())
 
 
 # ---------------------------------------------------------------------------- killed workers
@@ -154,8 +154,8 @@ def test_a_task_that_cannot_be_sent_is_refused() -> None:
 @pytest.mark.slow
 def test_a_point_that_kills_every_worker_is_named_and_the_others_are_not(how: int | None) -> None:
     task = Deadly(points=(POINTS[5],), how=how)
-    results = spread(task, POINTS[:12], plan())
-    assert isinstance(results[5], LostPoint)
+    results = parallel_map(task, POINTS[:12], plan())
+    assert isinstance(results[5], FailedPoint)
     assert [r for k, r in enumerate(results) if k != 5] == [*POINTS[:5], *POINTS[6:12]]
 
 
@@ -172,26 +172,26 @@ def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
 
     with ThreadPoolExecutor(1) as thread:
         killing = thread.submit(kill_one)
-        results = spread(slow, POINTS, plan(tmp_path / "killed"))
+        results = parallel_map(slow, POINTS, plan(tmp_path / "killed"))
         killing.result()
     assert list(results) == alone()
     assert 6 < len(slow.starts()) <= 6 + 2, "the chunks under way are computed again, no others"
     assert len(slow.workers()) > 2
-    spread(Diary(folder=diary.folder), POINTS, plan(tmp_path / "quiet"))
+    parallel_map(Diary(folder=diary.folder), POINTS, plan(tmp_path / "quiet"))
     assert contents(tmp_path / "killed") == contents(tmp_path / "quiet")
 
 
 def test_points_that_kill_once_each_are_all_computed_in_their_chunks(tmp_path: Path) -> None:
     task = Deadly(points=tuple(POINTS[1::6]), once=str(tmp_path))
-    assert list(spread(task, POINTS, plan())) == POINTS
+    assert list(parallel_map(task, POINTS, plan())) == POINTS
 
 
 @pytest.mark.slow
 def test_a_lost_point_is_remembered_by_the_checkpoint(tmp_path: Path) -> None:
     task = Deadly(points=(POINTS[2],))
-    first = spread(task, POINTS[:4], plan(tmp_path / "kept"))
-    assert spread(chores.square, POINTS[:4], plan(tmp_path / "kept")) == first
-    assert first == (*POINTS[:2], LostPoint(), POINTS[3])
+    first = parallel_map(task, POINTS[:4], plan(tmp_path / "kept"))
+    assert parallel_map(chores.square, POINTS[:4], plan(tmp_path / "kept")) == first
+    assert first == (*POINTS[:2], FailedPoint(), POINTS[3])
 
 
 # ---------------------------------------------------------------------------- killed as a whole
@@ -236,13 +236,13 @@ def test_a_process_that_is_killed_loses_what_is_in_flight_and_leaves_no_worker_b
     workers = diary.workers()
     wait_until(lambda: not any(map(is_alive, workers)))
     before = len(diary.starts())
-    assert list(spread(diary, POINTS, plan(kept, place=Workers(count=1)))) == alone()
+    assert list(parallel_map(diary, POINTS, plan(kept, place=Workers(count=1)))) == alone()
     done = sum(name.startswith("chunk") for name in finished)
     assert len(diary.starts()) - before == 6 - done, "finished chunks are not computed again"
     assert {name: contents(kept)[name] for name in finished if name[0] != "."} == {
         name: data for name, data in finished.items() if name[0] != "."
     }
-    spread(diary, POINTS, plan(tmp_path / "quiet"))
+    parallel_map(diary, POINTS, plan(tmp_path / "quiet"))
     visible = {name: data for name, data in contents(kept).items() if name[0] != "."}
     assert visible == contents(tmp_path / "quiet")
 
@@ -257,10 +257,10 @@ def test_an_interrupt_ends_the_workers_and_keeps_what_is_finished(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        spread(slow, POINTS, plan(tmp_path / "kept"), on_progress=interrupt)
+        parallel_map(slow, POINTS, plan(tmp_path / "kept"), on_progress=interrupt)
     wait_until(lambda: not any(map(is_alive, slow.workers())))
     assert len(list((tmp_path / "kept").glob("chunk-*.json"))) >= 2
-    assert list(spread(slow, POINTS, plan(tmp_path / "kept"))) == alone()
+    assert list(parallel_map(slow, POINTS, plan(tmp_path / "kept"))) == alone()
 
 
 def test_a_second_interrupt_waits_until_the_workers_have_ended(
@@ -280,7 +280,7 @@ def test_a_second_interrupt_waits_until_the_workers_have_ended(
 
     monkeypatch.setattr(ProcessPoolExecutor, "shutdown", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        spread(slow, POINTS, plan(tmp_path / "kept"), on_progress=interrupt)
+        parallel_map(slow, POINTS, plan(tmp_path / "kept"), on_progress=interrupt)
     assert ended == [True]
     wait_until(lambda: not any(map(is_alive, slow.workers())))
 
@@ -298,7 +298,7 @@ def _finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A checkpoint of finished work, which no test changes."""
     folder = tmp_path_factory.mktemp("finished")
     (folder / "diary").mkdir()
-    spread(Diary(folder=str(folder / "diary")), POINTS, plan(folder / "kept"))
+    parallel_map(Diary(folder=str(folder / "diary")), POINTS, plan(folder / "kept"))
     return folder / "kept"
 
 
@@ -310,7 +310,7 @@ def _kept(tmp_path: Path, finished: Path) -> Path:
 
 def test_what_is_finished_is_not_computed_again(kept: Path) -> None:
     before = contents(kept)
-    assert list(spread(forbidden, POINTS, plan(kept))) == alone()
+    assert list(parallel_map(forbidden, POINTS, plan(kept))) == alone()
     assert contents(kept) == before
 
 
@@ -329,18 +329,20 @@ def test_the_checkpoint_of_another_work_is_refused_and_left_untouched(
 ) -> None:
     before = contents(kept)
     with pytest.raises(CheckpointError, match=told):
-        spread(forbidden, POINTS, plan(kept, **change))
+        parallel_map(forbidden, POINTS, plan(kept, **change))
     assert contents(kept) == before
 
 
 def test_the_checkpoint_of_other_points_or_chunks_is_refused(kept: Path) -> None:
     before = contents(kept)
     with pytest.raises(CheckpointError, match="`points` is 24, not 23"):
-        spread(forbidden, POINTS[1:], plan(kept))
+        parallel_map(forbidden, POINTS[1:], plan(kept))
     with pytest.raises(CheckpointError, match="`points_digest` is"):
-        spread(forbidden, [*POINTS[1:], 7.0], plan(kept))
+        parallel_map(forbidden, [*POINTS[1:], 7.0], plan(kept))
     with pytest.raises(CheckpointError, match="`chunk` is 4, not 5"):
-        spread(forbidden, POINTS, Plan(place=TWO, chunk=5, checkpoint=kept, identity=IDENTITY))
+        parallel_map(
+            forbidden, POINTS, ExecutionPlan(place=TWO, chunk=5, checkpoint=kept, identity=IDENTITY)
+        )
     assert contents(kept) == before
 
 
@@ -350,12 +352,12 @@ def test_the_checkpoint_of_another_version_is_refused_and_left_untouched(
     before = contents(kept)
     monkeypatch.setattr(spreading_module, "code_digest", lambda: "another")
     with pytest.raises(CheckpointError, match=r'`code` is ".*", not "another"'):
-        spread(forbidden, POINTS, plan(kept))
+        parallel_map(forbidden, POINTS, plan(kept))
     identity = kept / "identity.json"
     newer = json.loads(identity.read_text()) | {"format": 99}
     identity.write_text(json.dumps(newer))
     with pytest.raises(CheckpointError, match="`format` is 99, not 1"):
-        spread(forbidden, POINTS, plan(kept))
+        parallel_map(forbidden, POINTS, plan(kept))
     assert contents(kept) == before | {"identity.json": json.dumps(newer).encode()}
 
 
@@ -390,11 +392,11 @@ def test_a_broken_chunk_is_named_and_can_be_removed_by_itself(kept: Path, diary:
         with pytest.raises(
             CheckpointError, match=r"`chunk-000002\.json` is broken.*Remove that file"
         ):
-            spread(forbidden, POINTS, plan(kept))
+            parallel_map(forbidden, POINTS, plan(kept))
         assert contents(kept) == before
     file.unlink()
     n_before = len(diary.starts())
-    assert list(spread(diary, POINTS, plan(kept))) == alone()
+    assert list(parallel_map(diary, POINTS, plan(kept))) == alone()
     assert len(diary.starts()) == n_before + 1
     assert contents(kept) == whole
 
@@ -403,18 +405,18 @@ def test_a_broken_identity_is_named(kept: Path) -> None:
     (kept / "identity.json").write_text("{")
     before = contents(kept)
     with pytest.raises(CheckpointError, match=r"`identity\.json` is broken"):
-        spread(forbidden, POINTS, plan(kept))
+        parallel_map(forbidden, POINTS, plan(kept))
     assert contents(kept) == before
 
 
 def test_a_folder_of_other_things_is_refused_and_left_untouched(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("everything")
     with pytest.raises(CheckpointError, match=r"not a checkpoint: it holds `thesis\.tex`"):
-        spread(forbidden, POINTS, plan(tmp_path))
+        parallel_map(forbidden, POINTS, plan(tmp_path))
     with pytest.raises(CheckpointError, match="not a folder"):
-        spread(forbidden, POINTS, plan(tmp_path / "thesis.tex"))
+        parallel_map(forbidden, POINTS, plan(tmp_path / "thesis.tex"))
     with pytest.raises(CheckpointError, match="not a folder"):
-        spread(forbidden, POINTS, plan(tmp_path / "missing" / "kept"))
+        parallel_map(forbidden, POINTS, plan(tmp_path / "missing" / "kept"))
     assert contents(tmp_path) == {"thesis.tex": b"everything"}
 
 
@@ -423,7 +425,7 @@ def test_half_written_files_of_a_killed_process_do_not_count(tmp_path: Path, dia
     folder.mkdir()
     (folder / ".identity.json.x7f").write_text("{")
     (folder / ".chunk-000001.json.x7f").write_text("{")
-    assert list(spread(diary, POINTS, plan(folder))) == alone()
+    assert list(parallel_map(diary, POINTS, plan(folder))) == alone()
 
 
 # ---------------------------------------------------------------------------- one after the other
@@ -436,14 +438,14 @@ def numbered(points: Sequence[float]) -> list[float]:
 
 @needs_two
 def test_results_come_in_the_order_of_their_points_whoever_is_first() -> None:
-    whole = Plan(place=TWO, chunk=1, identity=IDENTITY)
+    whole = ExecutionPlan(place=TWO, chunk=1, identity=IDENTITY)
     found = list(spread_in_order(chores.slow_at_zero, POINTS, whole))
     assert found == [point * point for point in POINTS]
 
 
 def test_who_has_seen_enough_ends_the_workers(diary: Diary) -> None:
     slow = Diary(folder=diary.folder, pause=0.1)
-    results = spread_in_order(slow, POINTS, Plan(place=TWO, chunk=1, identity=IDENTITY))
+    results = spread_in_order(slow, POINTS, ExecutionPlan(place=TWO, chunk=1, identity=IDENTITY))
     assert next(results)["point"] == POINTS[0] / 3
     results.close()
     wait_until(lambda: not any(map(is_alive, slow.workers())))
@@ -456,7 +458,7 @@ def test_this_process_does_the_first_chunk_and_no_worker_begins_before_it_is_nee
     def refuse(_place: Workers) -> None:
         raise OSError("a pool is opened")
 
-    default = Plan(chunk=2, checkpoint=tmp_path / "kept", identity=IDENTITY)
+    default = ExecutionPlan(chunk=2, checkpoint=tmp_path / "kept", identity=IDENTITY)
     with monkeypatch.context() as patch:
         patch.setattr(spreading_module, "open_pool", refuse)
         results = spread_in_order(chores.square, [1.0, 2.0, 3.0], default, here=numbered)
@@ -469,6 +471,6 @@ def test_this_process_does_the_first_chunk_and_no_worker_begins_before_it_is_nee
 
 
 def test_a_place_that_cannot_be_had_is_refused_before_any_work() -> None:
-    crowd = Plan(place=Workers(count=CORES + 1), chunk=1, identity=IDENTITY)
+    crowd = ExecutionPlan(place=Workers(count=CORES + 1), chunk=1, identity=IDENTITY)
     with pytest.raises(InputError, match="`workers` must be at most"):
         next(spread_in_order(chores.square, POINTS, crowd, here=forbidden))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from zeno_orbits.arrays import Vector
     from zeno_orbits.experiment import Recording
     from zeno_orbits.model import GraphDynamics, HybridDynamics
-    from zeno_orbits.precision import Assured
+    from zeno_orbits.precision import ExecutionWithError
     from zeno_orbits.simulation import Execution, SimulationSettings
 
 
@@ -68,7 +68,7 @@ def simulate_with_error(
     start: Numbers | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
-) -> Assured:
+) -> ExecutionWithError:
     """Return a completed execution with an estimate of its error.
 
     A second run at a hundred times the tolerance gives the estimate.
@@ -109,7 +109,7 @@ def simulate_to_accuracy(
     start: Numbers | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
-) -> Assured:
+) -> ExecutionWithError:
     """Return a completed execution to a given accuracy, with an estimate of its error.
 
     Args:
@@ -132,7 +132,7 @@ def simulate_to_accuracy(
     from zeno_orbits.precision import accuracy as rooms
 
     dynamics, state = _system(problem, state, gains, parameters, start)
-    return rooms.simulate_to(
+    return rooms.execution_to_accuracy(
         dynamics,
         state,
         until=until,
@@ -219,7 +219,7 @@ def engine_choice(
     return why_engine(dynamics, execution.arcs[0].start_state, longest)
 
 
-def unfinished(error: SimulationError, engine: str | None = None) -> Assured:
+def unfinished(error: SimulationError, engine: str | None = None) -> ExecutionWithError:
     """Return the execution before an error that ended it, with unknown errors.
 
     Args:
@@ -227,9 +227,9 @@ def unfinished(error: SimulationError, engine: str | None = None) -> Assured:
         engine: Name of the integrator.
     """
     from zeno_orbits.api.settings import simulation_settings
-    from zeno_orbits.precision import Assured
+    from zeno_orbits.precision import ExecutionWithError
 
-    return Assured(
+    return ExecutionWithError(
         execution=error.execution,
         settings=simulation_settings(engine),
         error=inf,
@@ -242,7 +242,7 @@ def _number(error: float) -> float | None:
     return error if isfinite(error) else None
 
 
-def execution_json(problem: Problem, assured: Assured) -> dict[str, Any]:
+def execution_json(problem: Problem, assured: ExecutionWithError) -> dict[str, Any]:
     """Return an execution and its events as plain data.
 
     Args:

@@ -19,7 +19,7 @@ from zeno_orbits.model import (
     split_fidelity,
 )
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit, holds_events, read_event_orbit, read_orbit
-from zeno_orbits.work import Plan, Workers, checked
+from zeno_orbits.work import ExecutionPlan, Workers, checked
 
 if TYPE_CHECKING:
     from zeno_orbits.maps import Axis as MapAxis
@@ -59,7 +59,7 @@ def front_door(work: Callable[_P, _R]) -> Callable[_P, _R]:
     return shown
 
 
-def plan_of(workers: int, plan: Plan | None) -> Plan | None:
+def plan_of(workers: int, plan: ExecutionPlan | None) -> ExecutionPlan | None:
     """Return the plan of parallel work, or None if this process does all the work.
 
     Args:
@@ -72,7 +72,7 @@ def plan_of(workers: int, plan: Plan | None) -> Plan | None:
     if plan is not None:
         return plan
     count = whole("workers", workers)
-    return None if count == 1 else Plan(place=Workers(count=count or None))
+    return None if count == 1 else ExecutionPlan(place=Workers(count=count or None))
 
 
 def split_numbers(problem: Problem, numbers: Numbers) -> tuple[dict[str, float], dict[str, float]]:

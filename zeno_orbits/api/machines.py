@@ -25,15 +25,15 @@ from zeno_orbits.work import Progress, silent
 if TYPE_CHECKING:
     from zeno_orbits.experiment import (
         Comparison,
-        Counterpart,
         EventComparison,
+        FitParameter,
         Identification,
+        MatchedRun,
         Recording,
         RigComparison,
         RigRun,
         RigSettings,
         SettledRig,
-        Unknown,
     )
 
 Fit = Mapping[str, tuple[float, float] | None] | Sequence[str]
@@ -57,9 +57,9 @@ def crop(
     Raises:
         InputError: If fewer than two rows are left.
     """
-    from zeno_orbits.experiment import cut
+    from zeno_orbits.experiment import crop_recording
 
-    return cut(recording, t_start, t_end)
+    return crop_recording(recording, t_start, t_end)
 
 
 @front_door
@@ -233,10 +233,10 @@ def simulate_experiment(
         InputError: If the rig does not fit the problem, or `cycles` is below 1.
         SimulationError: If the machine does not move in cycles like the orbit's.
     """
-    from zeno_orbits.experiment import rig_cycles
+    from zeno_orbits.experiment import settle_rig
 
     orbit = as_orbit(orbit)
-    return rig_cycles(
+    return settle_rig(
         orbit,
         problem_of(orbit, problem),
         rig,
@@ -337,7 +337,7 @@ def machine_of(
         InputError: If a part or a name is unknown, or the parts do not fit each other.
     """
     from zeno_orbits.experiment import default_rig
-    from zeno_orbits.model import PART_NAMES, Switching, rig_with_numbers, without_parts
+    from zeno_orbits.model import PART_NAMES, PwmSettings, rig_with_numbers, without_parts
 
     left_out = list(without)
     if only is not None:
@@ -351,7 +351,7 @@ def machine_of(
         return rig
     if rig.bridge is None:
         raise InputError("Argument `exact` needs a bridge, which the machine lacks.")
-    return replace(rig, bridge=replace(rig.bridge, switching=Switching.EXACT))
+    return replace(rig, bridge=replace(rig.bridge, switching=PwmSettings.EXACT))
 
 
 def rig_settings(rig: Rig) -> RigSettings:
@@ -435,7 +435,7 @@ def counterpart_for(
     recording: str | Path | None = None,
     periods: int,
     on_progress: Progress = silent,
-) -> Counterpart:
+) -> MatchedRun:
     """Return another motion to draw with an orbit: a recording, or the simulated test rig.
 
     Args:
@@ -484,14 +484,14 @@ def recording_for(
 _DECADE = 10.0
 
 
-def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unknown, ...]:
+def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[FitParameter, ...]:
     """Return the parameters to estimate, in ranges that the problem allows."""
-    from zeno_orbits.experiment import Unknown, default_range
+    from zeno_orbits.experiment import FitParameter, default_range
 
     # A sequence may name a parameter twice, which the fit refuses.
     asked = fit.items() if isinstance(fit, Mapping) else [(label, None) for label in fit]
     known = {quantity.name: quantity for quantity in problem.parameters}
-    found: list[Unknown] = []
+    found: list[FitParameter] = []
     for label, box in asked:
         names = tuple(label.split("+"))
         lower, upper = -math.inf, math.inf
@@ -505,5 +505,5 @@ def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unkn
         low, high = max(lower, around[0]), min(upper, around[1])
         if box is not None:
             low, high = number_range("fit", box)
-        found.append(Unknown(names=names, lower=max(low, lower), upper=min(high, upper)))
+        found.append(FitParameter(names=names, lower=max(low, lower), upper=min(high, upper)))
     return tuple(found)

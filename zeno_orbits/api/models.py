@@ -208,14 +208,14 @@ def reduced_model_errors(
     Raises:
         InputError: If a name is unknown, or no reduced models exist for the problem.
     """
-    from zeno_orbits.precision import reduction_costs
+    from zeno_orbits.precision import errors_of_reduced_models
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     if not known.fidelities:
         message = f"must have reduced models, but `{known.name}` lacks them"
         raise InputError(f"Argument `problem` {message}.")
-    return list(reduction_costs(known, values, measure=measure).values())
+    return list(errors_of_reduced_models(known, values, measure=measure).values())
 
 
 @front_door
@@ -247,7 +247,7 @@ def work_precision(
         InputError: If a name is unknown or a value is out of range.
         SimulationError: If the reference solution cannot be computed.
     """
-    from zeno_orbits.precision import QUICK, WorkPrecisionSettings, trade
+    from zeno_orbits.precision import QUICK, WorkPrecisionSettings, measure_work_precision
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
@@ -255,4 +255,4 @@ def work_precision(
     chosen = settings or (QUICK if quick else WorkPrecisionSettings())
     if until is not None:
         chosen = replace(chosen, until=until)
-    return trade(known, values, state, settings=chosen, on_progress=on_progress)
+    return measure_work_precision(known, values, state, settings=chosen, on_progress=on_progress)

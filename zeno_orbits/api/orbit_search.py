@@ -21,17 +21,17 @@ from zeno_orbits.api.settings import verification_settings
 from zeno_orbits.errors import InputError, named_numbers, number_range
 from zeno_orbits.model import ParameterValues, Problem, ProblemFile
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
-from zeno_orbits.work import Plan, Progress, silent
+from zeno_orbits.work import ExecutionPlan, Progress, silent
 
 if TYPE_CHECKING:
-    from zeno_orbits.orbits import Bound, OrbitShape
+    from zeno_orbits.orbits import Bound, EventSequence
     from zeno_orbits.search import (
         Candidate,
-        Closing,
         EventSearchResult,
         Objective,
         SearchResult,
         SearchSettings,
+        ShootingResult,
     )
     from zeno_orbits.simulation import SimulationSettings
     from zeno_orbits.verification import VerificationSettings
@@ -46,7 +46,7 @@ def find_orbit(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
-    shape: OrbitShape | None = None,
+    shape: EventSequence | None = None,
     settings: SearchSettings | None = None,
     allow_unstable: bool = False,
     on_progress: Progress = silent,
@@ -97,13 +97,13 @@ def search_gains(
     objective: Objective | None = None,
     bounds: Sequence[Bound] = (),
     near: ZenoOrbit | str | Path | None = None,
-    shape: OrbitShape | None = None,
+    shape: EventSequence | None = None,
     settings: SearchSettings | None = None,
     allow_unstable: bool = False,
     accuracy: float | None = None,
     engine: str | None = None,
     workers: int = 1,
-    plan: Plan | None = None,
+    plan: ExecutionPlan | None = None,
     on_progress: Progress = silent,
 ) -> SearchResult:
     """Find gains, parameters and initial states of an orbit, and verify it.
@@ -213,7 +213,7 @@ def find_event_orbit(
         SimulationError: If no motion settles to an orbit.
     """
     from zeno_orbits.search import settled_event_orbit as find
-    from zeno_orbits.verification import certified, verify_events
+    from zeno_orbits.verification import verify_events, with_certificate
 
     known = known_problem(problem)
     begin = None if near is None else _near_events(near, known)
@@ -227,7 +227,7 @@ def find_event_orbit(
         simulation=settings,
         on_progress=on_progress,
     )
-    return certified(orbit, verify_events(orbit, known, on_progress=on_progress))
+    return with_certificate(orbit, verify_events(orbit, known, on_progress=on_progress))
 
 
 @front_door
@@ -328,10 +328,10 @@ def find_orbit_by_shooting(
     parameters: Numbers | None = None,
     start: Numbers | None = None,
     near: ZenoOrbit | str | Path | None = None,
-    shape: OrbitShape | None = None,
+    shape: EventSequence | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
-) -> Closing:
+) -> ShootingResult:
     """Return the orbit that a simulation reaches: faster than `find_orbit`, but not verified.
 
     Args:
@@ -354,7 +354,7 @@ def find_orbit_by_shooting(
     if start is not None:
         known.state_vector(start)
         known = replace(known, starts=(dict(start),))
-    return closing.close_orbit(
+    return closing.orbit_by_shooting(
         known,
         known.values(gains=gains, parameters=parameters),
         near=as_orbit(near) if near is not None else None,
@@ -382,7 +382,7 @@ class Verified:
 
     def __call__(self, orbit: ZenoOrbit | EventOrbit) -> Any:
         """Return the certificate of an orbit and the reason against accepting it, if any."""
-        from zeno_orbits.search import Judgement
+        from zeno_orbits.search import Verdict
         from zeno_orbits.verification import verifier, verify_events
 
         known = self.problem if isinstance(self.problem, Problem) else self.problem.load()
@@ -398,7 +398,7 @@ class Verified:
             objection = f"The orbit is not stable: its spectral radius is {radius:.4g}."
         elif self.accuracy is not None and not certificate.orbit_error <= self.accuracy:
             objection = f"Its numbers are certain to {certificate.orbit_error:.1e} only."
-        return Judgement(objection=objection, certificate=certificate)
+        return Verdict(objection=objection, certificate=certificate)
 
 
 def _with_one_stop(problem: Problem) -> Problem:
@@ -472,33 +472,35 @@ def _of_problem(orbit: _Orbit, problem: Problem) -> _Orbit:
 def _with_certificates(result: SearchResult, bounds: Sequence[Bound]) -> SearchResult:
     """Return the result with the certificate, bounds and multipliers stored in each orbit."""
     from zeno_orbits.orbits import asked_and_reached
-    from zeno_orbits.verification import certified
+    from zeno_orbits.verification import with_certificate
 
-    def with_certificate(one: Candidate) -> Candidate:
+    def checked(one: Candidate) -> Candidate:
         if one.certificate is None:
             return one
         asked = tuple(asked_and_reached(bounds, one.extents))
         certificate = replace(one.certificate, asked=asked)
-        return replace(one, orbit=certified(one.orbit, certificate), certificate=certificate)
+        return replace(one, orbit=with_certificate(one.orbit, certificate), certificate=certificate)
 
-    candidates = tuple(map(with_certificate, result.candidates))
+    candidates = tuple(map(checked, result.candidates))
     best = candidates[0].orbit if candidates else result.orbit
     return replace(result, orbit=best, candidates=candidates)
 
 
 def _with_event_certificates(result: EventSearchResult) -> EventSearchResult:
     """Return the result with the certificate, bounds and multipliers stored in each orbit."""
-    from zeno_orbits.verification import certified
+    from zeno_orbits.verification import with_certificate
 
     candidates = tuple(
         one
         if one.certificate is None
-        else replace(one, orbit=certified(one.orbit, one.certificate))
+        else replace(one, orbit=with_certificate(one.orbit, one.certificate))
         for one in result.candidates
     )
     if result.orbit is None or result.certificate is None:
         return replace(result, candidates=candidates)
-    return replace(result, orbit=certified(result.orbit, result.certificate), candidates=candidates)
+    return replace(
+        result, orbit=with_certificate(result.orbit, result.certificate), candidates=candidates
+    )
 
 
 def _boxes(

@@ -15,7 +15,7 @@ from zeno_orbits.api.inputs import (
     problem_of,
 )
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
-from zeno_orbits.work import Plan, Progress, silent
+from zeno_orbits.work import ExecutionPlan, Progress, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.maps import Pushes, PushSettings, Recovery, RecoverySettings
@@ -29,7 +29,7 @@ def largest_push(
     directions: Sequence[Mapping[str, float]] = (),
     settings: PushSettings | None = None,
     workers: int = 1,
-    plan: Plan | None = None,
+    plan: ExecutionPlan | None = None,
     on_progress: Progress = silent,
 ) -> Pushes:
     """Return the largest impulses from which the motion returns to an orbit.

@@ -32,9 +32,9 @@ def search_settings(
         seed: Random seed of these guesses.
         candidates: Number of orbits to rank.
     """
-    from zeno_orbits.search import SearchSettings, SettlingSettings
+    from zeno_orbits.search import SearchSettings, TransientSettings
 
-    settling = SettlingSettings(horizon=horizon)
+    settling = TransientSettings(horizon=horizon)
     return SearchSettings(settling=settling, n_starts=n_starts, seed=seed, candidates=candidates)
 
 

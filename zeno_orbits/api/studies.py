@@ -23,15 +23,15 @@ from zeno_orbits.api.inputs import (
 from zeno_orbits.errors import InputError, named_numbers, number_range
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
-from zeno_orbits.work import Plan, Progress, Workers, silent
+from zeno_orbits.work import ExecutionPlan, Progress, Workers, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import (
         Continuation,
         ContinuationSettings,
-        Crew,
         SecondParameter,
         SpecialPointKind,
+        WorkerPool,
     )
     from zeno_orbits.maps import Attractor, ParameterMap, Plane
     from zeno_orbits.maps import Axis as MapAxis
@@ -47,7 +47,7 @@ def continue_orbit(
     second: SecondParameter | None = None,
     settings: ContinuationSettings | None = None,
     workers: int = 1,
-    plan: Plan | None = None,
+    plan: ExecutionPlan | None = None,
     on_progress: Progress = silent,
 ) -> Continuation:
     """Return the solution branch of an orbit in a gain or parameter, with its special points.
@@ -104,7 +104,7 @@ def continue_impacts(
     parameters: Numbers | None = None,
     settings: ContinuationSettings | None = None,
     workers: int = 1,
-    plan: Plan | None = None,
+    plan: ExecutionPlan | None = None,
     on_progress: Progress = silent,
 ) -> Continuation:
     """Return the solution branch of the orbit without a Zeno point that a simulation reaches.
@@ -162,11 +162,11 @@ def orbit_inside(
     Raises:
         OrbitNotFoundError: If the simulation does not reach such an orbit.
     """
-    from zeno_orbits.continuation import start_orbit, values_inside
+    from zeno_orbits.continuation import clip_to_box, start_orbit
     from zeno_orbits.search import settled_event_orbit
 
     given = dict(numbers or {})
-    values = values_inside(problem, problem.values(numbers=given), ranges, given)
+    values = clip_to_box(problem, problem.values(numbers=given), ranges, given)
     if problem.has_graph:
         return settled_event_orbit(problem, values, on_progress=on_progress)
     return start_orbit(problem, values, on_progress=on_progress)
@@ -207,16 +207,20 @@ def continuation_settings(max_points: int) -> ContinuationSettings:
 
 
 @contextmanager
-def _crew(problem: Named, plan: Plan | None, on_progress: Progress) -> Generator[Crew | None]:
+def _crew(
+    problem: Named, plan: ExecutionPlan | None, on_progress: Progress
+) -> Generator[WorkerPool | None]:
     """Open the workers of a continuation, if the plan has workers."""
-    from zeno_orbits.continuation import Crew
+    from zeno_orbits.continuation import WorkerPool
     from zeno_orbits.work import open_pool
 
     if plan is None:
         yield None
         return
     with open_pool(plan.place) as pool:
-        yield Crew(problem_file=file_of(problem), plan=plan, pool=pool, on_progress=on_progress)
+        yield WorkerPool(
+            problem_file=file_of(problem), plan=plan, pool=pool, on_progress=on_progress
+        )
 
 
 @front_door
@@ -232,7 +236,7 @@ def parameter_map(
     refine: int = 0,
     until: float | None = None,
     workers: int = 1,
-    plan: Plan | None = None,
+    plan: ExecutionPlan | None = None,
     on_progress: Progress = silent,
 ) -> ParameterMap:
     """Return the attractors over a plane of gains, parameters or initial states.
@@ -274,7 +278,7 @@ def parameter_map(
         until=until,
         in_file=shared is not None,
     )
-    chosen = shared or Plan(place=Workers(count=1))
+    chosen = shared or ExecutionPlan(place=Workers(count=1))
     plan = replace(chosen, chunk=maps.chunk_of(plane))
     return maps.parameter_map(plane, plan, refine=refine, on_progress=on_progress)
 

@@ -5,8 +5,8 @@ period doublings (flips), Neimark-Sacker points, branch points and ends are loca
 followed in a second parameter (`two_parameters`).
 
 Offers: `family_of_orbit` and `family_of_impacts`, which return a `Continuation` of `Family`; how to
-follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, `Crew` (workers);
-`start_orbit` and `values_inside`; `orbit_amplitude` of a point of a family.
+follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, `WorkerPool`
+(workers); `start_orbit` and `clip_to_box`; `orbit_amplitude` of a point of a family.
 
 Imports: search, orbits, simulation, model, work, arrays, errors.
 

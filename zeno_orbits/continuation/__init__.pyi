@@ -4,13 +4,13 @@ from .continuation import SecondParameter as SecondParameter
 from .continuation import family_of_impacts as family_of_impacts
 from .continuation import family_of_orbit as family_of_orbit
 from .continuation import start_orbit as start_orbit
-from .continuation import values_inside as values_inside
+from .continuation import clip_to_box as clip_to_box
 from .families import SpecialCurve as SpecialCurve
 from .families import Continuation as Continuation
 from .families import Family as Family
 from .families import FamilyPoint as FamilyPoint
 from .families import SpecialPointKind as SpecialPointKind
 from .families import SpecialPoint as SpecialPoint
-from .parallel import Crew as Crew
+from .parallel import WorkerPool as WorkerPool
 from .setup import ContinuationSettings as ContinuationSettings
 from .two_parameters.plane import CurveSteps as CurveSteps

@@ -18,7 +18,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct
 from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import SpecialPointKind
-from zeno_orbits.continuation.margins import Threat, stages, threats
+from zeno_orbits.continuation.margins import VanishingMargin, stages, threats
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, ReturnMap
 from zeno_orbits.continuation.special_points.special_points import Located, arclength
 from zeno_orbits.continuation.special_points.subdivision import (
@@ -340,13 +340,13 @@ class _Follower:
             before = way[-1].points[-1]
         return way
 
-    def _threats(self, points: Sequence[BranchPoint]) -> Sequence[Threat]:
+    def _threats(self, points: Sequence[BranchPoint]) -> Sequence[VanishingMargin]:
         try:
             return threats(stages(points), partial(self.returns.restitution, points[-1].s))
         except (ZeroDivisionError, ValueError):
             return []
 
-    def _located(self, points: Sequence[BranchPoint], threat: Threat) -> Located | None:
+    def _located(self, points: Sequence[BranchPoint], threat: VanishingMargin) -> Located | None:
         """Return the end at which a margin vanishes if it is near its prediction, else ``None``."""
         last = points[-1]
         try:

@@ -18,7 +18,7 @@ from zeno_orbits.continuation.branch import Branch
 from zeno_orbits.continuation.corrector import first_point
 from zeno_orbits.continuation.families import Continuation, SpecialCurve, SpecialPointKind
 from zeno_orbits.continuation.jobs import FollowDirection, FollowDoubling
-from zeno_orbits.continuation.parallel import Crew, Dispatch
+from zeno_orbits.continuation.parallel import Dispatch, WorkerPool
 from zeno_orbits.continuation.setup import (
     ContinuationSettings,
     FamilyStart,
@@ -33,9 +33,9 @@ from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ONE_ZENO, EventOrbit, ZenoOrbit
-from zeno_orbits.search import close_orbit, orbit_at_gains
+from zeno_orbits.search import orbit_at_gains, orbit_by_shooting
 from zeno_orbits.simulation import simulator_in_use
-from zeno_orbits.work import Checked, Progress, plain, silent, versions
+from zeno_orbits.work import Checked, Progress, silent, to_plain, versions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +62,7 @@ def family_of_orbit(
     second: SecondParameter | None = None,
     settings: ContinuationSettings | None = None,
     on_progress: Progress = silent,
-    crew: Crew | None = None,
+    crew: WorkerPool | None = None,
 ) -> Continuation:
     """Return the family of an orbit in a gain or a parameter, and its bifurcating branches.
 
@@ -102,7 +102,7 @@ def family_of_impacts(
     *,
     settings: ContinuationSettings | None = None,
     on_progress: Progress = silent,
-    crew: Crew | None = None,
+    crew: WorkerPool | None = None,
 ) -> Continuation:
     """Return the family of an attracting orbit without a Zeno point.
 
@@ -148,13 +148,13 @@ def continue_from(
         return _continuation(_families(start, dispatch.claimed(identity)))
     setup = start.setup
     plane = plane_of(dispatch.problem, setup.values, setup, second.name, second.box)
-    own = {"second": second.name, "box": list(second.box), "kinds": plain(second.kinds)}
+    own = {"second": second.name, "box": list(second.box), "kinds": to_plain(second.kinds)}
     dispatch = dispatch.claimed({**identity, **own})
     families = _families(start, dispatch)
     return _continuation(families, curves_through(dispatch, plane, families, second.kinds))
 
 
-def values_inside(
+def clip_to_box(
     problem: Problem,
     values: ParameterValues,
     boxes: Mapping[str, tuple[float, float]],
@@ -194,7 +194,7 @@ def start_orbit(
         OrbitNotFoundError: If the motion does not converge to such an orbit.
     """
     try:
-        closing = close_orbit(problem, values, on_progress=on_progress, shape=ONE_ZENO)
+        closing = orbit_by_shooting(problem, values, on_progress=on_progress, shape=ONE_ZENO)
     except InputError:
         # A rough simulation may drift off a holonomic row. The search does not depend on it.
         closing = None
@@ -230,13 +230,13 @@ def _identity(start: FamilyStart, dispatch: Dispatch) -> dict[str, Any]:
     setup = start.setup
     return {
         "problem": dispatch.problem.name,
-        "gains": plain(setup.values.gains),
-        "parameters": plain(setup.values.parameters),
+        "gains": to_plain(setup.values.gains),
+        "parameters": to_plain(setup.values.parameters),
         "in": setup.parameter,
         "range": list(setup.box),
-        "section": plain(setup.section),
+        "section": to_plain(setup.section),
         "start": [*start.x.tolist(), start.s],
-        "settings": plain(dispatch.settings, "settings"),
+        "settings": to_plain(dispatch.settings, "settings"),
         "simulator": simulator_in_use(),
         "versions": versions(),
     }

@@ -36,8 +36,8 @@ from zeno_orbits.simulation import (
     Ending,
     Impact,
     Mode,
-    Perturbations,
     PlasticAfter,
+    VariationalEquation,
     motion_of,
 )
 
@@ -77,7 +77,7 @@ class CutReturns(OnSection):
         if release is None:
             raise SimulationError("No release follows", time=horizon, state=tuple(x.tolist()))
         moving = self.line.moving
-        perturbations = Perturbations(
+        perturbations = VariationalEquation(
             dynamics=dynamics,
             differentials=differentials_of(dynamics, moving),
             n_parameters=len(moving),

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.lock_end import locate_cut
-from zeno_orbits.continuation.margins import ENDS, Threat, causes, stages
+from zeno_orbits.continuation.margins import ENDS, VanishingMargin, causes, stages
 from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.continuation.special_points.subdivision import neville
@@ -27,7 +27,7 @@ def locate_end(
     returns: ReturnMap,
     metric: FamilyMetric,
     points: Sequence[BranchPoint],
-    threat: Threat,
+    threat: VanishingMargin,
 ) -> Located:
     """Return the end of a family at which a margin is zero, with its cause as its kind.
 
@@ -60,7 +60,7 @@ def _located(
     returns: ReturnMap,
     metric: FamilyMetric,
     points: Sequence[BranchPoint],
-    threat: Threat,
+    threat: VanishingMargin,
 ) -> Located:
     last, margin = points[-1], threat.margin
     if margin.loss is MarginKind.LOCK and returns.restitution(last.s, margin.place) > 0.0:
@@ -73,7 +73,7 @@ def _better(
     returns: ReturnMap,
     metric: FamilyMetric,
     points: Sequence[BranchPoint],
-    cause: Threat,
+    cause: VanishingMargin,
 ) -> Located:
     """Return an end located by the margin of its cause, if the error estimate is smaller."""
     try:

@@ -31,9 +31,9 @@ from zeno_orbits.orbits import (
     event_return,
     extrapolated,
     kept_directions,
-    loosened,
     margins_of_return,
     on_section,
+    relaxed_settings,
 )
 from zeno_orbits.simulation import (
     Completion,
@@ -89,7 +89,7 @@ class EventReturns:
 
     def loosened(self) -> Self:
         """Return the same map at a looser tolerance."""
-        return replace(self, settings=loosened(self.settings, factor=LOOSER))
+        return replace(self, settings=relaxed_settings(self.settings, factor=LOOSER))
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         """Return the directions that keep the constraints, as a chart around a state.

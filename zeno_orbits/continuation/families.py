@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
-from zeno_orbits.work import Columns, Displayed, by_name
+from zeno_orbits.work import Columns, TableRepr, by_name
 
 FORMAT = 1
 """Version of the file format."""
@@ -162,7 +162,7 @@ _MOST_NAMED = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Family(Displayed):
+class Family(TableRepr):
     """A connected piece of a family, in order along it.
 
     Attributes:
@@ -314,7 +314,7 @@ def whole_curve(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Continuation(Displayed):
+class Continuation(TableRepr):
     """The result of a continuation.
 
     Attributes:

@@ -63,7 +63,7 @@ The amplitude vanishes with the release rate if the state changes only in the fl
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Threat:
+class VanishingMargin:
     """A margin that is about to vanish.
 
     Attributes:
@@ -95,7 +95,7 @@ def stages(points: Sequence[BranchPoint]) -> list[Stage]:
     return [Stage(z=point.z, margins=point.found.margins) for point in points]
 
 
-def threats(way: Sequence[Stage], restitution: Callable[[int], float]) -> list[Threat]:
+def threats(way: Sequence[Stage], restitution: Callable[[int], float]) -> list[VanishingMargin]:
     """Return the margins that vanish beyond the last stage, the nearest first.
 
     Args:
@@ -105,7 +105,7 @@ def threats(way: Sequence[Stage], restitution: Callable[[int], float]) -> list[T
     """
     before, last = way[-2], way[-1]
     step = float(np.linalg.norm(last.z - before.z))
-    found: dict[Margin, Threat] = {}
+    found: dict[Margin, VanishingMargin] = {}
     for margin, value in last.margins.items():
         earlier = before.margins.get(margin)
         if earlier is None or step == 0.0 or margin.loss is MarginKind.CUT:
@@ -118,7 +118,7 @@ def threats(way: Sequence[Stage], restitution: Callable[[int], float]) -> list[T
             power = 1.0
             if margin.loss is MarginKind.LOCK and restitution(margin.place) > 0.0:
                 power = 1 / separatrix(restitution(margin.place)).exponent
-            found[margin] = Threat(
+            found[margin] = VanishingMargin(
                 margin=margin,
                 distance=step / ((earlier / value) ** power - 1),
                 fall=float(np.log(earlier / value)),
@@ -149,7 +149,9 @@ def consequences(margin: Margin, n_returns: int) -> dict[Margin, float]:
     }
 
 
-def _without_consequences(found: dict[Margin, Threat], n_returns: int) -> list[Threat]:
+def _without_consequences(
+    found: dict[Margin, VanishingMargin], n_returns: int
+) -> list[VanishingMargin]:
     """Return threats without the consequences of others, according to their joint decrease."""
     left = dict(found)
     for margin, threat in found.items():
@@ -225,7 +227,7 @@ def meeting(
             the last point.
         within: Largest distance ahead.
     """
-    found: list[Threat] = []
+    found: list[VanishingMargin] = []
     for margin, value in way[-1].margins.items():
         # A margin may fluctuate on its last steps. So its decrease is measured from the last
         # stage at which it was larger by a factor.
@@ -234,7 +236,7 @@ def meeting(
         ]
         if whence and value == 0.0:
             last = float(np.linalg.norm(way[-1].z - way[whence[-1]].z))
-            found.append(Threat(margin=margin, distance=last, fall=np.inf))
+            found.append(VanishingMargin(margin=margin, distance=last, fall=np.inf))
         elif whence:
             fallen = threats((*way[: whence[-1] + 1], way[-1]), restitution)
             found += [threat for threat in fallen if threat.margin == margin]

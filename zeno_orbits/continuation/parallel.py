@@ -15,13 +15,23 @@ from zeno_orbits.continuation.setup import ContinuationSettings
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import Problem, ProblemFile
 from zeno_orbits.orbits import StepError
-from zeno_orbits.work import LostPoint, Plan, Pool, Progress, claim, plain, restored, silent, spread
+from zeno_orbits.work import (
+    ExecutionPlan,
+    FailedPoint,
+    Pool,
+    Progress,
+    claim_checkpoint,
+    from_plain,
+    parallel_map,
+    silent,
+    to_plain,
+)
 
 R = TypeVar("R")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Crew:
+class WorkerPool:
     """Workers of a continuation.
 
     Attributes:
@@ -33,7 +43,7 @@ class Crew:
     """
 
     problem_file: ProblemFile
-    plan: Plan
+    plan: ExecutionPlan
     pool: Pool
     on_progress: Progress
 
@@ -52,7 +62,7 @@ class Dispatch:
     problem: Problem
     settings: ContinuationSettings
     on_progress: Progress
-    crew: Crew | None = None
+    crew: WorkerPool | None = None
 
     def claimed(self, own: dict[str, Any]) -> Dispatch:
         """Return this dispatch with the checkpoint claimed for one continuation.
@@ -70,7 +80,7 @@ class Dispatch:
             raise InputError(f"Argument `problem` {wanted}.")
         identity = {"work": "continuation", **own, "problem_digest": self.crew.problem_file.digest}
         plan = replace(self.crew.plan, chunk=1, identity={**identity, **self.crew.plan.identity})
-        claim(plan)
+        claim_checkpoint(plan)
         return replace(self, crew=replace(self.crew, plan=plan))
 
     def results(self, stage: str, noun: str, groups: Sequence[Sequence[Job[R]]]) -> list[list[R]]:
@@ -131,11 +141,11 @@ class _Task(Generic[R]):
         """Return the results of jobs as plain data."""
         problem = self.problem_file.load()
         chosen = [self.jobs[number] for number in numbers]
-        return [plain(_attempted(job, problem, self.settings, silent)) for job in chosen]
+        return [to_plain(_attempted(job, problem, self.settings, silent)) for job in chosen]
 
 
 def _results_of_crew(
-    crew: Crew,
+    crew: WorkerPool,
     stage: str,
     noun: str,
     settings: ContinuationSettings,
@@ -146,17 +156,19 @@ def _results_of_crew(
     task = _Task(problem_file=crew.problem_file, settings=settings, jobs=tuple(jobs))
     plan = replace(crew.plan, noun=noun)
     if plan.checkpoint is not None:
-        words = json.dumps([plain(job) for job in jobs])
+        words = json.dumps([to_plain(job) for job in jobs])
         digest = hashlib.sha256(words.encode()).hexdigest()
         plan = replace(
             plan,
             checkpoint=plan.checkpoint / stage,
             identity={**plan.identity, "stage": stage, "jobs": digest},
         )
-    results = spread(task, range(len(jobs)), plan, on_progress=crew.on_progress, pool=crew.pool)
+    results = parallel_map(
+        task, range(len(jobs)), plan, on_progress=crew.on_progress, pool=crew.pool
+    )
     return [
         job.failed(result.reason)
-        if isinstance(result, LostPoint)
-        else restored(cast("type[R]", job.result), result)
+        if isinstance(result, FailedPoint)
+        else from_plain(cast("type[R]", job.result), result)
         for job, result in zip(jobs, results, strict=True)
     ]

@@ -35,8 +35,8 @@ from zeno_orbits.orbits import (
     ReturnDerivative,
     Section,
     differentials_of,
-    loosened,
-    projected,
+    project_to_section,
+    relaxed_settings,
     return_derivative,
     section_along,
 )
@@ -46,8 +46,8 @@ from zeno_orbits.simulation import (
     Execution,
     Impact,
     Mode,
-    Perturbations,
     SimulationSettings,
+    VariationalEquation,
     least_inside,
     motion_of,
     simulate,
@@ -213,7 +213,7 @@ class SectionReturns:
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         """Return the state of the section nearest to a state."""
-        return projected(self.dynamics(s), self.rows, x, scale)
+        return project_to_section(self.dynamics(s), self.rows, x, scale)
 
     def moved_to(self, line: Line) -> Self:
         """Return the same map along another line."""
@@ -221,7 +221,7 @@ class SectionReturns:
 
     def loosened(self) -> Self:
         """Return the same map at a looser tolerance."""
-        return replace(self, settings=loosened(self.settings, factor=LOOSER))
+        return replace(self, settings=relaxed_settings(self.settings, factor=LOOSER))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -402,7 +402,7 @@ class ImpactReturns(SectionReturns):
         if not run.impacts or run.arcs[0].ending is not Ending.IMPACT:
             raise SimulationError("No impact follows", time=horizon, state=tuple(x.tolist()))
         arc, impact = run.arcs[0], run.impacts[0]
-        perturbations = Perturbations(
+        perturbations = VariationalEquation(
             dynamics=dynamics,
             differentials=differentials_of(dynamics, line.moving),
             n_parameters=len(line.moving),
@@ -410,7 +410,7 @@ class ImpactReturns(SectionReturns):
         )
         after = motion_of(perturbations, run, perturbations.launched(x)).of(arc).after
         n_x = x.size
-        end = projected(dynamics, IMPACT_ROWS, impact.state_plus, dynamics.own.states(n_x))
+        end = project_to_section(dynamics, IMPACT_ROWS, impact.state_plus, dynamics.own.states(n_x))
         margins = {
             Margin(loss=MarginKind.FREQUENCY): 1 / impact.time,
             Margin(loss=MarginKind.FIRST_IMPACT): -impact.approach_rate,
@@ -456,7 +456,7 @@ def _product(factors: Sequence[float | None]) -> float | None:
 
 
 def _volume(
-    dynamics: HybridDynamics, perturbations: Perturbations, arc: Arc, impact: Impact
+    dynamics: HybridDynamics, perturbations: VariationalEquation, arc: Arc, impact: Impact
 ) -> float | None:
     r"""Return the factor of phase volume over a flight and its impact.
 

@@ -30,7 +30,7 @@ from zeno_orbits.orbits import (
     event_return,
     section_of_family,
 )
-from zeno_orbits.search import settle
+from zeno_orbits.search import run_to_attractor
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import Checked
 
@@ -185,7 +185,7 @@ def start_at_impact(
         SimulationError: If the impacts do not converge, or contact persists.
     """
     s = _checked(problem, values, "in", parameter, box)
-    settling = settle(problem.dynamics(values), [state], problem=problem)
+    settling = run_to_attractor(problem.dynamics(values), [state], problem=problem)
     cycle = settling.cycle
     lacking = "The motion does not converge to an orbit without a Zeno point"
     if cycle is None or cycle.drift(cycle.scale_at_events()) > _SETTLED:

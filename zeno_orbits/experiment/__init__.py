@@ -2,8 +2,8 @@
 
 Offers: for recordings `Recording` of `RecordedSignal`s with a `Source`, `read_recording`,
 `write_recording`, `sampled`. `compare_recording` returns a `Comparison` of `Metric`s.
-`fit_parameters` returns an `Identification` of `Unknown`s or raises `UnfittableError`. `run_rig`
-and `rig_cycles` simulate a problem as a machine without a Zeno point, with `RigSettings`.
+`fit_parameters` returns an `Identification` of `FitParameter`s or raises `UnfittableError`.
+`run_rig` and `settle_rig` simulate a problem as a machine without a Zeno point, with `RigSettings`.
 
 Sub-folders: `recordings` (files, tables, periodicity of signals), `comparison` (an orbit compared
 with a recording), `identification` (parameters by least squares), `rig` (simulated machines). The

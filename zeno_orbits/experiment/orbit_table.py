@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import GuardedFlow
+from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model import Columns, GraphDynamics, HybridDynamics, Problem, dense_function
 from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search import cycle_near
@@ -396,7 +396,7 @@ def graph_nodes(graph: GraphDynamics, arcs: Sequence[Arc]) -> CubicColumns:
     )
 
 
-def _flow_of(graph: GraphDynamics, arc: Arc) -> GuardedFlow:
+def _flow_of(graph: GraphDynamics, arc: Arc) -> FlowWithEvent:
     """Return the flow of the mode of an arc."""
     mode = graph.mode_of(arc.closed, arc.sides)
     beside, stop = graph.some_stop(mode)
@@ -415,7 +415,7 @@ def _joined(pieces: Sequence[_Nodes]) -> CubicColumns:
     )
 
 
-def _arc_nodes(flow: GuardedFlow, arc: Arc, inside: float = 0.0) -> _Nodes:
+def _arc_nodes(flow: FlowWithEvent, arc: Arc, inside: float = 0.0) -> _Nodes:
     """Return times, states and their slopes along an arc.
 
     Args:

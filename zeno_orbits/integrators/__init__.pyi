@@ -14,14 +14,14 @@ from .dop853_step import explicit_attempt as explicit_attempt
 from .dop853_step import overflow as overflow
 from .engine import BoxedStep as BoxedStep
 from .engine import Engine as Engine
-from .engine import Leg as Leg
-from .engine import Outcome as Outcome
-from .engine import Passage as Passage
+from .engine import Segment as Segment
+from .engine import Termination as Termination
+from .engine import SegmentResult as SegmentResult
 from .engine import Step as Step
 from .engine import Stepper as Stepper
 from .engine import Trajectory as Trajectory
 from .engine import Watch as Watch
-from .engine import light_value as light_value
+from .engine import fast_dataclass as fast_dataclass
 from .engine import unwatched as unwatched
 from .engines import ENGINES as ENGINES
 from .engines import REMOVED as REMOVED
@@ -31,7 +31,7 @@ from .events import SteppedTrajectory as SteppedTrajectory
 from .flow import Corrected as Corrected
 from .following import follow_steps as follow_steps
 from .flow import FIRST_ITERATIONS as FIRST_ITERATIONS
-from .flow import GuardedFlow as GuardedFlow
+from .flow import FlowWithEvent as FlowWithEvent
 from .flow import NewtonPieces as NewtonPieces
 from .flow import PlainFlow as PlainFlow
 from .flow import StageGuess as StageGuess

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.dop853 import RungeKutta
 from zeno_orbits.integrators.engine import FAR, BoxedStep, Step
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance, flow_eigenvalues
+from zeno_orbits.integrators.flow import FlowWithEvent, Tolerance, flow_eigenvalues
 from zeno_orbits.integrators.radau import Radau
 from zeno_orbits.integrators.stepping import SteppingEngine
 from zeno_orbits.work import Checked
@@ -59,7 +59,7 @@ class Automatic(SteppingEngine, Checked):
     implicit: Radau = field(default_factory=Radau)
 
     def steps(
-        self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
+        self, flow: FlowWithEvent, y: Vector, tolerance: Tolerance, horizon: float = FAR
     ) -> Iterator[BoxedStep]:
         """Yield explicit steps without end, and implicit steps if the flow becomes stiff."""
         limits, size = _NONE, 0.0
@@ -102,7 +102,7 @@ class _Limits:
 _NONE = _Limits(fastest=0.0, first=0.0, values=np.zeros(0, dtype=np.complex128))
 
 
-def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> _Limits:
+def _limits(flow: FlowWithEvent, y: Vector, tolerance: Tolerance) -> _Limits:
     """Return the decay that holds explicit steps back and an implicit step to begin with."""
     values = flow_eigenvalues(flow, y)
     fastest, next_rate = rates_of(values)
@@ -119,7 +119,7 @@ def _without_last_bits(x: float) -> float:
     return math.ldexp(math.floor(256.0 * part) / 256.0, power)
 
 
-def _time_left(flow: GuardedFlow, step: Step) -> float:
+def _time_left(flow: FlowWithEvent, step: Step) -> float:
     """Return the time from the end of a step to the zero of the guard, from a parabola."""
     (_, rate_before), (value, rate) = flow.guard(step.before), flow.guard(step.after)
     bend = (rate - rate_before) / step.size

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.engine import FAR
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+from zeno_orbits.integrators.flow import FlowWithEvent, Tolerance
 from zeno_orbits.integrators.stepping import SteppingEngine
 from zeno_orbits.integrators.steps import ExplicitStep, first_size, too_small
 from zeno_orbits.work import Checked
@@ -33,7 +33,7 @@ class RungeKutta(SteppingEngine, Checked):
     largest_step: float = math.inf
 
     def steps(
-        self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
+        self, flow: FlowWithEvent, y: Vector, tolerance: Tolerance, horizon: float = FAR
     ) -> Iterator[ExplicitStep]:
         """Yield explicit steps from ``y`` on, without end."""
         time = 0.0

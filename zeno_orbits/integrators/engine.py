@@ -8,7 +8,7 @@ from enum import Enum
 from typing import Protocol, TypeVar, dataclass_transform
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+from zeno_orbits.integrators.flow import FlowWithEvent, Tolerance
 
 FAR = 1e300
 """A horizon that no flow reaches. Steps that grow without bound end in NaN."""
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
-def light_value(of: type[T]) -> type[T]:
+def fast_dataclass(of: type[T]) -> type[T]:
     """Make a class a value of which an execution makes thousands: not frozen but to type checkers.
 
     To make a frozen dataclass takes three times as long, which was a sixth of a simulation.
@@ -39,8 +39,8 @@ def unwatched(_steps: int, _time: float, _state: Vector) -> None:
     """
 
 
-@light_value
-class Leg:
+@fast_dataclass
+class Segment:
     """A task of an engine: a flow, its initial state and its end.
 
     Attributes:
@@ -56,7 +56,7 @@ class Leg:
             function is called immediately. Otherwise many steps may pass between two calls.
     """
 
-    flow: GuardedFlow
+    flow: FlowWithEvent
     y: Vector
     horizon: float
     tolerance: Tolerance
@@ -66,7 +66,7 @@ class Leg:
     reach: Vector | None = None
 
 
-class Outcome(Enum):
+class Termination(Enum):
     """The end of a leg. The value is the phrase shown to the user."""
 
     FALL = "the guard fell through zero"
@@ -101,8 +101,8 @@ class Trajectory(Protocol):
         ...
 
 
-@light_value
-class Passage:
+@fast_dataclass
+class SegmentResult:
     """The result of a leg.
 
     Attributes:
@@ -112,7 +112,7 @@ class Passage:
         trajectory: The flow on the way.
     """
 
-    outcome: Outcome
+    outcome: Termination
     duration: float
     state: Vector
     trajectory: Trajectory
@@ -121,7 +121,7 @@ class Passage:
 class Engine(Protocol):
     """An integrator."""
 
-    def follow(self, leg: Leg) -> Passage:
+    def follow(self, leg: Segment) -> SegmentResult:
         """Follow a flow until its guard falls through zero or the time is over.
 
         Raises:
@@ -180,7 +180,7 @@ class BoxedStep(Step, Protocol):
 class Stepper(Protocol):
     """An engine that steps, and lets others watch."""
 
-    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[Step]:
+    def steps(self, flow: FlowWithEvent, y: Vector, tolerance: Tolerance) -> Iterator[Step]:
         """Yield steps from ``y`` on, without end.
 
         Args:

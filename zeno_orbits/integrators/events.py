@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.engine import Step, light_value
+from zeno_orbits.integrators.engine import Step, fast_dataclass
 
 Guard = tuple[float, float]
 """A guard and its time derivative."""
@@ -256,7 +256,7 @@ def _cubic_root(left: float, right: float, low: Pair, high: Pair) -> float:
 CUBIC_STEPS = 4
 
 
-@light_value
+@fast_dataclass
 class SteppedTrajectory:
     """The steps of a leg. The last step may extend beyond the end of the leg.
 

@@ -101,7 +101,7 @@ class NewtonPieces(Protocol):
         ...
 
 
-class GuardedFlow(Protocol):
+class FlowWithEvent(Protocol):
     """One mode: a vector field and the guard whose fall through zero ends it."""
 
     def rate(self, y: Vector) -> Vector:
@@ -161,7 +161,7 @@ class GuardedFlow(Protocol):
         ...
 
 
-def flow_eigenvalues(flow: GuardedFlow, y: Vector) -> NDArray[np.complex128]:
+def flow_eigenvalues(flow: FlowWithEvent, y: Vector) -> NDArray[np.complex128]:
     """Return the eigenvalues of the Jacobian of a flow, ``(n_y,)`` [1/time].
 
     They are zero if the Jacobian is not finite, so the rates are then unknown. Explicit steps from

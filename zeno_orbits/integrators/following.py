@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.integrators.engine import BoxedStep, Leg, Outcome, Passage, Step
+from zeno_orbits.integrators.engine import BoxedStep, Segment, SegmentResult, Step, Termination
 from zeno_orbits.integrators.events import Guard, SteppedTrajectory, first_fall
 from zeno_orbits.integrators.guard_net import first_of_all
 
@@ -14,7 +14,7 @@ LEAVES = 1e-6
 """A guard that was never positive and is below minus this part of its change has been left."""
 
 
-def follow_steps(steps: Iterator[BoxedStep], leg: Leg) -> Passage:
+def follow_steps(steps: Iterator[BoxedStep], leg: Segment) -> SegmentResult:
     """Take steps until the guard of a leg falls or its time is over."""
     flow, on_guard = leg.flow, leg.on_guard
     before = flow.guard(leg.y)
@@ -28,13 +28,13 @@ def follow_steps(steps: Iterator[BoxedStep], leg: Leg) -> Passage:
         end = step.size if fall is None else fall
         if step.start + end >= leg.horizon:
             state = end_state(step, leg.horizon - step.start)
-            return _passage(Outcome.HORIZON, taken, leg.horizon, state)
+            return _passage(Termination.HORIZON, taken, leg.horizon, state)
         if fall is not None:
-            return _passage(Outcome.FALL, taken, step.start + fall, end_state(step, fall))
+            return _passage(Termination.FALL, taken, step.start + fall, end_state(step, fall))
         if on_guard:
             largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
             if after[0] < -max(LEAVES * largest, leg.rounding):
-                return _passage(Outcome.LEFT, taken, step.start, step.before)
+                return _passage(Termination.LEFT, taken, step.start, step.before)
             on_guard = after[0] <= leg.rounding
         before = after
     raise StepSizeError(
@@ -43,7 +43,7 @@ def follow_steps(steps: Iterator[BoxedStep], leg: Leg) -> Passage:
 
 
 def _fall(
-    leg: Leg, step: BoxedStep, before: Guard, after: Guard, *, on_guard: bool
+    leg: Segment, step: BoxedStep, before: Guard, after: Guard, *, on_guard: bool
 ) -> float | None:
     """Return the offset in a step at which the guard of a leg first falls, if it does."""
     fall = first_fall(leg.flow, step, before, after, on_guard=on_guard)
@@ -54,15 +54,17 @@ def _fall(
     )
 
 
-def _is_rounding(leg: Leg, step: Step, fall: float) -> bool:
+def _is_rounding(leg: Segment, step: Step, fall: float) -> bool:
     """Return True if the guard, from its root at the start, has not risen above rounding."""
     _, rate = leg.flow.guard(end_state(step, fall))
     return abs(rate) * (step.start + fall) < leg.rounding
 
 
-def _passage(outcome: Outcome, steps: list[Step], duration: float, state: Vector) -> Passage:
+def _passage(
+    outcome: Termination, steps: list[Step], duration: float, state: Vector
+) -> SegmentResult:
     trajectory = SteppedTrajectory(steps=tuple(steps), duration=duration, end=state)
-    return Passage(outcome=outcome, duration=duration, state=state, trajectory=trajectory)
+    return SegmentResult(outcome=outcome, duration=duration, state=state, trajectory=trajectory)
 
 
 def end_state(step: Step, offset: float) -> Vector:

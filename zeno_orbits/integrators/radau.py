@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Collocation, radau_scheme
 from zeno_orbits.integrators.engine import FAR
-from zeno_orbits.integrators.flow import GuardedFlow, StageGuess, Tolerance
+from zeno_orbits.integrators.flow import FlowWithEvent, StageGuess, Tolerance
 from zeno_orbits.integrators.stepping import SteppingEngine
 from zeno_orbits.integrators.steps import RadauStep, first_size, solved, too_small
 from zeno_orbits.work import Checked
@@ -41,7 +41,7 @@ class Radau(SteppingEngine, Checked):
 
     def steps(
         self,
-        flow: GuardedFlow,
+        flow: FlowWithEvent,
         y: Vector,
         tolerance: Tolerance,
         horizon: float = FAR,

@@ -10,8 +10,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.integrators.engine import Leg, Passage
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+from zeno_orbits.integrators.engine import Segment, SegmentResult
+from zeno_orbits.integrators.flow import FlowWithEvent, Tolerance
 from zeno_orbits.integrators.following import follow_steps
 from zeno_orbits.integrators.steps import hermite_box
 
@@ -34,7 +34,7 @@ class SciPy:
     method: type[DOP853] | type[Radau] | type[LSODA]
     largest_step: float = np.inf
 
-    def follow(self, leg: Leg) -> Passage:
+    def follow(self, leg: Segment) -> SegmentResult:
         """Follow a flow until its guard falls through zero or the time is over.
 
         Raises:
@@ -42,7 +42,7 @@ class SciPy:
         """
         return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
 
-    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[SciPyStep]:
+    def steps(self, flow: FlowWithEvent, y: Vector, tolerance: Tolerance) -> Iterator[SciPyStep]:
         """Yield steps from ``y`` on, without end.
 
         Raises:
@@ -88,7 +88,7 @@ class SciPyStep:
     """A step of SciPy's solver. States inside are integrated again for accuracy."""
 
     engine: SciPy
-    flow: GuardedFlow
+    flow: FlowWithEvent
     tolerance: Tolerance
     start: float
     size: float

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.engine import FAR, BoxedStep, Leg, Passage
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+from zeno_orbits.integrators.engine import FAR, BoxedStep, Segment, SegmentResult
+from zeno_orbits.integrators.flow import FlowWithEvent, Tolerance
 from zeno_orbits.integrators.following import follow_steps
 
 
@@ -18,7 +18,7 @@ class SteppingEngine(ABC):
 
     @abstractmethod
     def steps(
-        self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
+        self, flow: FlowWithEvent, y: Vector, tolerance: Tolerance, horizon: float = FAR
     ) -> Iterator[BoxedStep]:
         """Yield steps from ``y`` on, without end.
 
@@ -32,7 +32,7 @@ class SteppingEngine(ABC):
             StepSizeError: If the step size falls to rounding level.
         """
 
-    def follow(self, leg: Leg) -> Passage:
+    def follow(self, leg: Segment) -> SegmentResult:
         """Follow a flow until its guard falls through zero or the time is over.
 
         Args:

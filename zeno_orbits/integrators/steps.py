@@ -19,7 +19,7 @@ from zeno_orbits.integrators.collocation import Collocation
 from zeno_orbits.integrators.flow import (
     FIRST_ITERATIONS,
     Corrected,
-    GuardedFlow,
+    FlowWithEvent,
     NewtonPieces,
     StageGuess,
     Tolerance,
@@ -37,7 +37,7 @@ NEWTON_FLOOR = 1e-3
 class ExplicitStep:
     """A step that holds its flow. A state inside is computed by a shorter step from the start."""
 
-    flow: GuardedFlow
+    flow: FlowWithEvent
     tolerance: Tolerance
     start: float
     size: float
@@ -63,7 +63,7 @@ class ExplicitStep:
 class RadauStep:
     """One step, with the polynomial through its stages."""
 
-    flow: GuardedFlow
+    flow: FlowWithEvent
     scheme: Collocation
     tolerance: Tolerance
     start: float
@@ -106,7 +106,7 @@ ROUNDED = 2.0**-49
 """Part of an end of a box by which that is moved outwards: eight roundings."""
 
 
-def hermite_box(flow: GuardedFlow, width: float, low: Vector, high: Vector) -> Box:
+def hermite_box(flow: FlowWithEvent, width: float, low: Vector, high: Vector) -> Box:
     """Return bounds of the states of a flow between two of them, from the cubic through both.
 
     The cubic lies in the hull of its Bernstein coefficients.
@@ -192,7 +192,7 @@ def solved(
     return None
 
 
-def first_size(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> float:
+def first_size(flow: FlowWithEvent, y: Vector, tolerance: Tolerance) -> float:
     """Return a first step from the sizes of state and slope ([HairerNorsettWanner1993]_, II.4).
 
     Args:

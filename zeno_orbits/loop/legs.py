@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import light_value
+from zeno_orbits.integrators import fast_dataclass
 from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.library import loop_library
 from zeno_orbits.loop.program import TapedProblem
@@ -53,7 +53,7 @@ class LegSettings(NamedTuple):
     largest_implicit: float
 
 
-@light_value
+@fast_dataclass
 class LegRecord:
     """The steps of a leg.
 

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Any
 
 from zeno_orbits.simulation import STEADY, AttractorKind
-from zeno_orbits.work import EntryError, restored
+from zeno_orbits.work import EntryError, from_plain
 
 
 class Fate(Enum):
@@ -175,7 +175,7 @@ def attractor_from_json(entries: Mapping[str, Any], name: str = "data") -> Attra
     """
     words = {**entries, "fate": str(entries["fate"]).upper()}
     words["kind"] = str(entries.get("kind", AttractorKind.UNDECIDED.name)).upper()
-    found = restored(Attractor, words, name, finite=True)
+    found = from_plain(Attractor, words, name, finite=True)
     if found.returns < 0:
         raise EntryError(f"{name}.returns", "at least 0", str(found.returns))
     if found.turns < 0:

@@ -17,7 +17,7 @@ from zeno_orbits.maps.recovery import Recovery, RecoverySettings
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.simulation import Mode
-from zeno_orbits.work import EntryError, read_object, restored
+from zeno_orbits.work import EntryError, from_plain, read_object
 
 _SAME_VALUE = 1e-12
 """Largest relative difference of equal values, which may be derived on another machine."""
@@ -210,7 +210,7 @@ def _read(
 ) -> _Result:
     """Return the result of a command, from the entries of its file."""
     try:
-        return result(restored(kind, read_object(path), finite=True))
+        return result(from_plain(kind, read_object(path), finite=True))
     except EntryError as error:
         raise _refused(command, argument, _fault(error)) from error
     except InputError as error:

@@ -13,7 +13,7 @@ from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
 from zeno_orbits.maps.mapping import FORMAT, BetweenPoint, Boundary, ParameterMap
 from zeno_orbits.maps.plane import MOST_HALVINGS
 from zeno_orbits.maps.refinement import fine_count
-from zeno_orbits.work import EntryError, read_object, restored, write_whole
+from zeno_orbits.work import EntryError, from_plain, read_object, write_whole
 
 
 def write_map(found: ParameterMap, path: Path) -> None:
@@ -104,7 +104,7 @@ def _map_of(entries: Mapping[str, Any]) -> ParameterMap:
     """
     apart: dict[str, tuple[Any, ...]] = {"attractors": (), "orbits": (), "between": ()}
     plain = {**entries, **{name: list(nothing) for name, nothing in apart.items()}}
-    found = restored(ParameterMap, plain, finite=True)
+    found = from_plain(ParameterMap, plain, finite=True)
     for side, axis in (("x", found.x), ("y", found.y)):
         if axis.count < 2 or not axis.lower < axis.upper:
             wanted = "an axis with lower < upper and at least two points"
@@ -132,8 +132,8 @@ def _between(found: ParameterMap, entries: Mapping[str, Any], name: str) -> Betw
         EntryError: If the point lies outside of the finest grid.
     """
     one = BetweenPoint(
-        row=restored(int, entries["row"], f"{name}.row"),
-        column=restored(int, entries["column"], f"{name}.column"),
+        row=from_plain(int, entries["row"], f"{name}.row"),
+        column=from_plain(int, entries["column"], f"{name}.column"),
         attractor=attractor_from_json(entries, name),
     )
     for side, place, axis in (("row", one.row, found.y), ("column", one.column, found.x)):

@@ -21,18 +21,18 @@ from zeno_orbits.model import ProblemFile
 from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import (
     Columns,
-    Displayed,
-    LostPoint,
-    Plan,
+    ExecutionPlan,
+    FailedPoint,
     Pool,
     Progress,
+    TableRepr,
     Workers,
     by_name,
-    claim,
+    claim_checkpoint,
     open_pool,
+    parallel_map,
     parts_told_to,
     silent,
-    spread,
     versions,
 )
 
@@ -69,7 +69,7 @@ class BetweenPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class ParameterMap(Displayed):
+class ParameterMap(TableRepr):
     """The attractors over a plane.
 
     Attributes:
@@ -201,7 +201,7 @@ class ParameterMap(Displayed):
 
 
 def parameter_map(
-    plane: Plane, plan: Plan, *, refine: int = 0, on_progress: Progress = silent
+    plane: Plane, plan: ExecutionPlan, *, refine: int = 0, on_progress: Progress = silent
 ) -> ParameterMap:
     """Compute the map of a plane.
 
@@ -311,7 +311,7 @@ class _Stages:
     """
 
     plane: Plane
-    plan: Plan
+    plan: ExecutionPlan
     refine: int
     on_progress: Progress
     pool: Pool | None
@@ -327,15 +327,15 @@ class _Stages:
         plan = replace(self.plan, identity=identity)
         if self.refine or self.plane.has_fixed_numbers:
             identity = {**identity, "refine": self.refine}
-            claim(replace(plan, identity=identity))
+            claim_checkpoint(replace(plan, identity=identity))
             folder = None if plan.checkpoint is None else plan.checkpoint / stage
             plan = replace(plan, identity={**identity, "stage": stage}, checkpoint=folder)
-        results = spread(task, points, plan, on_progress=self.on_progress, pool=self.pool)
+        results = parallel_map(task, points, plan, on_progress=self.on_progress, pool=self.pool)
         return tuple(map(_found, results))
 
 
 def _computed_here(
-    plane: Plane, points: Sequence[tuple[float, float]], plan: Plan, on_progress: Progress
+    plane: Plane, points: Sequence[tuple[float, float]], plan: ExecutionPlan, on_progress: Progress
 ) -> list[Any]:
     """Compute the points of a plane in this process, for a problem without a file.
 
@@ -376,7 +376,7 @@ def _identity(plane: Plane, file: ProblemFile) -> dict[str, Any]:
 
 
 def _found(result: Any) -> Attractor:
-    if isinstance(result, LostPoint):
+    if isinstance(result, FailedPoint):
         return Attractor(fate=Fate.FAILED, detail=result.reason)
     return attractor_from_json(result)
 

@@ -20,7 +20,13 @@ import numpy as np
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.maps.crossings import Released, Struck
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits import IMPACT_ROWS, RELEASE_ROWS, Section, projected, section_around
+from zeno_orbits.orbits import (
+    IMPACT_ROWS,
+    RELEASE_ROWS,
+    Section,
+    project_to_section,
+    section_around,
+)
 
 _DISPLACED = 1e-6
 """Displacement in scaled section coordinates.
@@ -106,7 +112,7 @@ def bundle_at(
     Raises:
         SimulationError: If a section does not exist near the state.
     """
-    x = x if rows == RELEASE_ROWS else projected(dynamics, rows, x, scale)
+    x = x if rows == RELEASE_ROWS else project_to_section(dynamics, rows, x, scale)
     section = section_around(dynamics, rows, x, scale)
     eye = _DISPLACED * np.eye(section.dimension)
     centre = section.state(dynamics, np.zeros(section.dimension))

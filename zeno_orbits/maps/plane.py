@@ -25,7 +25,7 @@ from zeno_orbits.maps.known import KnownOrbit
 from zeno_orbits.maps.refinement import fine_count
 from zeno_orbits.model import ParameterValues, Problem, ProblemFile, unknown
 from zeno_orbits.simulation import simulate
-from zeno_orbits.work import tell_part
+from zeno_orbits.work import report_part
 
 _CHUNKS = 4
 """Smallest number of chunks of a plane."""
@@ -130,7 +130,7 @@ class Plane:
             until=self.time,
             accuracy=OF_BASINS if self.has_states else None,
             known=self.known,
-            on_progress=lambda _stage, part: tell_part(part or 0.0),
+            on_progress=lambda _stage, part: report_part(part or 0.0),
         )
         found |= dict(zip(motions, attractors, strict=True))
         return [attractor_json(found[k]) for k in range(len(points))]

@@ -51,15 +51,15 @@ from zeno_orbits.orbits import EventOrbit, ZenoOrbit, orbit_event_name
 from zeno_orbits.simulation import Arc, Mode, simulate, simulator_in_use, state_after
 from zeno_orbits.work import (
     Columns,
-    Displayed,
-    LostPoint,
-    Plan,
+    ExecutionPlan,
+    FailedPoint,
     Progress,
+    TableRepr,
     Workers,
+    parallel_map,
+    report_part,
     require_kinds,
     silent,
-    spread,
-    tell_part,
     versions,
 )
 
@@ -169,7 +169,7 @@ class Push:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Pushes(Displayed):
+class Pushes(TableRepr):
     """The largest pushes of an orbit over its phases.
 
     Attributes:
@@ -278,7 +278,7 @@ class _Rays:
         for ray in rays:
             along = Ray(tried=partial(tried, ray), period=self.orbit.period, error=self.error)
             found.append(_as_found(along.first_loss(ray["reach"], self.steps)))
-            tell_part(len(found) / len(rays))
+            report_part(len(found) / len(rays))
         return found
 
 
@@ -370,7 +370,7 @@ def largest_pushes(
     *,
     directions: Sequence[Mapping[str, float]] = (),
     settings: PushSettings | None = None,
-    plan: Plan | None = None,
+    plan: ExecutionPlan | None = None,
     on_progress: Progress = silent,
 ) -> Pushes:
     """Compute the largest pushes of an orbit, at equidistant phases, in both senses.
@@ -565,7 +565,7 @@ def _rays_from(
 def _computed(
     task: _Rays,
     rays: Sequence[Mapping[str, Any]],
-    plan: Plan | None,
+    plan: ExecutionPlan | None,
     problem: Problem,
     on_progress: Progress,
 ) -> list[Any]:
@@ -596,12 +596,12 @@ def _computed(
         "versions": versions(),
         **plan.identity,
     }
-    shared = Plan(
+    shared = ExecutionPlan(
         place=plan.place, chunk=1, checkpoint=plan.checkpoint, identity=identity, noun="pushes"
     )
-    found = list(spread(task, rays, shared, on_progress=on_progress))
+    found = list(parallel_map(task, rays, shared, on_progress=on_progress))
     for one in found:
-        if isinstance(one, LostPoint):
+        if isinstance(one, FailedPoint):
             raise SimulationError(one.reason, state=(), time=math.nan)
     return found
 

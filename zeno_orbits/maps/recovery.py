@@ -33,13 +33,13 @@ from zeno_orbits.orbits import (
     ZenoOrbit,
     cycle_of,
     event_chart,
-    placed,
-    return_slope,
+    place_on_section,
+    poincare_jacobian,
     rows_of,
     section_around,
 )
 from zeno_orbits.simulation import SimulationSettings, scale_of
-from zeno_orbits.work import Columns, Displayed, Progress, require_kinds, silent, versions
+from zeno_orbits.work import Columns, Progress, TableRepr, require_kinds, silent, versions
 
 _ACCURATE = SimulationSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-11))
 _FIRST, _LEAST, _MOST = 1e-3, 1e-9, 1e9
@@ -96,7 +96,7 @@ class RecoverySettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Recovery(Displayed):
+class Recovery(TableRepr):
     """Recovery of an orbit from a disturbance on its section.
 
     Attributes:
@@ -269,18 +269,18 @@ def _cycles(problem: Problem, orbit: ZenoOrbit) -> _ReturnMap:
     """Return the return map of an orbit of a machine with one stop."""
     shape, horizon = orbit.shape, _LONG * orbit.period
     dynamics = problem.dynamics(orbit.values(problem))
-    start = placed(dynamics, shape, np.array(problem.state_vector(orbit.start_state)))
+    start = place_on_section(dynamics, shape, np.array(problem.state_vector(orbit.start_state)))
     cycle = cycle_of(dynamics, start, shape, horizon=horizon, settings=_ACCURATE)
     # A state that has decayed gets the size of the other states with its unit.
     scale = scale_of([cycle.scale()], problem.state_units, dynamics.own.states(len(start)))
     _require_closed(cycle.drift(scale))
-    slope = return_slope(
+    slope = poincare_jacobian(
         dynamics, start, scale=scale, period=orbit.period, settings=_ACCURATE, shape=shape
     )
     section = section_around(dynamics, rows_of(shape, dynamics.restitution), start, scale)
 
     def returned(coordinates: Vector) -> Vector:
-        state = placed(dynamics, shape, section.state(dynamics, coordinates))
+        state = place_on_section(dynamics, shape, section.state(dynamics, coordinates))
         cycle = cycle_of(dynamics, state, shape, horizon=horizon, settings=_ACCURATE)
         return section.coordinates(cycle.end.state)
 

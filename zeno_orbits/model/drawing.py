@@ -7,16 +7,16 @@ from typing import Any
 
 import casadi as ca
 
-Lines = Mapping[str, Sequence[tuple[Any, Any]]]
+Drawing = Mapping[str, Sequence[tuple[Any, Any]]]
 """Corners of each line by name, across and upwards [m]. A single corner is a joint or a point mass.
 The lines named ``stop`` and ``ground`` are drawn as such."""
 
-Drawing = Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Lines]
+DrawingFunction = Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Drawing]
 """From named states and named gains and parameters to the lines."""
 
 
 def lines_of(
-    drawing: Drawing, states: Mapping[str, ca.SX], symbols: Mapping[str, ca.SX]
+    drawing: DrawingFunction, states: Mapping[str, ca.SX], symbols: Mapping[str, ca.SX]
 ) -> dict[str, ca.SX]:
     """Return every line as a matrix of its corners, ``(n, 2)``.
 

@@ -120,7 +120,7 @@ class ModeGraph:
         return self._branches[sides]
 
 
-def complete(
+def hybrid_system(
     lagrangian: HybridLagrangian,
     drive: Drive | Auxiliary | Sequence[Drive | Auxiliary],
     restitution: ca.SX | float | None = None,

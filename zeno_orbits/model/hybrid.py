@@ -243,7 +243,7 @@ def audited(system: CompletedSystem) -> CompletedSystem:
 
 
 @lru_cache(maxsize=16)
-def audited_in(unit: float) -> Callable[[CompletedSystem], CompletedSystem]:
+def with_energy_ledger(unit: float) -> Callable[[CompletedSystem], CompletedSystem]:
     """Return the function `audited` for a ledger in another unit, cached by unit.
 
     Args:

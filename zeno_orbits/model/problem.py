@@ -18,15 +18,15 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, any_number, finite_number, named_numbers
-from zeno_orbits.model.drawing import Drawing, lines_of
+from zeno_orbits.model.drawing import DrawingFunction, lines_of
 from zeno_orbits.model.graph import graph_of_one_stop
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate
 from zeno_orbits.model.origin import Declared, Origin
 from zeno_orbits.model.quantities import (
-    Escape,
     Output,
     ParameterValues,
     Quantity,
+    StateLimit,
     positive,
     require_names,
     require_ranges,
@@ -58,11 +58,11 @@ _MOVED, _FROM_ZERO = 1.01, 1e-6
 """Factor by which a value is changed to test its effect, and the change of a zero value."""
 
 __all__ = [
-    "Escape",
     "Output",
     "ParameterValues",
     "Problem",
     "Quantity",
+    "StateLimit",
     "positive",
     "restitution",
 ]
@@ -114,9 +114,9 @@ class Problem(Declared):
     derive: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None
     reference: Path | None = None
     fidelities: Mapping[str, Problem] = field(default_factory=dict["str", "Problem"])
-    escapes: Mapping[str, Escape] = field(default_factory=dict[str, Escape])
+    escapes: Mapping[str, StateLimit] = field(default_factory=dict[str, StateLimit])
     outputs: tuple[Output, ...] = ()
-    drawing: Drawing | None = None
+    drawing: DrawingFunction | None = None
     rig: Rig | None = None
     origin: Origin | None = None
 

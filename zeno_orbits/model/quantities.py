@@ -182,7 +182,7 @@ def _require_unit(name: str, unit: str) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Escape:
+class StateLimit:
     """Divergence limit of a coordinate.
 
     Attributes:

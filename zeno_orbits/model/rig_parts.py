@@ -112,7 +112,7 @@ class Gear(Part):
     loss: float = 0.0
 
 
-class Switching(Enum):
+class PwmSettings(Enum):
     """Ways to follow the transistors of a bridge."""
 
     AVERAGED = "averaged over a period"
@@ -120,7 +120,7 @@ class Switching(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bridge(Part):
+class HBridge(Part):
     """The H-bridges that feed the motors, one per motor, all alike (theory (6.4)).
 
     Attributes:
@@ -145,7 +145,7 @@ class Bridge(Part):
     frequency: float = 20e3
     dead_time: float = 0.0
     diode_drop: float = 0.0
-    switching: Switching = Switching.AVERAGED
+    switching: PwmSettings = PwmSettings.AVERAGED
 
     def __post_init__(self) -> None:
         """Reject values out of range, and dead times that leave no time to switch."""
@@ -216,7 +216,7 @@ class Rig:
     contact: Contact = field(default_factory=Contact)
     friction: Mapping[str, Friction] = field(default_factory=dict[str, Friction])
     gears: Mapping[int, Gear] = field(default_factory=dict[int, Gear])
-    bridge: Bridge | None = None
+    bridge: HBridge | None = None
     controller: Controller | None = None
     sensors: Sensors | None = None
 
@@ -236,7 +236,7 @@ class Rig:
 
 PART_NAMES = ("friction", "gears", "bridge", "controller", "sensors")
 """Parts of a rig in addition to its contact."""
-_ONE = {"contact": Contact, "bridge": Bridge, "controller": Controller, "sensors": Sensors}
+_ONE = {"contact": Contact, "bridge": HBridge, "controller": Controller, "sensors": Sensors}
 _MANY = {"friction": Friction, "gears": Gear}
 
 

@@ -17,7 +17,7 @@ Such a state is not a unit of its error.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OwnScale:
+class CharacteristicScales:
     """Characteristic scales of a problem, which are powers of a thousand and by default 1.
 
     Attributes:
@@ -99,10 +99,10 @@ def _filled(first: tuple[float, ...], n: int) -> Vector:
     return sizes
 
 
-USUAL = OwnScale()
+UNIT_SCALES = CharacteristicScales()
 """The scale of a system without information on sizes."""
 
 
-def usual() -> OwnScale:
+def usual() -> CharacteristicScales:
     """Return the default sizes, for a system without information on sizes."""
-    return USUAL
+    return UNIT_SCALES

@@ -4,10 +4,10 @@ A period is the part of an execution between two crossings of the section. Every
 gets it as a `Cycle`. The section has one chart, `Section`. The derivatives of the return map are
 exact, through every impact and the Zeno point.
 
-Offers: `OrbitShape` and its phases; `Cycle`, `cycle_of` (simulate one period), `cycles` (all that
-an execution has); `Section`, `section_around`; `poincare_map`, `return_derivative`,
+Offers: `EventSequence` and its phases; `Cycle`, `cycle_of` (simulate one period), `cycles` (all
+that an execution has); `Section`, `section_around`; `poincare_map`, `return_derivative`,
 `orbit_multipliers`; `ZenoOrbit`, `new_orbit`, `read_orbit`, `write_orbit`; `Bound`; `follow_path`
-(predictor-corrector steps); `at_looser_tolerance` (error estimates by a second run).
+(predictor-corrector steps); `relaxed_tolerance` (error estimates by a second run).
 
 Imports: simulation, model, integrators, work, arrays, errors.
 """

@@ -11,7 +11,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.orbits.phases import Moment, Phase, follow_each_other, kinds_of, phases_of
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.orbits.shape import EventSequence
 from zeno_orbits.simulation import Arc, Execution, Impact, Mode, ZenoPoint
 
 _VANISHING = 1e-9
@@ -42,9 +42,9 @@ class Cycle:
         return self.execution.state_names
 
     @property
-    def shape(self) -> OrbitShape:
+    def shape(self) -> EventSequence:
         """Kinds of its phases."""
-        return OrbitShape(phases=kinds_of(self.phases))
+        return EventSequence(phases=kinds_of(self.phases))
 
     @property
     def start(self) -> Moment:
@@ -129,7 +129,7 @@ class Cycle:
         """
         return self._sizes_at_events.copy()
 
-    def shorter_periods(self, scale: Vector) -> dict[OrbitShape, float]:
+    def shorter_periods(self, scale: Vector) -> dict[EventSequence, float]:
         """Return the distance of the cycle from several periods of each shorter shape.
 
         Args:
@@ -139,7 +139,7 @@ class Cycle:
             For each shape, the distance between the start and the start of its second period, in
             units of ``scale``. The distance is 0 if both are equal to the accuracy of an orbit.
         """
-        found: dict[OrbitShape, float] = {}
+        found: dict[EventSequence, float] = {}
         for shape in self.shape.shorter:
             again = self.phases[shape.n_phases].start.state
             apart = float(np.max(np.abs(again - self.start.state) / scale))
@@ -211,7 +211,7 @@ def cycles(execution: Execution, *, start: Vector | None = None) -> list[Cycle]:
     return found
 
 
-def first_cycles(execution: Execution, start: Vector, shape: OrbitShape) -> tuple[Cycle, ...]:
+def first_cycles(execution: Execution, start: Vector, shape: EventSequence) -> tuple[Cycle, ...]:
     """Return the consecutive periods of a shape at the beginning of an execution.
 
     If the motion starts in contact, it is first released. The first period includes that contact
@@ -235,7 +235,7 @@ def first_cycles(execution: Execution, start: Vector, shape: OrbitShape) -> tupl
     return tuple(found)
 
 
-def gone_round_twice(cycle: Cycle) -> OrbitShape | None:
+def minimal_period(cycle: Cycle) -> EventSequence | None:
     """Return the shorter shape if a cycle consists of several of its periods, else ``None``."""
     if not cycle.shape.shorter:
         # With some integrators the scale requires an integration.
@@ -249,7 +249,7 @@ def round_again(cycle: Cycle) -> str:
 
     It is empty if the cycle is a single period.
     """
-    shorter = gone_round_twice(cycle)
+    shorter = minimal_period(cycle)
     if shorter is None:
         return ""
     n = cycle.shape.n_phases // shorter.n_phases

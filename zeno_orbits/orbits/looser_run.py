@@ -21,7 +21,7 @@ Beyond it an impact sequence is hardly resolved.
 """
 
 
-def at_looser_tolerance(
+def relaxed_tolerance(
     settings: SimulationSettings, *, factor: float = LOOSER
 ) -> SimulationSettings:
     """Return settings with much larger integration errors and the same Zeno completion.
@@ -39,7 +39,7 @@ def at_looser_tolerance(
     )
 
 
-def loosened(
+def relaxed_settings(
     settings: SimulationSettings, *, factor: float = LOOSER, resolved: float = 1.0
 ) -> SimulationSettings:
     """Return settings with much larger errors of the steps and of the Zeno limit.
@@ -51,7 +51,7 @@ def loosened(
     """
     completion = extrapolated(settings)
     return replace(
-        at_looser_tolerance(settings, factor=factor),
+        relaxed_tolerance(settings, factor=factor),
         completion=ZenoExtrapolation(
             tolerance=factor * completion.tolerance,
             resolved=min(resolved * completion.resolved, max(completion.resolved, _MOST_RESOLVED)),

@@ -14,17 +14,17 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import Differentials, HybridDynamics
 from zeno_orbits.orbits.looser_run import extrapolated
-from zeno_orbits.orbits.period import cycle_and_run, first_return, placed, to_next_release
+from zeno_orbits.orbits.period import cycle_and_run, first_return, place_on_section, to_next_release
 from zeno_orbits.orbits.phases import Phase, phases_of
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.orbits.shape import EventSequence
 from zeno_orbits.simulation import (
     Arc,
     EventMotions,
-    EventShift,
     Execution,
     Mode,
-    Perturbations,
+    SaltationDerivative,
     SimulationSettings,
+    VariationalEquation,
     motion_of,
 )
 
@@ -151,7 +151,7 @@ def return_derivative(
 def period_derivative(
     dynamics: HybridDynamics,
     x: Vector,
-    shape: OrbitShape,
+    shape: EventSequence,
     *,
     horizon: float,
     settings: SimulationSettings,
@@ -171,7 +171,7 @@ def period_derivative(
     """
     perturbations = _perturbations(dynamics, (), settings)
     closed = replace(settings, completion=extrapolated(settings))
-    start = placed(dynamics, shape, x)
+    start = place_on_section(dynamics, shape, x)
     # Derivatives are propagated along the whole run. The extracted cycle does not record them.
     cycle, run = cycle_and_run(dynamics, start, shape, horizon=horizon, settings=closed)
     end = cycle.end
@@ -203,8 +203,8 @@ def differentials_of(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Diffe
 
 def _perturbations(
     dynamics: HybridDynamics, chosen: tuple[int, ...], settings: SimulationSettings
-) -> Perturbations:
-    return Perturbations(
+) -> VariationalEquation:
+    return VariationalEquation(
         dynamics=dynamics,
         differentials=differentials_of(dynamics, chosen),
         n_parameters=len(chosen),
@@ -237,12 +237,12 @@ def first_that_counts(execution: Execution, end: float) -> int:
 
 
 def _derivative(
-    perturbations: Perturbations,
+    perturbations: VariationalEquation,
     execution: Execution,
     start: Vector,
     phases: Sequence[Phase],
     motions: EventMotions,
-    first: EventShift,
+    first: SaltationDerivative,
     chosen: tuple[int, ...],
 ) -> ReturnDerivative:
     """Return the results of an execution to the next release, with derivatives."""
@@ -278,7 +278,7 @@ def _derivative(
     )
 
 
-def _require_finite(end: EventShift, time: float, state: Vector) -> None:
+def _require_finite(end: SaltationDerivative, time: float, state: Vector) -> None:
     if not np.all(np.isfinite(end.state)):
         raise SimulationError(
             "The derivative of the return is not finite", time=time, state=tuple(state.tolist())

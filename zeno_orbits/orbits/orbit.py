@@ -9,8 +9,8 @@ from typing import Any
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits.digest import digest_of
-from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
-from zeno_orbits.work import Columns, Displayed, by_name, versions
+from zeno_orbits.orbits.shape import EventSequence, PhaseKind
+from zeno_orbits.work import Columns, TableRepr, by_name, versions
 
 FORMAT = 2
 """Version of the file format. It is the newest version that this code can read."""
@@ -55,7 +55,7 @@ class OrbitPhase:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class ZenoOrbit(Displayed):
+class ZenoOrbit(TableRepr):
     """The data with which a periodic orbit can be rebuilt and verified. Times count from its start.
 
     Attributes:
@@ -101,9 +101,9 @@ class ZenoOrbit(Displayed):
         }
 
     @property
-    def shape(self) -> OrbitShape:
+    def shape(self) -> EventSequence:
         """Kinds of its phases."""
-        return OrbitShape(phases=tuple(phase.kind for phase in self.phases))
+        return EventSequence(phases=tuple(phase.kind for phase in self.phases))
 
     @property
     def start_state(self) -> Mapping[str, float]:

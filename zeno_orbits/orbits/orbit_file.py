@@ -19,7 +19,7 @@ from zeno_orbits.orbits.orbit import (
     one_release_phase,
 )
 from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.work import EntryError, checked, restored, write_whole
+from zeno_orbits.work import EntryError, checked, from_plain, write_whole
 
 
 @checked
@@ -155,7 +155,7 @@ def _orbit(data: object) -> ZenoOrbit:
         raise EntryError("the file", "an object with names", json.dumps(data)[:40])
     named = cast("dict[str, Any]", data)
     number = _format(named)
-    entries = restored(_Entries, named, finite=True)
+    entries = from_plain(_Entries, named, finite=True)
     _require_positive("period", entries.period)
     phases = (_one_release(named, entries.shape),) if number == ONE_RELEASE else _phases(named)
     orbit = ZenoOrbit(
@@ -188,7 +188,7 @@ def _format(entries: Mapping[str, Any]) -> int:
 
 
 def _one_release(entries: Mapping[str, Any], shape: str) -> OrbitPhase:
-    period = restored(_OneRelease, entries, finite=True)
+    period = from_plain(_OneRelease, entries, finite=True)
     _require_positive("zeno_time", period.zeno_time)
     phase = one_release_phase(
         release_state=period.release_state,
@@ -211,7 +211,7 @@ def _phases(entries: Mapping[str, Any]) -> tuple[OrbitPhase, ...]:
 def _phase(data: object, place: int) -> OrbitPhase:
     where = f"phases[{place}]"
     kinds = {kind.value: kind for kind in PhaseKind}
-    phase = restored(_Phase, data, where, finite=True)
+    phase = from_plain(_Phase, data, where, finite=True)
     if phase.kind not in kinds:
         raise EntryError(f"{where}.kind", f"one of {', '.join(kinds)}", json.dumps(phase.kind))
     if (phase.start_time == 0.0) != (place == 0) or phase.start_time < 0.0:
@@ -219,7 +219,7 @@ def _phase(data: object, place: int) -> OrbitPhase:
         raise EntryError(f"{where}.start_time", wanted, f"{phase.start_time:g}")
     kind, zeno_time, zeno_state = kinds[phase.kind], None, None
     if kind.holds:
-        held = restored(_HeldPhase, data, where, finite=True)
+        held = from_plain(_HeldPhase, data, where, finite=True)
         _require_positive(f"{where}.zeno_time", held.zeno_time)
         zeno_time, zeno_state = held.zeno_time, held.zeno_state
     elif {"zeno_time", "zeno_state"} & set(cast("dict[str, Any]", data)):

@@ -7,7 +7,7 @@ from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits.cycle import Cycle, first_cycles
 from zeno_orbits.orbits.phases import kinds_of, phases_of
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.orbits.shape import EventSequence
 from zeno_orbits.simulation import Execution, Mode, Release, SimulationSettings, simulate
 
 
@@ -70,7 +70,7 @@ def first_return(execution: Execution) -> Release | None:
     return next(iter(later_releases(execution)), None)
 
 
-def placed(dynamics: HybridDynamics, shape: OrbitShape, x: Vector) -> Vector:
+def place_on_section(dynamics: HybridDynamics, shape: EventSequence, x: Vector) -> Vector:
     """Return the state moved onto the section at the start of a shape, to rounding, ``(n_x,)``.
 
     At a release, and just after a plastic impact, the gap and the gap rate are set to zero. After
@@ -94,7 +94,7 @@ def placed(dynamics: HybridDynamics, shape: OrbitShape, x: Vector) -> Vector:
 def followed(
     dynamics: HybridDynamics,
     x: Vector,
-    shape: OrbitShape,
+    shape: EventSequence,
     *,
     horizon: float,
     settings: SimulationSettings,
@@ -123,7 +123,7 @@ def followed(
 def cycle_of(
     dynamics: HybridDynamics,
     x: Vector,
-    shape: OrbitShape,
+    shape: EventSequence,
     *,
     horizon: float,
     settings: SimulationSettings,
@@ -147,7 +147,7 @@ def cycle_of(
 def cycle_and_run(
     dynamics: HybridDynamics,
     x: Vector,
-    shape: OrbitShape,
+    shape: EventSequence,
     *,
     horizon: float,
     settings: SimulationSettings,

@@ -15,11 +15,11 @@ import numpy as np
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits.looser_run import loosened
+from zeno_orbits.orbits.looser_run import relaxed_settings
 from zeno_orbits.orbits.monodromy import ReturnDerivative, Sensitivity, period_derivative
-from zeno_orbits.orbits.period import cycle_of, first_return, placed, to_next_release
+from zeno_orbits.orbits.period import cycle_of, first_return, place_on_section, to_next_release
 from zeno_orbits.orbits.section import RELEASE_ROWS, Section, rows_of, section_around
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
+from zeno_orbits.orbits.shape import ONE_ZENO, EventSequence
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import ByValue
 
@@ -73,7 +73,7 @@ class SectionDerivative:
         return np.concatenate([gradient[:d], gradient[d:] + number.by_parameters])
 
 
-def section_derivative(
+def section_jacobian(
     dynamics: HybridDynamics, derivative: ReturnDerivative, scale: Vector
 ) -> SectionDerivative:
     r"""Return the derivative of the return map in a chart around the start of a return.
@@ -129,7 +129,7 @@ def orbit_multipliers(
     period: float,
     settings: SimulationSettings,
     noise: float = 0.0,
-    shape: OrbitShape = ONE_ZENO,
+    shape: EventSequence = ONE_ZENO,
 ) -> Multipliers:
     """Return the multipliers of an orbit.
 
@@ -154,24 +154,26 @@ def orbit_multipliers(
         return _multipliers((4 * near - far) / 3, near, noise / _DIFFERENCE)
 
     def slope(accuracy: SimulationSettings) -> Vector:
-        return return_slope(dynamics, x, scale=scale, period=period, settings=accuracy, shape=shape)
+        return poincare_jacobian(
+            dynamics, x, scale=scale, period=period, settings=accuracy, shape=shape
+        )
 
     jacobian = slope(settings)
     try:
-        rough = slope(loosened(settings, resolved=_FEWER))
+        rough = slope(relaxed_settings(settings, resolved=_FEWER))
     except SimulationError:
         return _multipliers(jacobian, jacobian, math.inf)
     return _multipliers(jacobian, rough, _LEAST * settings.tolerance.relative)
 
 
-def return_slope(
+def poincare_jacobian(
     dynamics: HybridDynamics,
     x: Vector,
     *,
     scale: Vector,
     period: float,
     settings: SimulationSettings,
-    shape: OrbitShape = ONE_ZENO,
+    shape: EventSequence = ONE_ZENO,
 ) -> Vector:
     r"""Return the derivative of the return map in section coordinates around a state, ``(d, d)``.
 
@@ -212,7 +214,7 @@ _LEAST = 10.0
 """Least error estimate in units of the tolerance, because two runs may agree by chance."""
 
 
-def _section(dynamics: HybridDynamics, shape: OrbitShape, x: Vector, scale: Vector) -> Section:
+def _section(dynamics: HybridDynamics, shape: EventSequence, x: Vector, scale: Vector) -> Section:
     """Return the chart around the state at the start of a period of a shape."""
     return section_around(dynamics, rows_of(shape, dynamics.restitution), x, scale)
 
@@ -220,7 +222,7 @@ def _section(dynamics: HybridDynamics, shape: OrbitShape, x: Vector, scale: Vect
 def _differences(
     dynamics: HybridDynamics,
     x: Vector,
-    shape: OrbitShape,
+    shape: EventSequence,
     *,
     scale: Vector,
     period: float,
@@ -235,7 +237,7 @@ def _differences(
     def image(direction: int, distance: float) -> Vector:
         coordinates = np.zeros(section.dimension)
         coordinates[direction] = distance
-        start = placed(dynamics, shape, section.state(dynamics, coordinates))
+        start = place_on_section(dynamics, shape, section.state(dynamics, coordinates))
         cycle = cycle_of(dynamics, start, shape, horizon=2 * period, settings=settings)
         return section.coordinates(cycle.end.state)
 

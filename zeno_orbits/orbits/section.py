@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Vector, null_space
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GAP, GAP_RATE, MULTIPLIER, HybridDynamics
 from zeno_orbits.orbits.monodromy import differentials_of
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.orbits.shape import EventSequence
 
 RELEASE_ROWS = (GAP, GAP_RATE, MULTIPLIER)
 """Conditions of a release, theory (2.4)."""
@@ -154,7 +154,7 @@ class Section:
         return x
 
 
-def rows_of(shape: OrbitShape, restitution: float) -> tuple[int, ...]:
+def rows_of(shape: EventSequence, restitution: float) -> tuple[int, ...]:
     """Return the conditions at the start of a period of a shape (theory (3.5))."""
     if shape.starts_at_release:
         return RELEASE_ROWS
@@ -242,7 +242,9 @@ def _moving(section: Section, slopes: Vector) -> Section:
     return replace(section, drift=-section.scale[:, None] * (section.normal @ slopes))
 
 
-def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector) -> Vector:
+def project_to_section(
+    dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector
+) -> Vector:
     """Return the state of the section nearest to a state, in scaled states, ``(n_x,)``.
 
     Args:

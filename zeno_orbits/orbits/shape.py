@@ -36,7 +36,7 @@ _WANTED = "must be zeno, plastic or impact, *N for N of them, joined by commas"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OrbitShape:
+class EventSequence:
     """The phases of a period, in order. The period starts at a release if it contains a release.
 
     Attributes:
@@ -60,7 +60,7 @@ class OrbitShape:
 
     @classmethod
     @checked
-    def parsed(cls, text: str) -> OrbitShape:
+    def parsed(cls, text: str) -> EventSequence:
         """Return the shape of a text such as ``zeno``, ``zeno*2`` or ``impact*3,plastic``.
 
         Raises:
@@ -109,20 +109,20 @@ class OrbitShape:
         return self.n_phases == 1 and self.starts_at_release
 
     @property
-    def shorter(self) -> tuple[OrbitShape, ...]:
+    def shorter(self) -> tuple[EventSequence, ...]:
         """The shapes of which several periods form this shape."""
         n = self.n_phases
         parts = [self.phases[:k] for k in range(1, n) if n % k == 0]
         return tuple(
-            OrbitShape(phases=part) for part in parts if part * (n // len(part)) == self.phases
+            EventSequence(phases=part) for part in parts if part * (n // len(part)) == self.phases
         )
 
-    def at_restitution(self, restitution: float) -> OrbitShape:
+    def at_restitution(self, restitution: float) -> EventSequence:
         """Return the shape with accumulations for a positive restitution, else plastic impacts."""
         held = PhaseKind.PLASTIC if restitution == 0.0 else PhaseKind.ZENO
-        return OrbitShape(phases=tuple(held if kind.holds else kind for kind in self.phases))
+        return EventSequence(phases=tuple(held if kind.holds else kind for kind in self.phases))
 
-    def agreed(self, wanted: OrbitShape | None) -> OrbitShape:
+    def agreed(self, wanted: EventSequence | None) -> EventSequence:
         """Return this shape if it agrees with the requested shape.
 
         Raises:
@@ -144,5 +144,5 @@ class OrbitShape:
             raise InputError(f"Argument `orbit` {wanted}, but its shape is `{self.text}`.")
 
 
-ONE_ZENO = OrbitShape(phases=(PhaseKind.ZENO,))
+ONE_ZENO = EventSequence(phases=(PhaseKind.ZENO,))
 """One flight, one accumulation of impacts, one contact phase."""

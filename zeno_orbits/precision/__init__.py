@@ -3,9 +3,9 @@
 An error is estimated with a second run at a looser tolerance. Trials of integrators are compared
 with a run at the tightest tolerance, which is confirmed by another integrator.
 
-Offers: `simulate_to` (an execution to a wanted accuracy), `execution_with_error`, `settings_for`,
-`difference` (of two executions); `reduction_costs` (errors of reduced models);
-`trade`, `WorkPrecision`, `read_work_precision`.
+Offers: `execution_to_accuracy` (an execution to a wanted accuracy), `execution_with_error`,
+`settings_for`, `execution_distance` (of two executions); `errors_of_reduced_models` (errors of
+reduced models); `measure_work_precision`, `WorkPrecision`, `read_work_precision`.
 
 Imports: search, verification, orbits, simulation, loop, model, integrators, work, arrays,
 errors.
@@ -15,10 +15,8 @@ from typing import Any
 
 import lazy_loader as lazy
 
-_ORBIT = "use `zeno_orbits.proof.prove(orbit, problem)`, which encloses the same quantities"
-_EXECUTION = (
-    "use `zeno_orbits.proof.enclose_period(orbit, problem)`, which encloses every event of a period"
-)
+_ORBIT = "use `zeno_orbits.prove(orbit)`, which encloses the same quantities"
+_EXECUTION = "use `zeno_orbits.enclose_period(orbit)`, which encloses every event of a period"
 _REMOVED = {
     "ExtendedOrbit": _ORBIT,
     "extended_orbit": _ORBIT,

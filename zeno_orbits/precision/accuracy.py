@@ -17,9 +17,9 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
 from zeno_orbits.integrators import PAYS, Tolerance, flow_eigenvalues, rates_of, staying_rate
-from zeno_orbits.model import USUAL, GraphDynamics, HybridDynamics, OwnScale
-from zeno_orbits.orbits import at_looser_tolerance
-from zeno_orbits.precision.landmark import ROUNDING, difference, sizes
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales, GraphDynamics, HybridDynamics
+from zeno_orbits.orbits import relaxed_tolerance
+from zeno_orbits.precision.landmark import ROUNDING, execution_distance, sizes
 from zeno_orbits.simulation import (
     Execution,
     Impact,
@@ -44,17 +44,17 @@ _STEP = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Assured:
+class ExecutionWithError:
     """An execution with an estimate of its error.
 
     Attributes:
         execution: The execution.
         settings: Settings of the run.
-        error: Estimated error. It is the ``difference`` from an execution at a looser tolerance.
-            This is the error of the looser execution, so it is larger than the actual error. If the
-            estimated error of the Zeno limits, rounding or the tolerance is larger, the error is
-            the largest of these values. It is infinite if the looser execution has other events or
-            fails.
+        error: Estimated error. It is the ``execution_distance`` from an execution at a looser
+            tolerance. This is the error of the looser execution, so it is larger than the actual
+            error. If the estimated error of the Zeno limits, rounding or the tolerance is larger,
+            the error is the largest of these values. It is infinite if the looser execution has
+            other events or fails.
         zeno_errors: Estimated error of every Zeno point alone, which includes the flights before it
             and its limit. Errors of time and state are relative to ``1 + |t|`` and ``1 + |x|``,
             where 1 is the characteristic scale.
@@ -98,7 +98,7 @@ def at_tolerance(
     )
 
 
-def simulate_to(
+def execution_to_accuracy(
     dynamics: HybridDynamics | GraphDynamics,
     state: Sequence[float] | Vector,
     *,
@@ -106,14 +106,14 @@ def simulate_to(
     accuracy: float,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
-) -> Assured:
+) -> ExecutionWithError:
     """Return the completed execution to a required accuracy, with an estimate of its error.
 
     Args:
         dynamics: The system at fixed parameter values.
         state: Initial state, ``(n_x,)``.
         until: End time [s].
-        accuracy: Largest relative error of every event and of the end (see ``difference``).
+        accuracy: Largest relative error of every event and of the end (see ``execution_distance``).
         settings: Integrator and limits. Tolerance and completion are derived from the accuracy.
         on_progress: Called with the simulated fraction of the time of each run.
 
@@ -164,7 +164,7 @@ def execution_with_error(
     until: float,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
-) -> Assured:
+) -> ExecutionWithError:
     """Return the completed execution with given settings, and an estimate of its error.
 
     Args:
@@ -183,7 +183,7 @@ def execution_with_error(
     first, second = portion(on_progress, 0.0, 0.7), portion(on_progress, 0.7, 1.0)
     found = simulate(dynamics, state, until=until, settings=fine, on_progress=first)
     is_cut = isinstance(fine.completion, Truncation)
-    other = replace(fine, completion=ZenoPassage()) if is_cut else at_looser_tolerance(fine)
+    other = replace(fine, completion=ZenoPassage()) if is_cut else relaxed_tolerance(fine)
     try:
         looser = simulate(
             dynamics,
@@ -198,13 +198,16 @@ def execution_with_error(
 
 
 def _beside(
-    looser: Execution | None, found: Execution, settings: SimulationSettings, own: OwnScale
-) -> Assured:
+    looser: Execution | None,
+    found: Execution,
+    settings: SimulationSettings,
+    own: CharacteristicScales,
+) -> ExecutionWithError:
     """Return an execution with its error, estimated from a looser execution."""
     # Two runs that take the same steps share their errors, so no run is better than its tolerance.
     least = max(ROUNDING * (1 + len(found.events)), settings.tolerance.relative)
-    error = math.inf if looser is None else difference(looser, found, own)
-    return Assured(
+    error = math.inf if looser is None else execution_distance(looser, found, own)
+    return ExecutionWithError(
         execution=found,
         settings=settings,
         error=max(error, _limit_error(found, own), least),
@@ -213,7 +216,7 @@ def _beside(
 
 
 def errors_of_zeno_points(
-    looser: Execution | None, found: Execution, own: OwnScale = USUAL
+    looser: Execution | None, found: Execution, own: CharacteristicScales = UNIT_SCALES
 ) -> Iterator[float]:
     """Yield the error of every Zeno point, infinite after the first event that differs.
 
@@ -262,7 +265,7 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: f
     return f"explicit steps (DOP853); {rates}."
 
 
-def _limit_error(execution: Execution, own: OwnScale) -> float:
+def _limit_error(execution: Execution, own: CharacteristicScales) -> float:
     """Return the largest estimated error of the Zeno limits, relative to the states.
 
     Two runs that complete after the same impact share most of this error, so their difference does

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import USUAL, OwnScale
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales
 from zeno_orbits.simulation import Event, Execution, Impact, SwitchEvent, ZenoPoint
 from zeno_orbits.work import checked
 
@@ -46,7 +46,9 @@ class Landmark:
 
 
 @checked
-def difference(first: Execution, second: Execution, own: OwnScale = USUAL) -> float:
+def execution_distance(
+    first: Execution, second: Execution, own: CharacteristicScales = UNIT_SCALES
+) -> float:
     """Return the largest relative difference of two executions, over every event and the end.
 
     Times are relative to the time of the last event, states to their largest value. Near a Zeno
@@ -95,7 +97,7 @@ def apart(first: Sequence[Landmark], second: Sequence[Landmark], scale: Vector) 
     return _largest(list(zip(first, second, strict=True)), scale, second[-1].time or 1.0)
 
 
-def sizes(execution: Execution, own: OwnScale = USUAL) -> Vector:
+def sizes(execution: Execution, own: CharacteristicScales = UNIT_SCALES) -> Vector:
     """Return the largest value of each state at the ends of arcs, ``(n_x,)``.
 
     The value zero is replaced by the state's characteristic scale.
@@ -103,7 +105,9 @@ def sizes(execution: Execution, own: OwnScale = USUAL) -> Vector:
     return sizes_of([x for arc in execution.arcs for x in (arc.start_state, arc.end_state)], own)
 
 
-def sizes_of(states: Sequence[Sequence[float] | Vector], own: OwnScale = USUAL) -> Vector:
+def sizes_of(
+    states: Sequence[Sequence[float] | Vector], own: CharacteristicScales = UNIT_SCALES
+) -> Vector:
     """Return the largest value of each state over a number of states, ``(n_x,)``.
 
     The value zero is replaced by the state's characteristic scale.

@@ -15,8 +15,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import ONE_ZENO, Cycle, release_section, return_slope
-from zeno_orbits.search import close_cycle, cycle_near, orbit_at_gains
+from zeno_orbits.orbits import ONE_ZENO, Cycle, poincare_jacobian, release_section
+from zeno_orbits.search import cycle_near, newton_on_return_map, orbit_at_gains
 from zeno_orbits.simulation import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
@@ -74,7 +74,7 @@ _CONSTANT = 10.0
 """Largest ratio of two successive terms of the expansion, divided by ``layer * rate``."""
 
 
-def reduction_costs(
+def errors_of_reduced_models(
     problem: Problem, values: ParameterValues, *, measure: bool = False
 ) -> dict[str, ReductionCost]:
     """Return the errors of both reduced models by fidelity (theory (1.13)).
@@ -143,8 +143,8 @@ def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycl
         section = release_section(dynamics, x, scale)
         x = section.state(dynamics, np.zeros(section.dimension))
         # Far from the orbit, successive returns alone may diverge. Newton's method stays nearby.
-        slope = return_slope(dynamics, x, scale=scale, period=period, settings=settings)
-        return close_cycle(
+        slope = poincare_jacobian(dynamics, x, scale=scale, period=period, settings=settings)
+        return newton_on_return_map(
             dynamics, x, scale=scale, period=period, settings=settings, slope=slope
         ).cycle
     except SimulationError as error:

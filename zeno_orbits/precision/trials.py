@@ -82,7 +82,7 @@ class WorkPrecisionSettings(Checked):
 QUICK = WorkPrecisionSettings.quick()
 
 
-def trade(
+def measure_work_precision(
     problem: Problem,
     values: ParameterValues,
     state: Sequence[float],

@@ -15,7 +15,7 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.precision.landmark import ROUNDING
-from zeno_orbits.work import Columns, Displayed, EntryError, restored
+from zeno_orbits.work import Columns, EntryError, TableRepr, from_plain
 
 SAME_WORK = ("engine", "cut", "impacts", "fidelity")
 """Sweeps whose trials simulate the same motion, so that their times are comparable."""
@@ -60,7 +60,7 @@ class TimedSetting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class WorkPrecision(Displayed):
+class WorkPrecision(TableRepr):
     """All trials of one work-precision study.
 
     Attributes:
@@ -198,7 +198,7 @@ def read_work_precision(path: Path) -> WorkPrecision:
     """
     wanted = f"Trade file `{path}` is not an output of `trade -o`:"
     try:
-        found = restored(_File, json.loads(path.read_text(encoding="utf-8")))
+        found = from_plain(_File, json.loads(path.read_text(encoding="utf-8")))
     except EntryError as error:
         raise InputError(f"{wanted} {error}.") from error
     except (OSError, ValueError, RecursionError) as error:

@@ -10,7 +10,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit, placed
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit, place_on_section
 from zeno_orbits.simulation import Execution, Mode, simulate, state_after, state_before
 
 _LONGER = 1e-6
@@ -46,7 +46,7 @@ def orbit_motion(
     if isinstance(orbit, ZenoOrbit) and isinstance(dynamics, HybridDynamics):
         shape = orbit.shape.at_restitution(dynamics.restitution)
         # The verifier rejects an initial state off the section, but the simulator must accept it.
-        start = placed(dynamics, shape, start)
+        start = place_on_section(dynamics, shape, start)
     return simulate(dynamics, start, until=periods * orbit.period * (1 + _LONGER))
 
 

@@ -17,16 +17,16 @@ from zeno_orbits.orbits import (
     ONE_ZENO,
     Bound,
     Cycle,
+    EventSequence,
     Moment,
     OrbitImpact,
     OrbitPhase,
-    OrbitShape,
     ZenoOrbit,
     allowance,
     cycle_of,
     excess,
     new_orbit,
-    placed,
+    place_on_section,
     round_again,
 )
 from zeno_orbits.search.objectives import Objective, Target
@@ -52,7 +52,7 @@ def confirm(
     unknowns: Mapping[str, Array],
     values: ParameterValues,
     objective: Objective | None,
-    shape: OrbitShape,
+    shape: EventSequence,
 ) -> StartOutcome:
     """Simulate one period of a solution and compare.
 
@@ -65,7 +65,7 @@ def confirm(
         shape: The shape of the solution.
     """
     dynamics = search.dynamics(values)
-    start = placed(dynamics, shape, unknowns[start_block(shape, 0)][:, 0])
+    start = place_on_section(dynamics, shape, unknowns[start_block(shape, 0)][:, 0])
     cycle = one_cycle(dynamics, start, 2 * float(unknowns["period"][0, 0]), shape)
     if cycle is None:
         detail = "From its release the simulation reaches no Zeno point with a later release."
@@ -115,7 +115,7 @@ def _orbit(
     search: SearchProblem,
     unknowns: Mapping[str, Array],
     values: ParameterValues,
-    shape: OrbitShape,
+    shape: EventSequence,
 ) -> ZenoOrbit:
     """Return the orbit of a solution."""
     dynamics, problem = search.dynamics(values), search.problem
@@ -124,8 +124,8 @@ def _orbit(
 
     def phase(k: int) -> OrbitPhase:
         label, kind = labels_of(shape)[k], shape.phases[k]
-        before = OrbitShape(phases=(shape.phases[k - 1],))
-        start = placed(dynamics, before, unknowns[start_block(shape, k)][:, 0])
+        before = EventSequence(phases=(shape.phases[k - 1],))
+        start = place_on_section(dynamics, before, unknowns[start_block(shape, k)][:, 0])
         times = starts[k] + np.cumsum(unknowns[f"{label}flight times"][:, 0])
         states = unknowns[f"{label}impact states"].T
         zeno_time, zeno_state = None, None
@@ -162,7 +162,7 @@ def tightened(bounds: Sequence[Bound], excesses: Mapping[str, float]) -> tuple[B
 
 
 def one_cycle(
-    dynamics: HybridDynamics, start: Vector, horizon: float, shape: OrbitShape = ONE_ZENO
+    dynamics: HybridDynamics, start: Vector, horizon: float, shape: EventSequence = ONE_ZENO
 ) -> Cycle | None:
     """Simulate the period of a shape that starts at a state, at full accuracy.
 
@@ -182,7 +182,7 @@ def one_cycle(
         return None
 
 
-def _start_times(unknowns: Mapping[str, Array], shape: OrbitShape) -> list[float]:
+def _start_times(unknowns: Mapping[str, Array], shape: EventSequence) -> list[float]:
     """Return the start time of each phase of a solution [s]."""
     return [float(unknowns[f"{label}start time"][0, 0]) for label in labels_of(shape)]
 

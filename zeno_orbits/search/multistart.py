@@ -14,13 +14,13 @@ from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.start import scanned, start_count, try_start
 from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import (
-    LostPoint,
-    Plan,
+    ExecutionPlan,
+    FailedPoint,
     Progress,
-    plain,
-    restored,
+    from_plain,
     silent,
     spread_in_order,
+    to_plain,
     versions,
 )
 
@@ -38,7 +38,7 @@ class StartWorkers:
     """
 
     problem_file: ProblemFile
-    plan: Plan
+    plan: ExecutionPlan
     tell: Progress = silent
 
 
@@ -84,7 +84,11 @@ def outcomes_spread(
     )
     try:
         for result in results:
-            yield _lost(result) if isinstance(result, LostPoint) else restored(StartOutcome, result)
+            yield (
+                _lost(result)
+                if isinstance(result, FailedPoint)
+                else from_plain(StartOutcome, result)
+            )
     finally:
         results.close()
 
@@ -111,7 +115,7 @@ class _Task:
     def outcomes(self, search: SearchProblem, numbers: Sequence[int]) -> list[dict[str, Any]]:
         """Return the outcomes of starts of a given search, as plain data."""
         return [
-            plain(try_start(scanned(search, number), number, self.accept)) for number in numbers
+            to_plain(try_start(scanned(search, number), number, self.accept)) for number in numbers
         ]
 
 
@@ -125,15 +129,15 @@ def _identity(task: _Task) -> dict[str, Any]:
         "work": "search",
         "problem": task.problem_file.load().name,
         "problem_digest": task.problem_file.digest,
-        "gains": plain(values.gains),
-        "parameters": plain(values.parameters),
-        "from": plain(question.pop("near")),
-        **{name: plain(value, name) for name, value in question.items()},
-        "accept": plain(task.accept, "accept"),
+        "gains": to_plain(values.gains),
+        "parameters": to_plain(values.parameters),
+        "from": to_plain(question.pop("near")),
+        **{name: to_plain(value, name) for name, value in question.items()},
+        "accept": to_plain(task.accept, "accept"),
         "simulator": simulator_in_use(),
         "versions": versions(),
     }
 
 
-def _lost(lost: LostPoint) -> StartOutcome:
+def _lost(lost: FailedPoint) -> StartOutcome:
     return StartOutcome(status=SearchStatus.NOT_SOLVED, detail=lost.reason)

@@ -295,7 +295,7 @@ class TowardTarget(Objective):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LeastEnergy(WorstCase):
+class MinEnergy(WorstCase):
     """The least electrical work in a period. Uncertain ranges are for `search_event_gains`."""
 
     @property
@@ -315,7 +315,7 @@ class LeastEnergy(WorstCase):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LeastPeak(WorstCase):
+class MinPeak(WorstCase):
     """The least peak of a signal: its largest absolute value in a period.
 
     Uncertain ranges are for `search_event_gains`.
@@ -366,7 +366,7 @@ class LeastPeak(WorstCase):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FastestContraction(Objective):
+class MinSpectralRadius(Objective):
     """The fastest return after a disturbance: the least spectral radius of the return map."""
 
     @property
@@ -424,7 +424,7 @@ class Sampled(Objective):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WidestMargin(Sampled):
+class MaxMargin(Sampled):
     """The widest margin to a loss of the orbit: the largest smallest distance (theory (5.3)).
 
     Each free value is changed alone, in both directions, until the orbit loses its shape or becomes
@@ -662,23 +662,23 @@ OBJECTIVES: Mapping[str, ObjectiveWord] = {
     "energy": ObjectiveWord(
         usage="energy",
         meaning=" (least electrical energy per period; the worst case with --uncertain)",
-        objective=lambda _, __: LeastEnergy(),
+        objective=lambda _, __: MinEnergy(),
     ),
     "peak": ObjectiveWord(
         usage="peak=SIGNAL",
         meaning=" (least peak of current, voltage or a state, likewise)",
         operand=Operand.SIGNAL,
-        objective=lambda _, signal: LeastPeak(signal=signal),
+        objective=lambda _, signal: MinPeak(signal=signal),
     ),
     "contraction": ObjectiveWord(
         usage="contraction",
         meaning=" (least spectral radius)",
-        objective=lambda _, __: FastestContraction(),
+        objective=lambda _, __: MinSpectralRadius(),
     ),
     "margin": ObjectiveWord(
         usage="margin",
         meaning=" (widest range of the free values before the orbit is lost)",
-        objective=lambda _, __: WidestMargin(),
+        objective=lambda _, __: MaxMargin(),
     ),
     "push": ObjectiveWord(
         usage="push",

@@ -14,11 +14,11 @@ from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import OrbitCertificate
-from zeno_orbits.work import Columns, Displayed, by_name
+from zeno_orbits.work import Columns, TableRepr, by_name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judgement:
+class Verdict:
     """The verdict of a check on an orbit.
 
     Attributes:
@@ -38,7 +38,7 @@ class Judgement:
         )
 
 
-Accept = Callable[[ZenoOrbit], Judgement]
+Accept = Callable[[ZenoOrbit], Verdict]
 """A check of the orbits of a search."""
 
 
@@ -141,7 +141,7 @@ class StartAttempt:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class SearchResult(Displayed):
+class SearchResult(TableRepr):
     """Outcome of a search, successful or not.
 
     Attributes:

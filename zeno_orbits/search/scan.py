@@ -18,11 +18,18 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Accuracy, Attractor, Fate, attractors_at
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind, cycle_of, objection_to, placed
+from zeno_orbits.orbits import (
+    Cycle,
+    EventSequence,
+    PhaseKind,
+    cycle_of,
+    objection_to,
+    place_on_section,
+)
 from zeno_orbits.search.objectives import Target
 from zeno_orbits.search.search_problem import SearchProblem, clipped
 from zeno_orbits.search.shooting.closing import orbit_of
-from zeno_orbits.search.shooting.guess import SettlingSettings
+from zeno_orbits.search.shooting.guess import TransientSettings
 from zeno_orbits.simulation import Extent, simulate
 from zeno_orbits.verification import measure
 
@@ -186,7 +193,7 @@ def _by_distance(
     return found
 
 
-def is_of_shape(attractor: Attractor, shape: OrbitShape) -> bool:
+def is_of_shape(attractor: Attractor, shape: EventSequence) -> bool:
     """Return True if an orbit has the same number of releases as a shape."""
     return attractor.returns == shape.n_releases
 
@@ -205,7 +212,7 @@ def _scored(search: SearchProblem, values: ParameterValues, attractor: Attractor
     cycle = cycle_at(search, values, attractor) if missing or target is not None else None
     if cycle is not None and missing:
         orbit = orbit_of(cycle, search.problem, values)
-        simulation = SettlingSettings().simulation
+        simulation = TransientSettings().simulation
         extents |= measure(orbit, search.problem, missing, simulation=simulation)
     score = 0.0
     if target is not None and cycle is not None:
@@ -226,14 +233,14 @@ def cycle_at(search: SearchProblem, values: ParameterValues, attractor: Attracto
     Raises:
         ZenoOrbitsError: If its motion cannot be simulated for a period.
     """
-    dynamics, settings = search.dynamics(values), SettlingSettings().simulation
+    dynamics, settings = search.dynamics(values), TransientSettings().simulation
     state = np.array(search.problem.state_vector(attractor.state))
     n = attractor.returns
     if n == 0:
         until = (1 + _ARRIVED) * attractor.period
         n = len(simulate(dynamics, state, until=until, settings=settings).impacts)
-    shape = OrbitShape(phases=n * (PHASE[attractor.fate],))
-    start = placed(dynamics, shape, state)
+    shape = EventSequence(phases=n * (PHASE[attractor.fate],))
+    start = place_on_section(dynamics, shape, state)
     return cycle_of(dynamics, start, shape, horizon=2 * attractor.period, settings=settings)
 
 

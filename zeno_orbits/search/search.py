@@ -12,7 +12,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, Cycle, OrbitShape, ZenoOrbit
+from zeno_orbits.orbits import Bound, Cycle, EventSequence, ZenoOrbit
 from zeno_orbits.search.multistart import StartWorkers, outcomes_here, outcomes_spread
 from zeno_orbits.search.objectives import NearestGains, Objective, Target
 from zeno_orbits.search.outcome import (
@@ -34,7 +34,7 @@ def orbit_at_gains(
     values: ParameterValues,
     *,
     settings: SearchSettings | None = None,
-    shape: OrbitShape | None = None,
+    shape: EventSequence | None = None,
 ) -> SearchResult:
     """Find the orbit at given gains, by a program with as many conditions as unknowns.
 
@@ -60,7 +60,7 @@ def search_orbits(
     accept: Accept | None = None,
     on_progress: Progress = silent,
     spread: StartWorkers | None = None,
-    shape: OrbitShape | None = None,
+    shape: EventSequence | None = None,
     initial_states: Sequence[Mapping[str, float]] = (),
 ) -> SearchResult:
     """Find gains, parameters and initial states of an orbit, from a sequence of starts.

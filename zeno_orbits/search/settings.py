@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from zeno_orbits.search.shooting.guess import SettlingSettings
+from zeno_orbits.search.shooting.guess import TransientSettings
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.ipopt import IpoptSettings
 from zeno_orbits.work import Checked
@@ -43,7 +43,7 @@ class SearchSettings(Checked):
         seed: Seed of the quasi-random starts.
     """
 
-    settling: SettlingSettings = field(default_factory=SettlingSettings)
+    settling: TransientSettings = field(default_factory=TransientSettings)
     transcription: TranscriptionSettings = field(default_factory=TranscriptionSettings)
     ipopt: IpoptSettings = field(default_factory=lambda: _BY_ITERATIONS)
     agreement: float = 3e-10

@@ -12,7 +12,7 @@ from zeno_orbits.search.homotopy.margins import CycleWays
 from zeno_orbits.search.homotopy.persistence import persistence
 from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.objectives import PERSISTENCE, PUSH, MaxPush, NearestGains
-from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
+from zeno_orbits.search.outcome import Accept, Candidate, StartOutcome, Verdict
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import SearchStart, beside, from_cycle, from_start
@@ -103,7 +103,7 @@ def try_cycle(
 
 def _judged(
     search: SearchProblem, outcome: StartOutcome, accept: Accept | None, name: str
-) -> tuple[StartOutcome, Judgement | None]:
+) -> tuple[StartOutcome, Verdict | None]:
     """Measure the orbit of a start on a simulation, if it exists, and accept or reject it."""
     orbit = None if outcome.solution is None else outcome.solution.orbit
     if outcome.status is not SearchStatus.FOUND or orbit is None:
@@ -112,7 +112,7 @@ def _judged(
         extents = _measured(search, orbit, name)
     except ZenoOrbitsError as error:
         return replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=str(error)), None
-    judgement = Judgement(objection=objection_to(search.bounds, extents))
+    judgement = Verdict(objection=objection_to(search.bounds, extents))
     if not judgement.objection and accept is not None:
         search.tell(f"{name}: verifying")
         judgement = _accepted(search, orbit, accept)
@@ -130,7 +130,7 @@ def _judged(
     return replace(outcome, candidate=candidate), judgement
 
 
-def _accepted(search: SearchProblem, orbit: ZenoOrbit, accept: Accept) -> Judgement:
+def _accepted(search: SearchProblem, orbit: ZenoOrbit, accept: Accept) -> Verdict:
     """Check an orbit, and the orbits at all corners of uncertain ranges."""
     judgement = accept(orbit)
     if judgement.objection or not isinstance(search.objective, MaxPush) or not search.free:
@@ -157,7 +157,7 @@ def _attracting(
     accept: Accept | None,
     name: str,
     refused: StartOutcome,
-    judgement: Judgement,
+    judgement: Verdict,
 ) -> StartOutcome:
     """Search for the best stable orbit, if the optimum is not stable.
 

@@ -13,8 +13,8 @@ from zeno_orbits.model import HybridDynamics, ParameterValues
 from zeno_orbits.orbits import (
     Cycle,
     ZenoOrbit,
-    at_looser_tolerance,
-    gone_round_twice,
+    minimal_period,
+    relaxed_tolerance,
     round_again,
 )
 from zeno_orbits.search.confirmation import one_cycle
@@ -35,8 +35,8 @@ from zeno_orbits.search.refinement import (
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.shooting.closing import escape_of, orbit_of
-from zeno_orbits.search.shooting.fixed_point import close_near
-from zeno_orbits.search.shooting.guess import FollowedMotion, settle
+from zeno_orbits.search.shooting.fixed_point import newton_from_cycle
+from zeno_orbits.search.shooting.guess import FollowedMotion, run_to_attractor
 from zeno_orbits.search.strength import Strength, strongest
 from zeno_orbits.search.trust_region import LastStep, trust_region_steps
 from zeno_orbits.simulation import SimulationSettings
@@ -106,7 +106,9 @@ def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
     """Return a period to which the problem converges, or the reason of a failure."""
     dynamics = search.dynamics(values)
     starts = [search.problem.state_vector(start) for start in search.initial_states]
-    settling = settle(dynamics, starts, search.settings.settling, search.shape, search.problem)
+    settling = run_to_attractor(
+        dynamics, starts, search.settings.settling, search.shape, search.problem
+    )
     cycle = settling.cycle
     if cycle is None:
         return settling
@@ -125,10 +127,10 @@ def _brought_nearer(
     A motion that converges slowly with alternating sign appears to repeat after two periods.
     """
     try:
-        near = close_near(dynamics, cycle, SimulationSettings()).cycle
+        near = newton_from_cycle(dynamics, cycle, SimulationSettings()).cycle
     except ZenoOrbitsError:
         return FollowedMotion(cycle=cycle)
-    shorter = gone_round_twice(near)
+    shorter = minimal_period(near)
     if shorter is None:
         return FollowedMotion(cycle=near)
     if search.shape is not None:
@@ -147,7 +149,7 @@ def _closed(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> Sta
     if isinstance(search.objective, Target):
         return None
     try:
-        closed = close_near(search.dynamics(values), cycle, _FINEST)
+        closed = newton_from_cycle(search.dynamics(values), cycle, _FINEST)
     except ZenoOrbitsError:
         return None
     found = closed.cycle
@@ -164,7 +166,7 @@ def _closed(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> Sta
     )
 
 
-_FINEST = at_looser_tolerance(SimulationSettings(), factor=1e-2)
+_FINEST = relaxed_tolerance(SimulationSettings(), factor=1e-2)
 _BY_ITSELF = "Errors grow too much on it for the program: simulation alone closes the orbit."
 
 

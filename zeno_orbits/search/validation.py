@@ -12,14 +12,14 @@ from zeno_orbits.model import Problem
 from zeno_orbits.orbits import RELEASE_ROWS, Bound
 from zeno_orbits.search.objectives import (
     LEAST_RADIUS,
-    FastestContraction,
-    LeastEnergy,
-    LeastPeak,
+    MinEnergy,
+    MinPeak,
+    MinSpectralRadius,
     OfImpacts,
     TargetPeriod,
 )
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.search.shooting.guess import settle
+from zeno_orbits.search.shooting.guess import run_to_attractor
 from zeno_orbits.simulation import steady_turn
 from zeno_orbits.verification import require_quantities
 
@@ -39,7 +39,7 @@ def check_search(search: SearchProblem) -> None:
             "Argument `objective` is about impacts: call `search_event_gains` in place of "
             "`search_gains`."
         )
-    if isinstance(search.objective, (LeastEnergy, LeastPeak)) and search.objective.uncertain:
+    if isinstance(search.objective, (MinEnergy, MinPeak)) and search.objective.uncertain:
         raise InputError(
             "Argument `objective` has uncertain ranges: call `search_event_gains` in place of "
             "`search_gains`."
@@ -117,7 +117,7 @@ def _check_multipliers(search: SearchProblem) -> None:
         InputError: If the orbits do not have multipliers. The message contains the remedy.
     """
     bounded = any(bound.name == "spectral_radius" for bound in search.bounds)
-    if not (bounded or isinstance(search.objective, FastestContraction)):
+    if not (bounded or isinstance(search.objective, MinSpectralRadius)):
         return
     dynamics = search.dynamics(search.values)
     start = np.array(search.problem.state_vector(search.initial_states[0]))
@@ -125,7 +125,7 @@ def _check_multipliers(search: SearchProblem) -> None:
     if len(start) - dynamics.holonomic(start).size > len(RELEASE_ROWS):
         return
     if shape is None:
-        cycle = settle(dynamics, [start], problem=search.problem).cycle
+        cycle = run_to_attractor(dynamics, [start], problem=search.problem).cycle
         shape = None if cycle is None else cycle.shape
     if shape is not None and shape.starts_at_release:
         option = "keep" if bounded else "objective"

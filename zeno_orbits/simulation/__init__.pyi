@@ -35,8 +35,8 @@ from .execution import event_name as event_name
 from .execution import state_after as state_after
 from .execution import state_before as state_before
 from .derivatives.sensitivity import ArcShifts as ArcShifts
-from .derivatives.sensitivity import EventShift as EventShift
-from .derivatives.sensitivity import Perturbations as Perturbations
+from .derivatives.sensitivity import SaltationDerivative as SaltationDerivative
+from .derivatives.sensitivity import VariationalEquation as VariationalEquation
 from .derivatives.sensitivity import carried_in_python as carried_in_python
 from .signals import Extent as Extent
 from .signals import Signal as Signal
@@ -75,7 +75,7 @@ from .lyapunov import Exponent as Exponent
 from .lyapunov import largest_exponent as largest_exponent
 from .settling import MotionLog as MotionLog
 from .settling import RepeatedCycle as RepeatedCycle
-from .settling import Verdict as Verdict
+from .settling import AttractorVerdict as AttractorVerdict
 from .settling import turns_in as turns_in
 from .settling import verdict as verdict
 from .watch import MotionEnd as MotionEnd

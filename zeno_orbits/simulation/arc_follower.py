@@ -12,15 +12,15 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import (
     Engine,
-    GuardedFlow,
-    Leg,
-    Outcome,
-    Passage,
+    FlowWithEvent,
     RungeKutta,
+    Segment,
+    SegmentResult,
+    Termination,
     Tolerance,
-    light_value,
+    fast_dataclass,
 )
-from zeno_orbits.model import HybridDynamics, Resting
+from zeno_orbits.model import ContactProjection, HybridDynamics
 from zeno_orbits.simulation.event_rules import ROUNDING
 from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode
 from zeno_orbits.simulation.interruptions import (
@@ -45,7 +45,7 @@ _RISING, _RISE = 4, 1.5
 oscillation."""
 
 
-@light_value
+@fast_dataclass
 class ArcStart:
     """The start of the next arc.
 
@@ -65,7 +65,7 @@ class ArcStart:
     state: Vector
     speed: float | None = None
     impact: Impact | None = None
-    resting: Resting | None = None
+    resting: ContactProjection | None = None
     hop: SmallHop | None = None
 
 
@@ -170,7 +170,7 @@ class ArcFollower:
     def follow(
         self,
         start: ArcStart,
-        flow: GuardedFlow,
+        flow: FlowWithEvent,
         natural: Ending,
         *,
         impact_index: int,
@@ -201,7 +201,7 @@ class ArcFollower:
             launch, tolerance = hop.launch, replace(tolerance, absolute=hop.error)
         elif start.resting is not None and start.speed is not None:
             tolerance = self._over_rounding(start.resting.gap_acceleration, start.speed)
-        leg = Leg(
+        leg = Segment(
             flow=flow,
             y=start.state if start.speed is None else launched(start.state, launch),
             horizon=(self.until - start.time) / unit,
@@ -214,9 +214,9 @@ class ArcFollower:
         self._start, self._unit = start.time, unit
         passage = (_HOPPING if hop else self.engine).follow(leg)
         time = start.time + unit * passage.duration
-        if passage.outcome is Outcome.LEFT:
+        if passage.outcome is Termination.LEFT:
             raise leaves_set(time, passage.state[:n_x])
-        over = passage.outcome is Outcome.HORIZON
+        over = passage.outcome is Termination.HORIZON
         arc = Arc(
             mode=start.mode,
             start_time=start.time,
@@ -231,8 +231,8 @@ class ArcFollower:
         return arc, passage.state
 
     def beside(
-        self, flow: GuardedFlow, y: Vector, *, horizon: float, on_guard: bool, rounding: float
-    ) -> Passage:
+        self, flow: FlowWithEvent, y: Vector, *, horizon: float, on_guard: bool, rounding: float
+    ) -> SegmentResult:
         """Follow another guard along an arc that has been followed.
 
         Args:
@@ -242,7 +242,7 @@ class ArcFollower:
             on_guard: Whether the start is a root of the guard that does not count.
             rounding: Rounding level of the guard.
         """
-        leg = Leg(
+        leg = Segment(
             flow=flow,
             y=y,
             horizon=horizon,

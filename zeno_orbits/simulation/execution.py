@@ -9,9 +9,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import any_number
-from zeno_orbits.integrators import Trajectory, light_value
-from zeno_orbits.model import USUAL, OwnScale
-from zeno_orbits.work import ByValue, Columns, Displayed
+from zeno_orbits.integrators import Trajectory, fast_dataclass
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales
+from zeno_orbits.work import ByValue, Columns, TableRepr
 
 
 class Mode(Enum):
@@ -31,7 +31,7 @@ class Ending(Enum):
     HORIZON = "end of the simulation"
 
 
-@light_value
+@fast_dataclass
 class Impact(ByValue):
     """A resolved impact.
 
@@ -149,7 +149,7 @@ _AT_ONCE = 1e-6
 """A release earlier than this part of a period belongs to the start of the execution."""
 
 
-@light_value
+@fast_dataclass
 class Arc(ByValue):
     """A stretch in one mode.
 
@@ -274,7 +274,7 @@ class Arc(ByValue):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Execution(Displayed):
+class Execution(TableRepr):
     """A completed execution on the hybrid time domain ``(t, j)``.
 
     Attributes:
@@ -287,7 +287,7 @@ class Execution(Displayed):
     state_names: tuple[str, ...]
     arcs: tuple[Arc, ...]
     events: tuple[Event, ...]
-    own: OwnScale = USUAL
+    own: CharacteristicScales = UNIT_SCALES
 
     def __repr__(self) -> str:
         """Return one line: the span of time and how much happens in it."""

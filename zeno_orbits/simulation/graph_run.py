@@ -28,11 +28,11 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError, StepSizeError
 from zeno_orbits.integrators import (
     BoxedStep,
-    GuardedFlow,
-    Leg,
-    Outcome,
-    Passage,
+    FlowWithEvent,
+    Segment,
+    SegmentResult,
     SteppedTrajectory,
+    Termination,
     follow_steps,
 )
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
@@ -116,7 +116,7 @@ class _Guard:
 
     kind: Kind
     index: int
-    flow: GuardedFlow
+    flow: FlowWithEvent
     y: Vector
     launched: float | None
     on_guard: bool
@@ -133,7 +133,7 @@ class _AlongArc:
         unit: Length of one unit of the arc's own time [s].
     """
 
-    flow: GuardedFlow
+    flow: FlowWithEvent
     n_x: int
     unit: float
 
@@ -174,7 +174,7 @@ class Interruption:
 
     kind: Kind
     index: int
-    passage: Passage | None
+    passage: SegmentResult | None
     launched: float | None = None
 
 
@@ -289,7 +289,7 @@ class GraphRun(ReferenceRun):
         return self.interruption is None and arc.ending is natural
 
     def follow_arc(
-        self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
+        self, start: ArcStart, flow: FlowWithEvent, natural: Ending, *, on_guard: bool
     ) -> tuple[Arc, Vector]:
         """Return the next arc, to the earliest event, and the last state of the flow itself.
 
@@ -337,7 +337,7 @@ class GraphRun(ReferenceRun):
         return StepSizeError(reason, time=time, state=error.state)
 
     def _followed(
-        self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
+        self, start: ArcStart, flow: FlowWithEvent, natural: Ending, *, on_guard: bool
     ) -> tuple[Arc, Vector]:
         """Return the next arc within the present window."""
         arc, end = ReferenceRun.follow_arc(self, start, flow, natural, on_guard=on_guard)
@@ -580,12 +580,12 @@ class GraphRun(ReferenceRun):
         for guard in guards:
             unit = arc.time_unit if guard.launched is None else guard.launched
             passage = self._passage(guard, arc, duration)
-            if passage.outcome is Outcome.LEFT:
+            if passage.outcome is Termination.LEFT:
                 if guard.kind is Kind.SWITCH:
                     return Interruption(kind=guard.kind, index=guard.index, passage=None)
                 time = arc.start_time + unit * passage.duration
                 raise leaves_set(time, passage.state[: arc.start_state.size])
-            if passage.outcome is Outcome.FALL:
+            if passage.outcome is Termination.FALL:
                 found = Interruption(
                     kind=guard.kind,
                     index=guard.index,
@@ -597,7 +597,7 @@ class GraphRun(ReferenceRun):
                     duration *= guard.launched / arc.time_unit
         return found
 
-    def _passage(self, guard: _Guard, arc: Arc, duration: float) -> Passage:
+    def _passage(self, guard: _Guard, arc: Arc, duration: float) -> SegmentResult:
         """Return a guard along an arc, up to a duration in the arc's own time."""
         way, n_x = arc.trajectory, arc.start_state.size
         if guard.launched is not None or not isinstance(way, SteppedTrajectory | LoopTrajectory):
@@ -611,8 +611,8 @@ class GraphRun(ReferenceRun):
             )
         steps = cast("Sequence[BoxedStep]", way.steps)
         along = _AlongArc(guard.flow, n_x, arc.time_unit)
-        leg = Leg(
-            flow=cast("GuardedFlow", along),
+        leg = Segment(
+            flow=cast("FlowWithEvent", along),
             y=steps[0].before,
             horizon=duration,
             tolerance=self.follower.tolerance,
@@ -621,7 +621,7 @@ class GraphRun(ReferenceRun):
         )
         return follow_steps(iter(steps), leg)
 
-    def _cut(self, start: ArcStart, arc: Arc, found: Interruption, passage: Passage) -> Arc:
+    def _cut(self, start: ArcStart, arc: Arc, found: Interruption, passage: SegmentResult) -> Arc:
         """Return an arc that ends at another event."""
         endings = {
             Kind.GAP: Ending.IMPACT,

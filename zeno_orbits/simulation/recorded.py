@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import (
     ExplicitStep,
-    GuardedFlow,
+    FlowWithEvent,
     RadauStep,
     Step,
     SteppedTrajectory,
@@ -22,7 +22,7 @@ from zeno_orbits.integrators import (
     radau_scheme,
 )
 from zeno_orbits.loop import Record, TapedProblem, binding, program_of
-from zeno_orbits.model import CompiledFlow, HybridDynamics, OwnScale
+from zeno_orbits.model import CharacteristicScales, CompiledFlow, HybridDynamics
 from zeno_orbits.simulation.execution import (
     Arc,
     Ending,
@@ -88,7 +88,7 @@ class History(Protocol):
         ...
 
     @property
-    def own(self) -> OwnScale:
+    def own(self) -> CharacteristicScales:
         """Characteristic scales of the problem."""
         ...
 
@@ -135,7 +135,7 @@ class RecordedRun:
         return self.dynamics.state_names
 
     @property
-    def own(self) -> OwnScale:
+    def own(self) -> CharacteristicScales:
         """Characteristic scales of the problem."""
         return self.dynamics.own
 
@@ -298,9 +298,9 @@ class Carrier(NamedTuple):
 class Made:
     """The flow of an arc that another process made."""
 
-    flow: GuardedFlow
+    flow: FlowWithEvent
 
-    def made(self) -> GuardedFlow:
+    def made(self) -> FlowWithEvent:
         """Return the flow."""
         return self.flow
 
@@ -324,7 +324,7 @@ class FlowOfLeg(NamedTuple):
         """Return a recipe for pickle."""
         return Made, (self.flow,)
 
-    def made(self) -> GuardedFlow:
+    def made(self) -> FlowWithEvent:
         """Return the flow."""
         return self.flow
 
@@ -345,7 +345,7 @@ class _Flow:
         """Return a recipe for pickle, without the system that the flow belongs to."""
         return Made, (self.made(),)
 
-    def made(self) -> GuardedFlow:
+    def made(self) -> FlowWithEvent:
         """Return the flow."""
         if self.mode == binding.FLIGHT:
             return self.dynamics.flight(self.speed)

@@ -14,8 +14,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import PenetrationError
-from zeno_orbits.integrators import GuardedFlow, SteppedTrajectory, Trajectory
-from zeno_orbits.model import HybridDynamics, OwnScale
+from zeno_orbits.integrators import FlowWithEvent, SteppedTrajectory, Trajectory
+from zeno_orbits.model import CharacteristicScales, HybridDynamics
 from zeno_orbits.simulation.admission import require_admissible
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
@@ -115,7 +115,7 @@ class ReferenceRun:
     n_releases: int = 0
     refused: float = -1.0
     stop_name: str = ""
-    own: OwnScale = field(init=False)
+    own: CharacteristicScales = field(init=False)
     small_gap: float = field(init=False)
     small_rate: float = field(init=False)
 
@@ -456,7 +456,7 @@ class ReferenceRun:
         return is_slack(self.dynamics, x, lift, self.settings.contact)
 
     def follow_arc(
-        self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
+        self, start: ArcStart, flow: FlowWithEvent, natural: Ending, *, on_guard: bool
     ) -> tuple[Arc, Vector]:
         """Return the next arc, recorded, and the last state of the flow itself.
 

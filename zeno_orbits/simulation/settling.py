@@ -147,7 +147,7 @@ class MotionLog:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class AttractorVerdict:
     """Classification of a motion at the end of its time limit.
 
     Attributes:
@@ -167,7 +167,7 @@ class Verdict:
 
 def verdict(
     dynamics: HybridDynamics, log: MotionLog, state: Vector, time: float, *, close: float
-) -> Verdict:
+) -> AttractorVerdict:
     """Classify a motion that neither rests nor diverges.
 
     Args:
@@ -180,9 +180,9 @@ def verdict(
     cycle = log.cycle(close)
     if cycle is not None:
         turns = turns_in(dynamics, state, cycle.period)
-        return Verdict(kind=AttractorKind.REPEATS, cycle=cycle, turns=turns)
+        return AttractorVerdict(kind=AttractorKind.REPEATS, cycle=cycle, turns=turns)
     if log.grows(time):
-        return Verdict(kind=AttractorKind.GROWS)
+        return AttractorVerdict(kind=AttractorKind.GROWS)
     struck = bool(log.times) and log.times[-1] > time / 2
     settings = transient_settings(_ERROR)
     try:
@@ -195,7 +195,9 @@ def verdict(
             return later
     except SimulationError as error:
         clause = error.reason[0].lower() + error.reason[1:]
-        return Verdict(kind=AttractorKind.UNDECIDED, reason=f"it cannot be continued: {clause}")
+        return AttractorVerdict(
+            kind=AttractorKind.UNDECIDED, reason=f"it cannot be continued: {clause}"
+        )
     return _by_exponent(found, turn)
 
 
@@ -206,7 +208,7 @@ def _later(
     exponent: Exponent,
     time: float,
     close: float,
-) -> Verdict | None:
+) -> AttractorVerdict | None:
     """Classify a motion that comes nearer to an orbit after the time that its exponent asks for.
 
     The time is at most as long again as the simulation. ``None`` if that is not enough.
@@ -225,7 +227,7 @@ def _later(
     cycle = after.cycle(close)
     if cycle is not None:
         turns = turns_in(dynamics, state, cycle.period)
-        return Verdict(kind=AttractorKind.REPEATS, cycle=cycle, turns=turns)
+        return AttractorVerdict(kind=AttractorKind.REPEATS, cycle=cycle, turns=turns)
     if after.times and after.times[-1] > needed / 2:
         return None
     found = _without_impacts(dynamics, log, state, close)
@@ -234,34 +236,34 @@ def _later(
 
 def _without_impacts(
     dynamics: HybridDynamics, log: MotionLog, state: Vector, close: float
-) -> Verdict:
+) -> AttractorVerdict:
     """Classify a motion without impacts, from its states at periods of the clock."""
     turn = clock_turn(dynamics, state)
     if turn is None:
-        return Verdict(kind=AttractorKind.UNDECIDED, reason="it strikes the stop no more")
+        return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason="it strikes the stop no more")
     settings = transient_settings(_ERROR)
     states = states_at_turns(dynamics, state, turn, 2 * _TURNS, settings)
     scale = scale_of(states, log.units, log.usual)
     rows = np.array(states) / scale
     for n in range(1, _TURNS + 1):
         if np.max(np.abs(rows[n:] - rows[:-n])) < close:
-            return Verdict(kind=AttractorKind.REPEATS, turns=n)
-    return Verdict(kind=AttractorKind.UNDECIDED, reason="it strikes the stop no more")
+            return AttractorVerdict(kind=AttractorKind.REPEATS, turns=n)
+    return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason="it strikes the stop no more")
 
 
-def _by_exponent(found: Exponent, turn: float) -> Verdict:
+def _by_exponent(found: Exponent, turn: float) -> AttractorVerdict:
     """Classify a motion that does not repeat by its Lyapunov exponent."""
     low, high = found.value - found.error, found.value + found.error
     shown = f"{found.value:.2g} +- {found.error:.1g} 1/s"
     if low * turn > _REGULAR:
-        return Verdict(kind=AttractorKind.CHAOTIC, exponent=found)
+        return AttractorVerdict(kind=AttractorKind.CHAOTIC, exponent=found)
     decays = high * turn < -_NONE
     if abs(found.value) * turn < _REGULAR and found.error * turn < _BOUNDED and not decays:
-        return Verdict(kind=AttractorKind.QUASI_PERIODIC, exponent=found)
+        return AttractorVerdict(kind=AttractorKind.QUASI_PERIODIC, exponent=found)
     reason = f"its largest Lyapunov exponent is too uncertain for a sign: {shown}"
     if high < 0.0:
         reason = f"it still comes nearer to an orbit: its largest Lyapunov exponent is {shown}"
-    return Verdict(kind=AttractorKind.UNDECIDED, exponent=found, reason=reason)
+    return AttractorVerdict(kind=AttractorKind.UNDECIDED, exponent=found, reason=reason)
 
 
 _WHOLE = 1e-3

@@ -7,7 +7,7 @@ orbit. The modules in the order of execution are `claim` (the orbit as vectors),
 combines them. `measurement` computes the range of a quantity along an orbit.
 
 Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `RESIDUALS`,
-`certified`, `problem_dynamics`; `measure`, `require_quantities`.
+`with_certificate`, `problem_dynamics`; `measure`, `require_quantities`.
 
 Imports: orbits, simulation, model, integrators, work, arrays, errors. Never search,
 continuation, maps, experiment or precision.

@@ -8,7 +8,7 @@ from .event_verifier import verify_events as verify_events
 from .measurement import measure as measure
 from .measurement import require_quantities as require_quantities
 from .verifier import VerificationSettings as VerificationSettings
-from .verifier import certified as certified
+from .verifier import with_certificate as with_certificate
 from .verifier import multipliers_of as multipliers_of
 from .verifier import problem_dynamics as problem_dynamics
 from .verifier import verify as verify

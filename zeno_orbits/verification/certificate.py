@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from zeno_orbits.orbits import ONE_ZENO, OrbitShape
-from zeno_orbits.work import Columns, Displayed
+from zeno_orbits.orbits import ONE_ZENO, EventSequence
+from zeno_orbits.work import Columns, TableRepr
 
 RESIDUALS: Mapping[str, str] = {
     "release": "gap, gap rate and multiplier are zero at the release",
@@ -94,7 +94,7 @@ OPEN_BALANCE = "The energy balance is open: further states act with a force, wit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class OrbitCertificate(Displayed):
+class OrbitCertificate(TableRepr):
     """Result of the forward integration of an orbit.
 
     Attributes:
@@ -209,7 +209,7 @@ class OrbitCertificate(Displayed):
     @property
     def _kind(self) -> str:
         what = "Zeno periodic orbit"
-        shape = OrbitShape.parsed(self.shape)
+        shape = EventSequence.parsed(self.shape)
         if self.events:
             zeno = any(name.startswith("zeno ") for name in self.events)
             what = what if zeno else "periodic orbit without a Zeno point"

@@ -10,7 +10,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import OrbitPhase, OrbitShape, PhaseKind, ZenoOrbit
+from zeno_orbits.orbits import EventSequence, OrbitPhase, PhaseKind, ZenoOrbit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class Claim:
         phases: Its phases.
     """
 
-    shape: OrbitShape
+    shape: EventSequence
     period: float
     phases: tuple[ClaimedPhase, ...]
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model import HybridDynamics, Problem, audited_in, load_reference
-from zeno_orbits.orbits import Cycle, Phase, PhaseKind, ZenoOrbit, placed
+from zeno_orbits.model import HybridDynamics, Problem, load_reference, with_energy_ledger
+from zeno_orbits.orbits import Cycle, Phase, PhaseKind, ZenoOrbit, place_on_section
 from zeno_orbits.simulation import Impact, SimulationSettings, Truncation, ZenoPassage, simulate
 from zeno_orbits.verification.certificate import DeltaCut
 from zeno_orbits.verification.claim import Claim
@@ -146,11 +146,11 @@ def energies_of(
     """
     values = orbit.values(problem)
     unit = problem.dynamics(values).own.energy
-    dynamics = problem.dynamics(values, audited_in(unit))
+    dynamics = problem.dynamics(values, with_energy_ledger(unit))
     if isinstance(simulation.completion, ZenoPassage):
         # Each impact dissipates its own part. Only a short tail is estimated from the last speed.
         simulation = replace(simulation, completion=simulation.completion.one_by_one)
-    start = placed(dynamics, claim.shape, np.concatenate([claim.start, np.zeros(3)]))
+    start = place_on_section(dynamics, claim.shape, np.concatenate([claim.start, np.zeros(3)]))
     last = None if claim.shape.starts_at_release else len(cycle.impacts)
     # An impact at the end of the period is counted, even if the end time is slightly earlier.
     until = cycle.end.time if last is None else _LATER * cycle.end.time

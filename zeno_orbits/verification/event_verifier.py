@@ -26,12 +26,12 @@ from zeno_orbits.orbits import (
     EventOrbit,
     EventQuantities,
     OrbitEvent,
-    at_looser_tolerance,
     event_return,
     extrapolated,
     largest_states,
     multipliers_of_return,
     orbit_event_name,
+    relaxed_tolerance,
     sequence_of,
 )
 from zeno_orbits.simulation import (
@@ -132,7 +132,7 @@ def verify_events(
             residuals["energy_balance"] = imbalance(energies) if energies else math.inf
         on_progress("integrating at a looser tolerance", None)
         for factor, share in _REPETITIONS:
-            looser = at_looser_tolerance(settings.simulation, factor=factor)
+            looser = relaxed_tolerance(settings.simulation, factor=factor)
             others, _ = _periods(graph, orbit, start, looser, 1)
             if others:
                 moved = _distance(others[0].state, first.state, scale)
@@ -336,7 +336,7 @@ def _multipliers(
     """Return the multipliers and the estimated error of the largest, infinite if unknown."""
     found: list[tuple[complex, ...]] = []
     with suppress(ZenoOrbitsError):
-        for chosen in (settings, at_looser_tolerance(settings)):
+        for chosen in (settings, relaxed_tolerance(settings)):
             one = event_return(
                 graph,
                 start,

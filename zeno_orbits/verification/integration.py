@@ -12,14 +12,14 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import (
     Cycle,
+    EventSequence,
     Moment,
-    OrbitShape,
-    at_looser_tolerance,
     first_cycles,
     followed,
     kinds_of,
     phases_of,
-    placed,
+    place_on_section,
+    relaxed_tolerance,
 )
 from zeno_orbits.simulation import Arc, Execution, Mode, SimulationSettings, ZenoExtrapolation
 from zeno_orbits.verification.claim import Claim
@@ -82,7 +82,7 @@ def observe(
         n_periods: Number of returns. The claimed period is only used to limit the waiting time.
     """
     shape = claim.shape.at_restitution(dynamics.restitution)
-    start = placed(dynamics, shape, claim.start)
+    start = place_on_section(dynamics, shape, claim.start)
     horizon = min((n_periods + 0.5) * claim.period, _LONGEST)
     try:
         run = followed(
@@ -109,12 +109,12 @@ def observe(
 def _difference_of_looser(
     dynamics: HybridDynamics,
     start: Vector,
-    shape: OrbitShape,
+    shape: EventSequence,
     first: FirstCycle,
     simulation: SimulationSettings,
 ) -> float:
     """Return the distance between the first returns of this and of a looser integration."""
-    loose = replace(at_looser_tolerance(simulation), completion=ZenoExtrapolation(tolerance=1e-10))
+    loose = replace(relaxed_tolerance(simulation), completion=ZenoExtrapolation(tolerance=1e-10))
     end = first.cycle.end
     try:
         again = followed(dynamics, start, shape, horizon=1.5 * end.time, settings=loose)
@@ -128,7 +128,7 @@ def _nothing(trouble: str) -> Observation:
     return Observation(first=None, returns=(), integration_error=math.inf, trouble=trouble)
 
 
-def _missing(execution: Execution, start: Vector, shape: OrbitShape) -> str:
+def _missing(execution: Execution, start: Vector, shape: EventSequence) -> str:
     """Return a clause on the reason why an execution does not begin with a period of a shape."""
     if shape.starts_at_release and not execution.returns(execution.end_time):
         return "No release occurs"

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from zeno_orbits.errors import InputError, SimulationError, did_you_mean
 from zeno_orbits.model import HybridDynamics, Problem, bind
-from zeno_orbits.orbits import Cycle, ZenoOrbit, orbit_multipliers, placed
+from zeno_orbits.orbits import Cycle, ZenoOrbit, orbit_multipliers, place_on_section
 from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal, signal_names
 from zeno_orbits.verification.claim import Claim, claim_of
 from zeno_orbits.verification.cross_checks import energies_of
@@ -105,7 +105,7 @@ def _number(
     elif name == "spectral_radius":
         multipliers = orbit_multipliers(
             dynamics,
-            placed(dynamics, claim.shape, claim.start),
+            place_on_section(dynamics, claim.shape, claim.start),
             scale=first.scale,
             period=cycle.end.time,
             settings=simulation,

@@ -14,7 +14,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.integrators import Automatic, GuardedFlow, Radau, RungeKutta, Tolerance
+from zeno_orbits.integrators import Automatic, FlowWithEvent, Radau, RungeKutta, Tolerance
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation import Arc, Mode, states_after_steps
 from zeno_orbits.verification.integration import FirstCycle
@@ -54,7 +54,7 @@ def sampled_guards(dynamics: HybridDynamics, first: FirstCycle) -> dict[str, flo
     return {"penetration": deepest / first.gap, "adhesion": pull / first.force}
 
 
-def _states(dynamics: HybridDynamics, flow: GuardedFlow, arc: Arc, longest: float) -> Vector:
+def _states(dynamics: HybridDynamics, flow: FlowWithEvent, arc: Arc, longest: float) -> Vector:
     """Return the states inside an arc after steps of a bounded length, ``(n, n_x)``."""
     engine = Automatic(
         explicit=RungeKutta(largest_step=longest), implicit=Radau(largest_step=longest)

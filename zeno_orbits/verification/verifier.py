@@ -20,10 +20,10 @@ from zeno_orbits.orbits import (
     EventOrbit,
     Multipliers,
     ZenoOrbit,
-    at_looser_tolerance,
     digest_of,
     orbit_multipliers,
-    placed,
+    place_on_section,
+    relaxed_tolerance,
     same_equations,
 )
 from zeno_orbits.simulation import SimulationSettings
@@ -107,7 +107,7 @@ def verify(
     worst = max(*residuals.values(), seen.integration_error) / settings.tolerance
     if seen.first is not None and 1.0 < worst < _GROWN:
         # Over many impacts the errors of the integration may have grown to this size.
-        finer = at_looser_tolerance(settings.simulation, factor=_FINER)
+        finer = relaxed_tolerance(settings.simulation, factor=_FINER)
         settings = replace(settings, simulation=finer)
         seen = observe(dynamics, claim, finer, settings.n_periods)
         residuals = orbit_residuals(dynamics, problem, claim, seen)
@@ -206,7 +206,7 @@ def _contradictions(
 
 
 @checked
-def certified(orbit: OrbitType, certificate: OrbitCertificate) -> OrbitType:
+def with_certificate(orbit: OrbitType, certificate: OrbitCertificate) -> OrbitType:
     """Return the orbit with a certificate and its multipliers in it."""
     return replace(
         orbit,
@@ -266,7 +266,7 @@ def _multipliers(
 ) -> Multipliers:
     return orbit_multipliers(
         dynamics,
-        placed(dynamics, claim.shape, claim.start),
+        place_on_section(dynamics, claim.shape, claim.start),
         scale=first.scale,
         period=first.cycle.end.time,
         settings=replace(settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)),

@@ -4,20 +4,35 @@ A task is a pure function of a chunk of points. Chunks do not depend on the work
 passes through JSON, and a checkpoint stores each finished chunk. So the results are the same for
 any number of workers, and after any number of restarts.
 
-Offers: `spread` and `spread_in_order` run a `Task` as a `Plan` says, at a `Place` (`Workers` or a
-`Cluster`), in a pool that `open_pool` opens (`Pool`), with `LostPoint` for a point that crashes
-workers; `claim`, `keeps_nothing` and `remove_checkpoint` for checkpoints; `Progress` and `silent`
-for progress reports, `portion` for a step of several, `tell_part` and `parts_told_to` for those
-from inside a chunk; `write_whole` for files; `plain` and `restored` between values and JSON;
-`versions` of the software; `checked`, `require_kinds` and `Checked` refuse arguments of a wrong
-kind;
-`enclosing_decimal`, `enclosing_ends`, `enclosing_disc`, `decimal_above` and `decimal_below` for
-decimals that contain exact numbers, `enclosed_decimal` for those that lie in an interval, and
-`exact_decimal` for all digits.
+Offers: `parallel_map` and `spread_in_order` run a `Task` as an `ExecutionPlan` says, at a `Place`
+(`Workers` or a `Cluster`), in a pool that `open_pool` opens (`Pool`), with `FailedPoint` for a
+point that crashes workers; `claim_checkpoint`, `keeps_nothing` and `remove_checkpoint` for
+checkpoints; `Progress` and `silent` for progress reports, `portion` for a step of several,
+`report_part` and `parts_told_to` for those from inside a chunk; `write_whole` for files; `to_plain`
+and `from_plain` between values and JSON; `versions` of the software; `checked`, `require_kinds` and
+`Checked` refuse arguments of a wrong kind; `enclosing_decimal`, `enclosing_ends`, `enclosing_disc`,
+`decimal_above` and `decimal_below` for decimals that contain exact numbers, `enclosed_decimal` for
+those that lie in an interval, and `exact_decimal` for all digits.
 
 Imports: arrays, errors.
 """
 
+import warnings
+from typing import Any
+
 import lazy_loader as lazy
 
-__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
+_attribute, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name when it is first used. The old name `LostPoint` gives a warning.
+
+    Raises:
+        AttributeError: If the name is unknown.
+    """
+    if name == "LostPoint":
+        message = "zeno_orbits.work.LostPoint is now zeno_orbits.work.FailedPoint."
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return _attribute("FailedPoint")
+    return _attribute(name)

@@ -15,7 +15,7 @@ from typing import IO, Any, cast
 
 from zeno_orbits.errors import CheckpointError
 from zeno_orbits.work.files import UNFINISHED, read_object, write_whole
-from zeno_orbits.work.plan import LostPoint
+from zeno_orbits.work.plan import FailedPoint
 
 fcntl: ModuleType | None = None
 with contextlib.suppress(ImportError):
@@ -128,8 +128,8 @@ class Checkpoint:
         Raises:
             InputError: If the folder cannot be written.
         """
-        lost = [k for k, result in enumerate(results) if isinstance(result, LostPoint)]
-        kept = [None if isinstance(result, LostPoint) else result for result in results]
+        lost = [k for k, result in enumerate(results) if isinstance(result, FailedPoint)]
+        kept = [None if isinstance(result, FailedPoint) else result for result in results]
         body = {"chunk": chunk, "lost": lost, "results": kept}
         entries = {"format": FORMAT, "work": self.work, "checksum": _digest(body)} | body
         write_whole(self._file(chunk), json.dumps(entries, allow_nan=False) + "\n")
@@ -157,7 +157,7 @@ class Checkpoint:
         lost, kept = cast("list[int]", body["lost"]), cast("list[Any]", body["results"])
         if len(kept) != self.sizes[chunk]:
             raise _broken(path, f"it has {len(kept)} results in place of {self.sizes[chunk]}")
-        return [LostPoint() if k in lost else result for k, result in enumerate(kept)]
+        return [FailedPoint() if k in lost else result for k, result in enumerate(kept)]
 
 
 def open_checkpoint(folder: Path, identity: Mapping[str, Any], sizes: Sequence[int]) -> Checkpoint:

@@ -18,7 +18,7 @@ _MOST_ROWS = 12
 _RULES = "border-collapse:collapse;font-variant-numeric:tabular-nums"
 
 
-class Displayed(ByValue):
+class TableRepr(ByValue):
     """A result that can also be shown as a table."""
 
     __slots__ = ()

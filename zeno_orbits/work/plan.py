@@ -41,7 +41,7 @@ Place = Workers | Cluster
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class ExecutionPlan:
     """A plan of work. Only the size of a chunk may change a result.
 
     Attributes:
@@ -69,7 +69,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LostPoint:
+class FailedPoint:
     """Replacement for a result: the point crashed every worker that computed it.
 
     Attributes:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zeno_orbits.work.checkpoint import Checkpoint, folder_lock, open_checkpoint
-from zeno_orbits.work.plan import LostPoint, Plan, Workers
+from zeno_orbits.work.plan import ExecutionPlan, FailedPoint, Workers
 from zeno_orbits.work.pools import Pool, open_pool
 from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.software import code_digest
@@ -24,7 +24,7 @@ _TICK = 0.2
 """Longest time between two progress reports, which may check for an interrupt [s]."""
 
 
-def claim(plan: Plan) -> None:
+def claim_checkpoint(plan: ExecutionPlan) -> None:
     """Open the checkpoint of work in several stages, each with its own subfolder.
 
     Raises:
@@ -35,10 +35,10 @@ def claim(plan: Plan) -> None:
         open_checkpoint(plan.checkpoint, {**plan.identity, "code": code_digest()}, ())
 
 
-def spread(
+def parallel_map(
     task: Task,
     points: Sequence[Any],
-    plan: Plan,
+    plan: ExecutionPlan,
     *,
     on_progress: Progress = silent,
     pool: Pool | None = None,
@@ -56,7 +56,7 @@ def spread(
             succession.
 
     Returns:
-        One result per point, converted through JSON, or ``LostPoint`` if the point crashes its
+        One result per point, converted through JSON, or ``FailedPoint`` if the point crashes its
         worker.
 
     Raises:
@@ -69,7 +69,7 @@ def spread(
 def spread_in_order(
     task: Task,
     points: Sequence[Any],
-    plan: Plan,
+    plan: ExecutionPlan,
     *,
     here: Task | None = None,
     on_progress: Progress = silent,
@@ -83,16 +83,16 @@ def spread_in_order(
     work is done.
 
     Args:
-        task: As in ``spread``.
-        points: As in ``spread``.
-        plan: As in ``spread``.
+        task: As in ``parallel_map``.
+        points: As in ``parallel_map``.
+        plan: As in ``parallel_map``.
         here: The same task for this process, which computes the first chunk before workers start.
             By default this process computes no chunk.
-        on_progress: As in ``spread``.
-        pool: As in ``spread``. The iterator must then be run to the end.
+        on_progress: As in ``parallel_map``.
+        pool: As in ``parallel_map``. The iterator must then be run to the end.
 
     Yields:
-        As ``spread`` returns them.
+        As ``parallel_map`` returns them.
 
     Raises:
         InputError: If the executor is not available, or the checkpoint belongs to other work.
@@ -127,7 +127,9 @@ def spread_in_order(
             yield from found[k]
 
 
-def _checkpoint(plan: Plan, points: Sequence[Any], sizes: Sequence[int]) -> Checkpoint | None:
+def _checkpoint(
+    plan: ExecutionPlan, points: Sequence[Any], sizes: Sequence[int]
+) -> Checkpoint | None:
     if plan.checkpoint is None:
         return None
     digest = hashlib.sha256(json.dumps(list(points), allow_nan=False).encode()).hexdigest()
@@ -223,7 +225,7 @@ class _Run:
         points = self.chunks[chunk]
         for k in range(len(points)):
             answer = self._alone(chunk, points[k : k + 1])
-            results.append(LostPoint() if answer is None else results_of(answer)[0])
+            results.append(FailedPoint() if answer is None else results_of(answer)[0])
         return results
 
     def _alone(self, chunk: int, points: Sequence[Any]) -> str | None:

@@ -1,7 +1,7 @@
 """Lossless conversion between values and plain data for JSON files, checkpoints and processes.
 
-``plain`` converts a value to JSON data. ``restored`` converts the data back to the value, with the
-types that the value's class declares. Every file of the package is read by ``restored``.
+``to_plain`` converts a value to JSON data. ``from_plain`` converts the data back to the value, with
+the types that the value's class declares. Every file of the package is read by ``from_plain``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from zeno_orbits.errors import InputError
 T = TypeVar("T")
 
 
-def plain(value: Any, argument: str = "value") -> Any:
+def to_plain(value: Any, argument: str = "value") -> Any:
     """Return a value as numbers, texts, lists and mappings.
 
     Dataclasses become mappings of their fields with their ``kind``. Functions of a module become
@@ -40,21 +40,23 @@ def plain(value: Any, argument: str = "value") -> Any:
     if isinstance(value, np.ndarray):
         return _plain_array(cast("Any", value), argument)
     if isinstance(value, np.generic):
-        return plain(value.item(), argument)
+        return to_plain(value.item(), argument)
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     if isinstance(value, complex):
-        return [plain(value.real, argument), plain(value.imag, argument)]
+        return [to_plain(value.real, argument), to_plain(value.imag, argument)]
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, Mapping):
         return _plain_mapping(cast("Mapping[Any, Any]", value), argument)
     if isinstance(value, Sequence):
-        return [plain(entry, argument) for entry in cast("Sequence[Any]", value)]
+        return [to_plain(entry, argument) for entry in cast("Sequence[Any]", value)]
     if is_dataclass(value) and not isinstance(value, type):
-        own = {field.name: plain(getattr(value, field.name), argument) for field in fields(value)}
+        own = {
+            field.name: to_plain(getattr(value, field.name), argument) for field in fields(value)
+        }
         return {"kind": _name(type(value)), **own} if "kind" not in own else own
     if getattr(value, "__qualname__", "<").isidentifier():
         return _name(value)
@@ -64,15 +66,15 @@ def plain(value: Any, argument: str = "value") -> Any:
 
 def _plain_mapping(value: Mapping[Any, Any], argument: str) -> Any:
     if all(isinstance(key, str) for key in value):
-        return {key: plain(entry, argument) for key, entry in value.items()}
-    return [[plain(key, argument), plain(entry, argument)] for key, entry in value.items()]
+        return {key: to_plain(entry, argument) for key, entry in value.items()}
+    return [[to_plain(key, argument), to_plain(entry, argument)] for key, entry in value.items()]
 
 
 def _plain_array(value: Any, argument: str) -> Any:
     if value.ndim > 1 and not value.size:
         # The list of a matrix without rows would lose the number of columns.
         return {"shape": list(value.shape), "entries": []}
-    return plain(value.tolist(), argument)
+    return to_plain(value.tolist(), argument)
 
 
 def _name(thing: Any) -> str:
@@ -93,8 +95,8 @@ class EntryError(ValueError):
         self.name, self.wanted, self.found = name, wanted, found
 
 
-def restored(kind: type[T], data: object, name: str = "data", *, finite: bool = False) -> T:
-    """Return the value of a declared type from plain data: the inverse of `plain`.
+def from_plain(kind: type[T], data: object, name: str = "data", *, finite: bool = False) -> T:
+    """Return the value of a declared type from plain data: the inverse of `to_plain`.
 
     Args:
         kind: A dataclass, or any type that its fields may declare: numbers, texts, enumerations,
@@ -210,7 +212,7 @@ _NOT_FINITE = ("inf", "-inf", "nan")
 
 
 def _as_float(data: Any) -> float | None:
-    """Return a number, or the text that `plain` writes for a non-finite number, as a float."""
+    """Return a number, or the text that `to_plain` writes for a non-finite number, as a float."""
     if isinstance(data, str) and data in _NOT_FINITE:
         return float(data)
     if isinstance(data, bool) or not isinstance(data, int | float):

@@ -26,7 +26,7 @@ _NOTED = 0.1
 _listener: ContextVar[Callable[[float], object] | None] = ContextVar("listener", default=None)
 
 
-def tell_part(part: float) -> None:
+def report_part(part: float) -> None:
     """Report the finished part of this chunk to its listener, if a listener is set.
 
     Args:
@@ -39,7 +39,7 @@ def tell_part(part: float) -> None:
 
 @contextmanager
 def parts_told_to(listener: Callable[[float], object]) -> Generator[None]:
-    """Pass the reports of `tell_part` to a function within a context."""
+    """Pass the reports of `report_part` to a function within a context."""
     token = _listener.set(listener)
     try:
         yield

@@ -22,7 +22,7 @@ from tests.reference.many_digits.gauss_scheme import Real
 from tests.reference.many_digits.run import ExtendedRun, Trace
 from tests.reference.many_digits.system import ExtendedSystem, State, relative_difference
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import USUAL, OwnScale, ParameterValues, Problem
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales, ParameterValues, Problem
 
 SPARE_DIGITS = (5, 12)
 """Digits of the two runs beyond the wanted ones."""
@@ -138,7 +138,9 @@ def extended_execution(
         )
 
 
-def trace_difference(shorter: Trace, longer: Trace, own: OwnScale = USUAL) -> float:
+def trace_difference(
+    shorter: Trace, longer: Trace, own: CharacteristicScales = UNIT_SCALES
+) -> float:
     """Return how far two runs are apart: the largest difference, relative to size and value.
 
     Impacts near a Zeno point that only one of them resolved do not count.

@@ -28,7 +28,7 @@ from zeno_orbits.cli.parsing import (
 )
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import Plan
+from zeno_orbits.work import ExecutionPlan
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
@@ -163,7 +163,7 @@ def _continued(
     name, box = options.range
     common: dict[str, Any] = {
         "settings": api.continuation_settings(options.steps),
-        "plan": Plan(place=place, checkpoint=checkpoint),
+        "plan": ExecutionPlan(place=place, checkpoint=checkpoint),
         "on_progress": progress,
     }
     if options.section == "impact":

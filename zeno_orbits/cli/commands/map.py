@@ -107,7 +107,7 @@ def _run_map(options: argparse.Namespace) -> int:
         require_refinement,
         write_map,
     )
-    from zeno_orbits.work import Plan
+    from zeno_orbits.work import ExecutionPlan
 
     plane = require_plane(_plane(options))
     require_refinement(plane, options.refine)
@@ -120,7 +120,7 @@ def _run_map(options: argparse.Namespace) -> int:
     place, chunk = place_of(options), chunk_of(plane)
 
     def work(checkpoint: Path | None, progress: report.ProgressLine) -> ParameterMap:
-        plan = Plan(place=place, chunk=chunk, checkpoint=checkpoint)
+        plan = ExecutionPlan(place=place, chunk=chunk, checkpoint=checkpoint)
         return parameter_map(plane, plan, refine=options.refine, on_progress=progress)
 
     def finish(found: ParameterMap) -> int:

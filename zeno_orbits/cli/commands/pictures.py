@@ -69,7 +69,7 @@ def _run_plot(options: argparse.Namespace) -> int:
         "portraits": lambda: plots.plot_portraits(problem, execution),
         "time": lambda: plots.plot_time_series(problem, execution),
         "outputs": lambda: plots.plot_outputs(problem, orbit.values(problem), execution),
-        "zeno": lambda: plots.plot_zeno_zoom(problem, execution, dynamics),
+        "zeno": lambda: plots.plot_zeno_neighbourhood(problem, execution, dynamics),
     }
     has = {"outputs": bool(problem.outputs)}
     if isinstance(orbit, zo.EventOrbit):
@@ -78,7 +78,7 @@ def _run_plot(options: argparse.Namespace) -> int:
         rests = any(name.startswith("zeno ") for name in orbit.sequence)
     else:
         one = api.dynamics_of_orbit(orbit, problem)
-        draw["region"] = lambda: plots.plot_zeno_region(problem, one, execution)
+        draw["region"] = lambda: plots.plot_zeno_set(problem, one, execution)
         rests = orbit.shape.starts_at_release
         has["region"] = rests and plots.has_zeno_region(one)
     has["zeno"] = rests

@@ -162,4 +162,4 @@ def _draw_region(problem: zo.Problem, values: zo.ParameterValues, path: Path) ->
     from zeno_orbits.report import plots
 
     dynamics = problem.dynamics(values)
-    plots.save_figure(plots.plot_zeno_region(problem, dynamics), path)
+    plots.save_figure(plots.plot_zeno_set(problem, dynamics), path)

@@ -94,7 +94,7 @@ def add_push(commands: Any) -> None:
 
 
 def _run_push(options: argparse.Namespace) -> int:
-    from zeno_orbits.work import Plan
+    from zeno_orbits.work import ExecutionPlan
 
     settings = api.push_settings(
         phases=options.phases,
@@ -112,7 +112,7 @@ def _run_push(options: argparse.Namespace) -> int:
             problem=options.problem,
             directions=options.directions or (),
             settings=settings,
-            plan=Plan(place=place, checkpoint=checkpoint),
+            plan=ExecutionPlan(place=place, checkpoint=checkpoint),
             on_progress=progress,
         )
 

@@ -33,7 +33,7 @@ from zeno_orbits.cli.parsing import (
 from zeno_orbits.cli.search_output import answer
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import Plan, require_writable
+from zeno_orbits.work import ExecutionPlan, require_writable
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
@@ -224,7 +224,7 @@ def _run_search(options: argparse.Namespace) -> int:
             allow_unstable=options.allow_unstable,
             accuracy=options.accuracy,
             engine=options.engine,
-            plan=Plan(place=place, checkpoint=checkpoint),
+            plan=ExecutionPlan(place=place, checkpoint=checkpoint),
             on_progress=progress,
         )
 

@@ -15,7 +15,12 @@ import numpy as np
 
 from zeno_orbits.continuation.corrector import BranchPoint
 from zeno_orbits.continuation.families import HalfCurve
-from zeno_orbits.continuation.two_parameters.end_curve import Before, SecantCurve, Spot, left_of
+from zeno_orbits.continuation.two_parameters.end_curve import (
+    ApproachPoint,
+    SecantCurve,
+    SpecialCurvePoint,
+    left_of,
+)
 from zeno_orbits.continuation.two_parameters.fold_flip_curve import MULTIPLIERS, half_fold_flip
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart
 
@@ -37,13 +42,13 @@ def half_boundary(setup: CurveSetup, start: CurveStart, *, upwards: bool) -> Hal
     if found.kind in MULTIPLIERS:
         return half_fold_flip(setup, start, upwards=upwards)
 
-    def relative(point: BranchPoint) -> Before:
+    def relative(point: BranchPoint) -> ApproachPoint:
         state = (point.x - found.z[:-1] * metric.scale) / metric.scale
         away = (point.z[-1] - found.z[-1]) / (plane.units[0] / unit)
         left = left_of(point, found.kind, found.place)
-        return Before(state=state, away=np.array([away, 0.0]), left=left)
+        return ApproachPoint(state=state, away=np.array([away, 0.0]), left=left)
 
-    first = Spot(
+    first = SpecialCurvePoint(
         at=np.array(start.value) / plane.units,
         located=replace(found, z=np.append(found.z[:-1], 0.0), error=found.error / plane.units[0]),
         before=tuple(relative(point) for point in start.leading),

@@ -17,7 +17,7 @@ from zeno_orbits.continuation.corrector import BranchPoint, correct
 from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.lock_end import locate_cut_near
-from zeno_orbits.continuation.margins import ENDS, Stage, Threat, meeting
+from zeno_orbits.continuation.margins import ENDS, Stage, VanishingMargin, meeting
 from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.special_points.special_points import (
     INSIDE,
@@ -31,7 +31,7 @@ from zeno_orbits.orbits import Margin, MarginKind, PathStep, StepError, follow_p
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spot:
+class SpecialCurvePoint:
     """A point of a boundary.
 
     Attributes:
@@ -42,7 +42,7 @@ class Spot:
 
     at: Vector
     located: Located
-    before: tuple[Before, ...]
+    before: tuple[ApproachPoint, ...]
 
     @property
     def amplitude(self) -> float:
@@ -54,7 +54,7 @@ class Spot:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Before:
+class ApproachPoint:
     """A point of a family that leads to an end, relative to it.
 
     Attributes:
@@ -76,7 +76,9 @@ class SecantCurve:
         self.plane, self.metric, self.steps = setup.plane, setup.metric, setup.steps
         self.forward = np.zeros(2)
 
-    def run(self, first: Spot, *, upwards: bool) -> tuple[Sequence[Spot], str]:
+    def run(
+        self, first: SpecialCurvePoint, *, upwards: bool
+    ) -> tuple[Sequence[SpecialCurvePoint], str]:
         """Return the curve from a point in one direction, and the reason of its end."""
         try:
             heading = self._heading(first)
@@ -86,7 +88,7 @@ class SecantCurve:
         path = follow_path(first, self.steps, self._advance, give_up=self._last_end)
         return path.points, path.end or counted(round(self.steps.most), "step")
 
-    def _heading(self, first: Spot) -> Vector:
+    def _heading(self, first: SpecialCurvePoint) -> Vector:
         """Return the direction of the curve at its first point, upwards if possible.
 
         A line across a guessed direction intersects the curve at another point. The chord to that
@@ -112,7 +114,9 @@ class SecantCurve:
             step /= 8
         raise SimulationError(trouble, time=0.0, state=())
 
-    def _advance(self, spots: Sequence[Spot], step: float) -> PathStep[Spot, str]:
+    def _advance(
+        self, spots: Sequence[SpecialCurvePoint], step: float
+    ) -> PathStep[SpecialCurvePoint, str]:
         """Return the next point on the line across the curve a step ahead."""
         last, forward = spots[-1], self.forward
         at = last.at + step * forward
@@ -139,7 +143,9 @@ class SecantCurve:
         self.setup.report(self.kind.value, new.at)
         return PathStep(points=(new,), easy=strayed < self.steps.bend * step / 3)
 
-    def _last_end(self, spots: Sequence[Spot], trouble: str) -> PathStep[Spot, str]:
+    def _last_end(
+        self, spots: Sequence[SpecialCurvePoint], trouble: str
+    ) -> PathStep[SpecialCurvePoint, str]:
         """Return the end at a point from which every step fails."""
         if trouble == SpecialPointKind.BOUND.value:
             return PathStep(end=trouble)
@@ -147,7 +153,7 @@ class SecantCurve:
         met = meeting(way, partial(self.setup.restitution_at, spots[-1].at))
         return PathStep(end=met or f"{SpecialPointKind.GAVE_UP.value}: {trouble}")
 
-    def _others(self, spot: Spot) -> dict[Margin, float]:
+    def _others(self, spot: SpecialCurvePoint) -> dict[Margin, float]:
         """Return the margins at a point that do not vanish on the curve."""
         margins = spot.located.margins.items()
         return {margin: value for margin, value in margins if ENDS.get(margin.loss) != self.kind}
@@ -162,13 +168,21 @@ class SecantCurve:
         ]
         return max(0.0, min(reach))
 
-    def _fits(self, last: Spot, new: Spot, at: Vector, forward: Vector) -> bool:
+    def _fits(
+        self, last: SpecialCurvePoint, new: SpecialCurvePoint, at: Vector, forward: Vector
+    ) -> bool:
         """Return True if a point is a neighbour of the last point."""
         step = float(np.linalg.norm(at - last.at))
         near = float(np.linalg.norm(new.at - at)) < self.steps.bend * step
         return near and float((new.at - last.at) @ forward) > 0.0
 
-    def _located(self, last: Spot, at: Vector, forward: Vector, spots: Sequence[Spot]) -> Spot:
+    def _located(
+        self,
+        last: SpecialCurvePoint,
+        at: Vector,
+        forward: Vector,
+        spots: Sequence[SpecialCurvePoint],
+    ) -> SpecialCurvePoint:
         """Return the special point on the line across the curve through a point of the plane."""
         across = np.array([forward[1], -forward[0]])
         returns = self.setup.returns_on(at, across)
@@ -188,7 +202,7 @@ class SecantCurve:
         if not located.error < _CERTAIN:
             raise SimulationError("The end is not certain", time=0.0, state=())
         new_at = at + located.z[-1] * across
-        return Spot(at=new_at, located=located, before=before)
+        return SpecialCurvePoint(at=new_at, located=located, before=before)
 
     def _inside(self, returns: ReturnMap, z: Vector) -> Located:
         normal = np.zeros(z.size)
@@ -198,8 +212,8 @@ class SecantCurve:
         return located_near(returns, self.metric, start, self.kind, test)
 
     def _end(
-        self, returns: ReturnMap, z: Vector, last: Spot, across: Vector
-    ) -> tuple[Located, tuple[Before, ...]]:
+        self, returns: ReturnMap, z: Vector, last: SpecialCurvePoint, across: Vector
+    ) -> tuple[Located, tuple[ApproachPoint, ...]]:
         """Return an end, approached from points at the same distances as the last end."""
         if (
             self.kind is SpecialPointKind.LOCK_VANISHES
@@ -209,10 +223,10 @@ class SecantCurve:
             found = locate_cut_near(returns, self.metric, np.append(z, 0.0), along, self.place)
             return found, last.before
         points = [self._ahead(returns, z, one, across) for one in last.before]
-        threat = Threat(margin=_margin(self.kind, self.place), distance=np.inf, fall=1.0)
+        threat = VanishingMargin(margin=_margin(self.kind, self.place), distance=np.inf, fall=1.0)
         located = locate_end(returns, self.metric, points, threat)
         before = tuple(
-            Before(
+            ApproachPoint(
                 state=point.z[:-1] - located.z[:-1],
                 away=(point.s - located.z[-1]) * across,
                 left=left_of(point, self.kind, self.place),
@@ -221,7 +235,9 @@ class SecantCurve:
         )
         return located, before
 
-    def _ahead(self, returns: ReturnMap, z: Vector, before: Before, across: Vector) -> BranchPoint:
+    def _ahead(
+        self, returns: ReturnMap, z: Vector, before: ApproachPoint, across: Vector
+    ) -> BranchPoint:
         """Return the point before an end that corresponds to a point before the last end."""
         place = float(before.away @ across)
         if abs(place) < _SLANT * float(np.linalg.norm(before.away)):
@@ -239,7 +255,7 @@ class SecantCurve:
         return point
 
 
-def _direction(last: Spot, new: Spot) -> Vector:
+def _direction(last: SpecialCurvePoint, new: SpecialCurvePoint) -> Vector:
     """Return the direction of the chord between two points, ``(2,)``."""
     chord = new.at - last.at
     return np.asarray(chord / np.linalg.norm(chord), dtype=np.float64)

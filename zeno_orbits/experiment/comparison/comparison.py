@@ -40,7 +40,7 @@ from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.work import Columns, Displayed
+from zeno_orbits.work import Columns, TableRepr
 
 __all__ = ["Comparison", "ComparisonVerdict", "Metric", "compare_recording"]
 
@@ -55,7 +55,7 @@ _CLIPPED = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Comparison(Displayed):
+class Comparison(TableRepr):
     """Comparison of a recording with an orbit.
 
     Attributes:

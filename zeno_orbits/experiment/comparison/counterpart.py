@@ -16,8 +16,8 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.overlay import lay_over, shared_signals
-from zeno_orbits.experiment.recordings.recording import Recording, cut
-from zeno_orbits.experiment.rig import rig_cycles
+from zeno_orbits.experiment.recordings.recording import Recording, crop_recording
+from zeno_orbits.experiment.rig import settle_rig
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.work import Progress, silent
@@ -35,7 +35,7 @@ _SLACK = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Counterpart:
+class MatchedRun:
     """A motion for comparison with the model's motion.
 
     Attributes:
@@ -59,7 +59,7 @@ def counterpart_of(
     period: float,
     *,
     base: float = 0.0,
-) -> Counterpart:
+) -> MatchedRun:
     """Return a motion from its signals. Missing velocities are computed as differences.
 
     Args:
@@ -86,7 +86,7 @@ def counterpart_of(
             states[:, k] = signals[name]
         elif n_q <= k < 2 * n_q:
             states[:, k] = _differences(times, states[:, k - n_q], base)
-    return Counterpart(label=label, times=times, states=states, period=period)
+    return MatchedRun(label=label, times=times, states=states, period=period)
 
 
 def rig_counterpart(
@@ -94,7 +94,7 @@ def rig_counterpart(
     problem: Problem,
     n_periods: int,
     on_progress: Progress = silent,
-) -> Counterpart:
+) -> MatchedRun:
     """Return the settled cycles of the problem's virtual rig, at the orbit's parameters.
 
     Args:
@@ -106,7 +106,7 @@ def rig_counterpart(
     Raises:
         SimulationError: If the rig does not move in such cycles.
     """
-    settled = rig_cycles(orbit, problem, cycles=n_periods, on_progress=on_progress)
+    settled = settle_rig(orbit, problem, cycles=n_periods, on_progress=on_progress)
     run = settled.run
     signals = {name: run.of(name) for name in problem.state_names if name in run.state_names}
     # A contact is recorded at its first and last instant twice: once from either side.
@@ -118,7 +118,7 @@ def rig_counterpart(
 
 def recording_counterpart(
     recording: Recording, orbit: ZenoOrbit, problem: Problem, n_periods: int
-) -> Counterpart:
+) -> MatchedRun:
     """Return the last whole cycles of a recording, from the release found by the alignment.
 
     The time is shifted and not scaled. Only the end of the recording is used, because the machine
@@ -140,7 +140,7 @@ def recording_counterpart(
         wanted = f"must last two periods, {2 * orbit.period:.4g} s, at least"
         raise InputError(f"Argument `data` {wanted}, but it lasts {whole:.4g} s.")
     late = recording.time[-1] - _LATE * (n_periods + 1) * orbit.period
-    end, names = cut(recording, late, None), shared_signals(problem, recording)
+    end, names = crop_recording(recording, late, None), shared_signals(problem, recording)
     overlay = lay_over(orbit, problem, end, names)
     if overlay is None:
         # A wrong unit of time makes the end too short, and the whole recording reveals the mistake.

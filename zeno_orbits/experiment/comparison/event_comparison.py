@@ -40,14 +40,14 @@ from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodici
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import EventOrbit
-from zeno_orbits.work import Columns, Displayed
+from zeno_orbits.work import Columns, TableRepr
 
 _REPEATS = 0.4
 """Least part of the variance of all signals that repeats."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class EventComparison(Displayed):
+class EventComparison(TableRepr):
     """Comparison of a recording with an orbit of a machine with several stops or switches.
 
     Attributes:

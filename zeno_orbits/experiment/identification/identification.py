@@ -40,7 +40,7 @@ from zeno_orbits.experiment.identification.prepared import (
 from zeno_orbits.experiment.identification.stationarity import unsteady
 from zeno_orbits.experiment.identification.uncertainty import Unseen, unseen_combinations
 from zeno_orbits.experiment.identification.unknowns import (
-    Unknown,
+    FitParameter,
     Unknowns,
     begin_of,
     unknowns_of,
@@ -50,7 +50,7 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import ByValue, Progress, silent
 
-__all__ = ["Fitted", "Identification", "UnfittableError", "fit_parameters"]
+__all__ = ["FittedParameter", "Identification", "UnfittableError", "fit_parameters"]
 
 _MISFIT = 2.0
 """Ratio of the periodic part of the residuals to its expected size from noise, above which the
@@ -70,7 +70,7 @@ _PART = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fitted:
+class FittedParameter:
     """A fitted value.
 
     Attributes:
@@ -83,7 +83,7 @@ class Fitted:
         high: Upper end.
     """
 
-    unknown: Unknown
+    unknown: FitParameter
     start: float
     value: float
     error: float
@@ -116,7 +116,7 @@ class Identification(ByValue):
 
     problem: str
     values: ParameterValues
-    fitted: tuple[Fitted, ...]
+    fitted: tuple[FittedParameter, ...]
     correlation: Vector
     unseen: tuple[Unseen, ...]
     orbit: ZenoOrbit | EventOrbit
@@ -173,7 +173,7 @@ def fit_parameters(
     problem: Problem,
     values: ParameterValues,
     recording: Recording,
-    sought: Sequence[Unknown],
+    sought: Sequence[FitParameter],
     *,
     on_progress: Progress = silent,
 ) -> Identification:
@@ -287,7 +287,7 @@ def _lost(samples: Folded, answer: Fit) -> bool:
 
 
 def _restitution_seen(
-    unknowns: Unknowns, sought: Sequence[Unknown], restitution: float
+    unknowns: Unknowns, sought: Sequence[FitParameter], restitution: float
 ) -> dict[int, float]:
     """Return the unknown that is the restitution, with the value that the contacts show."""
     if not math.isfinite(restitution):
@@ -322,12 +322,12 @@ def _unsettled(answer: Fit, whole: Prepared) -> list[str]:
 
 
 def _fitted(
-    unknowns: Unknowns, sought: Sequence[Unknown], found: Fit, unseen: Sequence[Unseen]
-) -> tuple[Fitted, ...]:
+    unknowns: Unknowns, sought: Sequence[FitParameter], found: Fit, unseen: Sequence[Unseen]
+) -> tuple[FittedParameter, ...]:
     """Return the fitted values with their errors, without undetermined values."""
     numbers, spread = unknowns.numbers(found.x), found.spread
     hidden = {name for one in unseen for name, part in one.direction.items() if abs(part) > _PART}
-    answers: list[Fitted] = []
+    answers: list[FittedParameter] = []
     for k, one in enumerate(sought):
         known = one.label not in hidden and found.converged
         low, high = -math.inf, math.inf
@@ -335,7 +335,7 @@ def _fitted(
             low, high = (end * float(unknowns.scale[k]) for end in profile_interval(found, k))
         value = float(numbers[k])
         answers.append(
-            Fitted(
+            FittedParameter(
                 unknown=one,
                 start=float(unknowns.start[k]),
                 value=value,
@@ -347,7 +347,7 @@ def _fitted(
     return tuple(answers)
 
 
-def _remarks(fitted: Sequence[Fitted], unknowns: Unknowns, found: Fit) -> list[str]:
+def _remarks(fitted: Sequence[FittedParameter], unknowns: Unknowns, found: Fit) -> list[str]:
     """Return the remarks on a fit."""
     remarks: list[str] = []
     ends = zip(fitted, unknowns.lower, unknowns.upper, strict=True)

@@ -20,14 +20,14 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import CubicColumns
 from zeno_orbits.model import FlowDifferential, HybridDynamics
-from zeno_orbits.orbits import differentials_of, return_derivative, section_derivative
+from zeno_orbits.orbits import differentials_of, return_derivative, section_jacobian
 from zeno_orbits.simulation import (
     Ending,
-    EventShift,
     Execution,
     Mode,
-    Perturbations,
+    SaltationDerivative,
     SimulationSettings,
+    VariationalEquation,
     course_of,
     motion_of,
 )
@@ -80,13 +80,13 @@ def orbit_slope(
     derivative = return_derivative(
         dynamics, release, horizon=2 * period, settings=settings, parameters=chosen
     )
-    section = section_derivative(dynamics, derivative, scale)
+    section = section_jacobian(dynamics, derivative, scale)
     d, k = len(section.jacobian), len(chosen)
     matrix = np.eye(d) - section.jacobian
     coordinates = np.linalg.solve(matrix, section.by_parameters) if d else np.zeros((0, k))
     start = section.lift @ np.concatenate([coordinates, np.eye(k)])
     by_period = derivative.period.by_state @ start + derivative.period.by_parameters
-    perturbations = Perturbations(
+    perturbations = VariationalEquation(
         dynamics=dynamics,
         differentials=differentials_of(dynamics, chosen),
         n_parameters=k,
@@ -111,7 +111,9 @@ _Piece = tuple[Vector, Vector, Vector]
 """Times since the release, derivatives of the state at these times, and their slopes in time."""
 
 
-def _along(perturbations: Perturbations, execution: Execution, period: float) -> Iterator[_Piece]:
+def _along(
+    perturbations: VariationalEquation, execution: Execution, period: float
+) -> Iterator[_Piece]:
     """Yield the state derivatives at equal times, from the release to the next release."""
     # A start that locks by rounding is released at once.
     first = int(execution.arcs[0].mode is Mode.LOCKED)
@@ -122,7 +124,7 @@ def _along(perturbations: Perturbations, execution: Execution, period: float) ->
 
 
 def _piece(
-    perturbations: Perturbations, execution: Execution, place: int, begin: EventShift
+    perturbations: VariationalEquation, execution: Execution, place: int, begin: SaltationDerivative
 ) -> _Piece:
     """Return the state derivatives along an arc with a given shift of its start."""
     dynamics, differentials = perturbations.dynamics, perturbations.differentials

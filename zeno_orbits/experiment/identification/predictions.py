@@ -18,7 +18,7 @@ from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, PeriodTable, tabulated
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Cycle
-from zeno_orbits.search import close_cycle
+from zeno_orbits.search import newton_on_return_map
 from zeno_orbits.simulation import SimulationSettings
 
 _KEPT = 64
@@ -211,7 +211,7 @@ class Predictions(OrbitPredictions[OrbitTable]):
         if clock:
             # Closing many orbits one from another lets the clock drift off its circle.
             state[clock] /= np.linalg.norm(state[clock])
-        closed = close_cycle(
+        closed = newton_on_return_map(
             dynamics,
             dynamics.on_stop(state),
             scale=near.scale_at_events(),

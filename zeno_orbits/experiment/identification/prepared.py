@@ -42,7 +42,7 @@ from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
-from zeno_orbits.search import close_orbit, event_orbit_of, orbit_of, settled_return
+from zeno_orbits.search import event_orbit_of, orbit_by_shooting, orbit_of, settled_return
 from zeno_orbits.work import Progress
 
 _LEAST_CYCLES = 2.0
@@ -115,7 +115,7 @@ def _prepared_cycle(
 ) -> Prepared:
     """Return the beginning of a fit of a machine with one stop."""
     on_progress("looking for the orbit at the start", None)
-    closing = close_orbit(problem, begin)
+    closing = orbit_by_shooting(problem, begin)
     if closing.orbit is None:
         raise refusal(f"an orbit to fit is missing at the start: {closing.detail.rstrip('.')}")
     on_progress("laying the recording over it", None)

@@ -23,7 +23,7 @@ from zeno_orbits.model import ParameterValues, Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Unknown:
+class FitParameter:
     """A parameter or an error of an instrument that a fit determines.
 
     Attributes:
@@ -146,7 +146,7 @@ class Unknowns:
 
 
 def begin_of(
-    problem: Problem, values: ParameterValues, sought: Sequence[Unknown]
+    problem: Problem, values: ParameterValues, sought: Sequence[FitParameter]
 ) -> ParameterValues:
     """Return the initial values: every unknown inside its range, tied parameters equal.
 
@@ -201,12 +201,14 @@ def _kind_of(name: str, values: ParameterValues) -> ReadingKind | None:
     raise InputError(f"Argument `fit` {wanted}, but it names `{name}`{hint}.")
 
 
-def _inside(one: Unknown, value: float) -> float:
+def _inside(one: FitParameter, value: float) -> float:
     """Return a value, or the middle of the range if it is outside."""
     return value if one.lower < value < one.upper else (one.lower + one.upper) / 2
 
 
-def unknowns_of(problem: Problem, begin: ParameterValues, sought: Sequence[Unknown]) -> Unknowns:
+def unknowns_of(
+    problem: Problem, begin: ParameterValues, sought: Sequence[FitParameter]
+) -> Unknowns:
     """Return the unknowns as indices into gains and parameters, and errors of instruments.
 
     Args:

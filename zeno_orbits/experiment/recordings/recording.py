@@ -129,7 +129,7 @@ class Recording(ByValue):
         raise InputError(f"Argument `signal` must be one of {known}, but it is `{name}`.")
 
 
-def cut(recording: Recording, since: float | None, until: float | None) -> Recording:
+def crop_recording(recording: Recording, since: float | None, until: float | None) -> Recording:
     """Return the part of a recording between two times.
 
     Args:

@@ -14,7 +14,7 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import Bridge, Controller, Rig, Sensors, Switching
+from zeno_orbits.model import Controller, HBridge, PwmSettings, Rig, Sensors
 
 
 class ControlLoop:
@@ -39,8 +39,8 @@ class ControlLoop:
         random: np.random.Generator,
     ) -> None:
         self._command, self._currents, self._n_x = command, currents, n_x
-        exact = rig.bridge is not None and rig.bridge.switching is Switching.EXACT
-        self._bridge: Bridge | None = rig.bridge if exact else None
+        exact = rig.bridge is not None and rig.bridge.switching is PwmSettings.EXACT
+        self._bridge: HBridge | None = rig.bridge if exact else None
         self._controller = rig.controller or _as_fast_as(rig.bridge)
         self._reader = Encoders(rig.sensors, self._controller, n_q, random)
         self._readings, self._periods = 0, 0
@@ -80,7 +80,7 @@ class ControlLoop:
         self._waiting.append((time + self._controller.delay, self._command(measured)))
         self._readings += 1
 
-    def _switch(self, time: float, y: Vector, bridge: Bridge, asked: Vector) -> None:
+    def _switch(self, time: float, y: Vector, bridge: HBridge, asked: Vector) -> None:
         if self.held.size != asked.size:
             self.held = np.zeros_like(asked)
         if time >= self._periods / bridge.frequency:
@@ -98,7 +98,7 @@ class ControlLoop:
         self.held = held
 
 
-def _as_fast_as(bridge: Bridge | None) -> Controller:
+def _as_fast_as(bridge: HBridge | None) -> Controller:
     """Return the controller of a bridge without controller, which reads at the start of a pulse."""
     if bridge is None:
         raise ValueError(
@@ -176,7 +176,7 @@ class BridgeLeg(Enum):
     NONE = "none"
 
 
-def pulse(bridge: Bridge, share: float) -> tuple[tuple[float, BridgeLeg], ...]:
+def pulse(bridge: HBridge, share: float) -> tuple[tuple[float, BridgeLeg], ...]:
     """Return the switching times and states of the leg, with times since the start of the period.
 
     Every edge that turns a transistor on waits for the dead time.
@@ -203,7 +203,7 @@ def pulse(bridge: Bridge, share: float) -> tuple[tuple[float, BridgeLeg], ...]:
     return tuple(edges)
 
 
-def level(bridge: Bridge, leg: BridgeLeg, sign: float, current: float) -> float:
+def level(bridge: HBridge, leg: BridgeLeg, sign: float, current: float) -> float:
     """Return the voltage over a motor and its transistors while a leg is in a state [V].
 
     Args:

@@ -92,7 +92,7 @@ class SettledRig(ByValue):
         )
 
 
-def rig_cycles(
+def settle_rig(
     orbit: ZenoOrbit,
     problem: Problem,
     rig: Rig | None = None,

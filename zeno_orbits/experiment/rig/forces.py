@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from zeno_orbits.model import Bridge, Contact, Friction, Gear
+from zeno_orbits.model import Contact, Friction, Gear, HBridge
 
 _SMALL_VOLTAGE = 1e-3
 """Part of the supply over which an averaged bridge changes its direction."""
@@ -53,7 +53,7 @@ def teeth_torque(gear: Gear, twist: ca.SX, rate: ca.SX) -> ca.SX:
 
 
 def averaged_voltage(
-    bridge: Bridge, asked: ca.SX, current: ca.SX, inductance: ca.SX, stall: ca.SX
+    bridge: HBridge, asked: ca.SX, current: ca.SX, inductance: ca.SX, stall: ca.SX
 ) -> ca.SX:
     r"""Return the mean voltage of bridges over a period of their pulses.
 
@@ -85,7 +85,7 @@ _RIPPLES = 100.0
 """Largest ripples of a loop's current that stand for the current of a stalled motor."""
 
 
-def inductive_current(bridge: Bridge, inductance: ca.SX) -> ca.SX:
+def inductive_current(bridge: HBridge, inductance: ca.SX) -> ca.SX:
     r"""Return the current scale of loops that drive no motor, :math:`100\,V_s / (8 f L)` [A].
 
     :math:`V_s / (8 f L)` is the largest ripple of the current. A loop of an ideal coil has zero

@@ -25,14 +25,14 @@ from zeno_orbits.experiment.rig.forces import (
     teeth_torque,
 )
 from zeno_orbits.model import (
+    CharacteristicScales,
     CompletedSystem,
     Drive,
     ModeFunctions,
     ModeGraph,
-    OwnScale,
     Problem,
+    PwmSettings,
     Rig,
-    Switching,
     accelerate,
     dense_function,
     mode_functions,
@@ -125,7 +125,7 @@ class Machine:
             "machine", parts.state, parts.numbers, rate, watched[:2], watched=watched
         )
 
-    def weights(self, own: OwnScale, rates: float = 1.0) -> tuple[float, ...]:
+    def weights(self, own: CharacteristicScales, rates: float = 1.0) -> tuple[float, ...]:
         """Return the scales of the absolute local errors. The scale of a rotor angle is one radian.
 
         Args:
@@ -294,7 +294,7 @@ class _Parts:
                 for k, one in enumerate(stops)
             )
         )
-        self._exact = rig.bridge is not None and rig.bridge.switching is Switching.EXACT
+        self._exact = rig.bridge is not None and rig.bridge.switching is PwmSettings.EXACT
         self.holds = n_motors > 0 and (rig.controller is not None or self._exact)
         self._rotors = {motor: ca.SX.sym(f"rotor{motor}", 2) for motor in sorted(rig.gears)}
         self._couplings = {motor: _coupling(system, motor) for motor in self._rotors}

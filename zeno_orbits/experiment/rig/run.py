@@ -14,7 +14,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.recordings.contacts import contact_names
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
-from zeno_orbits.model import Contact, OwnScale, ParameterValues, Problem, Rig, own_time
+from zeno_orbits.model import CharacteristicScales, Contact, ParameterValues, Problem, Rig, own_time
 from zeno_orbits.work import ByValue, Checked
 
 
@@ -46,7 +46,7 @@ _OF_DEPTH = 3e-7
 """Part of the depth of a stop under load that an absolute local error of the gap is at most."""
 
 
-def rig_tolerance(contact: Contact, own: OwnScale) -> Tolerance:
+def rig_tolerance(contact: Contact, own: CharacteristicScales) -> Tolerance:
     r"""Return the local error that resolves a contact's force, in the problem's scales.
 
     Under a load :math:`F` the stop is compressed by :math:`\delta = (F / k)^{1/n}`. An error of the
@@ -61,7 +61,7 @@ def rig_tolerance(contact: Contact, own: OwnScale) -> Tolerance:
     return Tolerance(relative=_RELATIVE * finer, absolute=_ABSOLUTE * finer)
 
 
-def rate_weight(contact: Contact, own: OwnScale, inertia: float) -> float:
+def rate_weight(contact: Contact, own: CharacteristicScales, inertia: float) -> float:
     r"""Return the ratio of the velocities' local error in contact to the error of the coordinates.
 
     The error of the velocities is the same as on a soft stop, but not below :math:`\omega\epsilon`.
@@ -84,12 +84,12 @@ def rate_weight(contact: Contact, own: OwnScale, inertia: float) -> float:
     return 10.0 ** math.floor(math.log10(rate / _finer(contact, own)))
 
 
-def _finer(contact: Contact, own: OwnScale) -> float:
+def _finer(contact: Contact, own: CharacteristicScales) -> float:
     """Return the factor by which local errors are smaller than on a soft stop."""
     return max(min(1.0, _OF_DEPTH * _depth(contact, own) / _ABSOLUTE), _FINEST / _RELATIVE)
 
 
-def _depth(contact: Contact, own: OwnScale) -> float:
+def _depth(contact: Contact, own: CharacteristicScales) -> float:
     """Return the compression of a stop under load, in units of the gap scale."""
     return (own.multiplier / contact.stiffness) ** (1 / contact.exponent) / own.gap
 

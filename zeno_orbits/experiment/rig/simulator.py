@@ -37,10 +37,10 @@ from zeno_orbits.experiment.rig.run import (
 )
 from zeno_orbits.integrators import (
     BoxedStep,
-    Leg,
-    Outcome,
-    Passage,
+    Segment,
+    SegmentResult,
     SteppedTrajectory,
+    Termination,
     follow_steps,
 )
 from zeno_orbits.model import (
@@ -249,7 +249,7 @@ class _Follower:
             horizon = min(horizon, self._window)
         numbers = self._numbers.copy()
         fell, passage = self._first(guards, horizon, numbers)
-        over = passage.outcome is Outcome.HORIZON
+        over = passage.outcome is Termination.HORIZON
         ends = over and horizon == edge - self._time
         end = edge if ends else self._time + passage.duration
         self._keep(passage, end, numbers)
@@ -284,9 +284,9 @@ class _Follower:
 
     def _first(
         self, guards: Sequence[RigGuard], horizon: float, numbers: Vector
-    ) -> tuple[int, Passage]:
+    ) -> tuple[int, SegmentResult]:
         """Return the guard that ends a leg first, and the flow up to its zero."""
-        leg = Leg(
+        leg = Segment(
             flow=self._flow(guards[0], numbers),
             y=self._y,
             horizon=horizon,
@@ -299,7 +299,7 @@ class _Follower:
         for guard in guards[1:]:
             if passage.duration <= 0.0:
                 break
-            beside = Leg(
+            beside = Segment(
                 flow=self._flow(guard, numbers),
                 y=self._y,
                 horizon=passage.duration,
@@ -308,11 +308,11 @@ class _Follower:
                 rounding=guard.rounding,
             )
             found = self._beside(passage, beside)
-            if found.outcome is not Outcome.HORIZON:
+            if found.outcome is not Termination.HORIZON:
                 fell, passage = guard.index, found
         return fell, passage
 
-    def _beside(self, passage: Passage, leg: Leg) -> Passage:
+    def _beside(self, passage: SegmentResult, leg: Segment) -> SegmentResult:
         """Follow another guard along the steps of a leg, or once more without steps."""
         way = passage.trajectory
         if not isinstance(way, SteppedTrajectory | LoopTrajectory):
@@ -370,7 +370,7 @@ class _Follower:
         )
         self._touches.append(touch)
 
-    def _cross(self, switch: int, outcome: Outcome) -> None:
+    def _cross(self, switch: int, outcome: Termination) -> None:
         """Go to the other side of a switch, or apply the reset of an armed one.
 
         Raises:
@@ -382,7 +382,7 @@ class _Follower:
         if graph is None:
             raise ValueError("Argument `switch` must belong to a machine with switches.")
         name, before = graph.switch_names[switch], self._mode
-        falls = outcome is Outcome.FALL
+        falls = outcome is Termination.FALL
         armed = (
             switch < graph.n_declared
             and before.above[switch]
@@ -420,7 +420,7 @@ class _Follower:
                 raise enters_by_switch(graph.switch_names[switch], stop, self._time, after[:n_x])
         self._take_contacts()
 
-    def _keep(self, passage: Passage, end: float, numbers: Vector) -> None:
+    def _keep(self, passage: SegmentResult, end: float, numbers: Vector) -> None:
         """Keep the grid points inside a leg, and in a contact every step."""
         settings, start, touched = self._settings, self._time, self._mode.touched
         times: list[float] = []

@@ -8,7 +8,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model.numeric.casadi_calls import caller
-from zeno_orbits.model.numeric.hybrid_dynamics import Landed, Resting
+from zeno_orbits.model.numeric.hybrid_dynamics import ContactProjection, Landed
 
 
 class Call:
@@ -91,11 +91,11 @@ class RestingCall:
         results = (self._state, self._acceleration, self._rate)
         self._evaluate = caller(function, (self._x, p), results)
 
-    def __call__(self, x: Vector) -> Resting:
+    def __call__(self, x: Vector) -> ContactProjection:
         """Return the state moved onto the stop, and its rates there."""
         self._x[:] = x
         self._evaluate()
-        return Resting(
+        return ContactProjection(
             state=self._state.copy(),
             gap_acceleration=self._acceleration.item(),
             rate=self._rate.copy(),

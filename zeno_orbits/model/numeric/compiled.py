@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import GuardedFlow
+from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model.contact import (
     GAP,
     GAP_ACCELERATION,
@@ -39,7 +39,7 @@ from zeno_orbits.model.numeric.differentials import (
 )
 from zeno_orbits.model.numeric.hybrid_dynamics import BoundFormulas, FusedStop, HybridDynamics
 from zeno_orbits.model.numeric.own_scale import own_scale
-from zeno_orbits.model.scale import USUAL, OwnScale
+from zeno_orbits.model.scale import UNIT_SCALES, CharacteristicScales
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,9 @@ class CompiledSystem:
         )
         return replace(self, free=free, locked=locked, flight=flight)
 
-    def weighted(self, own: OwnScale) -> tuple[ModeFunctions, ModeFunctions, ModeFunctions]:
+    def weighted(
+        self, own: CharacteristicScales
+    ) -> tuple[ModeFunctions, ModeFunctions, ModeFunctions]:
         """Return all modes, free, locked and flight, with local errors absolute in given sizes."""
         weights = own.weights(self.n_x)
         flight = own.flight_weights(self.n_x)
@@ -253,7 +255,7 @@ def _resting(system: CompletedSystem) -> tuple[ca.SX, ca.SX, ca.SX]:
 def bind(
     compiled: CompiledSystem,
     values: Sequence[float] | Vector,
-    scale: Callable[[], OwnScale] | None = None,
+    scale: Callable[[], CharacteristicScales] | None = None,
 ) -> HybridDynamics:
     """Return the system at fixed values of gains and parameters.
 
@@ -277,11 +279,11 @@ def bind(
     derivable = Differentiation(by=derivatives, parts=plain.derivable_parts)
 
     @lru_cache(maxsize=1)
-    def scaling() -> OwnScale:
+    def scaling() -> CharacteristicScales:
         if scale is not None:
             return scale()
         if not compiled.starts:
-            return USUAL
+            return UNIT_SCALES
         return own_scale(
             plain, compiled.starts, compiled.state_units, compiled.clock, compiled.further
         )
@@ -297,7 +299,7 @@ def bind(
 
 
 def _plain_dynamics(
-    compiled: CompiledSystem, p: Vector, scaling: Callable[[], OwnScale]
+    compiled: CompiledSystem, p: Vector, scaling: Callable[[], CharacteristicScales]
 ) -> HybridDynamics:
     """Return the system with one call of compiled code for each of its functions.
 
@@ -317,7 +319,7 @@ def _plain_dynamics(
 
     flights = FlowMemory(compiled.flight, lambda: scaling().flight_weights(compiled.n_x))
 
-    def flight(speed: float) -> GuardedFlow:
+    def flight(speed: float) -> FlowWithEvent:
         numbers = np.empty(p.size + 1)
         numbers[:-1], numbers[-1] = p, speed
         return CompiledFlow(compiled.flight, numbers, flights)

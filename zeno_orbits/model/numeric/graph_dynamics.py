@@ -27,7 +27,7 @@ from zeno_orbits.model.numeric.compiled_flow import (
 )
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.numeric.own_scale import own_scale
-from zeno_orbits.model.scale import OwnScale
+from zeno_orbits.model.scale import CharacteristicScales
 
 _ZERO = 1e-12
 """Part of a switch's size below which its guard counts as zero."""
@@ -194,7 +194,7 @@ class GraphDynamics:
         self.n_declared = len(graph.switches)
         self._views: dict[tuple[GraphMode, int], HybridDynamics] = {}
         self._flows: dict[tuple[GraphMode, int, bool], CompiledFlow] = {}
-        self._scales: dict[int, OwnScale] = {}
+        self._scales: dict[int, CharacteristicScales] = {}
         self._delassus = Call(compiled.delassus, self.p)
         self._resets = [Call(one, self.p) for one in compiled.resets]
         self.open_mode: GraphMode = ((), (True,) * len(graph.conditions))
@@ -225,7 +225,7 @@ class GraphDynamics:
         return self.view(self.open_mode, 0)
 
     @property
-    def own(self) -> OwnScale:
+    def own(self) -> CharacteristicScales:
         """Characteristic scales, with the gap of the first stop."""
         return self.first.own
 
@@ -269,7 +269,7 @@ class GraphDynamics:
     def _switches(self) -> _SwitchesCall:
         return _SwitchesCall(self.compiled.switches, self.p)
 
-    def _scale(self, stop: int) -> OwnScale:
+    def _scale(self, stop: int) -> CharacteristicScales:
         """Return the scales of a stop, from the branches of the kinks at the initial states."""
         if stop not in self._scales:
             view, compiled = self.view(self.open_mode, stop), self.compiled

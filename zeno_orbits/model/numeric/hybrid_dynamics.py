@@ -15,9 +15,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.integrators import GuardedFlow, PlainFlow, light_value
+from zeno_orbits.integrators import FlowWithEvent, PlainFlow, fast_dataclass
 from zeno_orbits.model.numeric.derivatives import Differentiation
-from zeno_orbits.model.scale import OwnScale, usual
+from zeno_orbits.model.scale import CharacteristicScales, usual
 
 if TYPE_CHECKING:
     from zeno_orbits.model.numeric.compiled import CompiledSystem
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 _BEYOND = ": the drive's correction is as large as the corrected value; use the full problem."
 
 
-@light_value
-class Resting:
+@fast_dataclass
+class ContactProjection:
     r"""A state projected onto the stop, with its accelerations.
 
     Attributes:
@@ -40,8 +40,8 @@ class Resting:
     rate: Vector
 
 
-@light_value
-class Landed(Resting):
+@fast_dataclass
+class Landed(ContactProjection):
     """Result of an impact: the state after it, and the same state projected onto the stop.
 
     Attributes:
@@ -58,12 +58,12 @@ class FusedStop:
     """All quantities that an impact needs in one evaluation, and the functions that it replaces.
 
     Attributes:
-        resting: Function from a state to its `Resting`.
+        resting: Function from a state to its `ContactProjection`.
         landed: Function from a state before an impact and its gap rate to the `Landed` result.
         parts: The replaced functions, as listed by ``HybridDynamics.stop_parts``.
     """
 
-    resting: Callable[[Vector], Resting]
+    resting: Callable[[Vector], ContactProjection]
     landed: Callable[[Vector, float], Landed]
     parts: tuple[object, ...]
 
@@ -124,9 +124,9 @@ class HybridDynamics:
     n_q: int
     restitution: float
     speed_after: Callable[[float], float]
-    free: GuardedFlow
-    locked: GuardedFlow
-    flight: Callable[[float], GuardedFlow]
+    free: FlowWithEvent
+    locked: FlowWithEvent
+    flight: Callable[[float], FlowWithEvent]
     gap: Scalar
     gap_rate: Scalar
     gap_acceleration: Scalar
@@ -141,7 +141,7 @@ class HybridDynamics:
     differentiation: Differentiation | None = None
     formulas: BoundFormulas | None = None
     clock: tuple[int, ...] = ()
-    scaling: Callable[[], OwnScale] = usual
+    scaling: Callable[[], CharacteristicScales] = usual
 
     def __post_init__(self) -> None:
         """Reject an invalid restitution, as from a corrected drive outside its validity."""
@@ -159,7 +159,7 @@ class HybridDynamics:
             raise InputError(f"Argument `restitution` {message}{reason}")
 
     @property
-    def own(self) -> OwnScale:
+    def own(self) -> CharacteristicScales:
         """Characteristic scales of the system."""
         return self.scaling()
 
@@ -187,12 +187,12 @@ class HybridDynamics:
         """All parts that an execution depends on, except the characteristic scales."""
         return (*self.derivable_parts, self.normal_inertia)
 
-    def resting(self, x: Vector) -> Resting:
+    def resting(self, x: Vector) -> ContactProjection:
         """Return the state projected onto the stop by `on_stop`, with its accelerations."""
         if self.fused_stop is not None:
             return self.fused_stop.resting(x)
         state = self.on_stop(x)
-        return Resting(
+        return ContactProjection(
             state=state,
             gap_acceleration=self.gap_acceleration(state),
             rate=self.locked.rate(state),
@@ -237,7 +237,7 @@ class HybridDynamics:
 
 def plain_flight(
     free_flow: Callable[[Vector], Vector], gap_acceleration: Scalar
-) -> Callable[[float], GuardedFlow]:
+) -> Callable[[float], FlowWithEvent]:
     """Return the rescaled flights (theory (2.6)) of a system given by plain functions.
 
     Args:
@@ -245,7 +245,7 @@ def plain_flight(
         gap_acceleration: Function from a state to the second time derivative of the gap.
     """
 
-    def flight(speed: float) -> GuardedFlow:
+    def flight(speed: float) -> FlowWithEvent:
         def field(y: Vector) -> Vector:
             x = y[:-2]
             return np.concatenate([speed * free_flow(x), [y[-1], gap_acceleration(x)]])

@@ -18,7 +18,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.scale import OwnScale
+from zeno_orbits.model.scale import CharacteristicScales
 
 _DAMPED = 1e-3
 """An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
@@ -97,7 +97,7 @@ def own_scale(
     clock: Sequence[int] = (),
     further: Sequence[int] = (),
     branch: Callable[[Vector], HybridDynamics] | None = None,
-) -> OwnScale:
+) -> CharacteristicScales:
     """Return the characteristic scales of a problem, from its initial states.
 
     Args:
@@ -116,7 +116,7 @@ def own_scale(
         states = _in_phases(np.array(starts, dtype=np.float64), clock, branch is not None)
         inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
         gap, time = np.float64(reach.gap), np.float64(reach.time)
-        return OwnScale(
+        return CharacteristicScales(
             time=_rounded(float(time)),
             gap=_rounded(float(gap)),
             gap_rate=_rounded(float(gap / time)),

@@ -9,7 +9,7 @@ from typing import Any
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import EVENT_FORMAT
 from zeno_orbits.simulation import Event, ZenoPoint, event_name
-from zeno_orbits.work import Columns, Displayed, by_name
+from zeno_orbits.work import Columns, TableRepr, by_name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +28,7 @@ class OrbitEvent:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class EventOrbit(Displayed):
+class EventOrbit(TableRepr):
     """A periodic orbit of a machine with several stops or switches. Times count from its start.
 
     Attributes:

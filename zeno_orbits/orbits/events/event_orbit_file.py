@@ -13,7 +13,7 @@ from zeno_orbits.errors import OrbitFileError
 from zeno_orbits.orbits.events.event_orbit import EventOrbit, OrbitEvent, sequence_of
 from zeno_orbits.orbits.orbit import EVENT_FORMAT
 from zeno_orbits.orbits.orbit_file import plain_data
-from zeno_orbits.work import EntryError, restored, write_whole
+from zeno_orbits.work import EntryError, from_plain, write_whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +66,7 @@ def read_event_orbit(path: Path | str) -> EventOrbit:
     path = Path(path)
     data = plain_data(path)
     try:
-        entries = restored(_Entries, data, finite=True)
+        entries = from_plain(_Entries, data, finite=True)
     except EntryError as error:
         raise OrbitFileError(path, str(error)) from error
     _require_order(path, entries)

@@ -39,10 +39,10 @@ from zeno_orbits.model import GraphDynamics, unknown
 from zeno_orbits.orbits.events.section import EventReturn
 from zeno_orbits.simulation import (
     Event,
-    EventShift,
     Extent,
     Impact,
     Release,
+    SaltationDerivative,
     SwitchEvent,
     ZenoPoint,
     state_before,
@@ -95,7 +95,7 @@ class _Moment:
     """An event of a period with the derivatives of its time and of the state before it."""
 
     event: Event
-    shift: EventShift
+    shift: SaltationDerivative
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +123,7 @@ class EventQuantities:
     start: Vector
     period: float
     events: tuple[Event, ...]
-    shifts: tuple[EventShift, ...] = ()
+    shifts: tuple[SaltationDerivative, ...] = ()
     parameters: tuple[int, ...] = ()
 
     @classmethod
@@ -219,7 +219,9 @@ class EventQuantities:
 
     @cached_property
     def _moments(self) -> tuple[_Moment, ...]:
-        none = EventShift(time=np.zeros(0), state=np.zeros((len(self.start), 0)), rate=np.zeros(0))
+        none = SaltationDerivative(
+            time=np.zeros(0), state=np.zeros((len(self.start), 0)), rate=np.zeros(0)
+        )
         shifts = self.shifts or (none,) * len(self.events)
         return tuple(
             _Moment(event=event, shift=shift)

@@ -19,17 +19,17 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits.events.event_orbit import orbit_event_name, sequence_of
 from zeno_orbits.orbits.looser_run import extrapolated
-from zeno_orbits.orbits.section import RELEASE_ROWS, projected
+from zeno_orbits.orbits.section import RELEASE_ROWS, project_to_section
 from zeno_orbits.simulation import (
     Arc,
     ArcPassage,
     Completion,
     Ending,
     Event,
-    EventShift,
     Execution,
     GraphShifts,
     Release,
+    SaltationDerivative,
     SimulationSettings,
     SwitchEvent,
     simulate,
@@ -133,7 +133,7 @@ class EventReturn:
         return self._derivatives[0].state[:, len(self.start) :]
 
     @property
-    def shifts(self) -> tuple[EventShift, ...]:
+    def shifts(self) -> tuple[SaltationDerivative, ...]:
         """Derivatives of every event, with the state before it. Columns: start, parameters."""
         return self._derivatives[1]
 
@@ -158,7 +158,7 @@ class EventReturn:
         )
 
     @cached_property
-    def _derivatives(self) -> tuple[EventShift, tuple[EventShift, ...]]:
+    def _derivatives(self) -> tuple[SaltationDerivative, tuple[SaltationDerivative, ...]]:
         """Derivatives of the end, and of every event with the state before it."""
         crossings = [one for passage in self.passages for one in passage.crossings]
         crossings = crossings[: len(self.events)]
@@ -265,7 +265,7 @@ def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
         x = graph.holding((closed, sides), k).on_stop(x)
     if mode.released and not mode.stop:
         view = graph.view((closed, sides), graph.stop_names.index(mode.released))
-        return projected(view, RELEASE_ROWS, x, graph.own.states(x.size))
+        return project_to_section(view, RELEASE_ROWS, x, graph.own.states(x.size))
     if mode.stop:
         stop, n_q = graph.stop_names.index(mode.stop), graph.n_q
         view = graph.view((closed, sides), stop)

@@ -21,7 +21,7 @@ from typing import Any, cast
 import casadi as ca
 
 from zeno_orbits.errors import TranslationError
-from zeno_orbits.model import CompletedSystem, OwnScale, Problem
+from zeno_orbits.model import CharacteristicScales, CompletedSystem, Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,7 +204,9 @@ def _digest(system: CompletedSystem, numbers: ca.SX) -> str:
     return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
 
 
-def stop_identities(problem: Problem, own: OwnScale) -> tuple[ca.Function, dict[str, float]]:
+def stop_identities(
+    problem: Problem, own: CharacteristicScales
+) -> tuple[ca.Function, dict[str, float]]:
     """Return expressions that vanish if the other formulas agree with the formulas of the proof.
 
     The proof uses free flow, gap, impulse direction, restitution and constraints. Simulations use

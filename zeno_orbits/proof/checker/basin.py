@@ -50,7 +50,7 @@ from zeno_orbits.proof.checker.polynomials import (
 )
 from zeno_orbits.proof.checker.section import Box, ContactSection, newton_of
 from zeno_orbits.proof.checker.system import System
-from zeno_orbits.work import Plan, spread
+from zeno_orbits.work import ExecutionPlan, parallel_map
 
 _CHUNK = 100
 """Number of records that a process proves together."""
@@ -463,7 +463,11 @@ def proved_image(
     require_poly_start(system, section, box, first)
     tasks = list(zip(stations, sets, part["records"], strict=False))
     judge = partial(_failures, system, of)
-    failures = judge(tasks) if len(tasks) <= _CHUNK else spread(judge, tasks, Plan(chunk=_CHUNK))
+    failures = (
+        judge(tasks)
+        if len(tasks) <= _CHUNK
+        else parallel_map(judge, tasks, ExecutionPlan(chunk=_CHUNK))
+    )
     for k, failure in enumerate(failures):
         require(not failure, f"record {k} ({part['records'][k]['kind']}): {failure}")
     return last.hull

@@ -41,7 +41,7 @@ from zeno_orbits.proof.checker.motion import (
 from zeno_orbits.proof.checker.section import Box, ContactSection, require_start
 from zeno_orbits.proof.checker.system import System, bound_system
 from zeno_orbits.proof.checker.verdict import ClaimVerdict, ProofVerdict, Theorem
-from zeno_orbits.work import Plan, spread
+from zeno_orbits.work import ExecutionPlan, parallel_map
 
 _TOP = (
     *("format", "kind", "problem", "digest", "parameters", "over", "gap_row", "bits", "section"),
@@ -231,7 +231,11 @@ def _passage(
     for k, x, reach in zip(section.others, back, box.others_spread, strict=True):
         require(x.size <= reach.r, f"section: state {k} does not return to it")
     judge, tasks = partial(_proved, system, box), list(zip(stations, sets, records, strict=False))
-    proved = judge(tasks) if len(tasks) <= _CHUNK else spread(judge, tasks, Plan(chunk=_CHUNK))
+    proved = (
+        judge(tasks)
+        if len(tasks) <= _CHUNK
+        else parallel_map(judge, tasks, ExecutionPlan(chunk=_CHUNK))
+    )
     times = np.array([[Ball(0, 0, system.bits)] * (1 + len(box.spread))])
     events: dict[str, list[Array]] = {"impact_time": [], "zeno_time": []}
     for k, (record, found) in enumerate(zip(records, proved, strict=True)):

@@ -13,7 +13,7 @@ from zeno_orbits.orbits import Multipliers, ZenoOrbit
 from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.report.paths import ArcPath, paths_of
 from zeno_orbits.report.table import shown_complex
-from zeno_orbits.search import close_orbit
+from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import Execution, Release, SimulationSettings, ZenoPoint, simulate
 from zeno_orbits.verification import multipliers_of
 
@@ -97,7 +97,7 @@ def attractor_at(
     # The starts of the problem are the second choice, after a continuation of the last orbit.
     starts = problem.starts if near is None else (near.start_state, *problem.starts)
     moved = replace(problem, starts=starts)
-    reached = close_orbit(moved, values, simulation=SimulationSettings())
+    reached = orbit_by_shooting(moved, values, simulation=SimulationSettings())
     if reached.orbit is None:
         motion = _transient(problem, values)
         return ExploredAttractor(name=reached.detail, orbit=None, multipliers=None, motion=motion)
@@ -112,7 +112,7 @@ def _followed(
     It takes a quarter of the time of a simulation.
     """
     try:
-        closed = close_orbit(problem, values, near=near)
+        closed = orbit_by_shooting(problem, values, near=near)
     except InputError:
         # After a large change the state that is moved onto the section may leave a constraint.
         return None

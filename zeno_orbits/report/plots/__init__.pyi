@@ -18,7 +18,7 @@ from .portraits import plot_portraits as plot_portraits
 from .pushes import plot_pushes as plot_pushes
 from .recording import plot_comparison as plot_comparison
 from .region import has_zeno_region as has_zeno_region
-from .region import plot_zeno_region as plot_zeno_region
+from .region import plot_zeno_set as plot_zeno_set
 from .style import COLUMN_WIDTH as COLUMN_WIDTH
 from .style import FULL_WIDTH as FULL_WIDTH
 from .style import rendered as rendered
@@ -33,4 +33,4 @@ from .two_motions import plot_beside_over_time as plot_beside_over_time
 from .two_motions import plot_beside_portraits as plot_beside_portraits
 from .two_motions import plot_beside_zeno_point as plot_beside_zeno_point
 from .work_precision import plot_trade as plot_trade
-from .zeno_point import plot_zeno_zoom as plot_zeno_zoom
+from .zeno_point import plot_zeno_neighbourhood as plot_zeno_neighbourhood

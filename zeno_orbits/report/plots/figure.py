@@ -26,7 +26,7 @@ from zeno_orbits.report.plots.recording import plot_comparison
 from zeno_orbits.report.plots.style import FULL_WIDTH
 from zeno_orbits.report.plots.time_series import plot_states, plot_time_series
 from zeno_orbits.report.plots.work_precision import plot_trade
-from zeno_orbits.search import Closing, SearchResult
+from zeno_orbits.search import SearchResult, ShootingResult
 from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate, problem_dynamics
 
@@ -124,7 +124,9 @@ _PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Fig
     SearchResult: lambda found, problem, width, axes: _of_orbit(
         found.unwrap(), problem, width, axes
     ),
-    Closing: lambda found, problem, width, axes: _of_orbit(found.unwrap(), problem, width, axes),
+    ShootingResult: lambda found, problem, width, axes: _of_orbit(
+        found.unwrap(), problem, width, axes
+    ),
     OrbitCertificate: lambda found, _, width, axes: plot_certificate(found, width=width, axes=axes),
     Multipliers: lambda found, _, width, axes: plot_multipliers(
         tuple(found.values), width=width, axes=axes

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from matplotlib.figure import Figure
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment import Counterpart
+from zeno_orbits.experiment import MatchedRun
 from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
 from zeno_orbits.report.motion import machine_motion
 from zeno_orbits.report.plots.animation import film_of, gif_of, has_ffmpeg, mp4_of
 from zeno_orbits.report.plots.graph import plot_graph
 from zeno_orbits.report.plots.mechanism import plot_mechanism
 from zeno_orbits.report.plots.portraits import plot_portraits
-from zeno_orbits.report.plots.region import plot_zeno_region
+from zeno_orbits.report.plots.region import plot_zeno_set
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, rendered
 from zeno_orbits.report.plots.two_motions import (
     TwoMotions,
@@ -51,7 +51,7 @@ class Material:
     one: Execution
     several: Execution
     periods: int
-    other: Callable[[], Counterpart]
+    other: Callable[[], MatchedRun]
 
 
 def graph_files(material: Material) -> dict[str, bytes]:
@@ -69,7 +69,7 @@ def mechanism_files(material: Material) -> dict[str, bytes]:
 def region_files(material: Material) -> dict[str, bytes]:
     """Return the region of Theorem 1, the orbit's locked arc on it."""
     problem, dynamics = material.problem, _one_stop(material)
-    return _files({"region": plot_zeno_region(problem, dynamics, material.one, width=COLUMN_WIDTH)})
+    return _files({"region": plot_zeno_set(problem, dynamics, material.one, width=COLUMN_WIDTH)})
 
 
 def portrait_files(material: Material) -> dict[str, bytes]:

@@ -24,7 +24,7 @@ from zeno_orbits.report.symbols import label_of
 from zeno_orbits.simulation import Execution, Mode
 
 
-def plot_zeno_region(
+def plot_zeno_set(
     problem: Problem,
     dynamics: HybridDynamics,
     execution: Execution | None = None,

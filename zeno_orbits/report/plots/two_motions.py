@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment import Counterpart
+from zeno_orbits.experiment import MatchedRun
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.report.paths import drawn_phases_of, paths_of
 from zeno_orbits.report.plots.panels import Panels, panels_of, portraits_of
@@ -51,7 +51,7 @@ class TwoMotions:
     problem: Problem
     dynamics: HybridDynamics
     model: Execution
-    other: Counterpart
+    other: MatchedRun
 
 
 def plot_beside_over_time(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:

@@ -29,7 +29,7 @@ from zeno_orbits.simulation import Execution, Mode
 _REMAINING = r"time to Zeno point $t_\infty - t$ [s]"
 
 
-def plot_zeno_zoom(
+def plot_zeno_neighbourhood(
     problem: Problem,
     execution: Execution,
     dynamics: HybridDynamics | GraphDynamics,

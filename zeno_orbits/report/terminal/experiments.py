@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from zeno_orbits.experiment import (
         Comparison,
         EventComparison,
-        Fitted,
+        FittedParameter,
         Identification,
         Metric,
         Recording,
@@ -201,7 +201,7 @@ def _known(value: float, form: str, otherwise: str = "-") -> str:
 
 def print_identification(recording: Recording, found: Identification) -> None:
     """Print parameters that were fitted to a recording."""
-    columns: list[Column[Fitted]] = [
+    columns: list[Column[FittedParameter]] = [
         name_column("parameter", lambda one: one.unknown.label),
         number_column("start value", lambda one: f"{one.start:.6g}"),
         number_column("fitted", lambda one: f"{one.value:.7g}"),
@@ -239,5 +239,5 @@ def _edges(found: Identification) -> list[str]:
     return [f"Deviation of {found.edges} edges of contacts: {found.edge_misfit:.2g} errors."]
 
 
-def _interval(one: Fitted) -> str:
+def _interval(one: FittedParameter) -> str:
     return f"{one.low:.6g} to {one.high:.6g}" if math.isfinite(one.error) else "-"

@@ -25,7 +25,7 @@ from zeno_orbits.report.terminal.console import line_width, print_lines, print_t
 if TYPE_CHECKING:
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import EventOrbit, OrbitPhase, ZenoOrbit
-    from zeno_orbits.precision import Assured
+    from zeno_orbits.precision import ExecutionWithError
     from zeno_orbits.simulation import Event
     from zeno_orbits.verification import DeltaCut, OrbitCertificate
 
@@ -55,7 +55,11 @@ _Line = Any
 
 
 def print_execution(
-    problem: Problem, assured: Assured, *, all_states: bool = False, all_events: bool = False
+    problem: Problem,
+    assured: ExecutionWithError,
+    *,
+    all_states: bool = False,
+    all_events: bool = False,
 ) -> None:
     """Print the events of an execution, the errors of its Zeno points and its end.
 

@@ -17,7 +17,7 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventOrbit, EventReturn, orbit_event_name
 from zeno_orbits.search.events.event_search import return_near
 from zeno_orbits.search.events.outcome import AcceptEvents, EventCandidate, EventSearchResult
-from zeno_orbits.search.outcome import Judgement, StartAttempt
+from zeno_orbits.search.outcome import StartAttempt, Verdict
 from zeno_orbits.search.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.simulation import SimulationSettings, state_before
@@ -48,10 +48,10 @@ def judged(result: EventSearchResult, accept: AcceptEvents | None) -> EventSearc
 
 def _judged(
     result: EventSearchResult, accept: AcceptEvents | None
-) -> tuple[EventSearchResult, Judgement]:
+) -> tuple[EventSearchResult, Verdict]:
     """Return a result with the certificate of its orbit, and the judgement."""
     if result.orbit is None or accept is None:
-        return result, Judgement()
+        return result, Verdict()
     judgement = accept(result.orbit)
     certificate = judgement.certificate
     if certificate is not None:

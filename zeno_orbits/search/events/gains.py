@@ -59,17 +59,17 @@ from zeno_orbits.search.events.points import (
 )
 from zeno_orbits.search.homotopy.persistence import widest
 from zeno_orbits.search.objectives import (
-    FastestContraction,
-    LeastEnergy,
-    LeastPeak,
+    MaxMargin,
     MaxPush,
+    MinEnergy,
+    MinPeak,
+    MinSpectralRadius,
     NearestGains,
     Objective,
     OfImpacts,
     Target,
     TargetAmplitude,
     TargetPeriod,
-    WidestMargin,
     WorstCase,
     corners_of,
 )
@@ -390,11 +390,11 @@ class _Task:
         """Return the numbers whose largest is the objective."""
         if isinstance(self.objective, OfImpacts):
             return (point.impact_cost(self.objective),)
-        if isinstance(self.objective, LeastEnergy):
+        if isinstance(self.objective, MinEnergy):
             return tuple(point.slopes(ENERGY))
-        if isinstance(self.objective, LeastPeak):
+        if isinstance(self.objective, MinPeak):
             return point.peak_costs(self.objective.signal)
-        if isinstance(self.objective, FastestContraction):
+        if isinstance(self.objective, MinSpectralRadius):
             return (self.orbits.differenced(RADIUS, point, numbers, self.ranges, {}),)
         first = {name: self.origin.number(name) for name in self.free}
         sizes = {
@@ -440,7 +440,7 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
         raise InputError(f"Argument `{error.argument}` {wanted}, but {error}.") from error
     if isinstance(task.objective, MaxPush):
         return _strongest(task, first)
-    if isinstance(task.objective, WidestMargin):
+    if isinstance(task.objective, MaxMargin):
         return _widest(task, first)
     if not task.free:
         return _told(task, first, Optimum(trial=first, converged=True))
@@ -698,14 +698,14 @@ def _require_valid(
         )
     for name, box in free.items():
         problem.require_range(name, box, argument="free")
-    if isinstance(objective, WidestMargin) and not free:
+    if isinstance(objective, MaxMargin) and not free:
         raise InputError(
             "Argument `objective` asks for the widest margin, which needs a free value: name its "
             "range in `free`."
         )
     objective.check(problem, free)
     graph = problem.graph_dynamics(values)
-    if isinstance(objective, LeastEnergy):
+    if isinstance(objective, MinEnergy):
         _require_electrical(graph, "objective", objective.wish)
     for bound in bounds:
         _require_quantity(bound.name, graph)
@@ -716,10 +716,10 @@ _POSSIBLE = (
     NearestGains,
     TargetPeriod,
     TargetAmplitude,
-    LeastEnergy,
-    LeastPeak,
-    FastestContraction,
-    WidestMargin,
+    MinEnergy,
+    MinPeak,
+    MinSpectralRadius,
+    MaxMargin,
     OfImpacts,
 )
 """Objectives of a search by events."""

@@ -9,13 +9,13 @@ from typing import Any
 
 from zeno_orbits.maps import Push
 from zeno_orbits.orbits import Bound, EventOrbit
-from zeno_orbits.search.objectives import MaxPush, Objective, WidestMargin
-from zeno_orbits.search.outcome import Accepted, Judgement, StartAttempt
+from zeno_orbits.search.objectives import MaxMargin, MaxPush, Objective
+from zeno_orbits.search.outcome import Accepted, StartAttempt, Verdict
 from zeno_orbits.search.search_problem import listed
 from zeno_orbits.search.strength import said_of
 from zeno_orbits.verification import OrbitCertificate
 
-AcceptEvents = Callable[[EventOrbit], Judgement]
+AcceptEvents = Callable[[EventOrbit], Verdict]
 """A check of the orbits of a search."""
 
 
@@ -76,7 +76,7 @@ class EventSearchResult:
     @property
     def score(self) -> float:
         """Score of the orbit. A lower score is better."""
-        is_maximized = isinstance(self.objective, MaxPush | WidestMargin)
+        is_maximized = isinstance(self.objective, MaxPush | MaxMargin)
         return -self.worst if is_maximized else self.worst
 
     @property

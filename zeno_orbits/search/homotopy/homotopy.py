@@ -11,16 +11,16 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import HybridDynamics, ParameterValues
 from zeno_orbits.orbits import (
     Cycle,
-    OrbitShape,
+    EventSequence,
     StepControl,
     StepError,
     ZenoOrbit,
     orbit_multipliers,
-    placed,
+    place_on_section,
 )
 from zeno_orbits.search.homotopy.line import Followed, LinePoint, follow_line, values_on_line
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.search.shooting.fixed_point import close_cycle
+from zeno_orbits.search.shooting.fixed_point import newton_on_return_map
 from zeno_orbits.simulation import SimulationSettings, scale_of
 
 _STEPS = StepControl(first=0.25, shortest=1e-4)
@@ -52,7 +52,7 @@ class _Line:
     search: SearchProblem
     first: ParameterValues
     last: ParameterValues
-    shape: OrbitShape
+    shape: EventSequence
     attracting: bool = False
 
 
@@ -120,8 +120,8 @@ def _closed(
     values = values_on_line(line.first, line.last, part)
     try:
         dynamics = line.search.dynamics(values)
-        start = placed(dynamics, line.shape, guess)
-        closed = close_cycle(
+        start = place_on_section(dynamics, line.shape, guess)
+        closed = newton_on_return_map(
             dynamics,
             start,
             scale=scale,

@@ -19,18 +19,18 @@ from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import (
     Cycle,
+    EventSequence,
     OrbitImpact,
     OrbitPhase,
-    OrbitShape,
     Phase,
     ZenoOrbit,
-    gone_round_twice,
+    minimal_period,
     new_orbit,
-    placed,
+    place_on_section,
     round_again,
 )
-from zeno_orbits.search.shooting.fixed_point import close_cycle, cycle_near
-from zeno_orbits.search.shooting.guess import SettlingSettings, settle
+from zeno_orbits.search.shooting.fixed_point import cycle_near, newton_on_return_map
+from zeno_orbits.search.shooting.guess import TransientSettings, run_to_attractor
 from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation
 from zeno_orbits.work import Progress, silent
 
@@ -41,7 +41,7 @@ _ROUGH = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Closing:
+class ShootingResult:
     """Outcome of closing an orbit by simulation, successful or not.
 
     Attributes:
@@ -74,20 +74,20 @@ class OrbitNotClosedError(ZenoOrbitsError):
         result: The outcome.
     """
 
-    def __init__(self, result: Closing) -> None:
+    def __init__(self, result: ShootingResult) -> None:
         super().__init__(result.detail)
         self.result = result
 
 
-def close_orbit(
+def orbit_by_shooting(
     problem: Problem,
     values: ParameterValues,
     *,
     near: ZenoOrbit | None = None,
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
-    shape: OrbitShape | None = None,
-) -> Closing:
+    shape: EventSequence | None = None,
+) -> ShootingResult:
     """Return the orbit at given gains to which a simulation converges, or an orbit near `near`.
 
     The simulator creates the orbit here and checks it in `verify`. An error of the simulator that
@@ -119,10 +119,10 @@ def _closed(
     problem: Problem,
     values: ParameterValues,
     near: ZenoOrbit | None,
-    wanted: OrbitShape | None,
+    wanted: EventSequence | None,
     simulation: SimulationSettings,
     on_progress: Progress,
-) -> Closing:
+) -> ShootingResult:
     dynamics = problem.dynamics(values)
     detail = ""
     for settled in _NEAR if near is None else (np.inf,):
@@ -131,12 +131,14 @@ def _closed(
             if near is None:
                 cycle = _settled(dynamics, problem, settled, wanted, simulation)
             else:
-                x = placed(dynamics, near.shape, np.array(problem.state_vector(near.start_state)))
+                x = place_on_section(
+                    dynamics, near.shape, np.array(problem.state_vector(near.start_state))
+                )
                 cycle = cycle_near(
                     dynamics, x, period=near.period, settings=simulation, shape=near.shape
                 )
             on_progress("closing the orbit", None)
-            closed = close_cycle(
+            closed = newton_on_return_map(
                 dynamics,
                 # Near an unstable orbit the end of the period is farther away than its start.
                 cycle.end.state if near is None else cycle.start.state,
@@ -146,11 +148,11 @@ def _closed(
                 shape=cycle.shape,
             )
         except _NoGuessError as error:
-            return Closing(orbit=None, detail=str(error))
+            return ShootingResult(orbit=None, detail=str(error))
         except SimulationError as error:
             detail = str(error)
             continue
-        shorter = gone_round_twice(closed.cycle)
+        shorter = minimal_period(closed.cycle)
         if shorter is not None and near is None and wanted is None:
             # If a motion overshoots, it nearly repeats after two periods first, later after each.
             return _closed(problem, values, None, shorter, simulation, on_progress)
@@ -161,8 +163,8 @@ def _closed(
         if detail:
             continue
         orbit = orbit_of(closed.cycle, problem, values)
-        return Closing(orbit=orbit, miss=closed.miss, returns=closed.returns)
-    return Closing(orbit=None, detail=detail)
+        return ShootingResult(orbit=orbit, miss=closed.miss, returns=closed.returns)
+    return ShootingResult(orbit=None, detail=detail)
 
 
 class _NoGuessError(ZenoOrbitsError):
@@ -173,7 +175,7 @@ def _settled(
     dynamics: HybridDynamics,
     problem: Problem,
     settled: float,
-    wanted: OrbitShape | None,
+    wanted: EventSequence | None,
     simulation: SimulationSettings,
 ) -> Cycle:
     starts: Sequence[tuple[float, ...]] = [problem.state_vector(x) for x in problem.starts]
@@ -186,8 +188,8 @@ def _settled(
         tolerance=tolerance,
         completion=ZenoExtrapolation(tolerance=_ROUGH),
     )
-    settings = SettlingSettings(settled=settled, simulation=rough)
-    settling = settle(dynamics, starts, settings, wanted, problem)
+    settings = TransientSettings(settled=settled, simulation=rough)
+    settling = run_to_attractor(dynamics, starts, settings, wanted, problem)
     if settling.cycle is None:
         raise _NoGuessError(f"{settling.reason[0].upper()}{settling.reason[1:]}.")
     return settling.cycle

@@ -18,15 +18,15 @@ from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import (
     ONE_ZENO,
     Cycle,
-    OrbitShape,
+    EventSequence,
     Section,
     cycle_between,
     cycle_of,
     follow_each_other,
     kinds_of,
     phases_of,
-    placed,
-    return_slope,
+    place_on_section,
+    poincare_jacobian,
     rows_of,
     section_around,
 )
@@ -44,7 +44,7 @@ _SHORTER = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClosedCycle:
+class PeriodicCycle:
     """A period that repeats.
 
     Attributes:
@@ -58,7 +58,7 @@ class ClosedCycle:
     returns: int
 
 
-def close_cycle(
+def newton_on_return_map(
     dynamics: HybridDynamics,
     release: Vector,
     *,
@@ -66,8 +66,8 @@ def close_cycle(
     period: float,
     settings: SimulationSettings,
     slope: Vector | None = None,
-    shape: OrbitShape = ONE_ZENO,
-) -> ClosedCycle:
+    shape: EventSequence = ONE_ZENO,
+) -> PeriodicCycle:
     r"""Return the period of a shape that repeats, near a given initial state.
 
     With :math:`r_k = P(y_k) - y_k`, the steps solve :math:`(1 - J) s_k = r_k`. After each step,
@@ -89,7 +89,7 @@ def close_cycle(
             repeats.
     """
     rows = rows_of(shape, dynamics.restitution)
-    section = section_around(dynamics, rows, placed(dynamics, shape, release), scale)
+    section = section_around(dynamics, rows, place_on_section(dynamics, shape, release), scale)
     one, at = np.eye(section.dimension), np.zeros(section.dimension)
     j = np.zeros_like(one) if slope is None else slope
     best: _Trial | None = None
@@ -113,7 +113,7 @@ def close_cycle(
                 share /= _SHORTER
             else:
                 start = best.cycle.start.state
-                j = return_slope(
+                j = poincare_jacobian(
                     dynamics, start, scale=scale, period=period, settings=settings, shape=shape
                 )
                 exact = True
@@ -128,7 +128,9 @@ def close_cycle(
     )
 
 
-def close_near(dynamics: HybridDynamics, cycle: Cycle, settings: SimulationSettings) -> ClosedCycle:
+def newton_from_cycle(
+    dynamics: HybridDynamics, cycle: Cycle, settings: SimulationSettings
+) -> PeriodicCycle:
     """Return the period of the same shape that repeats, near a period that repeats roughly.
 
     Args:
@@ -137,9 +139,9 @@ def close_near(dynamics: HybridDynamics, cycle: Cycle, settings: SimulationSetti
         settings: Engine and accuracy.
 
     Raises:
-        SimulationError: If `close_cycle` raises it.
+        SimulationError: If `newton_on_return_map` raises it.
     """
-    return close_cycle(
+    return newton_on_return_map(
         dynamics,
         cycle.start.state,
         scale=cycle.scale_at_events(),
@@ -169,7 +171,7 @@ class _Trial:
         return float(np.max(np.abs(self.miss), initial=0.0))
 
 
-def _sized(trial: _Trial, count: int) -> ClosedCycle:
+def _sized(trial: _Trial, count: int) -> PeriodicCycle:
     """Return the closed cycle of a return that repeats, unless the return has shrunk to a point.
 
     Raises:
@@ -182,14 +184,14 @@ def _sized(trial: _Trial, count: int) -> ClosedCycle:
             time=cycle.period,
             state=tuple(cycle.start.state.tolist()),
         )
-    return ClosedCycle(cycle=cycle, miss=trial.change, returns=count)
+    return PeriodicCycle(cycle=cycle, miss=trial.change, returns=count)
 
 
 def _tried(
     dynamics: HybridDynamics,
     section: Section,
     at: Vector,
-    shape: OrbitShape,
+    shape: EventSequence,
     period: float,
     settings: SimulationSettings,
     *,
@@ -199,7 +201,7 @@ def _tried(
 
     If the motion does not return, the result is None, or with `needed` the error is raised.
     """
-    start = placed(dynamics, shape, section.state(dynamics, at))
+    start = place_on_section(dynamics, shape, section.state(dynamics, at))
     try:
         cycle = cycle_of(dynamics, start, shape, horizon=2 * period, settings=settings)
     except SimulationError:
@@ -225,7 +227,7 @@ def cycle_near(
     *,
     period: float,
     settings: SimulationSettings,
-    shape: OrbitShape = ONE_ZENO,
+    shape: EventSequence = ONE_ZENO,
 ) -> Cycle:
     """Return the first period of a shape in the motion from a state near the start of a period.
 

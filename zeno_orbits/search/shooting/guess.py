@@ -12,7 +12,14 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError, any_number
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, Problem, own_time
-from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed, to_next_release
+from zeno_orbits.orbits import (
+    Cycle,
+    EventSequence,
+    cycle_of,
+    cycles,
+    place_on_section,
+    to_next_release,
+)
 from zeno_orbits.search.shooting.recurrence import Recurrence, Recurring
 from zeno_orbits.simulation import (
     OSCILLATIONS,
@@ -42,7 +49,7 @@ _LOOK = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SettlingSettings:
+class TransientSettings:
     """Limits of the simulation of a motion until it repeats.
 
     Attributes:
@@ -99,8 +106,8 @@ class _Watch:
 
     Attributes:
         settings: Accuracy of the simulation, with the bounds of the coordinates.
-        settled: As in `SettlingSettings`.
-        usable: As in `SettlingSettings`.
+        settled: As in `TransientSettings`.
+        usable: As in `TransientSettings`.
         horizon: Longest simulated time [s].
         chunk: Longest simulated time between two checks [s].
         turn: A turn of the clock or longer [s]. A motion that is at rest for so long stays at rest.
@@ -116,11 +123,11 @@ class _Watch:
     phrases: Mapping[str, str]
 
 
-def settle(
+def run_to_attractor(
     dynamics: HybridDynamics,
     starts: Sequence[Vector | tuple[float, ...]],
-    settings: SettlingSettings | None = None,
-    shape: OrbitShape | None = None,
+    settings: TransientSettings | None = None,
+    shape: EventSequence | None = None,
     problem: Problem | None = None,
 ) -> FollowedMotion:
     """Return the last period of the first start whose motion repeats.
@@ -134,7 +141,7 @@ def settle(
             to repeating.
         problem: The problem, with its divergence limits, units and clock.
     """
-    settings = settings or SettlingSettings()
+    settings = settings or TransientSettings()
     wanted = None if shape is None else shape.at_restitution(dynamics.restitution)
     reasons: list[str] = []
     waited, undecided = 0.0, False
@@ -153,7 +160,7 @@ def settle(
 
 
 def _watch(
-    dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, problem: Problem | None
+    dynamics: HybridDynamics, state: Vector, settings: TransientSettings, problem: Problem | None
 ) -> _Watch:
     """Return the limits for the motion from a state, in the problem's characteristic scales."""
     own, turns, far, phrases = own_time(dynamics, state), OSCILLATIONS, math.inf, {}
@@ -175,7 +182,7 @@ def _watch(
 
 
 def _settle_from(
-    dynamics: HybridDynamics, state: Vector, watch: _Watch, wanted: OrbitShape | None
+    dynamics: HybridDynamics, state: Vector, watch: _Watch, wanted: EventSequence | None
 ) -> FollowedMotion:
     """Return the last period of the motion from a state, or the reason of a missing period."""
     n_q, names = dynamics.n_q, dynamics.state_names
@@ -239,7 +246,9 @@ def _period(
     """Return the period: simulated again, unless the motion contains it in one piece."""
     if found.cycle is not None:
         return FollowedMotion(cycle=found.cycle)
-    start = back_on_constraints(dynamics, placed(dynamics, found.shape, found.start), locked=False)
+    start = back_on_constraints(
+        dynamics, place_on_section(dynamics, found.shape, found.start), locked=False
+    )
     try:
         cycle = cycle_of(dynamics, start, found.shape, horizon=2 * found.period, settings=settings)
     except SimulationError as error:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import USUAL, OwnScale
-from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales
+from zeno_orbits.orbits import Cycle, EventSequence, PhaseKind
 from zeno_orbits.simulation import PERIODS, Execution, Impact, SectionReturn, repetitions
 
 MOST_IMPACTS = 12
@@ -37,7 +37,7 @@ class Recurring:
         cycle: The period itself, if it was simulated in one piece.
     """
 
-    shape: OrbitShape
+    shape: EventSequence
     start: Vector
     period: float
     change: float
@@ -66,11 +66,11 @@ class Recurrence:
     """
 
     settled: float
-    wanted: OrbitShape | None
+    wanted: EventSequence | None
     returns: tuple[Cycle, ...] = ()
     struck: tuple[TimedImpact, ...] = ()
     best: Recurring | None = None
-    own: OwnScale = USUAL
+    own: CharacteristicScales = UNIT_SCALES
 
     def after(self, run: Execution, found: Sequence[Cycle], *, since: float) -> Recurrence:
         """Return the events after another piece of the motion.
@@ -162,7 +162,7 @@ class Recurrence:
         scale = np.max([lap.scale_at_events() for lap in laps], axis=0)
         first, last = laps[0].start.state, laps[-1].end.state
         return Recurring(
-            shape=OrbitShape(phases=tuple(p.kind for lap in laps for p in lap.phases)),
+            shape=EventSequence(phases=tuple(p.kind for lap in laps for p in lap.phases)),
             start=last,
             period=sum(lap.period for lap in laps),
             change=float(np.max(np.abs(last - first) / scale)),
@@ -182,7 +182,7 @@ class Recurrence:
             slower = abs(other.impact.approach_rate / one.impact.approach_rate - 1.0)
             change = max(change, float(np.max(apart)), slower)
         return Recurring(
-            shape=OrbitShape(phases=n * (PhaseKind.IMPACT,)),
+            shape=EventSequence(phases=n * (PhaseKind.IMPACT,)),
             start=last[-1].impact.state_plus,
             period=last[-1].time - before[-1].time,
             change=change,

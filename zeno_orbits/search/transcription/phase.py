@@ -10,7 +10,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Array, Vector, null_space
 from zeno_orbits.model import GAP, GAP_RATE, MULTIPLIER, CompiledSystem, HybridDynamics, ImpactLaw
-from zeno_orbits.orbits import RELEASE_ROWS, REST_ROWS, Cycle, OrbitShape, Phase, rows_of
+from zeno_orbits.orbits import RELEASE_ROWS, REST_ROWS, Cycle, EventSequence, Phase, rows_of
 from zeno_orbits.search.transcription.arc import (
     ArcWriter,
     CollocatedArc,
@@ -96,7 +96,7 @@ class PhaseWriter:
 
     def rows_before(self, place: int) -> tuple[int, ...]:
         """Return the rows of the contact that vanish at the start of a phase."""
-        before = OrbitShape(phases=(self.cycle.phases[place - 1].kind,))
+        before = EventSequence(phases=(self.cycle.phases[place - 1].kind,))
         return rows_of(before, self.dynamics.restitution)
 
     def phase(

@@ -16,7 +16,7 @@ import numpy as np
 from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.integrators import Collocation
 from zeno_orbits.model import CompiledSystem, HybridDynamics, ImpactLaw, ParameterValues
-from zeno_orbits.orbits import Cycle, OrbitShape
+from zeno_orbits.orbits import Cycle, EventSequence
 from zeno_orbits.search.transcription.arc import CollocatedArc, TranscriptionSettings
 from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.motion_derivative import ProgramMotion
@@ -54,7 +54,7 @@ class OrbitTerms:
     p: ca.MX
     free: Mapping[str, ca.MX]
     nearness: Nearness
-    shape: OrbitShape
+    shape: EventSequence
     period: ca.MX
     electrical_work: ca.MX
     phases: tuple[PhaseTerms, ...]
@@ -157,14 +157,14 @@ def transcribe(
     )
 
 
-def labels_of(shape: OrbitShape) -> tuple[str, ...]:
+def labels_of(shape: EventSequence) -> tuple[str, ...]:
     """Return the prefix of the names of blocks and rows of each phase."""
     if shape.n_phases == 1:
         return ("",)
     return tuple(f"phase {k + 1}: " for k in range(shape.n_phases))
 
 
-def start_block(shape: OrbitShape, place: int) -> str:
+def start_block(shape: EventSequence, place: int) -> str:
     """Return the name of the block with the start of a phase."""
     before = shape.phases[place - 1]
     return f"{labels_of(shape)[place]}{'release' if before.holds else 'start'} state"

@@ -14,7 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.integrators import RungeKutta, Step, Tolerance, not_finite, too_small
 from zeno_orbits.loop import Detail, LoopRun, RunSettings, binding, program_of
-from zeno_orbits.model import OwnScale
+from zeno_orbits.model import CharacteristicScales
 from zeno_orbits.simulation.admission import require_admissible
 from zeno_orbits.simulation.compiled.steps import loop_steps
 from zeno_orbits.simulation.execution import Execution
@@ -189,7 +189,9 @@ def _own_limits(task: SimulationTask) -> dict[str, float]:
     }
 
 
-def _shared_by(task: SimulationTask) -> tuple[SimulationSettings, OwnScale, float, int, int]:
+def _shared_by(
+    task: SimulationTask,
+) -> tuple[SimulationSettings, CharacteristicScales, float, int, int]:
     """Return what the settings of a task depend on, apart from its limits."""
     dynamics, chosen = task.dynamics, task.settings
     if isinstance(chosen.far, list):
@@ -200,13 +202,13 @@ def _shared_by(task: SimulationTask) -> tuple[SimulationSettings, OwnScale, floa
 
 @lru_cache(maxsize=64)
 def _shared_memory(
-    chosen: SimulationSettings, own: OwnScale, restitution: float, n_x: int, n_q: int
+    chosen: SimulationSettings, own: CharacteristicScales, restitution: float, n_x: int, n_q: int
 ) -> binding.SettingsType:
     return shared_settings(chosen, own, restitution, n_x, n_q).filled()
 
 
 def shared_settings(
-    chosen: SimulationSettings, own: OwnScale, restitution: float, n_x: int, n_q: int
+    chosen: SimulationSettings, own: CharacteristicScales, restitution: float, n_x: int, n_q: int
 ) -> RunSettings:
     """Return accuracy and limits of all tasks on systems with some scales and a restitution.
 

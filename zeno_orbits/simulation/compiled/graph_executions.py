@@ -33,7 +33,7 @@ from zeno_orbits.loop import (
     loop_library,
     program_or_reason,
 )
-from zeno_orbits.model import CompiledGraph, GraphDynamics, ModeFunctions, OwnScale
+from zeno_orbits.model import CharacteristicScales, CompiledGraph, GraphDynamics, ModeFunctions
 from zeno_orbits.simulation.admission import require_admissible
 from zeno_orbits.simulation.compiled.executions import (
     COMPLETIONS,
@@ -85,7 +85,7 @@ class GraphHistory:
         return self.graph.state_names
 
     @property
-    def own(self) -> OwnScale:
+    def own(self) -> CharacteristicScales:
         """Characteristic scales of the problem."""
         return self.graph.own
 

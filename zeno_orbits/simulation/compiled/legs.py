@@ -7,11 +7,11 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import (
     Engine,
-    GuardedFlow,
-    Leg,
-    Outcome,
-    Passage,
+    FlowWithEvent,
+    Segment,
+    SegmentResult,
     SteppingEngine,
+    Termination,
     Tolerance,
     not_finite,
     too_small,
@@ -34,7 +34,7 @@ class LegFollower:
         self._engine, self._steps = engine, loop_steps(engine)
         self._programs: dict[ModeFunctions, LegProgram | None] = {}
 
-    def follow(self, leg: Leg) -> Passage:
+    def follow(self, leg: Segment) -> SegmentResult:
         """Follow a flow until its guard falls through zero or the time is over.
 
         Args:
@@ -49,11 +49,11 @@ class LegFollower:
             return self._engine.follow(leg)
         found = self.recorded(program, flow, leg)
         if found.status == binding.LEFT and found.detail is not None:
-            duration, state, outcome = found.detail.time, found.detail.state, Outcome.LEFT
+            duration, state, outcome = found.detail.time, found.detail.state, Termination.LEFT
         else:
             _require_done(found, leg.y)
             duration, state = found.duration, found.end
-            outcome = Outcome.FALL if found.fell else Outcome.HORIZON
+            outcome = Termination.FALL if found.fell else Termination.HORIZON
         trajectory = LoopTrajectory(
             flow=FlowOfLeg(flow, program),
             tolerance=leg.tolerance,
@@ -63,9 +63,9 @@ class LegFollower:
             duration=duration,
             end=state,
         )
-        return Passage(outcome=outcome, duration=duration, state=state, trajectory=trajectory)
+        return SegmentResult(outcome=outcome, duration=duration, state=state, trajectory=trajectory)
 
-    def program(self, flow: GuardedFlow) -> LegProgram | None:
+    def program(self, flow: FlowWithEvent) -> LegProgram | None:
         """Return a flow as the library has it, or ``None`` if its legs are the engine's."""
         if self._steps is None or not isinstance(flow, CompiledFlow):
             return None
@@ -75,7 +75,7 @@ class LegFollower:
             program = self._programs[flow.mode] = leg_program(flow.mode)
             return program
 
-    def recorded(self, program: LegProgram, flow: CompiledFlow, leg: Leg) -> LegRecord:
+    def recorded(self, program: LegProgram, flow: CompiledFlow, leg: Segment) -> LegRecord:
         """Return the record of a leg.
 
         Args:
@@ -102,7 +102,7 @@ class LegFollower:
 
 
 def states_after_steps(
-    flow: GuardedFlow, engine: SteppingEngine, y: Vector, tolerance: Tolerance, duration: float
+    flow: FlowWithEvent, engine: SteppingEngine, y: Vector, tolerance: Tolerance, duration: float
 ) -> Vector:
     """Return the states after the steps of a flow, for any guard, ``(n, n_y)``.
 
@@ -120,7 +120,7 @@ def states_after_steps(
         free, follower = unguarded(flow), LegFollower(engine)
         program = follower.program(free)
         if program is not None:
-            leg = Leg(flow=free, y=y, horizon=duration, tolerance=tolerance, on_guard=False)
+            leg = Segment(flow=free, y=y, horizon=duration, tolerance=tolerance, on_guard=False)
             found = follower.recorded(program, free, leg)
             _require_done(found, y)
             inside = found.rows[:, 0] + found.rows[:, 1] < duration

@@ -26,7 +26,12 @@ from zeno_orbits.model import (
     GraphDynamics,
     GraphMode,
 )
-from zeno_orbits.simulation.derivatives.sensitivity import Bounce, Carry, EventShift, Perturbations
+from zeno_orbits.simulation.derivatives.sensitivity import (
+    Carry,
+    ImpactDerivative,
+    SaltationDerivative,
+    VariationalEquation,
+)
 from zeno_orbits.simulation.derivatives.state_transition import carried_within
 from zeno_orbits.simulation.derivatives.tangent import carried_by_loop, course_of_arc
 from zeno_orbits.simulation.execution import (
@@ -55,9 +60,9 @@ class ArcPassage:
     """
 
     arc: Arc
-    start: EventShift
-    end: EventShift
-    crossings: tuple[tuple[Event, EventShift, EventShift], ...]
+    start: SaltationDerivative
+    end: SaltationDerivative
+    crossings: tuple[tuple[Event, SaltationDerivative, SaltationDerivative], ...]
 
 
 @dataclass(kw_only=True)
@@ -75,11 +80,13 @@ class GraphShifts:
     chosen: tuple[int, ...]
     tolerance: Tolerance
     carry: Carry = carried_by_loop
-    _known: dict[tuple[GraphMode, int], Perturbations] = field(
-        default_factory=dict["tuple[GraphMode, int]", Perturbations]
+    _known: dict[tuple[GraphMode, int], VariationalEquation] = field(
+        default_factory=dict["tuple[GraphMode, int]", VariationalEquation]
     )
 
-    def along(self, execution: Execution) -> Iterator[tuple[Event, EventShift, EventShift]]:
+    def along(
+        self, execution: Execution
+    ) -> Iterator[tuple[Event, SaltationDerivative, SaltationDerivative]]:
         """Yield every event with the derivatives of its time and of the states before and after it.
 
         The columns of the derivatives are the states of the start, then the chosen parameters.
@@ -107,8 +114,8 @@ class GraphShifts:
         events = list(execution.events)
         arcs = execution.arcs
         here = self._start(arcs[0])
-        bounces: list[Bounce] = []
-        crossings: list[tuple[Event, EventShift, EventShift]] = []
+        bounces: list[ImpactDerivative] = []
+        crossings: list[tuple[Event, SaltationDerivative, SaltationDerivative]] = []
         while events and events[0].time == arcs[0].start_time:
             first = events.pop(0)
             before = self._before(first, here, arcs[0], arcs[0])
@@ -223,24 +230,24 @@ class GraphShifts:
         resting = perturbations.dynamics.resting(arc.start_state)
         return resting.state, self._total(by_state, passage.start)
 
-    def _start(self, arc: Arc) -> EventShift:
+    def _start(self, arc: Arc) -> SaltationDerivative:
         start = self._of(arc, self._some_stop(arc)).at_start()
         if not arc.stop:
             return start
         return self._of(arc, self.graph.stop_names.index(arc.stop)).launched(arc.start_state)
 
-    def _of(self, arc: Arc, stop: int) -> Perturbations:
+    def _of(self, arc: Arc, stop: int) -> VariationalEquation:
         """Return the derivatives of a stop in the mode of an arc, with that stop open."""
         closed, sides = self.graph.mode_of(arc.closed, arc.sides)
         return self._at((tuple(k for k in closed if k != stop), sides), stop)
 
-    def _at(self, mode: GraphMode, stop: int) -> Perturbations:
+    def _at(self, mode: GraphMode, stop: int) -> VariationalEquation:
         key = (mode, stop)
         if key not in self._known:
             view = self.graph.view(mode, stop)
             if view.differentiation is None:
                 raise AssertionError("A compiled system has formulas.")
-            self._known[key] = Perturbations(
+            self._known[key] = VariationalEquation(
                 dynamics=view,
                 differentials=view.differentiation.by(self.chosen),
                 n_parameters=len(self.chosen),
@@ -255,7 +262,9 @@ class GraphShifts:
 
     # Ends of arcs.
 
-    def _end(self, arc: Arc, start: EventShift, events: Sequence[Event]) -> EventShift:
+    def _end(
+        self, arc: Arc, start: SaltationDerivative, events: Sequence[Event]
+    ) -> SaltationDerivative:
         """Return the derivatives of the end of an arc, before any reset."""
         event = events[0] if events and events[0].time <= arc.end_time else None
         if isinstance(event, Impact):
@@ -265,7 +274,9 @@ class GraphShifts:
             gradient = self._of(arc, stop).differentials.contact(arc.end_state)[GAP]
             moved = self._crossed(arc, start, gradient)
             rate = self._of(arc, stop).differentials.contact(arc.end_state)[GAP_RATE]
-            return EventShift(time=moved.time, state=moved.state, rate=self._total(rate, moved))
+            return SaltationDerivative(
+                time=moved.time, state=moved.state, rate=self._total(rate, moved)
+            )
         if isinstance(event, Release):
             stop = self.graph.stop_names.index(event.stop)
             gradient = self._of(arc, stop).differentials.contact(arc.end_state)[MULTIPLIER]
@@ -288,7 +299,9 @@ class GraphShifts:
         declared = slice(self.graph.n_declared)
         return int(np.argmin(np.abs(guards[declared]) / np.maximum(rounding[declared], 1e-300)))
 
-    def _crossed(self, arc: Arc, start: EventShift, gradient: Vector) -> EventShift:
+    def _crossed(
+        self, arc: Arc, start: SaltationDerivative, gradient: Vector
+    ) -> SaltationDerivative:
         """Return the derivatives of the zero of a guard at the end of an arc."""
         n_x, unit = arc.start_state.size, arc.time_unit if arc.stop else 1.0
         perturbations, mode, v, q = self._flow(arc, start)
@@ -298,13 +311,15 @@ class GraphShifts:
         change = gradient[:n_x] @ v[:n_x] + gradient[n_x:] @ perturbations.parameters
         delay = -change / (gradient[:n_x] @ rate[:n_x])
         longer = arc.duration * start.rate if arc.stop else 0.0
-        return EventShift(
+        return SaltationDerivative(
             time=start.time + longer + unit * delay,
             state=(v + rate[:, None] * delay)[:n_x],
             rate=np.zeros_like(start.rate),
         )
 
-    def _flow(self, arc: Arc, start: EventShift) -> tuple[Perturbations, Mode, Vector, Vector]:
+    def _flow(
+        self, arc: Arc, start: SaltationDerivative
+    ) -> tuple[VariationalEquation, Mode, Vector, Vector]:
         """Return the flow of an arc, with the perturbations of its start and its parameters."""
         if arc.stop:
             perturbations = self._of(arc, self.graph.stop_names.index(arc.stop))
@@ -320,8 +335,13 @@ class GraphShifts:
     # Events.
 
     def _after(
-        self, event: Event, here: EventShift, arc: Arc, following: Arc, bounces: list[Bounce]
-    ) -> tuple[EventShift, list[Bounce]]:
+        self,
+        event: Event,
+        here: SaltationDerivative,
+        arc: Arc,
+        following: Arc,
+        bounces: list[ImpactDerivative],
+    ) -> tuple[SaltationDerivative, list[ImpactDerivative]]:
         """Return the derivatives after an event, and the impacts of the sequence so far."""
         n_x = arc.start_state.size
         if isinstance(event, Impact):
@@ -352,30 +372,32 @@ class GraphShifts:
             stop = self.graph.stop_names.index(following.stop)
             contact = self._of(following, stop).differentials.contact(event.state_plus)
             rate = self._total(contact[GAP_RATE], after)
-            after = EventShift(time=after.time, state=after.state, rate=rate)
+            after = SaltationDerivative(time=after.time, state=after.state, rate=rate)
         return after, []
 
-    def _struck(self, impact: Impact, arc: Arc, following: Arc) -> Perturbations:
+    def _struck(self, impact: Impact, arc: Arc, following: Arc) -> VariationalEquation:
         """Return the derivatives of an impact in the mode that keeps its closed stops."""
         kept = [name for name in following.closed if name in arc.closed and name != impact.stop]
         closed, _ = self.graph.mode_of(kept, ())
         return self._at((closed, following.sides), self.graph.stop_names.index(impact.stop))
 
-    def _before(self, event: Event, here: EventShift, arc: Arc, following: Arc) -> EventShift:
+    def _before(
+        self, event: Event, here: SaltationDerivative, arc: Arc, following: Arc
+    ) -> SaltationDerivative:
         """Return the derivatives before an event, at an impact with those of the gap rate."""
         if not isinstance(event, Impact) or here.rate.any():
             return here
         differentials = self._struck(event, arc, following).differentials
         contact = differentials.contact(event.state_minus)
         rate = self._total(contact[GAP_RATE], here)
-        return EventShift(time=here.time, state=here.state, rate=rate)
+        return SaltationDerivative(time=here.time, state=here.state, rate=rate)
 
-    def _moved(self, here: EventShift, derivative: Vector) -> EventShift:
-        return EventShift(
+    def _moved(self, here: SaltationDerivative, derivative: Vector) -> SaltationDerivative:
+        return SaltationDerivative(
             time=here.time, state=self._total(derivative, here), rate=np.zeros_like(here.rate)
         )
 
-    def _total(self, gradient: Vector, here: EventShift) -> Vector:
+    def _total(self, gradient: Vector, here: SaltationDerivative) -> Vector:
         """Return the change of a function, due to state and parameters."""
         n_x = here.state.shape[0]
         parameters = np.eye(len(self.chosen), here.state.shape[1], n_x)

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import GuardedFlow, Tolerance
+from zeno_orbits.integrators import FlowWithEvent, Tolerance
 from zeno_orbits.model import (
     GAP,
     GAP_ACCELERATION,
@@ -42,7 +42,7 @@ from zeno_orbits.simulation.zeno.zeno_limit import (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EventShift:
+class SaltationDerivative:
     """Derivatives of an event.
 
     Attributes:
@@ -57,7 +57,7 @@ class EventShift:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bounce:
+class ImpactDerivative:
     """An impact of a sequence that accumulates.
 
     Attributes:
@@ -68,7 +68,7 @@ class Bounce:
 
     impact: Impact
     estimate: TailEstimate
-    shift: EventShift
+    shift: SaltationDerivative
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,13 +81,13 @@ class ArcShifts:
         after: Derivatives after the event at the end.
     """
 
-    start: EventShift
-    end: EventShift
-    after: EventShift
+    start: SaltationDerivative
+    end: SaltationDerivative
+    after: SaltationDerivative
 
 
 def carried_in_python(
-    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector
+    perturbations: VariationalEquation, arc: Arc, mode: Mode, v: Vector, q: Vector
 ) -> Vector:
     """Return the perturbations at the end of an arc, its duration held fixed, ``(n_y, m)``.
 
@@ -102,12 +102,12 @@ def carried_in_python(
     return carried(flow, differential, arc, perturbations.tolerance, v, q)
 
 
-Carry = Callable[["Perturbations", Arc, Mode, Vector, Vector], Vector]
+Carry = Callable[["VariationalEquation", Arc, Mode, Vector, Vector], Vector]
 """A function like `carried_in_python`."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Perturbations:
+class VariationalEquation:
     """Derivatives along an execution.
 
     Attributes:
@@ -129,7 +129,7 @@ class Perturbations:
         """Number of states."""
         return len(self.dynamics.state_names)
 
-    def flow_of(self, arc: Arc, mode: Mode, n_y: int) -> tuple[GuardedFlow, FlowDifferential]:
+    def flow_of(self, arc: Arc, mode: Mode, n_y: int) -> tuple[FlowWithEvent, FlowDifferential]:
         """Return the flow of an arc and its variational equation.
 
         Args:
@@ -154,35 +154,35 @@ class Perturbations:
         """Perturbations of the restitution, ``(m,)``."""
         return self.differentials.restitution @ self.parameters
 
-    def at_start(self) -> EventShift:
+    def at_start(self) -> SaltationDerivative:
         """Return the start with its prescribed derivatives."""
         state = np.eye(self.n_x, self.n_x + self.n_parameters)
         zero = np.zeros(state.shape[1])
-        return EventShift(time=zero, state=state, rate=zero)
+        return SaltationDerivative(time=zero, state=state, rate=zero)
 
-    def launched(self, x: Vector) -> EventShift:
+    def launched(self, x: Vector) -> SaltationDerivative:
         """Return a start just after an impact, its gap rate included."""
         start = self.at_start()
         rate = self._total(self.differentials.contact(x)[GAP_RATE], start.state)
-        return EventShift(time=start.time, state=start.state, rate=rate)
+        return SaltationDerivative(time=start.time, state=start.state, rate=rate)
 
-    def flown(self, arc: Arc, start: EventShift) -> EventShift:
+    def flown(self, arc: Arc, start: SaltationDerivative) -> SaltationDerivative:
         """Return the derivatives of the impact at the end of a flight, before its reset."""
         end = arc.flow_state_at(arc.duration)
         if end.size == self.n_x:
             return self._free(arc, start)
         return self._rescaled(arc, start, end)
 
-    def _free(self, arc: Arc, start: EventShift) -> EventShift:
+    def _free(self, arc: Arc, start: SaltationDerivative) -> SaltationDerivative:
         v = self.carry(self, arc, Mode.FREE, start.state, self.parameters)
         contact = self.differentials.contact(arc.end_state)
         delay = -self._total(contact[GAP], v) / self.dynamics.gap_rate(arc.end_state)
         state = v + self.dynamics.free.rate(arc.end_state)[:, None] * delay
-        return EventShift(
+        return SaltationDerivative(
             time=start.time + delay, state=state, rate=self._total(contact[GAP_RATE], state)
         )
 
-    def _rescaled(self, arc: Arc, start: EventShift, end: Vector) -> EventShift:
+    def _rescaled(self, arc: Arc, start: SaltationDerivative, end: Vector) -> SaltationDerivative:
         """Follow a flight in its own variables, in which its speed is also a parameter."""
         speed = arc.time_unit
         launched = np.concatenate([start.state, np.zeros((2, start.time.size))])
@@ -190,21 +190,23 @@ class Perturbations:
         v = self.carry(self, arc, Mode.FREE, launched, q)
         delay = -v[-2] / end[-1]
         moved = v + self.dynamics.flight(speed).rate(end)[:, None] * delay
-        return EventShift(
+        return SaltationDerivative(
             time=start.time + arc.duration * start.rate + speed * delay,
             state=moved[: self.n_x],
             rate=end[-1] * start.rate + speed * moved[-1],
         )
 
-    def struck(self, impact: Impact, before: EventShift) -> EventShift:
+    def struck(self, impact: Impact, before: SaltationDerivative) -> SaltationDerivative:
         """Return the derivatives of the state and the gap rate after an impact."""
         reset = self.differentials.reset(impact.state_minus, impact.approach_rate)
         inputs = np.concatenate([before.state, before.rate[None, :], self.parameters])
         by_rate, *by_parameters = self.differentials.speed_after(impact.approach_rate)
         rate = by_rate * before.rate + by_parameters @ self.parameters
-        return EventShift(time=before.time, state=reset @ inputs, rate=rate)
+        return SaltationDerivative(time=before.time, state=reset @ inputs, rate=rate)
 
-    def joined(self, bounces: Sequence[Bounce], impact: Impact, after: EventShift) -> list[Bounce]:
+    def joined(
+        self, bounces: Sequence[ImpactDerivative], impact: Impact, after: SaltationDerivative
+    ) -> list[ImpactDerivative]:
         """Return a sequence with one more impact, or a new sequence if it does not continue.
 
         Args:
@@ -219,10 +221,10 @@ class Perturbations:
         goes_on = not bounces or speed < bounces[-1].estimate.speed
         return [
             *(bounces if goes_on else ()),
-            Bounce(impact=impact, estimate=estimate, shift=after),
+            ImpactDerivative(impact=impact, estimate=estimate, shift=after),
         ]
 
-    def limit(self, bounces: Sequence[Bounce], state: Vector) -> EventShift:
+    def limit(self, bounces: Sequence[ImpactDerivative], state: Vector) -> SaltationDerivative:
         r"""Return the derivatives of the Zeno point of a sequence.
 
         .. math:: \delta x_\infty = \sum_k \alpha_k\,\delta x_k
@@ -246,13 +248,13 @@ class Perturbations:
             reweighted = limit_slopes(speeds) @ logarithms
             shift += np.concatenate([states.T, times[None, :]]) @ reweighted
         on_stop = self.differentials.resting(state)[: self.n_x]
-        return EventShift(
+        return SaltationDerivative(
             time=shift[-1],
             state=self._total(on_stop, shift[:-1]),
             rate=np.zeros(self.restitution.size),
         )
 
-    def _tail(self, bounce: Bounce) -> Vector:
+    def _tail(self, bounce: ImpactDerivative) -> Vector:
         """Return the derivatives of the first-order Zeno state of an impact, then of its time."""
         n_x, x, shift = self.n_x, bounce.impact.state_plus, bounce.shift
         resting, e = self.dynamics.resting(x), self.dynamics.restitution
@@ -265,7 +267,7 @@ class Perturbations:
         state = moved[:n_x] + resting.rate[:, None] * longer + remaining * moved[n_x + 1 :]
         return np.concatenate([state, [shift.time + longer]])
 
-    def released(self, arc: Arc, zeno: EventShift) -> EventShift:
+    def released(self, arc: Arc, zeno: SaltationDerivative) -> SaltationDerivative:
         """Return the derivatives of the release at the end of a locked arc."""
         x, dynamics = arc.end_state, self.dynamics
         v = self.carry(self, arc, Mode.LOCKED, zeno.state, self.parameters)
@@ -273,13 +275,13 @@ class Perturbations:
         delay = -self._total(gradient, v) / dynamics.multiplier_rate(x)
         moved = v + dynamics.locked.rate(x)[:, None] * delay
         on_stop = self.differentials.resting(x)[: self.n_x]
-        return EventShift(
+        return SaltationDerivative(
             time=zeno.time + delay,
             state=self._total(on_stop, moved),
             rate=np.zeros(self.restitution.size),
         )
 
-    def stopped(self, arc: Arc, start: EventShift) -> EventShift:
+    def stopped(self, arc: Arc, start: SaltationDerivative) -> SaltationDerivative:
         """Return the derivatives of the end of an arc that ends at a given time."""
         x, end = arc.end_state, arc.flow_state_at(arc.duration)
         zero = np.zeros_like(start.time)
@@ -294,15 +296,17 @@ class Perturbations:
         rate = zero
         if arc.mode is Mode.FREE:
             rate = self._total(self.differentials.contact(x)[GAP_RATE], state)
-        return EventShift(time=zero, state=state, rate=rate)
+        return SaltationDerivative(time=zero, state=state, rate=rate)
 
-    def rested(self, impact: Impact, after: EventShift) -> EventShift:
+    def rested(self, impact: Impact, after: SaltationDerivative) -> SaltationDerivative:
         """Return the derivatives of a Zeno point that results from a plastic reset at an impact."""
         on_stop = self.differentials.resting(impact.state_plus)[: self.n_x]
         state = self._total(on_stop, after.state)
-        return EventShift(time=after.time, state=state, rate=np.zeros_like(after.rate))
+        return SaltationDerivative(time=after.time, state=state, rate=np.zeros_like(after.rate))
 
-    def along(self, execution: Execution, start: EventShift, first: int) -> list[ArcShifts]:
+    def along(
+        self, execution: Execution, start: SaltationDerivative, first: int
+    ) -> list[ArcShifts]:
         """Return the derivatives of the ends of the arcs, up to the first end without a derivative.
 
         At such an end the stop is touched without an impact.
@@ -314,7 +318,7 @@ class Perturbations:
         """
         impacts = {impact.time: impact for impact in execution.impacts}
         zenos = {zeno.time: zeno for zeno in execution.zeno_points}
-        found, here, bounces = list[ArcShifts](), start, list[Bounce]()
+        found, here, bounces = list[ArcShifts](), start, list[ImpactDerivative]()
         for place, arc in enumerate(execution.arcs[first:]):
             begin = end = here
             zeno = zenos.get(arc.start_time) if arc.mode is Mode.LOCKED else None
@@ -339,12 +343,14 @@ class Perturbations:
             found.append(ArcShifts(start=begin, end=end, after=here))
         return found
 
-    def _limit_of(self, zeno: ZenoPoint, bounces: Sequence[Bounce]) -> EventShift:
+    def _limit_of(
+        self, zeno: ZenoPoint, bounces: Sequence[ImpactDerivative]
+    ) -> SaltationDerivative:
         if zeno.tail == 0.0 < zeno.last_speed:
             return self.rested(bounces[-1].impact, bounces[-1].shift)
         return self.limit(bounces, zeno.state)
 
-    def of_gap_acceleration(self, x: Vector, shift: EventShift) -> Vector:
+    def of_gap_acceleration(self, x: Vector, shift: SaltationDerivative) -> Vector:
         """Return the derivatives of the gap acceleration at an event, ``(m,)``."""
         return self._total(self.differentials.contact(x)[GAP_ACCELERATION], shift.state)
 

@@ -23,7 +23,7 @@ from zeno_orbits.integrators import (
     Automatic,
     Collocation,
     ExplicitStep,
-    GuardedFlow,
+    FlowWithEvent,
     RadauStep,
     Step,
     SteppedTrajectory,
@@ -37,7 +37,7 @@ from zeno_orbits.simulation.recorded import LoopTrajectory
 
 
 def carried(
-    flow: GuardedFlow,
+    flow: FlowWithEvent,
     differential: FlowDifferential,
     arc: Arc,
     tolerance: Tolerance,
@@ -60,7 +60,7 @@ def carried(
 
 
 def courses(
-    flow: GuardedFlow,
+    flow: FlowWithEvent,
     differential: FlowDifferential,
     arc: Arc,
     tolerance: Tolerance,
@@ -91,7 +91,7 @@ def courses(
 
 
 def carried_within(
-    flow: GuardedFlow,
+    flow: FlowWithEvent,
     differential: FlowDifferential,
     arc: Arc,
     tolerance: Tolerance,
@@ -136,7 +136,7 @@ def trusted(tolerance: Tolerance) -> float:
     return max(_GROWS, _SHARE * tolerance.relative)
 
 
-def _steps(flow: GuardedFlow, arc: Arc, tolerance: Tolerance) -> Iterator[Step]:
+def _steps(flow: FlowWithEvent, arc: Arc, tolerance: Tolerance) -> Iterator[Step]:
     """Yield the steps of an arc, the last of which may reach beyond its end."""
     way = arc.trajectory
     kinds = (ExplicitStep, RadauStep)
@@ -152,7 +152,7 @@ def _steps(flow: GuardedFlow, arc: Arc, tolerance: Tolerance) -> Iterator[Step]:
 
 
 def _after(
-    flow: GuardedFlow,
+    flow: FlowWithEvent,
     differential: FlowDifferential,
     step: Step,
     size: float,
@@ -170,7 +170,7 @@ def _after(
 
 
 def _explicit(
-    flow: GuardedFlow,
+    flow: FlowWithEvent,
     differential: FlowDifferential,
     y: Vector,
     size: float,

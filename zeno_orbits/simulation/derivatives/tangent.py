@@ -15,8 +15,8 @@ from zeno_orbits.errors import SimulationError
 from zeno_orbits.loop import Record, TangentProgram, Track, binding, program_of, tangent_of
 from zeno_orbits.simulation.derivatives.sensitivity import (
     ArcShifts,
-    EventShift,
-    Perturbations,
+    SaltationDerivative,
+    VariationalEquation,
 )
 from zeno_orbits.simulation.derivatives.state_transition import courses, trusted
 from zeno_orbits.simulation.execution import Arc, Execution, Mode
@@ -51,7 +51,11 @@ class EventMotions:
 
 
 def motion_of(
-    perturbations: Perturbations, execution: Execution, start: EventShift, *, first: int = 0
+    perturbations: VariationalEquation,
+    execution: Execution,
+    start: SaltationDerivative,
+    *,
+    first: int = 0,
 ) -> EventMotions:
     """Return the derivatives of the ends of the arcs of an execution.
 
@@ -74,12 +78,17 @@ def motion_of(
     return EventMotions(shifts=dict(zip(map(id, execution.arcs[first:]), shifts, strict=False)))
 
 
-def _shift(rows: Vector) -> EventShift:
-    return EventShift(time=rows[0], rate=rows[1], state=rows[2:])
+def _shift(rows: Vector) -> SaltationDerivative:
+    return SaltationDerivative(time=rows[0], rate=rows[1], state=rows[2:])
 
 
 def course_of(
-    perturbations: Perturbations, execution: Execution, place: int, start: EventShift, *, parts: int
+    perturbations: VariationalEquation,
+    execution: Execution,
+    place: int,
+    start: SaltationDerivative,
+    *,
+    parts: int,
 ) -> tuple[Vector, Vector]:
     """Return the derivatives of the state along an arc, at equal times of the flow.
 
@@ -110,7 +119,7 @@ def course_of(
 
 
 def carried_by_loop(
-    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector
+    perturbations: VariationalEquation, arc: Arc, mode: Mode, v: Vector, q: Vector
 ) -> Vector:
     """Return what `carried_in_python` returns, by the loop if it recorded the steps of the arc.
 
@@ -125,7 +134,13 @@ def carried_by_loop(
 
 
 def course_of_arc(
-    perturbations: Perturbations, arc: Arc, mode: Mode, v: Vector, q: Vector, *, parts: int = 1
+    perturbations: VariationalEquation,
+    arc: Arc,
+    mode: Mode,
+    v: Vector,
+    q: Vector,
+    *,
+    parts: int = 1,
 ) -> tuple[Vector, Vector]:
     """Return the perturbations along an arc at equal parts of every step.
 
@@ -157,14 +172,14 @@ def course_of_arc(
 
 
 def _compiled(
-    perturbations: Perturbations, execution: Execution
+    perturbations: VariationalEquation, execution: Execution
 ) -> tuple[TangentProgram, Track] | None:
     """Return the derivatives of an execution that the loop recorded, if it has them."""
     return _tracked(perturbations, record_of(execution))
 
 
 def _tracked(
-    perturbations: Perturbations, record: Record | None
+    perturbations: VariationalEquation, record: Record | None
 ) -> tuple[TangentProgram, Track] | None:
     """Return the derivatives of the arcs of a record, if the loop has them."""
     formulas = perturbations.dynamics.formulas

@@ -190,7 +190,7 @@ def start_at(curve: ImpactCurve, z: Vector, w: float) -> CurveEnd:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Piece:
+class CurvePiece:
     """A polynomial piece of the curve, more or less converged.
 
     Attributes:
@@ -228,7 +228,7 @@ class Piece:
         return np.maximum(self.start.w - self.length * places, 0.0)
 
 
-def straight_piece(start: CurveEnd, length: float, n: int, slope: Vector) -> Piece:
+def straight_piece(start: CurveEnd, length: float, n: int, slope: Vector) -> CurvePiece:
     """Return a first guess of a piece, a straight line.
 
     Args:
@@ -237,7 +237,7 @@ def straight_piece(start: CurveEnd, length: float, n: int, slope: Vector) -> Pie
         n: Number of nodes.
         slope: Slope of the line.
     """
-    return Piece(
+    return CurvePiece(
         start=start,
         length=length,
         nodes=radau_nodes(n),
@@ -247,7 +247,7 @@ def straight_piece(start: CurveEnd, length: float, n: int, slope: Vector) -> Pie
     )
 
 
-def refined(piece: Piece, n: int) -> Piece:
+def refined_piece(piece: CurvePiece, n: int) -> CurvePiece:
     """Return the same polynomial at more nodes, before the next iteration."""
     nodes = radau_nodes(n)
     values = piece.nodes.values(nodes.places)
@@ -261,12 +261,12 @@ def refined(piece: Piece, n: int) -> Piece:
     )
 
 
-def differentiated(curve: ImpactCurve, piece: Piece) -> Piece:
+def differentiated(curve: ImpactCurve, piece: CurvePiece) -> CurvePiece:
     """Return the piece after an iteration with derivatives taken at its own nodes."""
     return _iterated(curve, piece, afresh=True)
 
 
-def iterated(curve: ImpactCurve, piece: Piece) -> Piece:
+def iterated(curve: ImpactCurve, piece: CurvePiece) -> CurvePiece:
     r"""Return the piece after one Newton iteration, at the cost of a flight per node.
 
     .. math:: (A - \Delta\,g_z\,B)\,\delta q = g - A q
@@ -277,7 +277,9 @@ def iterated(curve: ImpactCurve, piece: Piece) -> Piece:
     return _iterated(curve, piece, afresh=False)
 
 
-def converged(curve: ImpactCurve, piece: Piece, tolerance: float, *, most: int = 8) -> Piece:
+def converged(
+    curve: ImpactCurve, piece: CurvePiece, tolerance: float, *, most: int = 8
+) -> CurvePiece:
     """Return the piece iterated until the rest is below a tolerance.
 
     Args:
@@ -303,7 +305,7 @@ def converged(curve: ImpactCurve, piece: Piece, tolerance: float, *, most: int =
     raise CurveLostError
 
 
-def correction(curve: ImpactCurve, piece: Piece) -> Vector:
+def correction(curve: ImpactCurve, piece: CurvePiece) -> Vector:
     """Return the change of the end if the law holds at twice as many points, ``(n_x + 1,)``.
 
     This is one Newton step from the piece, which has converged at its original nodes. The step
@@ -334,7 +336,7 @@ def relative(change: Vector, z: Vector) -> float:
     return float(np.max(np.abs(change) / (1 + np.abs(z))))
 
 
-def _iterated(curve: ImpactCurve, piece: Piece, *, afresh: bool) -> Piece:
+def _iterated(curve: ImpactCurve, piece: CurvePiece, *, afresh: bool) -> CurvePiece:
     start, nodes, length = piece.start, piece.nodes, piece.length
     speeds = piece.speeds(nodes.places)
     z = start.z + length * nodes.integral @ piece.slopes

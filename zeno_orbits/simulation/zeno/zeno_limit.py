@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Step, light_value
-from zeno_orbits.model import USUAL, HybridDynamics, OwnScale, Resting
+from zeno_orbits.integrators import Step, fast_dataclass
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales, ContactProjection, HybridDynamics
 
 N_NODES = 5
 """Impacts that the extrapolation uses at most."""
@@ -110,7 +110,7 @@ def spread_nodes(speeds: Sequence[float]) -> list[int]:
     return nodes[::-1]
 
 
-@light_value
+@fast_dataclass
 class TailEstimate:
     """First-order estimate of the Zeno point from an impact, compared by identity.
 
@@ -131,7 +131,7 @@ class TailEstimate:
     gap_acceleration: float
 
 
-@light_value
+@fast_dataclass
 class ZenoLimit:
     """The Zeno point of an impact sequence.
 
@@ -166,7 +166,7 @@ def estimate_tail(
 
 
 def tail_from(
-    resting: Resting, restitution: float, time: float, speed: float
+    resting: ContactProjection, restitution: float, time: float, speed: float
 ) -> TailEstimate | None:
     """Return the same from the state after an impact moved onto the stop.
 
@@ -202,7 +202,9 @@ def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> 
     return ZenoLimit(time=limit.time, state=state, error=limit.error)
 
 
-def combine(estimates: Sequence[TailEstimate], own: OwnScale = USUAL) -> ZenoLimit:
+def combine(
+    estimates: Sequence[TailEstimate], own: CharacteristicScales = UNIT_SCALES
+) -> ZenoLimit:
     """Return the extrapolated limit before its projection onto the stop.
 
     The error estimate is the difference from the limit computed from the impacts up to the previous

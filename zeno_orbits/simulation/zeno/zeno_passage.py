@@ -25,17 +25,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import USUAL, HybridDynamics, OwnScale
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales, HybridDynamics
 from zeno_orbits.simulation.zeno.impact_curve import (
     CurveEnd,
     CurveLostError,
+    CurvePiece,
     ImpactCurve,
-    Piece,
     converged,
     correction,
     differentiated,
     iterated,
-    refined,
+    refined_piece,
     relative,
     start_at,
     straight_piece,
@@ -159,7 +159,7 @@ class CurveStep:
     """
 
     curve: ImpactCurve
-    piece: Piece
+    piece: CurvePiece
     missed: Vector
 
     @property
@@ -260,7 +260,7 @@ def _attempt(
         CurveLostError: If an iteration diverges or leaves the curve.
     """
     piece = _shaped(curve, start, length)
-    piece = iterated(curve, refined(piece, _SOME))
+    piece = iterated(curve, refined_piece(piece, _SOME))
     shape = piece.changes[0]
     if shape > _HOPELESS_FEW:
         return _shorter(_HOPELESS_FEW / 3, shape, rough=True)
@@ -271,7 +271,7 @@ def _attempt(
             return passed
     elif shape > _HOPELESS_SOME / 3:
         piece = iterated(curve, piece)
-    piece = iterated(curve, refined(piece, _MANY))
+    piece = iterated(curve, refined_piece(piece, _MANY))
     if piece.changes[0] > _HOPELESS_SOME:
         return _shorter(_HOPELESS_SOME / 10, piece.changes[0], rough=True)
     passed = _passed(curve, converged(curve, piece, tolerance), layer)
@@ -280,7 +280,7 @@ def _attempt(
     return _shorter(tolerance, passed.error, rough=False)
 
 
-def _shaped(curve: ImpactCurve, start: CurveEnd, length: float) -> Piece:
+def _shaped(curve: ImpactCurve, start: CurveEnd, length: float) -> CurvePiece:
     """Return a rough piece with few nodes and good derivatives."""
     dynamics = curve.dynamics
     end = dynamics.on_stop(curve.plain(start.z + length * start.slope)[:-1])
@@ -298,7 +298,7 @@ def _shaped(curve: ImpactCurve, start: CurveEnd, length: float) -> Piece:
     return piece
 
 
-def _passed(curve: ImpactCurve, piece: Piece, layer: _Layer) -> _Passed:
+def _passed(curve: ImpactCurve, piece: CurvePiece, layer: _Layer) -> _Passed:
     missed = correction(curve, piece)
     return _Passed(
         step=CurveStep(curve=curve, piece=piece, missed=missed),
@@ -325,7 +325,7 @@ _WORTH_WAITING = 150
 
 
 def is_settled(
-    estimates: Sequence[TailEstimate], restitution: float, own: OwnScale = USUAL
+    estimates: Sequence[TailEstimate], restitution: float, own: CharacteristicScales = UNIT_SCALES
 ) -> bool:
     r"""Return True if the curve of the impacts is worth a try, judged by the last six impacts.
 
