@@ -21,7 +21,6 @@ from .inputs import holds_events as holds_events
 from .inputs import known_problem as known_problem
 from .inputs import problem_of as problem_of
 from .inputs import split_numbers as split_numbers
-from .machines import Fit as Fit
 from .machines import compare as compare
 from .machines import compare_rig as compare_rig
 from .machines import counterpart_for as counterpart_for
@@ -66,7 +65,6 @@ from .questions import objective_words as objective_words
 from .questions import search_notes as search_notes
 from .questions import search_settings as search_settings
 from .settings import ENGINE_NAMES as ENGINE_NAMES
-from .settings import TOLERANCE as TOLERANCE
 from .settings import REMOVED_ENGINES as REMOVED_ENGINES
 from .settings import engine_refusal as engine_refusal
 from .settings import simulation_settings as simulation_settings

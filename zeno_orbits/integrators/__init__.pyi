@@ -20,9 +20,7 @@ from .engine import SegmentResult as SegmentResult
 from .engine import Step as Step
 from .engine import Stepper as Stepper
 from .engine import Trajectory as Trajectory
-from .engine import Watch as Watch
 from .engine import fast_dataclass as fast_dataclass
-from .engine import unwatched as unwatched
 from .engines import ENGINES as ENGINES
 from .engines import REMOVED as REMOVED
 from .engines import engine_refusal as engine_refusal
@@ -47,8 +45,6 @@ from .radau_step import n_factors as n_factors
 from .scipy import SciPy as SciPy
 from .stepping import SteppingEngine as SteppingEngine
 from .steps import ExplicitStep as ExplicitStep
-from .steps import ROUNDED as ROUNDED
 from .steps import RadauStep as RadauStep
-from .steps import SLACK as SLACK
 from .steps import not_finite as not_finite
 from .steps import too_small as too_small

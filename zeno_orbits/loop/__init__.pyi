@@ -7,7 +7,6 @@ from .graph_program import Side as Side
 from .graph_program import View as View
 from .compiler import find_compiler as find_compiler
 from .folder import library_folder as library_folder
-from .library import When as When
 from .library import loop_account as loop_account
 from .library import loop_trouble as loop_trouble
 from .library import may_compile as may_compile
@@ -26,8 +25,6 @@ from .run import Detail as Detail
 from .run import LoopRun as LoopRun
 from .run import Record as Record
 from .run import RunSettings as RunSettings
-from .source import library_name as library_name
-from .source import source_digest as source_digest
 from .source import whole_source as whole_source
 from .tangent import TangentProgram as TangentProgram
 from .tangent import Track as Track

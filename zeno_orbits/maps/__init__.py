@@ -1,8 +1,7 @@
 """Maps of attractors over a plane of gains, parameters or states, on all cores or a cluster.
 
 Offers: `parameter_map` of a `Plane` with its two `Axis`: a `ParameterMap` of `Attractor`s, each of
-a `Fate`; `attractors_at` for any list of numbers, `attractors_from` for any list of states, which
-are compared with a `KnownOrbit` of `known_orbits`; `read_map`, `write_map`, `read_boundaries`;
+a `Fate`; `attractors_at` for any list of numbers; `read_map`, `write_map`, `read_boundaries`;
 `largest_pushes` of an orbit: the `Pushes`, each a `Push`, by `PushSettings`; the `least_push` of
 them, in the `push_units` of a direction; `recovery_of` an orbit: a `Recovery`, by
 `RecoverySettings`; `read_pushes` and `read_recovery`.

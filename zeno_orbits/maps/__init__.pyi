@@ -9,11 +9,7 @@ from .disturbance_files import require_recovery_of as require_recovery_of
 from .map_file import read_boundaries as read_boundaries
 from .map_file import read_map as read_map
 from .map_file import write_map as write_map
-from .classify import attractors_from as attractors_from
-from .classify import known_orbits as known_orbits
 from .classify import usual_time as usual_time
-from .known import KnownOrbit as KnownOrbit
-from .mapping import BetweenPoint as BetweenPoint
 from .mapping import Boundary as Boundary
 from .mapping import ParameterMap as ParameterMap
 from .mapping import parameter_map as parameter_map
@@ -23,7 +19,6 @@ from .plane import chunk_of as chunk_of
 from .plane import require_free_states as require_free_states
 from .plane import require_plane as require_plane
 from .plane import require_refinement as require_refinement
-from .plane import OF_BASINS as OF_BASINS
 from .pushes import Push as Push
 from .pushes import Pushes as Pushes
 from .pushes import PushSettings as PushSettings

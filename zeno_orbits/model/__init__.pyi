@@ -1,8 +1,5 @@
 from .clock import Clock as Clock
-from .drives.auxiliary import Auxiliary as Auxiliary
-from .drives.circuits import Circuit as Circuit
 from .drives.circuits import Drive as Drive
-from .drives.circuits import circuit_drive as circuit_drive
 from .contact import ContactQuantities as ContactQuantities
 from .contact import GAP as GAP
 from .contact import GAP_ACCELERATION as GAP_ACCELERATION
@@ -55,7 +52,6 @@ from .numeric.own_scale import constraint_sizes as constraint_sizes
 from .numeric.own_scale import own_time as own_time
 from .problem import Problem as Problem
 from .quantities import StateLimit as StateLimit
-from .quantities import Output as Output
 from .quantities import ParameterValues as ParameterValues
 from .quantities import Quantity as Quantity
 from .quantities import unknown as unknown
@@ -72,8 +68,4 @@ from .rig_parts import rig_with_numbers as rig_with_numbers
 from .rig_parts import without_parts as without_parts
 from .scale import CharacteristicScales as CharacteristicScales
 from .scale import UNIT_SCALES as UNIT_SCALES
-from .stops import Stop as Stop
-from .stops import Switch as Switch
 from .units import powers_of as powers_of
-from .waveforms import harmonics as harmonics
-from .waveforms import piecewise as piecewise

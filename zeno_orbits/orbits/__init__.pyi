@@ -11,7 +11,6 @@ from .cycle import minimal_period as minimal_period
 from .cycle import round_again as round_again
 from .digest import digest_of as digest_of
 from .digest import same_equations as same_equations
-from .events.return_map import EventChart as EventChart
 from .events.return_map import event_chart as event_chart
 from .events.courses import ENERGY as ENERGY
 from .events.courses import EventCourse as EventCourse
@@ -26,10 +25,8 @@ from .events.event_orbit import EventOrbit as EventOrbit
 from .events.event_orbit import OrbitEvent as OrbitEvent
 from .events.event_orbit_file import holds_events as holds_events
 from .events.event_orbit import orbit_event_name as orbit_event_name
-from .events.event_orbit import phases_of_events as phases_of_events
 from .events.event_orbit_file import read_event_orbit as read_event_orbit
 from .events.event_orbit import sequence_of as sequence_of
-from .events.event_orbit_file import write_event_orbit as write_event_orbit
 from .events.quantities import EventQuantities as EventQuantities
 from .events.quantities import PERIOD as PERIOD
 from .events.quantities import Reading as Reading

@@ -9,10 +9,10 @@ one period without a fixed point. `basin` searches large sets of initial states.
 `checker` checks certificates and shares no module with the prover. `replay` simulates a certificate
 with the problem's hand-written model.
 
-Offers: `prove_orbit`, `Proof`, `ProofSettings`, `write_certificate`; `enclose_one_period`,
-`EnclosureSettings`, `PeriodEnclosure`, `EnclosedEvent`; `require_flint`, the refusal without the
-extra; `check_proof`, `check_proof_of`, `ProofVerdict`, `ClaimVerdict`; `replay_proof`, `Replay`;
-`equilibrium_report`, Theorem 1 at a state, with an `EquilibriumReport` and a `ZenoNeighbourhood`.
+Offers: `prove_orbit`, `Proof`, `ProofSettings`; `enclose_one_period`, `EnclosureSettings`,
+`PeriodEnclosure`; `require_flint`, the refusal without the extra; `check_proof`, `check_proof_of`,
+`ProofVerdict`; `replay_proof`, `Replay`; `equilibrium_report`, Theorem 1 at a state, with an
+`EquilibriumReport` and a `ZenoNeighbourhood`.
 
 Imports: orbits, model, work, arrays, errors. Balls are python-flint's (the extra `proof`). Never
 search, continuation, maps, experiment or precision; `checker` imports model, work and errors alone.

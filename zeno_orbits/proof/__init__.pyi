@@ -1,14 +1,11 @@
-from .checker.verdict import ClaimVerdict as ClaimVerdict
 from .checker.verdict import ProofVerdict as ProofVerdict
 from .checker.certificate import check_proof as check_proof
 from .enclosure import EnclosureSettings as EnclosureSettings
 from .enclosure import enclose_one_period as enclose_one_period
 from .extra import require_flint as require_flint
-from .period_enclosure import EnclosedEvent as EnclosedEvent
 from .period_enclosure import PeriodEnclosure as PeriodEnclosure
 from .arithmetic.program import BallProgram as BallProgram
 from .replay import check_proof_of as check_proof_of
-from .proof_file import write_certificate as write_certificate
 from .prover import ProofSettings as ProofSettings
 from .prover import prove_orbit as prove_orbit
 from .replay import Replay as Replay

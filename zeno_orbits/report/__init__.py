@@ -5,9 +5,9 @@ single HTML file. `table` defines the columns of all tables, for terminal and pa
 simulates an orbit at its own parameter values. `zeno_neighbourhood` extracts the part of an
 execution that leads to a Zeno point.
 
-Offers: `figure_of` (the figure of any result) and `save_figure`. The report page: `Subject`,
-`load_bundle` and `page_of` (the page of an orbit). Progress: `ProgressLine` (in a terminal) and
-`line_for_watcher` (the same for a terminal or a notebook, if there is a terminal or a notebook).
+Offers: `figure_of` (the figure of any result). The report page: `Subject`, `load_bundle` and
+`page_of` (the page of an orbit). Progress: `line_for_watcher` (in a terminal or a notebook, if
+there is a terminal or a notebook).
 
 Imports: experiment, precision, proof, continuation, maps, search, verification, orbits, simulation,
 model, work, arrays, errors.

@@ -3,6 +3,4 @@ from .page import Subject as Subject
 from .page import load_bundle as load_bundle
 from .page import page_of as page_of
 from .plots import figure_of as figure_of
-from .plots import save_figure as save_figure
-from .terminal import ProgressLine as ProgressLine
 from .terminal import line_for_watcher as line_for_watcher

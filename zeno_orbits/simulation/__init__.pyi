@@ -71,11 +71,8 @@ from .zeno.zeno_limit import tail_time as tail_time
 from .interruptions import armed_at_start as armed_at_start
 from .interruptions import enters_by_switch as enters_by_switch
 from .interruptions import slides as slides
-from .lyapunov import Exponent as Exponent
-from .lyapunov import largest_exponent as largest_exponent
 from .settling import MotionLog as MotionLog
 from .settling import RepeatedCycle as RepeatedCycle
-from .settling import AttractorVerdict as AttractorVerdict
 from .settling import turns_in as turns_in
 from .settling import verdict as verdict
 from .watch import MotionEnd as MotionEnd

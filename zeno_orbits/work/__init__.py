@@ -4,7 +4,7 @@ A task is a pure function of a chunk of points. Chunks do not depend on the work
 passes through JSON, and a checkpoint stores each finished chunk. So the results are the same for
 any number of workers, and after any number of restarts.
 
-Offers: `parallel_map` and `spread_in_order` run a `Task` as an `ExecutionPlan` says, at a `Place`
+Offers: `parallel_map` and `spread_in_order` run a task as an `ExecutionPlan` says, at a `Place`
 (`Workers` or a `Cluster`), in a pool that `open_pool` opens (`Pool`), with `FailedPoint` for a
 point that crashes workers; `claim_checkpoint`, `keeps_nothing` and `remove_checkpoint` for
 checkpoints; `Progress` and `silent` for progress reports, `portion` for a step of several,

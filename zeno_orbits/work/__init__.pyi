@@ -27,11 +27,9 @@ from .plan import ExecutionPlan as ExecutionPlan
 from .plan import Workers as Workers
 from .pools import Pool as Pool
 from .pools import open_pool as open_pool
-from .pools import worker_count as worker_count
 from .progress import Progress as Progress
 from .progress import portion as portion
 from .progress import silent as silent
-from .scheduling import Task as Task
 from .scheduling import claim_checkpoint as claim_checkpoint
 from .scheduling import parallel_map as parallel_map
 from .scheduling import spread_in_order as spread_in_order

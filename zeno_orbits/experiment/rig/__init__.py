@@ -1,6 +1,6 @@
 """A virtual rig: a problem as a physical machine, without a Zeno point. Always simulated.
 
-`run_rig` follows it from a state, `settle_rig` lets it settle near an orbit of the model.
+`simulator` follows it from a state, `settle_rig` lets it settle near an orbit of the model.
 """
 
 import lazy_loader as lazy

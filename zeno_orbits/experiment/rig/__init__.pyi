@@ -4,6 +4,3 @@ from .cycles import SettledRig as SettledRig
 from .cycles import cut_cycles as cut_cycles
 from .default_stop import default_rig as default_rig
 from .cycles import settle_rig as settle_rig
-from .run import RigRun as RigRun
-from .run import RigSettings as RigSettings
-from .simulator import run_rig as run_rig

@@ -4,7 +4,6 @@ from .animation import gif_of as gif_of
 from .animation import has_ffmpeg as has_ffmpeg
 from .animation import mp4_of as mp4_of
 from .certificate import plot_certificate as plot_certificate
-from .certificate import plot_multipliers as plot_multipliers
 from .family import plot_boundaries as plot_boundaries
 from .family import plot_families as plot_families
 from .figure import figure_of as figure_of
