@@ -103,6 +103,31 @@ def test_a_looser_integration_that_fails_or_does_not_come_back_confirms_nothing(
         assert len(seen.returns) == 1
 
 
+def test_an_error_above_the_tolerance_is_estimated_again_by_a_less_loose_integration(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    said = claim("zeno", PERIOD, PHASES)
+    once, far, near = ([(2.0, (0.0, 0.0, 0.0 + by))] for by in (0.0, 0.7, 7e-9))
+    for loose in (far, [_error("It is lost.")]):
+        runs = _Runs(monkeypatch, [once, loose, near])
+        seen = observe(system(), said, SETTINGS, 1, 1e-8)
+        # The largest state is 7, and the error is at most three times the second difference.
+        assert seen.integration_error == pytest.approx(3e-9)
+        rough, fine = (one["settings"].tolerance.relative for one in runs.asked[1:])
+        assert rough / 10 == pytest.approx(fine)
+        assert fine > 2 * SETTINGS.tolerance.relative
+    # A small error needs no further integration, and a false return stays false.
+    assert observe_twice(monkeypatch, near, []) == pytest.approx(1e-9)
+    assert observe_twice(monkeypatch, far, far) == pytest.approx(0.1)
+
+
+def observe_twice(monkeypatch: pytest.MonkeyPatch, *repetitions: Any) -> float:
+    """Return the error by repetitions of an integration that returns to zero."""
+    _Runs(monkeypatch, [[(2.0, (0.0, 0.0, 0.0))], *repetitions])
+    said = claim("zeno", PERIOD, PHASES)
+    return observe(system(), said, SETTINGS, 1, 1e-8).integration_error
+
+
 def test_a_motion_that_is_lost_later_tells_of_its_first_period(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -142,7 +142,7 @@ def test_a_certificate_holds_what_its_stages_answer(stages: _Stages) -> None:
 def test_stages_are_given_the_settings(stages: _Stages) -> None:
     stages.certificate()
     [(given, _)] = stages.asked["observe"]
-    assert given[2:] == (SETTINGS.simulation, 4)
+    assert given[2:] == (SETTINGS.simulation, 4, SETTINGS.tolerance)
     [(given, _)] = stages.asked["delta_sweep"]
     # Cuts go on until they are a tenth as far off as may be.
     assert given[2:4] == (SETTINGS.cuts, SETTINGS.simulation)

@@ -22,7 +22,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.model import GraphDynamics, Problem
 from zeno_orbits.orbits import (
-    LOOSER,
     EventOrbit,
     EventQuantities,
     OrbitEvent,
@@ -49,6 +48,7 @@ from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.cross_checks import imbalance
 from zeno_orbits.verification.event_energies import event_energies, is_balanced
 from zeno_orbits.verification.event_margins import event_margins
+from zeno_orbits.verification.integration import error_by_repetition
 from zeno_orbits.verification.verifier import VerificationSettings
 from zeno_orbits.work import Progress, silent
 
@@ -56,9 +56,6 @@ _SAMPLES = 24
 """Samples of every arc, in addition to the steps of the integrator."""
 _BEYOND = 1e-9
 """Part of a period by which the integration goes on, so that the last event is inside."""
-_REPETITIONS = ((LOOSER, 1.0), (LOOSER / 10.0, 3.0))
-"""Factors on the tolerances of a second integration, and the largest observed ratio of the error
-to the difference. A state inside a long step may differ by more than the looser tolerance."""
 _NO_SWEEP = math.nan
 _SHORTER_TAIL = 1e-2
 """Factor on the speed to which impacts are resolved. The work in the tail is then as exact as the
@@ -131,15 +128,15 @@ def verify_events(
         if is_balanced(graph):
             residuals["energy_balance"] = imbalance(energies) if energies else math.inf
         on_progress("integrating at a looser tolerance", None)
-        for factor, share in _REPETITIONS:
-            looser = relaxed_tolerance(settings.simulation, factor=factor)
+
+        def difference(looser: SimulationSettings) -> float:
             others, _ = _periods(graph, orbit, start, looser, 1)
-            if others:
-                moved = _distance(others[0].state, first.state, scale)
-                later = abs(others[0].end - first.end) / first.end
-                integration_error = min(integration_error, share * max(moved, later))
-            if integration_error <= settings.tolerance:
-                break
+            if not others:
+                return math.inf
+            later = abs(others[0].end - first.end) / first.end
+            return max(_distance(others[0].state, first.state, scale), later)
+
+        integration_error = error_by_repetition(difference, settings.simulation, settings.tolerance)
         residuals["integration"] = integration_error
     on_progress("computing the multipliers", None)
     multipliers, error = _multipliers(graph, orbit, start, settings.simulation)

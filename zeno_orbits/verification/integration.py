@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import (
+    LOOSER,
     Cycle,
     EventSequence,
     Moment,
@@ -70,8 +72,36 @@ _LONGEST = 1e200
 """Longest time to wait [s]. Beyond it the time of a rescaled flight overflows."""
 
 
+_REPETITIONS = ((LOOSER, 1.0), (LOOSER / 10.0, 3.0))
+"""Factors on the tolerances of a second integration, and the largest observed ratio of the error
+to the difference. A state inside a long step may differ by more than the looser tolerance."""
+
+
+def error_by_repetition(
+    difference: Callable[[SimulationSettings], float], settings: SimulationSettings, enough: float
+) -> float:
+    """Return the error of an integration, from its differences to looser integrations.
+
+    Args:
+        difference: Function of settings. It returns the difference to an integration with them,
+            infinite if that integration does not return.
+        settings: Settings of the integration.
+        enough: A larger error is estimated again by a less loose integration.
+    """
+    error = math.inf
+    for factor, share in _REPETITIONS:
+        error = min(error, share * difference(relaxed_tolerance(settings, factor=factor)))
+        if error <= enough:
+            break
+    return error
+
+
 def observe(
-    dynamics: HybridDynamics, claim: Claim, simulation: SimulationSettings, n_periods: int
+    dynamics: HybridDynamics,
+    claim: Claim,
+    simulation: SimulationSettings,
+    n_periods: int,
+    enough: float = math.inf,
 ) -> Observation:
     """Integrate from the claimed start over several periods. Repeat the first less accurately.
 
@@ -80,6 +110,7 @@ def observe(
         claim: The orbit as claimed.
         simulation: Accuracy.
         n_periods: Number of returns. The claimed period is only used to limit the waiting time.
+        enough: A larger integration error is estimated again by a less loose integration.
     """
     shape = claim.shape.at_restitution(dynamics.restitution)
     start = place_on_section(dynamics, shape, claim.start)
@@ -92,36 +123,29 @@ def observe(
         if n_periods == 1:
             return _nothing(str(error).removesuffix("."))
         # If the motion leaves its orbit later, the first period is still valid.
-        first = observe(dynamics, claim, simulation, 1)
+        first = observe(dynamics, claim, simulation, 1, enough)
         return replace(first, trouble=first.trouble or str(error).removesuffix("."))
     found = first_cycles(run, start, shape)
     if not found:
         return _nothing(f"{_missing(run, start, shape)} within {horizon:.4g} s")
     first = _measured(dynamics, found[0])
+    end = first.cycle.end
+
+    def difference(settings: SimulationSettings) -> float:
+        loose = replace(settings, completion=ZenoExtrapolation(tolerance=1e-10))
+        try:
+            again = followed(dynamics, start, shape, horizon=1.5 * end.time, settings=loose)
+        except ZenoOrbitsError:
+            return math.inf
+        cycles = first_cycles(again, start, shape)
+        return distance(cycles[0].end.state, end.state, first.scale) if cycles else math.inf
+
     return Observation(
         first=first,
         returns=tuple(cycle.end for cycle in found),
-        integration_error=_difference_of_looser(dynamics, start, shape, first, simulation),
+        integration_error=error_by_repetition(difference, simulation, enough),
         trouble="",
     )
-
-
-def _difference_of_looser(
-    dynamics: HybridDynamics,
-    start: Vector,
-    shape: EventSequence,
-    first: FirstCycle,
-    simulation: SimulationSettings,
-) -> float:
-    """Return the distance between the first returns of this and of a looser integration."""
-    loose = replace(relaxed_tolerance(simulation), completion=ZenoExtrapolation(tolerance=1e-10))
-    end = first.cycle.end
-    try:
-        again = followed(dynamics, start, shape, horizon=1.5 * end.time, settings=loose)
-    except ZenoOrbitsError:
-        return math.inf
-    found = first_cycles(again, start, shape)
-    return distance(found[0].end.state, end.state, first.scale) if found else math.inf
 
 
 def _nothing(trouble: str) -> Observation:

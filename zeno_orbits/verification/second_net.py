@@ -12,11 +12,10 @@ import math
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.integrators import Automatic, FlowWithEvent, Radau, RungeKutta, Tolerance
+from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Tolerance
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation import Arc, Mode, states_after_steps
+from zeno_orbits.simulation import Mode, states_after_steps
 from zeno_orbits.verification.integration import FirstCycle
 
 SAMPLES = 2000
@@ -39,12 +38,22 @@ def sampled_guards(dynamics: HybridDynamics, first: FirstCycle) -> dict[str, flo
     """
     deepest, pull = 0.0, 0.0
     longest = first.cycle.end.time / SAMPLES
+    engine = Automatic(
+        explicit=RungeKutta(largest_step=longest), implicit=Radau(largest_step=longest)
+    )
     try:
         for arc in first.cycle.execution.arcs:
             if arc.trajectory is None:
                 continue
             flow = dynamics.free if arc.mode is Mode.FREE else dynamics.locked
-            below = -float(np.min(flow.guards(_states(dynamics, flow, arc, longest)), initial=0.0))
+            states = states_after_steps(
+                flow,
+                engine,
+                arc.start_state,
+                _TOLERANCE.times(dynamics.own.least),
+                arc.end_time - arc.start_time,
+            )
+            below = -float(np.min(flow.guards(states), initial=0.0))
             if arc.mode is Mode.FREE:
                 deepest = max(deepest, below)
             else:
@@ -52,17 +61,3 @@ def sampled_guards(dynamics: HybridDynamics, first: FirstCycle) -> dict[str, flo
     except ZenoOrbitsError:
         return {"penetration": math.inf, "adhesion": math.inf}
     return {"penetration": deepest / first.gap, "adhesion": pull / first.force}
-
-
-def _states(dynamics: HybridDynamics, flow: FlowWithEvent, arc: Arc, longest: float) -> Vector:
-    """Return the states inside an arc after steps of a bounded length, ``(n, n_x)``."""
-    engine = Automatic(
-        explicit=RungeKutta(largest_step=longest), implicit=Radau(largest_step=longest)
-    )
-    return states_after_steps(
-        flow,
-        engine,
-        arc.start_state,
-        _TOLERANCE.times(dynamics.own.least),
-        arc.end_time - arc.start_time,
-    )

@@ -102,14 +102,15 @@ def verify(
     if dynamics is None:
         dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
     on_progress("integrating the orbit", None)
-    seen = observe(dynamics, claim, settings.simulation, settings.n_periods)
+    enough = settings.tolerance
+    seen = observe(dynamics, claim, settings.simulation, settings.n_periods, enough)
     residuals = orbit_residuals(dynamics, problem, claim, seen)
     worst = max(*residuals.values(), seen.integration_error) / settings.tolerance
     if seen.first is not None and 1.0 < worst < _GROWN:
         # Over many impacts the errors of the integration may have grown to this size.
         finer = relaxed_tolerance(settings.simulation, factor=_FINER)
         settings = replace(settings, simulation=finer)
-        seen = observe(dynamics, claim, finer, settings.n_periods)
+        seen = observe(dynamics, claim, finer, settings.n_periods, enough)
         residuals = orbit_residuals(dynamics, problem, claim, seen)
     multipliers: Multipliers | None = None
     again = _CrossChecks()
