@@ -198,19 +198,29 @@ class LoopRun:
         self._estimates = np.empty((_ESTIMATES, c.ESTIMATE_WIDTH + 2 * n))
         self._parts = list[tuple[Vector, ...]]()
         self._spare = _spare.setdefault(program, {})
-        values, state = (np.ascontiguousarray(one, dtype=np.float64) for one in (p, x))
-        self._library.zl_begin(
-            program.address,
-            self._place,
-            ctypes.addressof(settings),
-            values.ctypes.data,
-            state.ctypes.data,
-        )
+        self._settings, self._p = settings, np.ascontiguousarray(p, dtype=np.float64)
+        self.restart(x)
 
     @property
     def _library(self) -> Any:
         # Formulas that are compiled in the middle of a run carry it on: digits are the same.
         return self._program.library
+
+    def restart(self, x: Vector) -> None:
+        """Begin again at another state.
+
+        Args:
+            x: Admissible state, ``(n_x,)``.
+        """
+        state = np.ascontiguousarray(x, dtype=np.float64)
+        self._parts.clear()
+        self._library.zl_begin(
+            self._program.address,
+            self._place,
+            ctypes.addressof(self._settings),
+            self._p.ctypes.data,
+            state.ctypes.data,
+        )
 
     def close(self) -> None:
         """Free the memory. Afterwards the run cannot be resumed."""
@@ -342,6 +352,7 @@ class LoopRun:
         other._estimates = self._estimates.copy()
         other._parts = list(self._parts)
         other._spare = self._spare
+        other._settings, other._p = self._settings, self._p
         self._library.zl_copy(self._program.address, self._place, other._place)
         return other
 

@@ -81,3 +81,4 @@ from .watch import clock_turn as clock_turn
 from .watch import steady_turn as steady_turn
 from .watch import transient_settings as transient_settings
 from .watch import watched as watched
+from .watch import watched_releases as watched_releases

@@ -24,6 +24,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -279,24 +280,24 @@ def growth_of(amplitudes: Sequence[float]) -> Growth:
         return Growth(factor=_mean_factor(amplitudes), dies_out=True)
     if len(amplitudes) <= _WINDOW + 1:
         return Growth(factor=_mean_factor(amplitudes), dies_out=False)
-    recent = np.array(amplitudes[-_WINDOW - 1 :])
-    rates = np.log(recent[1:] / recent[:-1])
-    squares = recent[:-1] ** 2
-    factor = math.exp(float(np.mean(rates)))
-    if not np.all(rates < -_CLEARLY):
+    factor = _mean_factor(amplitudes)
+    first = len(amplitudes) - _WINDOW - 1
+    fallen = _FALL * amplitudes[-1]
+    begun = next((k for k in range(len(amplitudes) - 1, -1, -1) if amplitudes[k] >= fallen), -1)
+    if begun < 0 or not _clearly_falls(amplitudes[min(begun, first) :]):
         return Growth(factor=factor, dies_out=False)
-    begun = max((k for k, a in enumerate(amplitudes) if a >= _FALL * recent[-1]), default=-1)
-    if begun < 0:
-        return Growth(factor=factor, dies_out=False)
-    if begun < len(amplitudes) - len(recent):
-        recent = np.array(amplitudes[begun:])
-        rates, squares = np.log(recent[1:] / recent[:-1]), recent[:-1] ** 2
-        if not np.all(rates < -_CLEARLY):
-            return Growth(factor=factor, dies_out=False)
+    recent = np.array(amplitudes[min(begun, first) :])
+    rates, squares = np.log(recent[1:] / recent[:-1]), recent[:-1] ** 2
     slope, at_rest = np.polyfit(squares, rates, 1)
     misfit = float(np.max(np.abs(rates - at_rest - slope * squares)))
     dies_out = at_rest < -_CLEARLY and misfit < _SCATTER * -at_rest
     return Growth(factor=factor, dies_out=bool(dies_out))
+
+
+def _clearly_falls(amplitudes: Sequence[float]) -> bool:
+    """Return True if every amplitude is clearly smaller than the previous one."""
+    most = math.exp(-_CLEARLY)
+    return all(after < most * before for before, after in pairwise(amplitudes))
 
 
 def _mean_factor(amplitudes: Sequence[float]) -> float:

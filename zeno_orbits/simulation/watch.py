@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
@@ -15,6 +15,7 @@ from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.attractor import has_left, is_still, keeps_holding
+from zeno_orbits.simulation.compiled.executions import releases_by_loop, serves
 from zeno_orbits.simulation.execution import Event, Impact
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
@@ -100,16 +101,8 @@ def watched(
         goes_on: Whether the state continues an earlier motion, or is near a state of it.
     """
     far = np.full(len(state), np.inf) if bounds is None else bounds
-    settings = transient_settings(error, tuple(far[: dynamics.n_q].tolist()))
-    task = SimulationTask(
-        dynamics=dynamics,
-        state=state,
-        until=until,
-        most_releases=releases,
-        settings=settings,
-        goes_on=goes_on,
-    )
-    watch = _Watch(dynamics, state, until, far, settings.contact)
+    task = _task(dynamics, state, until, error, far, releases, goes_on=goes_on)
+    watch = _Watch(dynamics, state, until, far, task.settings.contact)
     recent = [state[None]]
     try:
         for piece in pieces(task):
@@ -135,6 +128,59 @@ def watched(
         if dynamics.gap(state) < 0.0:
             detail = "The start is not admissible: the gap is negative"
         yield MotionEnd(time=0.0, state=state, reason=Reason.FAILURE, detail=detail)
+
+
+def watched_releases(
+    dynamics: HybridDynamics,
+    states: Vector,
+    *,
+    until: float,
+    error: float,
+    bounds: Vector | None,
+    releases: float,
+) -> Iterator[Sequence[Event]]:
+    """Yield the events of motions from several states: at least the events at releases.
+
+    These are the releases, the Zeno points and the first impact after each release.
+
+    Args:
+        dynamics: The system.
+        states: States that continue earlier motions, or are near states of them, ``(n, n_x)``.
+        until: Longest simulated time [s].
+        error: Relative local error of a step.
+        bounds: Largest modulus of each state of a motion that has not escaped, ``(n_x,)``.
+        releases: The motions are followed up to this many releases.
+    """
+    far = np.full(states.shape[1], np.inf) if bounds is None else bounds
+    task = _task(dynamics, states[0], until, error, far, releases, goes_on=True)
+    # The loop alone does not know bounds of velocities.
+    if serves(task) and not np.any(np.isfinite(far[dynamics.n_q :])):
+        yield from releases_by_loop(task, states)
+        return
+    limits = {"until": until, "error": error, "releases": releases}
+    for state in states:
+        events = watched(dynamics, state, bounds=bounds, goes_on=True, **limits)
+        yield [event for event in events if not isinstance(event, MotionEnd)]
+
+
+def _task(
+    dynamics: HybridDynamics,
+    state: Vector,
+    until: float,
+    error: float,
+    far: Vector,
+    releases: float,
+    *,
+    goes_on: bool,
+) -> SimulationTask:
+    return SimulationTask(
+        dynamics=dynamics,
+        state=state,
+        until=until,
+        most_releases=releases,
+        settings=transient_settings(error, tuple(far[: dynamics.n_q].tolist())),
+        goes_on=goes_on,
+    )
 
 
 def _first_beyond(dynamics: HybridDynamics, before: Vector, after: Vector, far: Vector) -> str:

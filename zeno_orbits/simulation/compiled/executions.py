@@ -17,7 +17,7 @@ from zeno_orbits.loop import Detail, LoopRun, RunSettings, binding, program_of
 from zeno_orbits.model import CharacteristicScales
 from zeno_orbits.simulation.admission import require_admissible
 from zeno_orbits.simulation.compiled.steps import loop_steps
-from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.simulation.execution import Event, Execution
 from zeno_orbits.simulation.interruptions import (
     does_not_accumulate,
     does_not_close,
@@ -142,8 +142,49 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
         run.close()
 
 
-def _begun(task: SimulationTask) -> LoopRun:
+def releases_by_loop(task: SimulationTask, states: Vector) -> Iterator[list[Event]]:
+    """Yield the releases of executions from several states, each until it ends or is interrupted.
+
+    A release comes after the first impact since the previous release and the Zeno point.
+
+    Args:
+        task: Simulation task for which `serves` is true. Its own state is not used.
+        states: States that continue an earlier execution, ``(n, n_x)``.
+    """
+    run, n_x = _begun(task, records=False), len(task.dynamics.state_names)
+    try:
+        for k, state in enumerate(states):
+            if k:
+                run.restart(state)
+            status = binding.FULL
+            while status in (binding.FULL, binding.CURVE):
+                status = run.resume(steps=0, polynomials=0, arcs=0, events=_STEPS)
+                if status == binding.CURVE:
+                    limit = curve_limit(task, run)
+                    run.answer(None if limit is None else (limit.time, limit.error, limit.state))
+            rows = run.record().events
+            yield events_of(rows[_at_releases(rows[:, 0].tolist())], n_x)
+    finally:
+        run.close()
+
+
+def _at_releases(kinds: list[float]) -> list[int]:
+    """Return the rows of all events but the later impacts of each sequence."""
+    found = list[int]()
+    struck = False
+    for k, kind in enumerate(kinds):
+        if kind != binding.IMPACT or not struck:
+            found.append(k)
+        struck = kind == binding.IMPACT or (struck and kind != binding.RELEASE)
+    return found
+
+
+def _begun(task: SimulationTask, *, records: bool = True) -> LoopRun:
     """Return a run of the loop at its start.
+
+    Args:
+        task: The simulation task.
+        records: Whether steps and arcs are recorded.
 
     Raises:
         InputError: If the state is not admissible.
@@ -154,7 +195,9 @@ def _begun(task: SimulationTask) -> LoopRun:
         raise ValueError("Argument `task` must have formulas that the compiled loop supports.")
     if not task.goes_on:
         require_admissible(dynamics, task.state, task.settings.contact * dynamics.own.gap)
-    return LoopRun(program, _filled_settings(task), formulas.values, task.state)
+    settings = _filled_settings(task)
+    settings.records = int(records)
+    return LoopRun(program, settings, formulas.values, task.state)
 
 
 def _execution(
