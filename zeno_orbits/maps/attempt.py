@@ -5,7 +5,7 @@ The loop is the same on both sections. `Crossing` contains their differences.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from zeno_orbits.maps.newton import (
     DisplacedStates,
     FixedPoint,
     bundle_at,
+    displaced,
     newton_step,
 )
 from zeno_orbits.model import HybridDynamics
@@ -27,20 +28,23 @@ from zeno_orbits.model import HybridDynamics
 _MOST_ITERATIONS = 12
 _SHRINKS = 0.9
 """Largest ratio of successive Newton steps near an orbit."""
-_STRAIGHT = 0.05
-"""Largest step after which the derivative is reused, in units of the multipliers' distance to 1."""
 _LOCAL_ERRORS = 10.0
 """Error of a period of a motion, in units of the local error."""
 SAME_PERIOD = 1e-4
 """Relative difference below which the periods at two accuracies agree."""
 _LATER = 2.0
 """Relative difference of return times per unit of distance from the orbit."""
-_NEAR, _REPELS = 0.05, 1.2
-"""Distance and spectral radius: a motion does not converge to a nearer orbit of larger radius."""
+_NEAR = 0.05
+"""Distance of an orbit that counts as near. The derivative is reused after a step below this part
+of the multipliers' distance to 1."""
+_REPELS = 1.2
+"""Spectral radius: a motion does not converge to a near orbit of larger radius."""
 _VANISHED = 0.02
 """An amplitude below this part of the motion's amplitude means decay to an equilibrium."""
 _COARSE = 3e-4
-"""After a larger Newton step, the next step also uses the accuracy of the motion."""
+"""After a larger Newton step, the next bundle also uses the accuracy of the motion."""
+_FALLS = 0.3
+"""Ratio of successive steps below which a derivative is reused once more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,11 +94,12 @@ class Attempt:
         crossing: The events that define the section.
         span: Approximate time of a period [s].
         period: Number of returns per period.
-        bundle: Initial states of the lanes.
+        bundle: Initial states of the lanes: a bundle, or its centre with a known `A`.
         final: True if the lanes run at the accuracy of the orbit.
         origin: The state of the motion at the start of the iteration, ``(n_x,)``.
         earlier: The state of the motion a period before, ``(n_x,)``.
-        before: Length of the previous step. Infinite before the first step.
+        before: Length of the previous step.
+        comparable: True if the next step should be shorter than the previous step.
         jacobian: Derivative from the previous bundle, for a lane without neighbours.
         iterations: Number of steps so far.
         contracts: True if the return map contracts at the start of every step, and no step reverses
@@ -114,6 +119,7 @@ class Attempt:
     origin: Vector
     earlier: Vector
     before: float = np.inf
+    comparable: bool = False
     jacobian: Vector | None = None
     iterations: int = 0
     contracts: bool = True
@@ -129,7 +135,7 @@ class Attempt:
         answer: Vector | Attractor | Lost = self.bundle.states
         while isinstance(answer, np.ndarray):
             error = self.accuracy.orbit if self.final else self.accuracy.motion
-            lanes = [self._returns(state, error) for state in answer]
+            lanes = self._periods(answer, error)
             if not all(lanes):
                 return Lost()
             self._lanes = lanes
@@ -146,32 +152,31 @@ class Attempt:
         """The system."""
         return self.follower.dynamics
 
-    def _returns(self, state: Vector, error: float) -> list[Released | Struck]:
-        """Return the returns of a period of the motion from a state, or an empty list."""
-        releases = self.period if self.crossing is RELEASES else np.inf
-        found = self._first(state, error, releases)
-        if len(found) + 1 == releases:
-            # Rounding has put the start in contact, which adds an immediate release.
-            found = self._first(state, error, releases + 1)
-        return found if len(found) == self.period else []
+    def _periods(self, states: Vector, error: float) -> list[list[Released | Struck]]:
+        """Return the returns of a period of the motion from each state, or an empty list."""
+        if self.crossing is not RELEASES:
+            return [self._impacts(state, error) for state in states]
+        found = self._releases(states, error, self.period)
+        for k, events in enumerate(found):
+            if len(events) + 1 == self.period:
+                # Rounding has put the start in contact, which adds an immediate release.
+                found[k] = self._releases(states[k : k + 1], error, self.period + 1)[0]
+        return [events if len(events) == self.period else [] for events in found]
 
-    def _first(self, state: Vector, error: float, releases: float) -> list[Released | Struck]:
-        """Return the first returns of the motion from a state, at most a period."""
-        found: list[Released | Struck] = []
-        strikes = self.crossing is not RELEASES
-        crossings = self.follower.crossings(
-            state, until=2 * self.span, error=error, releases=releases, strikes=strikes
-        )
-        for event in crossings:
-            if isinstance(event, self.crossing.event) and event.time > SAME * self.span:
+    def _releases(self, states: Vector, error: float, count: int) -> list[list[Released | Struck]]:
+        """Return the first releases of the motion from each state, without those at the start."""
+        runs = self.follower.releases(states, until=2 * self.span, error=error, count=count)
+        return [[one for one in events if one.time > SAME * self.span] for events in runs]
+
+    def _impacts(self, state: Vector, error: float) -> list[Released | Struck]:
+        """Return the impacts of a period that begin a sequence, or an empty list."""
+        found = list[Released | Struck]()
+        for event in self.follower.crossings(state, until=2 * self.span, error=error):
+            if isinstance(event, Struck) and event.time > SAME * self.span:
                 found.append(event)
                 if len(found) == self.period:
-                    break
-        return found
-
-    def _next(self, *, neighbours: bool) -> Vector:
-        """Return the states of the next step: the bundle, or its centre with a known `A`."""
-        return self.bundle.states if neighbours else self.bundle.states[:1]
+                    return found
+        return []
 
     def _stepped(self, point: FixedPoint) -> Vector | Attractor | Lost:
         """Continue after a Newton step: with a further step, a higher accuracy, or a conclusion."""
@@ -179,9 +184,9 @@ class Attempt:
         self.iterations += 1
         if not (np.all(np.isfinite(point.jacobian)) and np.isfinite(point.distance)):
             return Lost()
-        shrinks = point.distance <= max(_SHRINKS * self.before, accuracy.exact)
+        allowed = max(_SHRINKS * self.before, accuracy.exact) if self.comparable else np.inf
         near = point.distance < self.crossing.far and self.iterations <= _MOST_ITERATIONS
-        if not (shrinks and near):
+        if not (point.distance <= allowed and near):
             return Lost()
         if point.distance < _NEAR and point.spectral_radius > _REPELS:
             return Lost()
@@ -190,21 +195,43 @@ class Attempt:
         self._note_contraction(point)
         if self.contracts and self._vanishes(point):
             return Attractor(fate=Fate.REST, trend=point.spectral_radius)
-        coarse = point.distance > _COARSE
-        least = min((abs(1 - value) for value in point.multipliers), default=1.0)
-        straight = coarse and point.distance < _STRAIGHT * least
+        straight = self._reuses(point)
         try:
-            scale = self.bundle.section.scale
-            self.bundle = bundle_at(self.dynamics, self.crossing.rows, point.state, scale)
+            self.bundle = self._bundle_around(point, neighbours=not straight)
         except ZenoOrbitsError:
             return Lost()
-        final = self.final or not coarse
+        final = self.final or straight or point.distance <= _COARSE
         # The fixed point depends on the accuracy, so the first step at a new accuracy is not
         # compared with the previous step.
-        self.before = point.distance if self.final == final else np.inf
-        self.final = final
+        self.comparable = self.final == final
+        self.before, self.final = point.distance, final
         self.jacobian = point.jacobian if straight else None
-        return self._next(neighbours=not straight)
+        return self.bundle.states
+
+    def _reuses(self, point: FixedPoint) -> bool:
+        """Return True if the next step uses the derivative of this step, at the orbit's accuracy.
+
+        One motion then replaces a bundle. Steps with an old derivative become shorter by about the
+        same factor, so two of them predict the distance that the last bundle will start from.
+        """
+        if self.jacobian is not None:
+            falls = point.distance < _FALLS * self.before
+            return falls and point.distance**2 > self.accuracy.exact * self.before
+        least = min((abs(1 - value) for value in point.multipliers), default=1.0)
+        near = point.distance < _NEAR * min(1.0, least)
+        return near and (not self.final or point.distance > _COARSE)
+
+    def _bundle_around(self, point: FixedPoint, *, neighbours: bool) -> DisplacedStates:
+        """Return the bundle of the next step.
+
+        Near the orbit the chart keeps its directions and only its centre moves. The derivative of
+        an earlier bundle then holds in it.
+        """
+        section = self.bundle.section
+        if point.distance < _NEAR:
+            moved = replace(section, centre=point.state)
+            return displaced(self.dynamics, moved, neighbours=neighbours)
+        return bundle_at(self.dynamics, self.crossing.rows, point.state, section.scale)
 
     def _note_contraction(self, point: FixedPoint) -> None:
         """Record whether the motion may follow the path of the iteration to the orbit.
@@ -250,8 +277,8 @@ class Attempt:
         """Return the orbit of the motion, or repeat the search with fewer returns per period."""
         self.approached = True
         if shorter < self.period:
-            self.period, self.before = shorter, np.inf
-            return self._next(neighbours=True)
+            self.period, self.comparable = shorter, False
+            return self.bundle.states
         return self._orbit(point)
 
     def _leads_there(self, point: FixedPoint, places: Vector) -> bool:
@@ -263,17 +290,15 @@ class Attempt:
         """
         section = self.bundle.section
         centre = section.coordinates(point.state)
-        images: list[Vector] = []
-        for place in places:
-            try:
-                state = section.state(self.dynamics, centre + place)
-            except ZenoOrbitsError:
-                return False
-            returns = self._returns(state, self.accuracy.orbit)
-            if not returns:
-                return False
-            images.append(section.coordinates(returns[-1].state) - centre)
-        return all_come_nearer(places, np.array(images), point.jacobian)
+        try:
+            states = [section.state(self.dynamics, centre + place) for place in places]
+        except ZenoOrbitsError:
+            return False
+        lanes = self._periods(np.array(states), self.accuracy.orbit)
+        if not all(lanes):
+            return False
+        images = np.array([section.coordinates(events[-1].state) - centre for events in lanes])
+        return all_come_nearer(places, images, point.jacobian)
 
     def _shorter_period(self) -> int:
         """Return the smallest number of returns for which Newton's method has converged.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation import Event, Impact, MotionEnd, Release, watched
+from zeno_orbits.simulation import Event, Impact, MotionEnd, Release, watched, watched_releases
 
 _NO_IMPACT = 1e-12
 """Largest gap rate of a state near a release, in units of the problem's characteristic gap rate."""
@@ -66,9 +66,7 @@ class Follower:
         *,
         until: float,
         error: float,
-        releases: float = math.inf,
         goes_on: bool = True,
-        strikes: bool = True,
         seen: Callable[[Event], None] | None = None,
     ) -> Iterator[Released | Struck | MotionEnd]:
         """Yield the crossings of a motion, and then its end.
@@ -77,9 +75,7 @@ class Follower:
             state: Initial state, ``(n_x,)``.
             until: Longest simulated time [s].
             error: Relative local error of a step.
-            releases: Largest number of releases.
             goes_on: True if the state continues an earlier motion, exactly or slightly displaced.
-            strikes: True if the impacts that begin a sequence are crossings, as the releases are.
             seen: Called with every event.
         """
         events = watched(
@@ -88,11 +84,27 @@ class Follower:
             until=until,
             error=error,
             bounds=self.bounds,
-            releases=releases,
             goes_on=goes_on,
         )
         start = state if goes_on else None
-        return _crossings(self.dynamics, events, start, strikes=strikes, seen=seen)
+        return _crossings(self.dynamics, events, start, seen=seen)
+
+    def releases(
+        self, states: Vector, *, until: float, error: float, count: int
+    ) -> Iterator[list[Released]]:
+        """Yield the first releases of the motion from each state.
+
+        Args:
+            states: States of an earlier motion, exactly or slightly displaced, ``(n, n_x)``.
+            until: Longest simulated time [s].
+            error: Relative local error of a step.
+            count: Largest number of releases.
+        """
+        limits = {"until": until, "error": error, "releases": count}
+        runs = watched_releases(self.dynamics, states, bounds=self.bounds, **limits)
+        for state, events in zip(states, runs, strict=True):
+            found = _crossings(self.dynamics, iter(events), state, strikes=False)
+            yield [one for one in found if isinstance(one, Released)]
 
 
 def _crossings(
@@ -100,8 +112,8 @@ def _crossings(
     events: Iterator[Event | MotionEnd],
     start: Vector | None,
     *,
-    strikes: bool,
-    seen: Callable[[Event], None] | None,
+    strikes: bool = True,
+    seen: Callable[[Event], None] | None = None,
 ) -> Iterator[Released | Struck | MotionEnd]:
     """Yield the crossings of a motion.
 

@@ -112,12 +112,63 @@ def bundle_at(
     Raises:
         SimulationError: If a section does not exist near the state.
     """
+    return displaced(dynamics, chart_at(dynamics, rows, x, scale))
+
+
+def chart_at(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector) -> Section:
+    """Return the chart of a section around a state, which is projected to it without releases.
+
+    Args:
+        dynamics: The system.
+        rows: Rows of the contact that vanish on the section.
+        x: The state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+
+    Raises:
+        SimulationError: If a section does not exist near the state.
+    """
     x = x if rows == RELEASE_ROWS else project_to_section(dynamics, rows, x, scale)
-    section = section_around(dynamics, rows, x, scale)
-    eye = _DISPLACED * np.eye(section.dimension)
+    return section_around(dynamics, rows, x, scale)
+
+
+def extrapolated(section: Section, before: Vector, earlier: Vector) -> Vector:
+    r"""Return the limit of a motion by its last two steps, in section coordinates, ``(m,)``.
+
+    With the steps :math:`u_1`, then :math:`u_0` to the centre, it is
+    :math:`-\vartheta u_0,\ \vartheta = u_0 \cdot (u_0 - u_1) / |u_0 - u_1|^2`, which is exact for a
+    linear map with one multiplier along these steps. It is zero, the centre, if the steps do not
+    become shorter.
+
+    Args:
+        section: The chart around the last return.
+        before: The return before, ``(n_x,)``.
+        earlier: The return before that, ``(n_x,)``.
+    """
+    first, second = section.coordinates(earlier), section.coordinates(before)
+    last, change = -second, first - 2.0 * second
+    if not last @ last < (second - first) @ (second - first):
+        return np.zeros(section.dimension)
+    return -float(last @ change) / float(change @ change) * last
+
+
+def displaced(
+    dynamics: HybridDynamics, section: Section, *, neighbours: bool = True
+) -> DisplacedStates:
+    """Return the centre of a chart and its neighbours.
+
+    Args:
+        dynamics: The system.
+        section: The chart.
+        neighbours: False for the centre alone.
+
+    Raises:
+        SimulationError: If the section does not exist near the centre.
+    """
+    rows = _DISPLACED * np.eye(section.dimension) if neighbours else ()
     centre = section.state(dynamics, np.zeros(section.dimension))
-    off = np.max(np.abs(centre - x) / scale)
-    states = [x if off < _OFF else centre, *(section.state(dynamics, row) for row in eye)]
+    off = np.max(np.abs(centre - section.centre) / section.scale)
+    first = section.centre if off < _OFF else centre
+    states = [first, *(section.state(dynamics, row) for row in rows)]
     return DisplacedStates(section=section, states=np.array(states))
 
 

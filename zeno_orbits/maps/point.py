@@ -9,13 +9,22 @@ from dataclasses import replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.maps.approach import Way, steps_towards
 from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.crossings import Follower, Struck
 from zeno_orbits.maps.known import KnownOrbit, Recognition
-from zeno_orbits.maps.newton import IMPACTS, RELEASES, Crossing, bundle_at
+from zeno_orbits.maps.newton import (
+    IMPACTS,
+    RELEASES,
+    Crossing,
+    DisplacedStates,
+    bundle_at,
+    chart_at,
+    displaced,
+    extrapolated,
+)
 from zeno_orbits.model import own_time
 from zeno_orbits.simulation import (
     LOOK_BACK,
@@ -215,7 +224,7 @@ class Point:
         now, before = self._returns[-1], self._returns[-1 - period]
         sizes = [one.state for one in self._returns[-LOOK_BACK:]]
         scale = scale_of(sizes, self._units, self._usual)
-        bundle = bundle_at(self._dynamics, RELEASES.rows, now.state, scale)
+        bundle = self._first_bundle(period, scale)
         if not np.all(np.isfinite(bundle.states)):
             return None
         attempt = Attempt(
@@ -230,6 +239,19 @@ class Point:
         found = self._found_by(attempt)
         self._failures += found is None
         return found
+
+    def _first_bundle(self, period: int, scale: Vector) -> DisplacedStates:
+        """Return the bundle at the limit of the last returns, or else at the last return."""
+        dynamics, last = self._dynamics, self._returns[-1].state
+        section = chart_at(dynamics, RELEASES.rows, last, scale)
+        if len(self._returns) <= 2 * period:
+            return displaced(dynamics, section)
+        before, earlier = (self._returns[-1 - k * period].state for k in (1, 2))
+        try:
+            centre = section.state(dynamics, extrapolated(section, before, earlier))
+            return displaced(dynamics, replace(section, centre=centre))
+        except SimulationError:
+            return displaced(dynamics, section)
 
     def _found_by(self, attempt: Attempt) -> Attractor | None:
         """Return the result of an attempt, and record the approach of the motion."""
