@@ -25,9 +25,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tests.reference.long_simulation import LongRun, attractor_of
-from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
+from zeno_orbits.maps.attractors import (
+    Attractor,
+    AttractorClass,
+    attractor_from_json,
+    attractor_json,
+)
 from zeno_orbits.maps.map_file import read_map, write_map
-from zeno_orbits.maps.mapping import ParameterMap, parameter_map
+from zeno_orbits.maps.mapping import ParameterMap, map_of_plane
 from zeno_orbits.maps.plane import Axis, Plane
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.report import terminal as report
@@ -74,7 +79,7 @@ class Comparison:
         fast, slow = self.fast, self.slow
         if _kind(fast) != _kind(slow):
             return False
-        if fast.fate not in (Fate.ZENO, Fate.SIMPLE):
+        if fast.fate not in (AttractorClass.ZENO, AttractorClass.SIMPLE):
             return True
         period = abs(fast.period - slow.period) <= PERIOD * slow.period
         return period and abs(fast.spectral_radius - slow.spectral_radius) <= RADIUS
@@ -83,11 +88,14 @@ class Comparison:
     def undecided(self) -> bool:
         """Whether the long run has not settled either way, and its trend is that of the map."""
         fast, slow = self.fast, self.slow
-        if slow.fate is not Fate.UNSETTLED:
+        if slow.fate is not AttractorClass.UNSETTLED:
             return False
-        if fast.fate is Fate.REST:
+        if fast.fate is AttractorClass.REST:
             return slow.trend < 1.0
-        return fast.fate in (Fate.ZENO, Fate.SIMPLE) and abs(slow.trend - 1.0) < SLOW
+        return (
+            fast.fate in (AttractorClass.ZENO, AttractorClass.SIMPLE)
+            and abs(slow.trend - 1.0) < SLOW
+        )
 
     def line(self) -> str:
         """Return the point in words."""
@@ -97,7 +105,7 @@ class Comparison:
 
 def _words(one: Attractor) -> str:
     numbers = f" T = {one.period:.10g}, radius {one.spectral_radius:.4g}" if one.returns else ""
-    trend = f" x{one.trend:.4g}" if one.fate is Fate.UNSETTLED else ""
+    trend = f" x{one.trend:.4g}" if one.fate is AttractorClass.UNSETTLED else ""
     return f"{one.phrase}{numbers}{trend}"
 
 
@@ -170,7 +178,7 @@ def compare(found: ParameterMap, task: LongRuns, indices: Sequence[int]) -> list
 def computed(plane: Plane, plan: ExecutionPlan) -> ParameterMap:
     """Return the map by the package's own function."""
     with report.ProgressLine(lambda: None) as progress:
-        return parameter_map(plane, plan, on_progress=progress)
+        return map_of_plane(plane, plan, on_progress=progress)
 
 
 def main(fast: Fast = computed) -> int:

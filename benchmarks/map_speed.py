@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.errors import RunawayError
-from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
 from zeno_orbits.maps.classify import attractors_at
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
@@ -59,13 +59,13 @@ def same_fate(problem: Problem, values: ParameterValues, found: Attractor) -> bo
         run = simulate(dynamics, start, until=LONG, settings=SimulationSettings(far=FAR))
     except RunawayError:
         # Which coordinate is beyond its bound first depends on the bounds.
-        return found.fate is Fate.ESCAPE
+        return found.fate is AttractorClass.ESCAPE
     states = [release.state for release in run.releases]
     amplitudes = [float(np.max(np.abs(state))) for state in states]
-    if found.fate is Fate.REST:
+    if found.fate is AttractorClass.REST:
         return amplitudes[-1] < 0.9 * amplitudes[len(amplitudes) // 2] < 0.9 * amplitudes[0]
-    if found.fate is not Fate.ZENO:
-        return found.fate is Fate.UNSETTLED
+    if found.fate is not AttractorClass.ZENO:
+        return found.fate is AttractorClass.UNSETTLED
     named = np.array([found.state[name] for name in problem.state_names])
     away = [float(np.max(np.abs(state - named))) for state in states]
     nearest = min(away[-found.returns :])

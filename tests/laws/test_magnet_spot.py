@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from tests.support.magnet_spot import PROBLEM, WIDTH
 from zeno_orbits.integrators import FlowWithEvent, PlainFlow
-from zeno_orbits.maps import Axis, Plane, parameter_map
+from zeno_orbits.maps import Axis, Plane, map_of_plane
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import verify
@@ -47,7 +47,7 @@ def test_a_map_counts_the_release_at_the_magnet_where_it_is_strong_enough() -> N
         start=(0.0, 0.0, 1.0, 0.0),
         until=20.0,
     )
-    found = parameter_map(plane, ExecutionPlan(place=Workers(count=1), chunk=6))
+    found = map_of_plane(plane, ExecutionPlan(place=Workers(count=1), chunk=6))
     assert [attractor.returns for attractor in found.attractors] == [1, 2, 2] * 2
     assert _weight_less_lift(SPOT) + PULL == pytest.approx(5.82, abs=0.01)
 

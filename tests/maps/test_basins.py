@@ -12,7 +12,7 @@ import zeno_orbits as zo
 from tests.support.antidamped_spring import PROBLEM, SETS, numbers, threshold
 from tests.support.commands import MISUSE, ask
 from zeno_orbits.errors import InputError, MapFileError
-from zeno_orbits.maps import Fate, ParameterMap, read_map, write_map
+from zeno_orbits.maps import AttractorClass, ParameterMap, read_map, write_map
 
 SPRING = numbers(*SETS[0])
 
@@ -41,7 +41,7 @@ def test_a_map_has_the_threshold_of_one_flight_and_one_impact_to_1e_8(
         until=3000.0,
     )
     below, above = found.attractors[0], found.attractors[2]
-    assert (below.fate, above.fate) == (Fate.REST, Fate.ESCAPE)
+    assert (below.fate, above.fate) == (AttractorClass.REST, AttractorClass.ESCAPE)
 
 
 @pytest.mark.slow
@@ -100,7 +100,12 @@ def test_an_axis_may_be_a_state_and_the_other_a_parameter() -> None:
     )
     # At 0.5 impacts take more than a flight gives.
     fates = [one.fate for one in found.attractors]
-    assert fates == [Fate.REST, Fate.ESCAPE, Fate.REST, Fate.ESCAPE]
+    assert fates == [
+        AttractorClass.REST,
+        AttractorClass.ESCAPE,
+        AttractorClass.REST,
+        AttractorClass.ESCAPE,
+    ]
 
 
 def test_a_map_starts_where_the_period_of_an_orbit_starts_at_its_numbers() -> None:

@@ -12,7 +12,7 @@ from tests.support.hard_to_prove import cartesian_pendulum, pendulum
 from tests.support.mechanisms import clocked_oscillator, oscillator
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns
 from zeno_orbits.errors import InputError, RunawayError
-from zeno_orbits.maps import Accuracy, Fate, attractors_at, usual_time
+from zeno_orbits.maps import Accuracy, AttractorClass, attractors_at, usual_time
 from zeno_orbits.maps.approach import (
     all_come_nearer,
     is_approached,
@@ -42,7 +42,7 @@ def state_of(attractor):
 
 def test_the_reference_values_settles_to_the_reference_orbit():
     (found,) = attractors_at(PENDULUM, [PENDULUM.values()])
-    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    assert (found.fate, found.returns) == (AttractorClass.ZENO, 1)
     # 300 steps with a local error of 1e-8, most of which the layers damp.
     assert found.period == pytest.approx(PERIOD, abs=1e-8)
     assert state_of(found) == pytest.approx(RELEASE, abs=1e-7)
@@ -59,7 +59,7 @@ def test_a_link_on_its_stop_does_not_rest_while_the_current_that_lifts_it_grows(
     (found,) = attractors_at(valve, [values])
     start = valve.state_vector(valve.starts[0])
     released = [one.time for one in simulate(valve.dynamics(values), start, until=20.0).releases]
-    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    assert (found.fate, found.returns) == (AttractorClass.ZENO, 1)
     assert found.period == pytest.approx(released[-1] - released[-2], rel=1e-8)
 
 
@@ -96,14 +96,14 @@ def test_orbits_multipliers_and_margins_are_those_of_a_single_simulation():
 @pytest.mark.parametrize("restitution", PERIODS)
 def test_other_restitutions_have_their_periods_and_a_plastic_stop_a_simple_orbit(restitution):
     (found,) = attractors_at(PENDULUM, [at(2.5, -1.0, restitution=restitution)])
-    assert found.fate is (Fate.ZENO if restitution > 0.0 else Fate.SIMPLE)
+    assert found.fate is (AttractorClass.ZENO if restitution > 0.0 else AttractorClass.SIMPLE)
     assert found.period == pytest.approx(PERIODS[restitution], abs=2e-8)
 
 
 def test_a_flipped_orbit_has_two_releases_a_period_as_a_long_simulation_has():
     values = at(4.37, -1.58)
     (found,) = attractors_at(PENDULUM, [values])
-    assert (found.fate, found.returns) == (Fate.ZENO, 2)
+    assert (found.fate, found.returns) == (AttractorClass.ZENO, 2)
     run = simulate(dynamics_at(values), state_of(found), until=1.2 * found.period)
     first, second = run.returns(found.period)[:2]
     assert second.time == pytest.approx(found.period, abs=1e-7)
@@ -125,13 +125,13 @@ def test_a_motion_that_circles_around_its_orbit_has_the_period_of_the_orbit(numb
     names = ("m", "rho", "c", "A", "omega", "lean", "g", "restitution")
     values = surface.values(parameters=dict(zip(names, numbers, strict=True)))
     (found,) = attractors_at(surface, [values])
-    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    assert (found.fate, found.returns) == (AttractorClass.ZENO, 1)
     assert found.period == pytest.approx(2 * math.pi / numbers[4], rel=1e-8)
 
 
 def test_an_escape_is_told_in_the_words_of_the_problem():
     (found,) = attractors_at(PENDULUM, [at(1.2, -1.95)])
-    assert found.fate is Fate.ESCAPE
+    assert found.fate is AttractorClass.ESCAPE
     assert found.detail == PENDULUM.escapes[found.escaped].phrase
 
 
@@ -139,7 +139,7 @@ def test_what_runs_away_is_named_as_a_single_simulation_names_it():
     bounds = dict.fromkeys(("theta1", "theta2"), TEN_TURNS)
     for values in (at(1.2, -1.95), at(1.63, -2.0)):
         (found,) = attractors_at(PENDULUM, [values], bounds=bounds)
-        assert found.fate is Fate.ESCAPE
+        assert found.fate is AttractorClass.ESCAPE
         with pytest.raises(RunawayError) as error:
             simulate(
                 dynamics_at(values), START, until=60.0, settings=SimulationSettings(far=TEN_TURNS)
@@ -149,13 +149,13 @@ def test_what_runs_away_is_named_as_a_single_simulation_names_it():
 
 def test_a_bound_of_the_users_is_kept():
     (found,) = attractors_at(PENDULUM, [PENDULUM.values()], bounds={"theta2": 0.01})
-    assert (found.fate, found.escaped) == (Fate.ESCAPE, "theta2")
+    assert (found.fate, found.escaped) == (AttractorClass.ESCAPE, "theta2")
 
 
 def test_a_motion_that_dies_out_is_at_rest_long_before_it_stands_still():
     values = at(3.0, -0.02)
     (found,) = attractors_at(PENDULUM, [values])
-    assert found.fate is Fate.REST
+    assert found.fate is AttractorClass.REST
     assert found.trend < 1.0
     first, *_, last = simulate(dynamics_at(values), START, until=60.0).releases
     assert abs(last.state[2]) < 0.3 * abs(first.state[2])
@@ -164,18 +164,18 @@ def test_a_motion_that_dies_out_is_at_rest_long_before_it_stands_still():
 def test_a_ball_comes_to_rest():
     ball = load_problem("bouncing_ball")
     found = attractors_at(ball, [ball.values()], start={"height": 1.0}, until=30.0)
-    assert [one.fate for one in found] == [Fate.REST]
+    assert [one.fate for one in found] == [AttractorClass.REST]
 
 
 def test_a_motion_near_orbits_that_repel_is_not_taken_for_one_of_them():
     (found,) = attractors_at(PENDULUM, [at(4.384615384615385, -1.5384615384615385)], until=40.0)
-    assert found.fate is Fate.UNSETTLED
+    assert found.fate is AttractorClass.UNSETTLED
 
 
 def test_a_motion_that_has_not_settled_tells_its_trend():
     never = Accuracy(near=0.0)
     (found,) = attractors_at(PENDULUM, [at(2.47, -0.21)], until=40.0, accuracy=never)
-    assert found.fate is Fate.UNSETTLED
+    assert found.fate is AttractorClass.UNSETTLED
     # It falls slowly to its orbit: by half a percent a return.
     assert 0.98 < found.trend < 1.0
 
@@ -193,7 +193,7 @@ def test_the_answer_at_a_point_does_not_depend_on_the_other_points():
 
 def test_a_start_inside_the_stop_fails_by_name_and_others_do_not():
     (found,) = attractors_at(PENDULUM, [PENDULUM.values()], start={"theta2": -0.1})
-    assert found.fate is Fate.FAILED
+    assert found.fate is AttractorClass.FAILED
     assert "gap is negative" in found.detail
 
 
@@ -221,7 +221,7 @@ def test_progress_counts_the_points_up_to_all():
 def test_oscillators_with_a_stop_have_their_orbits_in_closed_form():
     zeno = clocked_oscillator(FORCED, attracting=True)
     (found,) = attractors_at(zeno, [zeno.values()], until=200.0)
-    assert found.fate is Fate.ZENO
+    assert found.fate is AttractorClass.ZENO
     assert found.period == pytest.approx(2 * math.pi, abs=1e-8)
     # It lets go where the forcing is that of the stop; y = cos t there.
     assert found.state["y"] == pytest.approx(FORCED.stop, abs=1e-7)
@@ -229,7 +229,7 @@ def test_oscillators_with_a_stop_have_their_orbits_in_closed_form():
     assert found.multipliers[0] == pytest.approx(math.exp(-2 * math.pi), rel=1e-4)
     struck = clocked_oscillator(COCO, attracting=True)
     (found,) = attractors_at(struck, [struck.values()], until=400.0)
-    assert found.fate is Fate.NO_ZENO
+    assert found.fate is AttractorClass.NO_ZENO
     # Its two multipliers as COCO prints them, and those of the clock: it forgets its amplitude.
     published = -0.58429531434153 + 0.00560035149247j
     assert sorted(abs(value - published) for value in found.multipliers)[0] < 1e-6
@@ -248,7 +248,7 @@ def test_orbits_without_a_zeno_point_have_the_multipliers_of_their_closed_form()
     settings = [oscillator.values(parameters={**numbers, "A": a}) for a in (1.0, 0.5, 1.3)]
     start = {"speed": 1.0, "cosine": 1.0}
     found = attractors_at(oscillator, settings, start=start, until=400.0)
-    assert [one.fate for one in found] == 3 * [Fate.NO_ZENO]
+    assert [one.fate for one in found] == 3 * [AttractorClass.NO_ZENO]
     for one in found:
         assert one.period == pytest.approx(2 * math.pi, abs=1e-8)
         product = np.prod(one.multipliers)
@@ -267,7 +267,7 @@ def test_the_multipliers_between_impacts_are_those_of_the_exact_derivative():
     values = oscillator.values(parameters={"c": 0.1, "stop": 0.0, "restitution": 0.8, "omega": 2.6})
     start = {"speed": 1.0, "cosine": 1.0}
     (found,) = attractors_at(oscillator, [values], start=start, until=600.0)
-    assert found.fate is Fate.NO_ZENO
+    assert found.fate is AttractorClass.NO_ZENO
     p = np.array(values.vector)
     returns = ImpactReturns(
         compiled=oscillator.compiled(),
@@ -294,16 +294,16 @@ def test_an_orbit_is_not_that_of_a_motion_whose_errors_led_to_it():
     turn = 2 * math.pi / omega
     coarse = Accuracy(motion=1e-6, orbit=1e-8)
     values = table.values(parameters=shaken)
-    assert attractors_at(table, [values], until=240 * turn)[0].fate is Fate.UNSETTLED
+    assert attractors_at(table, [values], until=240 * turn)[0].fate is AttractorClass.UNSETTLED
     (found,) = attractors_at(table, [values], until=240 * turn, accuracy=coarse)
-    assert found.fate is Fate.UNSETTLED
+    assert found.fate is AttractorClass.UNSETTLED
     assert found.detail == "its attractor depends on the smallest errors"
     truth = settled(acceleration, restitution, 600)
     assert truth.turns != 10
     # Where accuracy does not matter, no finer simulation is needed to be sure.
     alike = Accuracy(motion=1e-8)
     (once,) = attractors_at(PENDULUM, [PENDULUM.values()], accuracy=alike)
-    assert once.fate is Fate.ZENO
+    assert once.fate is AttractorClass.ZENO
 
 
 def test_a_step_leads_to_an_orbit_if_the_derivative_there_tells_half_of_it():
@@ -360,7 +360,7 @@ def test_steps_towards_an_orbit_are_counted_back_from_the_last():
 def test_a_stop_that_will_let_go_as_the_clock_runs_on_is_no_rest(name):
     table = load_problem(name)
     (found,) = attractors_at(table, [table.values()])
-    assert found.fate is Fate.ZENO
+    assert found.fate is AttractorClass.ZENO
     turn = 2 * math.pi / table.values().number("omega")
     # A local error of 1e-8 over a hundred steps.
     assert found.period == pytest.approx(turn, rel=1e-7)
@@ -372,13 +372,13 @@ def test_a_table_that_shakes_too_weakly_to_throw_is_at_rest():
     least = 9.81 / 30.0**2
     settings = [table.values(parameters={"A": part * least}) for part in (0.3, 0.98, 1.02)]
     fates = [one.fate for one in attractors_at(table, settings)]
-    assert fates == [Fate.REST, Fate.REST, Fate.ZENO]
+    assert fates == [AttractorClass.REST, AttractorClass.REST, AttractorClass.ZENO]
 
 
 def test_sections_that_a_small_release_state_is_off_do_not_spoil_differences():
     bowl = load_problem("curved_surface")
     (found,) = attractors_at(bowl, [bowl.values()])
-    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    assert (found.fate, found.returns) == (AttractorClass.ZENO, 1)
     assert found.period == pytest.approx(2 * math.pi / 30.0, rel=1e-8)
     # As `search` verifies it: |-0.5802935 +- 0.6813662 i|.
     assert found.spectral_radius == pytest.approx(abs(-0.5802935 + 0.6813662j), rel=1e-5)
@@ -387,7 +387,7 @@ def test_sections_that_a_small_release_state_is_off_do_not_spoil_differences():
 def test_a_motion_that_never_leaves_its_stop_stays_on_it_and_neither_settles_nor_grows():
     bowl = load_problem("curved_surface")
     (found,) = attractors_at(bowl, [bowl.values(parameters={"A": 1e-3})], until=6.0)
-    assert found.fate is Fate.HELD
+    assert found.fate is AttractorClass.HELD
     assert math.isnan(found.trend)
     assert found.phrase == "stays on its stop"
 
@@ -395,7 +395,7 @@ def test_a_motion_that_never_leaves_its_stop_stays_on_it_and_neither_settles_nor
 def test_a_linear_machine_settles_alike_however_hard_it_is_shaken():
     forced = load_problem("forced_oscillator")
     (found,) = attractors_at(forced, [forced.values(parameters={"A": 2000.0})])
-    assert found.fate is Fate.ZENO
+    assert found.fate is AttractorClass.ZENO
     # It lets go where the forcing is that of the stop, A cos t = -0.8.
     assert found.state["cosine"] == pytest.approx(-0.8 / 2000.0, rel=1e-6)
 
@@ -403,13 +403,13 @@ def test_a_linear_machine_settles_alike_however_hard_it_is_shaken():
 def test_a_length_without_a_bound_runs_away_if_it_is_far_beyond_where_it_was():
     away = oscillator(stiffness=-1.0)
     (found,) = attractors_at(away, [away.values()], until=40.0)
-    assert (found.fate, found.escaped) == (Fate.ESCAPE, "x")
+    assert (found.fate, found.escaped) == (AttractorClass.ESCAPE, "x")
     # In units a million times as large it is the same motion.
     (found,) = attractors_at(away, [away.values()], until=40.0, start={"x": 1e6})
-    assert (found.fate, found.escaped) == (Fate.ESCAPE, "x")
+    assert (found.fate, found.escaped) == (AttractorClass.ESCAPE, "x")
     swinging = oscillator(damping=0.0)
     (found,) = attractors_at(swinging, [swinging.values()], until=40.0, start={"x": 9.0})
-    assert (found.fate, found.detail) == (Fate.UNSETTLED, "it strikes the stop no more")
+    assert (found.fate, found.detail) == (AttractorClass.UNSETTLED, "it strikes the stop no more")
 
 
 @pytest.mark.parametrize(
@@ -430,7 +430,7 @@ def test_the_same_machine_in_other_units_settles_to_the_same_orbit(name, metre, 
     scaled |= {"rho": metre, "c": 1 / second} if name == "curved_surface" else {}
     numbers = {key: unit * own[key] for key, unit in scaled.items()}
     (found,) = attractors_at(shaken, [shaken.values(parameters=numbers)])
-    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    assert (found.fate, found.returns) == (AttractorClass.ZENO, 1)
     # A local error of 1e-8, of which the clock keeps the hundredth part.
     assert found.period == pytest.approx(second * 2 * math.pi / own["omega"], rel=1e-9)
 
@@ -462,7 +462,7 @@ def test_a_constraint_adds_no_slow_oscillation_to_the_time_of_a_motion() -> None
 def test_a_longer_limit_finds_the_same_attractor(until: float) -> None:
     table = load_problem("vibrating_table")
     (found,) = attractors_at(table, [table.values()], until=until)
-    assert found.fate is Fate.ZENO
+    assert found.fate is AttractorClass.ZENO
     assert found.period == pytest.approx(2 * np.pi / 30.0, rel=1e-6)
 
 

@@ -7,7 +7,7 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from zeno_orbits.maps.crossings import Follower, Released, Struck
+from zeno_orbits.maps.crossings import Follower, ImpactRecord, ReleaseRecord
 from zeno_orbits.model import load_problem
 
 
@@ -27,8 +27,8 @@ def test_releases_of_many_motions_are_those_of_each_motion(name: str, bounded: b
     assert repr([astuple(one) for one in found[0]]) == repr([astuple(one) for one in found[2]])
     for state, row in zip(states, found, strict=True):
         crossings = list(follower.crossings(state, until=9.0, error=1e-8))
-        alone = [one for one in crossings if isinstance(one, Released)][:3]
-        assert any(isinstance(one, Struck) for one in crossings)
+        alone = [one for one in crossings if isinstance(one, ReleaseRecord)][:3]
+        assert any(isinstance(one, ImpactRecord) for one in crossings)
         assert repr([astuple(one) for one in row]) == repr([astuple(one) for one in alone])
 
 

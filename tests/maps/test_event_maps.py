@@ -12,7 +12,7 @@ import pytest
 import zeno_orbits as zo
 from tests.reference.several_stops import TwoSided, two_sided
 from zeno_orbits.cli import main
-from zeno_orbits.maps import Attractor, Fate, attractors_at, read_map, write_map
+from zeno_orbits.maps import Attractor, AttractorClass, attractors_at, read_map, write_map
 
 G = 9.81
 
@@ -38,7 +38,7 @@ def test_a_map_of_the_hopper_has_the_periods_and_multipliers_of_its_closed_form(
     found = zo.parameter_map("hopper", x=("a", 12.0, 40.0, 3), y=("restitution", 0.2, 0.8, 3))
     for k, one in enumerate(found.attractors):
         a, e = found.x.values()[k % 3], found.y.values()[k // 3]
-        assert one.fate is Fate.NO_ZENO
+        assert one.fate is AttractorClass.NO_ZENO
         assert one.sequence[-1] == "impact stop"
         assert one.period == pytest.approx(_hop(a, 0.1, e), rel=1e-11)
         assert one.multipliers == pytest.approx((e**2,), abs=1e-9)
@@ -86,10 +86,10 @@ def test_a_weak_force_does_not_reach_the_stops() -> None:
     omega, c = 0.3, 0.5
     reaches = abs(complex(1 - omega**2, c * omega))
     below = _attractor("clapper", c=c, A=0.98 * reaches)
-    assert (below.fate, below.turns, below.sequence) == (Fate.NO_ZENO, 1, ())
+    assert (below.fate, below.turns, below.sequence) == (AttractorClass.NO_ZENO, 1, ())
     above = _attractor("clapper", c=c, A=1.02 * reaches)
     assert set(above.sequence) & {"impact upper", "zeno upper"}
-    assert _attractor("clapper", c=c, A=0.0).fate is Fate.REST
+    assert _attractor("clapper", c=c, A=0.0).fate is AttractorClass.REST
 
 
 def test_the_phrase_of_an_orbit_counts_events_and_zeno_points() -> None:
@@ -97,7 +97,7 @@ def test_the_phrase_of_an_orbit_counts_events_and_zeno_points() -> None:
     assert found.phrase == "Zeno periodic orbit, 6 events, 2 Zeno points"
     assert found.turns == 1
     plastic = _attractor("kneed_walker", restitution=0.0)
-    assert plastic.fate is Fate.SIMPLE
+    assert plastic.fate is AttractorClass.SIMPLE
     assert plastic.phrase == "simple periodic orbit, 2 events, 1 Zeno point"
     assert plastic.period == pytest.approx(0.56457806957, abs=1e-10)
 
@@ -108,12 +108,12 @@ def test_a_walker_that_loses_its_balance_falls() -> None:
         for rate in (-0.9, 0.0)
     )
     assert walks.phrase == "Zeno periodic orbit, 2 events, 1 Zeno point"
-    assert (falls.fate, falls.phrase) == (Fate.ESCAPE, "it falls")
+    assert (falls.fate, falls.phrase) == (AttractorClass.ESCAPE, "it falls")
 
 
 def test_a_motion_that_the_simulator_refuses_is_a_failed_point_with_the_reason() -> None:
     found = _attractor("hopper", a=0.5)
-    assert found.fate is Fate.FAILED
+    assert found.fate is AttractorClass.FAILED
     assert "kink" in found.detail
 
 
@@ -134,7 +134,7 @@ def test_basins_of_two_orbits_are_those_of_long_simulations() -> None:
             "clapper", until=100 * turn, parameters=BISTABLE, start={**start, "cosine": 1.0}
         )
         strikes = any(event.time > 99 * turn for event in run.events)
-        assert one.fate is Fate.NO_ZENO
+        assert one.fate is AttractorClass.NO_ZENO
         assert one.turns == 1
         assert bool(one.sequence) == strikes
     assert len({one.phrase for one in found.attractors}) == 2

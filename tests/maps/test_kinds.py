@@ -15,7 +15,7 @@ import zeno_orbits as zo
 from tests.reference.linear_flights import TURN, Flights, Oscillator, flights, repeats
 from tests.support.commands import YES, ask
 from tests.support.mechanisms import oscillator
-from zeno_orbits.maps import Attractor, Fate, attractors_at
+from zeno_orbits.maps import Attractor, AttractorClass, attractors_at
 from zeno_orbits.model import load_problem
 from zeno_orbits.simulation import AttractorKind
 
@@ -64,7 +64,7 @@ def agrees(machine: Oscillator, found: Attractor, turns: int) -> bool | None:
     if truth is None:
         return True if found.kind is AttractorKind.CHAOTIC else None
     _, period, held = truth
-    fate = Fate.ZENO if held else Fate.NO_ZENO
+    fate = AttractorClass.ZENO if held else AttractorClass.NO_ZENO
     return (found.kind, found.turns, found.fate) == (AttractorKind.REPEATS, period, fate)
 
 
@@ -96,7 +96,7 @@ def test_a_chaotic_motion_has_the_exponent_of_the_tangents_of_exact_flights() ->
 
 def test_a_bounded_motion_without_a_period_is_chaotic_and_does_not_grow() -> None:
     found = found_at(CHAOTIC)
-    assert (found.fate, found.kind) == (Fate.UNSETTLED, AttractorKind.CHAOTIC)
+    assert (found.fate, found.kind) == (AttractorClass.UNSETTLED, AttractorKind.CHAOTIC)
     assert found.phrase == "chaotic motion"
     assert 0.0 < found.exponent_error < found.exponent
 
@@ -116,14 +116,14 @@ def test_a_motion_that_gains_by_every_cycle_grows() -> None:
     pumped = oscillator(damping=-0.08)
     values = pumped.values(parameters={"restitution": 0.9})
     (found,) = attractors_at(pumped, [values], start={"x": 20.0}, until=150.0)
-    assert (found.fate, found.kind) == (Fate.UNSETTLED, AttractorKind.GROWS)
+    assert (found.fate, found.kind) == (AttractorClass.UNSETTLED, AttractorKind.GROWS)
     assert found.phrase == "growing motion"
 
 
 def test_a_motion_that_misses_its_stop_repeats_after_a_turn_of_the_clock() -> None:
     machine = Oscillator(c=0.3, stop=5.0, restitution=0.5, omega=2.0, amplitude=1.0)
     found = found_at(machine)
-    assert (found.fate, found.turns) == (Fate.NO_ZENO, 1)
+    assert (found.fate, found.turns) == (AttractorClass.NO_ZENO, 1)
     assert found.period == pytest.approx(TURN / 2.0, rel=1e-9)
 
 
@@ -142,7 +142,7 @@ def test_a_motion_that_leaves_its_stop_late_repeats_after_the_time_that_its_expo
     amplitude = machine.amplitude / math.hypot(1 - machine.omega**2, machine.c * machine.omega)
     assert amplitude < machine.stop
     found = found_at(machine)
-    assert (found.fate, found.turns) == (Fate.NO_ZENO, 1)
+    assert (found.fate, found.turns) == (AttractorClass.NO_ZENO, 1)
     assert found.period == pytest.approx(TURN / machine.omega, rel=1e-9)
 
 
@@ -187,7 +187,7 @@ def test_a_motion_with_two_frequencies_is_quasi_periodic() -> None:
     # The frequencies are 1 and 2^(1/4); the ball forgets all but their phases at every Zeno point.
     problem = two_frequencies()
     (found,) = attractors_at(problem, [problem.values()])
-    assert (found.fate, found.kind) == (Fate.UNSETTLED, AttractorKind.QUASI_PERIODIC)
+    assert (found.fate, found.kind) == (AttractorClass.UNSETTLED, AttractorKind.QUASI_PERIODIC)
     assert abs(found.exponent) < 1e-3
     assert found.phrase == "quasi-periodic motion"
     assert np.isnan(found.period)

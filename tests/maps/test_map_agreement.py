@@ -9,23 +9,23 @@ import pytest
 
 from benchmarks import map_agreement
 from tests.reference.long_simulation import LongRun
-from zeno_orbits.maps import Attractor, Axis, Fate, Plane, parameter_map
+from zeno_orbits.maps import Attractor, AttractorClass, Axis, Plane, map_of_plane
 from zeno_orbits.model import locate_problem
 from zeno_orbits.work import ExecutionPlan, Workers
 
-ZENO = Attractor(fate=Fate.ZENO, returns=1, period=1.8, multipliers=(0.5 + 0j,))
+ZENO = Attractor(fate=AttractorClass.ZENO, returns=1, period=1.8, multipliers=(0.5 + 0j,))
 
 
 @pytest.mark.parametrize(
     "other",
     [
-        replace(ZENO, fate=Fate.SIMPLE),
-        replace(ZENO, fate=Fate.UNSETTLED),
+        replace(ZENO, fate=AttractorClass.SIMPLE),
+        replace(ZENO, fate=AttractorClass.UNSETTLED),
         replace(ZENO, returns=2),
         replace(ZENO, period=1.8 * (1 + 2e-6)),
         replace(ZENO, multipliers=(0.502 + 0j,)),
         replace(ZENO, multipliers=()),
-        Attractor(fate=Fate.ESCAPE, escaped="theta1"),
+        Attractor(fate=AttractorClass.ESCAPE, escaped="theta1"),
     ],
 )
 def test_another_answer_is_a_disagreement(other: Attractor) -> None:
@@ -43,17 +43,17 @@ def test_another_answer_is_a_disagreement(other: Attractor) -> None:
 @pytest.mark.parametrize(
     ("fast", "trend", "code"),
     [
-        (Attractor(fate=Fate.REST), 0.98, 0),
-        (Attractor(fate=Fate.REST), 1.02, 1),
+        (Attractor(fate=AttractorClass.REST), 0.98, 0),
+        (Attractor(fate=AttractorClass.REST), 1.02, 1),
         (ZENO, 1.0005, 0),
         (ZENO, 0.95, 1),
-        (Attractor(fate=Fate.ESCAPE, escaped="x"), 1.0005, 1),
+        (Attractor(fate=AttractorClass.ESCAPE, escaped="x"), 1.0005, 1),
     ],
 )
 def test_a_long_run_that_has_not_settled_is_excused_only_if_it_moves_as_the_map_says(
     fast: Attractor, trend: float, code: int
 ) -> None:
-    slow = Attractor(fate=Fate.UNSETTLED, trend=trend)
+    slow = Attractor(fate=AttractorClass.UNSETTLED, trend=trend)
     one = map_agreement.Comparison(point=(1.0, 2.0), fast=fast, slow=slow, near_boundary=False)
     assert not one.agrees
     assert map_agreement._tell([one], as_json=False) == code
@@ -67,7 +67,7 @@ def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
         start=(1.0, 0.0),
         until=60.0,
     )
-    found = parameter_map(plane, ExecutionPlan(place=Workers(count=1)))
+    found = map_of_plane(plane, ExecutionPlan(place=Workers(count=1)))
     assert not any(map_agreement.near_boundary(found, k) for k in range(8))
     mixed = replace(found, attractors=(ZENO, *found.attractors[1:]))
     near = [k for k in range(8) if map_agreement.near_boundary(mixed, k)]
@@ -79,7 +79,7 @@ def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
 
 @pytest.mark.parametrize(("fates", "near"), [("12", True), ("11", False), ("13", False)])
 def test_a_closer_look_excuses_only_a_fate_that_it_has_seen(fates: str, near: bool) -> None:
-    kinds = {name: Attractor(fate=Fate.ESCAPE, escaped=f"theta{name}") for name in "123"}
+    kinds = {name: Attractor(fate=AttractorClass.ESCAPE, escaped=f"theta{name}") for name in "123"}
     plane = Plane(
         source=locate_problem("bouncing_ball"),
         x=Axis(name="m", lower=1.0, upper=2.0, count=5),

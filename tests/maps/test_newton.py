@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zeno_orbits.maps import Fate, attempt, attractors_at
+from zeno_orbits.maps import AttractorClass, attempt, attractors_at
 from zeno_orbits.maps.newton import RELEASES, FixedPoint, chart_at, extrapolated
 from zeno_orbits.model import load_problem
 from zeno_orbits.simulation import simulate
@@ -29,7 +29,7 @@ def test_steps_with_an_old_derivative_shorten_as_the_derivative_changes(
 
     monkeypatch.setattr(attempt, "newton_step", noted)
     (found,) = attractors_at(PENDULUM, [PENDULUM.values(gains={"Kp": kp, "Kd": kd})])
-    assert found.fate is Fate.ZENO
+    assert found.fate is AttractorClass.ZENO
     assert any(reused for _, reused in steps)
     # The derivative changes in proportion to the way since its bundle, so each step with it is
     # shorter by about the same factor. So is the first step after it.

@@ -26,12 +26,12 @@ from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
 from zeno_orbits.maps import (
     Attractor,
+    AttractorClass,
     Axis,
-    Fate,
     ParameterMap,
     Plane,
     chunk_of,
-    parameter_map,
+    map_of_plane,
     read_boundaries,
     read_map,
     require_plane,
@@ -70,7 +70,7 @@ def pendulum(**changes: Any) -> Plane:
 
 def computed_here(whole: Plane) -> ParameterMap:
     """Return a map that this process computes by itself."""
-    return parameter_map(replace(whole, source=whole.problem), ONE)
+    return map_of_plane(replace(whole, source=whole.problem), ONE)
 
 
 # ---------------------------------------------------------------------------- the grid
@@ -90,7 +90,7 @@ def test_every_point_of_a_map_is_the_long_run_at_its_numbers() -> None:
         alone = attractor_of(problem, problem.values(gains={"Kp": kp, "Kd": kd}), pendulum().start)
         # A representation holds every bit, and NaN equals itself.
         assert repr(attractor) == repr(alone)
-    assert {one.fate for one in found.attractors} == {Fate.ESCAPE}
+    assert {one.fate for one in found.attractors} == {AttractorClass.ESCAPE}
 
 
 def test_parameters_that_others_are_derived_from_are_derived_anew_at_every_point() -> None:
@@ -105,7 +105,9 @@ def test_a_point_whose_derived_numbers_do_not_exist_fails_by_itself() -> None:
     # The calibration needs lc2 below 0.3558 m, roughly.
     crossed = pendulum(x=Axis(name="lc2", lower=0.15, upper=0.9, count=2))
     found = computed_here(crossed)
-    fates = [[one.fate is Fate.FAILED for one in found.attractors[k : k + 2]] for k in (0, 2)]
+    fates = [
+        [one.fate is AttractorClass.FAILED for one in found.attractors[k : k + 2]] for k in (0, 2)
+    ]
     assert fates == [[False, True], [False, True]]
     assert "no rotor inertia" in found.attractors[1].detail
 
@@ -196,9 +198,9 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPat
 def test_a_problem_from_a_file_is_loaded_by_the_workers_themselves(tmp_path: Path) -> None:
     problem = tmp_path / "ball.py"
     shutil.copy(bundled_problems()["bouncing_ball"], problem)
-    found = parameter_map(plane(problem), ONE)
-    assert {one.fate for one in found.attractors} == {Fate.REST}
-    assert found.attractors == parameter_map(plane(), ONE).attractors
+    found = map_of_plane(plane(problem), ONE)
+    assert {one.fate for one in found.attractors} == {AttractorClass.REST}
+    assert found.attractors == map_of_plane(plane(), ONE).attractors
 
 
 def test_a_problem_whose_file_has_changed_meanwhile_is_refused(tmp_path: Path) -> None:
@@ -235,14 +237,14 @@ def test_a_problem_that_lets_an_unknown_state_escape_is_refused() -> None:
 def test_a_checkpoint_of_another_problem_of_the_same_name_is_refused(tmp_path: Path) -> None:
     problem, kept = tmp_path / "ball.py", tmp_path / "kept"
     shutil.copy(bundled_problems()["bouncing_ball"], problem)
-    parameter_map(plane(problem), replace(ONE, checkpoint=kept))
+    map_of_plane(plane(problem), replace(ONE, checkpoint=kept))
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
     problem.write_text(problem.read_text().replace("9.81", "9.82"))
     with pytest.raises(CheckpointError, match="`problem_digest` is"):
-        parameter_map(plane(problem), replace(ONE, checkpoint=kept))
+        map_of_plane(plane(problem), replace(ONE, checkpoint=kept))
     other = plane(parameters={"g": 9.0})
     with pytest.raises(CheckpointError, match="its `"):
-        parameter_map(other, replace(ONE, checkpoint=kept))
+        map_of_plane(other, replace(ONE, checkpoint=kept))
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
 
@@ -258,7 +260,9 @@ def test_a_map_file_holds_every_bit_of_the_map(found: ParameterMap, tmp_path: Pa
     odd = replace(
         found,
         attractors=(
-            Attractor(fate=Fate.ZENO, returns=1, period=0.1 + 0.2, multipliers=(0.1 + 1e-17j,)),
+            Attractor(
+                fate=AttractorClass.ZENO, returns=1, period=0.1 + 0.2, multipliers=(0.1 + 1e-17j,)
+            ),
             *found.attractors[1:],
         ),
     )
@@ -487,9 +491,9 @@ def table(**changes: Any) -> Plane:
 
 
 def test_a_problem_object_is_mapped_by_this_process_as_its_file_is_by_workers() -> None:
-    here = parameter_map(table(source=replace(load_problem("vibrating_table"))), ONE)
-    assert here.as_json() == parameter_map(table(), ONE).as_json()
-    assert {one.fate for one in here.attractors} == {Fate.ZENO}
+    here = map_of_plane(table(source=replace(load_problem("vibrating_table"))), ONE)
+    assert here.as_json() == map_of_plane(table(), ONE).as_json()
+    assert {one.fate for one in here.attractors} == {AttractorClass.ZENO}
 
 
 def test_a_problem_object_is_refused_where_other_processes_or_a_checkpoint_need_its_file(
@@ -498,7 +502,7 @@ def test_a_problem_object_is_refused_where_other_processes_or_a_checkpoint_need_
     alone = table(source=load_problem("vibrating_table"))
     for plan in (ExecutionPlan(place=Workers(count=2)), replace(ONE, checkpoint=tmp_path / "kept")):
         with pytest.raises(InputError, match="`problem` must be a name or a file"):
-            parameter_map(alone, plan)
+            map_of_plane(alone, plan)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -545,5 +549,5 @@ def test_the_problem_that_new_writes_has_its_orbit_on_a_map(
         y=Axis(name="omega", lower=0.98, upper=1.02, count=2),
     )
     start = mine.problem.state_vector(mine.problem.starts[0])
-    found = parameter_map(replace(mine, start=start), ONE)
-    assert {one.fate for one in found.attractors} == {Fate.ZENO}
+    found = map_of_plane(replace(mine, start=start), ONE)
+    assert {one.fate for one in found.attractors} == {AttractorClass.ZENO}

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from zeno_orbits.maps import Attractor, Fate
+from zeno_orbits.maps import Attractor, AttractorClass
 from zeno_orbits.maps.rays import Loss, Ray, Trial
 
-REST = Attractor(fate=Fate.REST)
+REST = Attractor(fate=AttractorClass.REST)
 
 
 def ray(*lost: tuple[float, float], tried: list[float] | None = None) -> Callable[[float], Trial]:

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zeno_orbits.maps import Accuracy, Attractor, Fate
-from zeno_orbits.maps.approach import Way
+from zeno_orbits.maps import Accuracy, Attractor, AttractorClass
+from zeno_orbits.maps.approach import Approach
 from zeno_orbits.maps.sure_point import sure_attractor
 
-ORBIT = Attractor(fate=Fate.NO_ZENO, period=2.0)
-REST = Attractor(fate=Fate.REST)
-DIRECT = Way(times=tuple(np.arange(1.0, 41.0)), captured=9)
+ORBIT = Attractor(fate=AttractorClass.NO_ZENO, period=2.0)
+REST = Attractor(fate=AttractorClass.REST)
+DIRECT = Approach(times=tuple(np.arange(1.0, 41.0)), captured=9)
 LATE = replace(DIRECT, captured=10)
 
-Told = tuple[Attractor, Way | None]
+Told = tuple[Attractor, Approach | None]
 
 
 ACCURATE = Accuracy(motion=1e-10)
@@ -69,7 +69,7 @@ def test_a_motion_that_wanders_has_to_do_so_at_two_accuracies_alike() -> None:
     "again",
     [
         (replace(ORBIT, period=2.0 * (1 + 1.1e-4)), LATE),
-        (replace(ORBIT, fate=Fate.ZENO), LATE),
+        (replace(ORBIT, fate=AttractorClass.ZENO), LATE),
         (replace(ORBIT, returns=1), LATE),
         # It leaves the way of before by more than a hundredth of a return, or is there sooner.
         (ORBIT, replace(LATE, times=tuple(np.arange(1.0, 41.0) + 0.011))),
@@ -83,21 +83,21 @@ def test_a_motion_that_ends_elsewhere_more_accurately_is_followed_a_third_time(a
     assert [one.orbit for one in used] == pytest.approx([1e-10, 1e-10, 1e-12])
     # The second answer is held against the third, not the first one.
     answer, _ = told_by((ORBIT, LATE), again, (ORBIT, LATE))
-    assert answer.fate is Fate.UNSETTLED
+    assert answer.fate is AttractorClass.UNSETTLED
     assert answer.detail == "its attractor depends on the smallest errors"
 
 
 def test_a_motion_that_settles_only_inaccurately_is_not_settled() -> None:
-    growing = Attractor(fate=Fate.UNSETTLED, trend=1.2)
+    growing = Attractor(fate=AttractorClass.UNSETTLED, trend=1.2)
     answer, used = told_by((ORBIT, LATE), (growing, None))
-    assert (answer.fate, answer.trend, len(used)) == (Fate.UNSETTLED, 1.2, 2)
+    assert (answer.fate, answer.trend, len(used)) == (AttractorClass.UNSETTLED, 1.2, 2)
     assert answer.detail == "its attractor depends on the smallest errors"
 
 
 def test_a_way_is_shared_up_to_where_it_comes_nearer_only() -> None:
     # Four returns in 20 s: they may differ by 0.05 s when the way begins.
     times = (2.0, 4.0, 6.0, 20.0)
-    way = Way(times=times, captured=2)
+    way = Approach(times=times, captured=2)
     assert way.is_shared_by(replace(way, times=(2.5, 4.5, 6.049)))
     assert way.is_shared_by(replace(way, times=(2.0, 4.0, 5.951, 50.0)))
     assert not way.is_shared_by(replace(way, times=(2.0, 4.0, 6.051, 20.0)))

@@ -14,7 +14,7 @@ from zeno_orbits.continuation import (
     SpecialPoint,
     SpecialPointKind,
 )
-from zeno_orbits.maps import Attractor, Axis, Fate
+from zeno_orbits.maps import Attractor, AttractorClass, Axis
 from zeno_orbits.search import SearchStatus, StartAttempt
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import with_certificate
@@ -96,7 +96,7 @@ def test_families_show_their_named_points() -> None:
 
 
 def test_a_map_shows_its_axes_and_counts_what_motions_settle_to() -> None:
-    zeno = Attractor(fate=Fate.ZENO, returns=1)
+    zeno = Attractor(fate=AttractorClass.ZENO, returns=1)
     found = zo.ParameterMap(
         problem="motor_pendulum",
         x=Axis(name="Kp", lower=1.0, upper=3.0, count=100, unit="V/rad"),
@@ -105,7 +105,7 @@ def test_a_map_shows_its_axes_and_counts_what_motions_settle_to() -> None:
         parameters={},
         start={},
         until=60.0,
-        attractors=(*(zeno,) * 2999, Attractor(fate=Fate.REST)),
+        attractors=(*(zeno,) * 2999, Attractor(fate=AttractorClass.REST)),
         versions={},
     )
     text = shown(found)

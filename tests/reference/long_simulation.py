@@ -24,7 +24,7 @@ from tests.reference.long_simulation_passages import (
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.maps import Attractor, Fate
+from zeno_orbits.maps import Attractor, AttractorClass
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import release_section
 from zeno_orbits.simulation import Execution, Impact, Mode, Release, SimulationSettings, simulate
@@ -90,7 +90,7 @@ def attractor_of(
         except RunawayError as error:
             return _escape(problem, np.array(error.state[: len(x)]))
         except SimulationError as error:
-            return Attractor(fate=Fate.FAILED, detail=str(error))
+            return Attractor(fate=AttractorClass.FAILED, detail=str(error))
         pieces.append(Piece(start=k * length, execution=execution))
         far = [s for s in execution.sampled(20)[1] if problem.escaped(s)]
         if far:
@@ -99,7 +99,7 @@ def attractor_of(
         if settled is not None:
             return settled
         x = execution.end_state
-    return Attractor(fate=Fate.UNSETTLED, trend=trend_of(pieces, dynamics.n_q))
+    return Attractor(fate=AttractorClass.UNSETTLED, trend=trend_of(pieces, dynamics.n_q))
 
 
 def _bounded(problem: Problem, settings: SimulationSettings) -> SimulationSettings:
@@ -114,8 +114,8 @@ def _escape(problem: Problem, state: Vector) -> Attractor:
     name = problem.escaped(state.tolist())
     if not name:
         name = problem.state_names[int(np.argmax(np.abs(state[: len(state) // 2])))]
-        return Attractor(fate=Fate.ESCAPE, escaped=name, detail=f"{name} runs away")
-    return Attractor(fate=Fate.ESCAPE, escaped=name, detail=problem.escapes[name].phrase)
+        return Attractor(fate=AttractorClass.ESCAPE, escaped=name, detail=f"{name} runs away")
+    return Attractor(fate=AttractorClass.ESCAPE, escaped=name, detail=problem.escapes[name].phrase)
 
 
 def _settled(
@@ -124,7 +124,7 @@ def _settled(
     """Return what the motion has settled to, if it has."""
     if rests(pieces, run.close):
         return Attractor(
-            fate=Fate.REST,
+            fate=AttractorClass.REST,
             state=dict(
                 zip(problem.state_names, pieces[-1].execution.end_state.tolist(), strict=True)
             ),
@@ -149,17 +149,21 @@ def _orbit(
     period = last.time - first.time
     state = dict(zip(problem.state_names, last.state.tolist(), strict=True))
     if not _releases(pieces, first.time):
-        return Attractor(fate=Fate.NO_ZENO, period=period, state=state)
+        return Attractor(fate=AttractorClass.NO_ZENO, period=period, state=state)
     round_trip = _Return(dynamics=dynamics, n=n, horizon=2.0 * period, settings=run.simulation)
     try:
         cycle = round_trip.execution(last.state)
         multipliers = _multipliers(round_trip, last.state, scale_of(passages[-n - 1 :]))
     except SimulationError as error:
-        return Attractor(fate=Fate.FAILED, period=period, state=state, detail=str(error))
+        return Attractor(fate=AttractorClass.FAILED, period=period, state=state, detail=str(error))
     zenos = cycle.zeno_points
-    fate = Fate.ZENO if any(zeno.last_speed > 0.0 for zeno in zenos) else Fate.SIMPLE
+    fate = (
+        AttractorClass.ZENO
+        if any(zeno.last_speed > 0.0 for zeno in zenos)
+        else AttractorClass.SIMPLE
+    )
     return Attractor(
-        fate=fate if zenos else Fate.NO_ZENO,
+        fate=fate if zenos else AttractorClass.NO_ZENO,
         returns=n,
         period=period,
         multipliers=multipliers,

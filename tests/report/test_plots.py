@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Annotation
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.maps import Attractor, Axis, Boundary, Fate, ParameterMap
+from zeno_orbits.maps import Attractor, AttractorClass, Axis, Boundary, ParameterMap
 from zeno_orbits.model import (
     CompletedSystem,
     HybridDynamics,
@@ -503,22 +503,24 @@ def small_map(*attractors: Attractor, columns: int = 3) -> ParameterMap:
 
 def _zeno(period: float, radius: float, returns: int = 1) -> Attractor:
     multipliers = (complex(radius), 0j)
-    return Attractor(fate=Fate.ZENO, returns=returns, period=period, multipliers=multipliers)
+    return Attractor(
+        fate=AttractorClass.ZENO, returns=returns, period=period, multipliers=multipliers
+    )
 
 
 EVERY_FATE = (
     *(_zeno(1.70 + 0.1 * k, 0.1 + 0.15 * k) for k in range(3)),
     *(_zeno(1.75 + 0.1 * k, 0.2 + 0.15 * k) for k in range(3)),
     *(_zeno(3.6, 0.5, returns=n) for n in (2, 4, 3)),
-    Attractor(fate=Fate.SIMPLE, returns=1, period=1.8),
-    Attractor(fate=Fate.NO_ZENO, period=1.8),
-    Attractor(fate=Fate.REST),
-    Attractor(fate=Fate.ESCAPE, escaped="theta1", detail="link 1 whirls"),
-    Attractor(fate=Fate.ESCAPE, escaped="theta2", detail="link 2 goes over the top"),
-    Attractor(fate=Fate.UNSETTLED),
-    Attractor(fate=Fate.UNSETTLED, trend=1.1),
-    Attractor(fate=Fate.UNSETTLED, trend=0.9),
-    Attractor(fate=Fate.FAILED, detail="no"),
+    Attractor(fate=AttractorClass.SIMPLE, returns=1, period=1.8),
+    Attractor(fate=AttractorClass.NO_ZENO, period=1.8),
+    Attractor(fate=AttractorClass.REST),
+    Attractor(fate=AttractorClass.ESCAPE, escaped="theta1", detail="link 1 whirls"),
+    Attractor(fate=AttractorClass.ESCAPE, escaped="theta2", detail="link 2 goes over the top"),
+    Attractor(fate=AttractorClass.UNSETTLED),
+    Attractor(fate=AttractorClass.UNSETTLED, trend=1.1),
+    Attractor(fate=AttractorClass.UNSETTLED, trend=0.9),
+    Attractor(fate=AttractorClass.FAILED, detail="no"),
 )
 
 
@@ -574,7 +576,7 @@ def test_boundaries_are_drawn_on_top_of_a_map_and_leave_its_limits() -> None:
 
 
 def test_a_map_of_one_fate_has_no_contours() -> None:
-    rest = [Attractor(fate=Fate.REST)] * 6
+    rest = [Attractor(fate=AttractorClass.REST)] * 6
     assert list(_legend(plot_map(small_map(*rest)))) == ["rest"]
     same = [_zeno(1.8, 0.1)] * 400
     figure = plot_map(small_map(*same, columns=20))

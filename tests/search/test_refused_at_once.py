@@ -8,7 +8,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import MISUSE, NO, ask
-from zeno_orbits.maps import Attractor, Fate
+from zeno_orbits.maps import Attractor, AttractorClass
 
 
 @pytest.mark.parametrize(
@@ -78,6 +78,6 @@ def test_no_map_is_suggested_to_a_machine_that_comes_to_rest() -> None:
 
 
 def test_an_orbit_without_multipliers_has_the_radius_zero_everywhere() -> None:
-    assert Attractor(fate=Fate.ZENO).spectral_radius == 0.0
-    assert Attractor(fate=Fate.NO_ZENO, multipliers=(0.5 + 0j,)).spectral_radius == 0.5
-    assert math.isnan(Attractor(fate=Fate.REST).spectral_radius)
+    assert Attractor(fate=AttractorClass.ZENO).spectral_radius == 0.0
+    assert Attractor(fate=AttractorClass.NO_ZENO, multipliers=(0.5 + 0j,)).spectral_radius == 0.5
+    assert math.isnan(Attractor(fate=AttractorClass.REST).spectral_radius)

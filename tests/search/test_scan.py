@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.searches import question_of
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.maps import Attractor, Fate
+from zeno_orbits.maps import Attractor, AttractorClass
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Bound, EventSequence
 from zeno_orbits.search import (
@@ -44,7 +44,7 @@ def _search(problem: Problem, **changes: Any) -> SearchProblem:
 
 
 def _orbit(radius: float, **changes: Any) -> Attractor:
-    told: dict[str, Any] = {"fate": Fate.ZENO, "returns": 1, "period": 2.0}
+    told: dict[str, Any] = {"fate": AttractorClass.ZENO, "returns": 1, "period": 2.0}
     return Attractor(multipliers=(complex(radius),), **told | changes)
 
 
@@ -67,7 +67,7 @@ def _gains(search: SearchProblem, order: Sequence[int]) -> list[float]:
 def _two_valleys(kd: float) -> Attractor:
     """Valleys at -1.7, the deeper one, and at -1.2; no orbit below -1.8."""
     if kd < -1.8:
-        return Attractor(fate=Fate.ESCAPE, escaped="theta1")
+        return Attractor(fate=AttractorClass.ESCAPE, escaped="theta1")
     return _orbit(min(0.1 + 5 * abs(kd + 1.7), 0.3 + abs(kd + 1.2)))
 
 
@@ -105,7 +105,9 @@ def test_what_is_near_starts_at_the_given_numbers_and_goes_on_by_nearness(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _landscape(
-        monkeypatch, problem, lambda kd: _orbit(0.1) if kd < -1.4 else Attractor(fate=Fate.REST)
+        monkeypatch,
+        problem,
+        lambda kd: _orbit(0.1) if kd < -1.4 else Attractor(fate=AttractorClass.REST),
     )
     search = _search(problem, objective=NearestGains(target={}))
     kd = _gains(search, start_order(search))
@@ -125,7 +127,7 @@ def test_orbits_of_another_number_of_releases_are_no_starts_for_a_shape(
 def test_without_an_orbit_anywhere_the_first_place_comes_twice(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _landscape(monkeypatch, problem, lambda _: Attractor(fate=Fate.REST))
+    _landscape(monkeypatch, problem, lambda _: Attractor(fate=AttractorClass.REST))
     search = _search(problem)
     assert start_order(search)[:3] == (0, 0, 1)
     search = scanned(search, 0)
@@ -249,7 +251,10 @@ def test_of_several_starts_the_first_that_leads_to_an_orbit_counts(
 ) -> None:
     scan._settled.cache_clear()
     asked: list[Any] = []
-    rest, gone = Attractor(fate=Fate.REST), Attractor(fate=Fate.ESCAPE, escaped="theta1")
+    rest, gone = (
+        Attractor(fate=AttractorClass.REST),
+        Attractor(fate=AttractorClass.ESCAPE, escaped="theta1"),
+    )
     first, second = _orbit(0.25), _orbit(0.75)
     answers: list[Any] = [(first, rest, gone, rest), (second, gone, rest), ZenoOrbitsError("No.")]
 
@@ -274,7 +279,7 @@ def test_of_several_starts_the_first_that_leads_to_an_orbit_counts(
     scan._settled.cache_clear()
     answers.append(ZenoOrbitsError("It fails."))
     (failed,) = scan._settled(problem, places[:1], starts[:1], None)
-    assert (failed.fate, failed.detail) == (Fate.FAILED, "It fails.")
+    assert (failed.fate, failed.detail) == (AttractorClass.FAILED, "It fails.")
     scan._settled.cache_clear()
 
 
@@ -294,17 +299,17 @@ def test_places_are_asked_about_with_the_starts_and_the_wait_of_the_search(
 @pytest.mark.parametrize(
     ("fate", "group"),
     [
-        (Fate.ZENO, 0),
-        (Fate.SIMPLE, 0),
-        (Fate.NO_ZENO, 0),
-        (Fate.UNSETTLED, 1),
-        (Fate.FAILED, 1),
-        (Fate.REST, 2),
-        (Fate.ESCAPE, 2),
+        (AttractorClass.ZENO, 0),
+        (AttractorClass.SIMPLE, 0),
+        (AttractorClass.NO_ZENO, 0),
+        (AttractorClass.UNSETTLED, 1),
+        (AttractorClass.FAILED, 1),
+        (AttractorClass.REST, 2),
+        (AttractorClass.ESCAPE, 2),
     ],
 )
 def test_places_with_an_orbit_come_first_and_those_that_are_decided_last(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch, fate: Fate, group: int
+    problem: Problem, monkeypatch: pytest.MonkeyPatch, fate: AttractorClass, group: int
 ) -> None:
     monkeypatch.setattr(scan, "_scored", lambda *_: scan._Rank(0, False, 1.5))
     search, values = _search(problem), problem.values()
@@ -377,12 +382,12 @@ def test_a_period_of_an_attractor_has_its_returns_or_the_impacts_of_a_little_mor
     found: Any = scan.cycle_at(search, values, seen)
     assert found == (start, EventSequence.parsed("zeno*2"), named)
     assert asked == []
-    struck = _orbit(0.5, fate=Fate.NO_ZENO, returns=0, state=state)
+    struck = _orbit(0.5, fate=AttractorClass.NO_ZENO, returns=0, state=state)
     found = scan.cycle_at(search, values, struck)
     assert found == (start, EventSequence.parsed("impact*3"), named)
     # The last impact is that at the end of the period, which rounding may put after it.
     assert asked == [(start, {"until": pytest.approx(2.002), "settings": settings})]
-    simple = _orbit(0.5, fate=Fate.SIMPLE, state=state)
+    simple = _orbit(0.5, fate=AttractorClass.SIMPLE, state=state)
     found = scan.cycle_at(search, values, simple)
     assert found[1] == EventSequence.parsed("plastic")
 

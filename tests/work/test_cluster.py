@@ -18,7 +18,7 @@ from tests.support.chores import Deadly, Diary
 from tests.support.clusters import DaskCluster, dask_cluster, noted_problem, wait_until
 from tests.support.commands import ask
 from zeno_orbits.errors import InputError, WorkError
-from zeno_orbits.maps import Axis, Plane, parameter_map, write_map
+from zeno_orbits.maps import Axis, Plane, map_of_plane, write_map
 from zeno_orbits.model import bundled_problems, locate_problem
 from zeno_orbits.work import Cluster, ExecutionPlan, FailedPoint, Workers, parallel_map
 
@@ -165,7 +165,7 @@ def test_a_map_made_on_a_cluster_is_the_file_made_here(
         start=(1.0, 0.0),
     )
     for name, place in (("there", cluster.place()), ("here", Workers(count=1))):
-        write_map(parameter_map(plane, plan(place)), tmp_path / name)
+        write_map(map_of_plane(plane, plan(place)), tmp_path / name)
     assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
 
 

@@ -280,7 +280,7 @@ def parameter_map(
     )
     chosen = shared or ExecutionPlan(place=Workers(count=1))
     plan = replace(chosen, chunk=maps.chunk_of(plane))
-    return maps.parameter_map(plane, plan, refine=refine, on_progress=on_progress)
+    return maps.map_of_plane(plane, plan, refine=refine, on_progress=on_progress)
 
 
 def map_plane(

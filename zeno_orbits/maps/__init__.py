@@ -1,9 +1,9 @@
 """Maps of attractors over a plane of gains, parameters or states, on all cores or a cluster.
 
-Offers: `parameter_map` of a `Plane` with its two `Axis`: a `ParameterMap` of `Attractor`s, each of
-a `Fate`; `attractors_at` for any list of numbers; `read_map`, `write_map`, `read_boundaries`;
-`largest_pushes` of an orbit: the `Pushes`, each a `Push`, by `PushSettings`; the `least_push` of
-them, in the `push_units` of a direction; `recovery_of` an orbit: a `Recovery`, by
+Offers: `map_of_plane` of a `Plane` with its two `Axis`: a `ParameterMap` of `Attractor`s, each of
+an `AttractorClass`; `attractors_at` for any list of numbers; `read_map`, `write_map`,
+`read_boundaries`; `largest_pushes` of an orbit: the `Pushes`, each a `Push`, by `PushSettings`; the
+`least_push` of them, in the `push_units` of a direction; `recovery_of` an orbit: a `Recovery`, by
 `RecoverySettings`; `read_pushes` and `read_recovery`.
 
 Imports: orbits, simulation, loop, model, integrators, work, arrays, errors.

@@ -1,6 +1,6 @@
 from .attempt import Accuracy as Accuracy
 from .attractors import Attractor as Attractor
-from .attractors import Fate as Fate
+from .attractors import AttractorClass as AttractorClass
 from .classify import attractors_at as attractors_at
 from .disturbance_files import read_pushes as read_pushes
 from .disturbance_files import read_recovery as read_recovery
@@ -12,7 +12,7 @@ from .map_file import write_map as write_map
 from .classify import usual_time as usual_time
 from .mapping import Boundary as Boundary
 from .mapping import ParameterMap as ParameterMap
-from .mapping import parameter_map as parameter_map
+from .mapping import map_of_plane as map_of_plane
 from .plane import Axis as Axis
 from .plane import Plane as Plane
 from .plane import chunk_of as chunk_of

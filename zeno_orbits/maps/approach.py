@@ -28,7 +28,7 @@ _SHARED = 1e-2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
+class Approach:
     """The returns by which a motion approaches an orbit.
 
     Attributes:
@@ -41,7 +41,7 @@ class Way:
     captured: int
     doubtful: bool = False
 
-    def is_shared_by(self, other: Way) -> bool:
+    def is_shared_by(self, other: Approach) -> bool:
         """Return True if another motion makes the same returns up to the orbit."""
         at = self.captured
         usual = self.times[-1] / len(self.times)

@@ -12,8 +12,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps.approach import all_come_nearer, is_approached, places_on_the_way
-from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.crossings import Follower, Released, Struck
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
+from zeno_orbits.maps.crossings import Follower, ImpactRecord, ReleaseRecord
 from zeno_orbits.maps.newton import (
     RELEASES,
     Crossing,
@@ -80,12 +80,12 @@ Rounding has then put the start in contact.
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
+class NoOrbit:
     """This attempt found no orbit to which the motion converges."""
 
 
 @dataclass(slots=True, kw_only=True)
-class Attempt:
+class NewtonState:
     """State of Newton's method for orbits of a period.
 
     Attributes:
@@ -126,24 +126,24 @@ class Attempt:
     last_step: Vector | None = None
     doubtful: bool = False
     approached: bool = False
-    _lanes: list[list[Released | Struck]] = field(
-        init=False, default_factory=list[list[Released | Struck]]
+    _lanes: list[list[ReleaseRecord | ImpactRecord]] = field(
+        init=False, default_factory=list[list[ReleaseRecord | ImpactRecord]]
     )
 
-    def run(self) -> Attractor | Lost:
-        """Return the orbit to which the motion converges, or `Lost`."""
-        answer: Vector | Attractor | Lost = self.bundle.states
+    def run(self) -> Attractor | NoOrbit:
+        """Return the orbit to which the motion converges, or `NoOrbit`."""
+        answer: Vector | Attractor | NoOrbit = self.bundle.states
         while isinstance(answer, np.ndarray):
             error = self.accuracy.orbit if self.final else self.accuracy.motion
             lanes = self._periods(answer, error)
             if not all(lanes):
-                return Lost()
+                return NoOrbit()
             self._lanes = lanes
             cycles = [self.crossing.cycle(self.dynamics, events) for events in lanes]
             try:
                 point = newton_step(self.dynamics, self.bundle.section, cycles, self.jacobian)
             except (np.linalg.LinAlgError, ZenoOrbitsError):
-                return Lost()
+                return NoOrbit()
             answer = self._stepped(point)
         return answer
 
@@ -152,7 +152,7 @@ class Attempt:
         """The system."""
         return self.follower.dynamics
 
-    def _periods(self, states: Vector, error: float) -> list[list[Released | Struck]]:
+    def _periods(self, states: Vector, error: float) -> list[list[ReleaseRecord | ImpactRecord]]:
         """Return the returns of a period of the motion from each state, or an empty list."""
         if self.crossing is not RELEASES:
             return [self._impacts(state, error) for state in states]
@@ -163,43 +163,45 @@ class Attempt:
                 found[k] = self._releases(states[k : k + 1], error, self.period + 1)[0]
         return [events if len(events) == self.period else [] for events in found]
 
-    def _releases(self, states: Vector, error: float, count: int) -> list[list[Released | Struck]]:
+    def _releases(
+        self, states: Vector, error: float, count: int
+    ) -> list[list[ReleaseRecord | ImpactRecord]]:
         """Return the first releases of the motion from each state, without those at the start."""
         runs = self.follower.releases(states, until=2 * self.span, error=error, count=count)
         return [[one for one in events if one.time > SAME * self.span] for events in runs]
 
-    def _impacts(self, state: Vector, error: float) -> list[Released | Struck]:
+    def _impacts(self, state: Vector, error: float) -> list[ReleaseRecord | ImpactRecord]:
         """Return the impacts of a period that begin a sequence, or an empty list."""
-        found = list[Released | Struck]()
+        found = list[ReleaseRecord | ImpactRecord]()
         for event in self.follower.crossings(state, until=2 * self.span, error=error):
-            if isinstance(event, Struck) and event.time > SAME * self.span:
+            if isinstance(event, ImpactRecord) and event.time > SAME * self.span:
                 found.append(event)
                 if len(found) == self.period:
                     return found
         return []
 
-    def _stepped(self, point: FixedPoint) -> Vector | Attractor | Lost:
+    def _stepped(self, point: FixedPoint) -> Vector | Attractor | NoOrbit:
         """Continue after a Newton step: with a further step, a higher accuracy, or a conclusion."""
         accuracy = self.accuracy
         self.iterations += 1
         if not (np.all(np.isfinite(point.jacobian)) and np.isfinite(point.distance)):
-            return Lost()
+            return NoOrbit()
         allowed = max(_SHRINKS * self.before, accuracy.exact) if self.comparable else np.inf
         near = point.distance < self.crossing.far and self.iterations <= _MOST_ITERATIONS
         if not (point.distance <= allowed and near):
-            return Lost()
+            return NoOrbit()
         if point.distance < _NEAR and point.spectral_radius > _REPELS:
-            return Lost()
+            return NoOrbit()
         if self.final and self.jacobian is None and point.distance <= accuracy.exact:
             return self._accepted(point)
         self._note_contraction(point)
         if self.contracts and self._vanishes(point):
-            return Attractor(fate=Fate.REST, trend=point.spectral_radius)
+            return Attractor(fate=AttractorClass.REST, trend=point.spectral_radius)
         straight = self._reuses(point)
         try:
             self.bundle = self._bundle_around(point, neighbours=not straight)
         except ZenoOrbitsError:
-            return Lost()
+            return NoOrbit()
         final = self.final or straight or point.distance <= _COARSE
         # The fixed point depends on the accuracy, so the first step at a new accuracy is not
         # compared with the previous step.
@@ -251,10 +253,10 @@ class Attempt:
         left = float(np.max(np.abs(point.state) / scale))
         return left < _VANISHED * float(np.max(np.abs(self.origin) / scale))
 
-    def _accepted(self, point: FixedPoint) -> Vector | Attractor | Lost:
+    def _accepted(self, point: FixedPoint) -> Vector | Attractor | NoOrbit:
         """Return the orbit if it is stable and the motion converges to it."""
         if not point.spectral_radius < 1.0:
-            return Lost()
+            return NoOrbit()
         shorter = self._shorter_period()
         if not self.approached:
             section, jacobian = self.bundle.section, point.jacobian
@@ -266,11 +268,11 @@ class Attempt:
             close = max(SAME_PERIOD, self.accuracy.reached, _LATER * away)
             self.doubtful = late > close * self.span
             if self.doubtful and not self.accuracy.motion > self.accuracy.orbit:
-                return Lost()
+                return NoOrbit()
             if not is_approached(before, after, jacobian, self.accuracy.reached):
                 places = places_on_the_way(after, jacobian)
                 if not (self.contracts and len(places) and self._leads_there(point, places)):
-                    return Lost()
+                    return NoOrbit()
         return self._concluded(point, shorter)
 
     def _concluded(self, point: FixedPoint, shorter: int) -> Vector | Attractor:
@@ -325,9 +327,9 @@ class Attempt:
     def _orbit(self, point: FixedPoint) -> Attractor:
         period, *margins = point.numbers.tolist()
         releases = self.crossing is RELEASES
-        fate = Fate.ZENO if self.dynamics.restitution > 0.0 else Fate.SIMPLE
+        fate = AttractorClass.ZENO if self.dynamics.restitution > 0.0 else AttractorClass.SIMPLE
         if not (releases and np.all(np.isfinite(margins))):
-            fate = Fate.NO_ZENO
+            fate = AttractorClass.NO_ZENO
         named = dict(zip(self.crossing.margins, margins, strict=True))
         return Attractor(
             fate=fate,

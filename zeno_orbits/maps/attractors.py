@@ -12,7 +12,7 @@ from zeno_orbits.simulation import STEADY, AttractorKind
 from zeno_orbits.work import EntryError, from_plain
 
 
-class Fate(Enum):
+class AttractorClass(Enum):
     """Kinds of attractors. The value is the phrase shown to the user."""
 
     ZENO = "Zeno periodic orbit"
@@ -26,19 +26,19 @@ class Fate(Enum):
 
 
 _KINDS = {
-    Fate.ZENO: AttractorKind.REPEATS,
-    Fate.SIMPLE: AttractorKind.REPEATS,
-    Fate.NO_ZENO: AttractorKind.REPEATS,
-    Fate.REST: AttractorKind.RESTS,
-    Fate.HELD: AttractorKind.HELD,
-    Fate.ESCAPE: AttractorKind.GONE,
+    AttractorClass.ZENO: AttractorKind.REPEATS,
+    AttractorClass.SIMPLE: AttractorKind.REPEATS,
+    AttractorClass.NO_ZENO: AttractorKind.REPEATS,
+    AttractorClass.REST: AttractorKind.RESTS,
+    AttractorClass.HELD: AttractorKind.HELD,
+    AttractorClass.ESCAPE: AttractorKind.GONE,
 }
 _IRREGULAR = {
     AttractorKind.QUASI_PERIODIC: "quasi-periodic motion",
     AttractorKind.CHAOTIC: "chaotic motion",
     AttractorKind.GROWS: "growing motion",
 }
-_ORBITS = (Fate.ZENO, Fate.SIMPLE, Fate.NO_ZENO)
+_ORBITS = (AttractorClass.ZENO, AttractorClass.SIMPLE, AttractorClass.NO_ZENO)
 """Attractors that are periodic orbits."""
 
 
@@ -69,7 +69,7 @@ class Attractor:
             event after `state` to the event of its section.
     """
 
-    fate: Fate
+    fate: AttractorClass
     returns: int = 0
     period: float = float("nan")
     multipliers: tuple[complex, ...] = ()
@@ -94,18 +94,18 @@ class Attractor:
     def phrase(self) -> str:
         """The kind of the attractor, as text for a legend."""
         if self.fate in _ORBITS:
-            several = self.fate is Fate.ZENO or self.returns > 1
+            several = self.fate is AttractorClass.ZENO or self.returns > 1
             period = f", period {self.returns}" if several and self.returns else ""
             if self.sequence:
                 period = f", {_counted(self.sequence)}"
             turns = f", {self.turns} turns" if self.turns > 1 else ""
             number = f", number {self.number}" if self.number else ""
             return f"{self.fate.value}{period}{turns}{number}"
-        if self.fate is Fate.ESCAPE:
+        if self.fate is AttractorClass.ESCAPE:
             return self.detail or f"{self.escaped} runs away"
-        if self.fate is Fate.UNSETTLED and self.kind in _IRREGULAR:
+        if self.fate is AttractorClass.UNSETTLED and self.kind in _IRREGULAR:
             return _IRREGULAR[self.kind]
-        if self.fate is Fate.UNSETTLED and not self.detail:
+        if self.fate is AttractorClass.UNSETTLED and not self.detail:
             # The motion was not analysed further.
             if self.trend > 1.0 + STEADY:
                 return f"{self.fate.value}, growing"
@@ -121,7 +121,7 @@ class Attractor:
     def spectral_radius(self) -> float:
         """Largest modulus of the multipliers: 0 without multipliers, NaN if it is unknown."""
         # A state just after an impact always has a multiplier, but a release may not have any.
-        known = self.sequence or self.fate in (Fate.ZENO, Fate.SIMPLE)
+        known = self.sequence or self.fate in (AttractorClass.ZENO, AttractorClass.SIMPLE)
         nothing = 0.0 if known else math.nan
         return max((abs(value) for value in self.multipliers), default=nothing)
 

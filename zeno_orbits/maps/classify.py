@@ -11,9 +11,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.maps.approach import Way
+from zeno_orbits.maps.approach import Approach
 from zeno_orbits.maps.attempt import Accuracy
-from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
 from zeno_orbits.maps.crossings import Follower
 from zeno_orbits.maps.event_point import EventPoint, known_event_orbit
 from zeno_orbits.maps.known import KnownOrbit, distinct_orbits, known_orbit
@@ -103,7 +103,7 @@ def attractors_from(
                 system = values, system_of(problem, values)
         except InputError as error:
             # A derived value may be outside of its range.
-            found.append(Attractor(fate=Fate.FAILED, detail=str(error)))
+            found.append(Attractor(fate=AttractorClass.FAILED, detail=str(error)))
         else:
             exact = accuracy or Accuracy()
             found.append(_settled(problem, system[1], state, until, limits, exact, known)[0])
@@ -119,7 +119,7 @@ def approach_from(
     until: float,
     accuracy: Accuracy,
     known: Sequence[KnownOrbit],
-) -> tuple[Attractor, Way | None]:
+) -> tuple[Attractor, Approach | None]:
     """Return the attractor of a motion, and its approach if the attractor has a period.
 
     Args:
@@ -172,7 +172,7 @@ def _settled(
     limits: Vector,
     accuracy: Accuracy,
     known: Sequence[KnownOrbit],
-) -> tuple[Attractor, Way | None]:
+) -> tuple[Attractor, Approach | None]:
     """Return the attractor of one motion, and its approach."""
     units = problem.state_units
     motion: Callable[[Accuracy], Point | EventPoint]

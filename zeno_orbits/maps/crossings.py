@@ -15,7 +15,7 @@ _NO_IMPACT = 1e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Released:
+class ReleaseRecord:
     """A release from the stop.
 
     Attributes:
@@ -34,7 +34,7 @@ class Released:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Struck:
+class ImpactRecord:
     """An impact that begins a sequence: a first impact, or an impact at almost the previous speed.
 
     Attributes:
@@ -68,7 +68,7 @@ class Follower:
         error: float,
         goes_on: bool = True,
         seen: Callable[[Event], None] | None = None,
-    ) -> Iterator[Released | Struck | MotionEnd]:
+    ) -> Iterator[ReleaseRecord | ImpactRecord | MotionEnd]:
         """Yield the crossings of a motion, and then its end.
 
         Args:
@@ -91,7 +91,7 @@ class Follower:
 
     def releases(
         self, states: Vector, *, until: float, error: float, count: int
-    ) -> Iterator[list[Released]]:
+    ) -> Iterator[list[ReleaseRecord]]:
         """Yield the first releases of the motion from each state.
 
         Args:
@@ -104,7 +104,7 @@ class Follower:
         runs = watched_releases(self.dynamics, states, bounds=self.bounds, **limits)
         for state, events in zip(states, runs, strict=True):
             found = _crossings(self.dynamics, iter(events), state, strikes=False)
-            yield [one for one in found if isinstance(one, Released)]
+            yield [one for one in found if isinstance(one, ReleaseRecord)]
 
 
 def _crossings(
@@ -114,7 +114,7 @@ def _crossings(
     *,
     strikes: bool = True,
     seen: Callable[[Event], None] | None = None,
-) -> Iterator[Released | Struck | MotionEnd]:
+) -> Iterator[ReleaseRecord | ImpactRecord | MotionEnd]:
     """Yield the crossings of a motion.
 
     Args:
@@ -140,12 +140,14 @@ def _crossings(
                 continue
             before, speed = speed, dynamics.speed_after(event.approach_rate)
             if last is None or _begins(dynamics, last, before, speed):
-                yield Struck(time=event.time, state=event.state_plus, rate=event.approach_rate)
+                yield ImpactRecord(
+                    time=event.time, state=event.state_plus, rate=event.approach_rate
+                )
             last = event.state_plus
         elif isinstance(event, MotionEnd):
             yield event
         elif isinstance(event, Release):
-            yield Released(
+            yield ReleaseRecord(
                 time=event.time,
                 state=event.state,
                 struck=first,

@@ -14,9 +14,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
-from zeno_orbits.maps.approach import Way, is_approached, steps_towards
+from zeno_orbits.maps.approach import Approach, is_approached, steps_towards
 from zeno_orbits.maps.attempt import Accuracy
-from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
 from zeno_orbits.maps.known import KnownOrbit, Recognition
 from zeno_orbits.model import GraphDynamics, own_time
 from zeno_orbits.orbits import (
@@ -93,7 +93,7 @@ class EventPoint:
         self._usual = graph.own.states(len(start))
         # Returns of one simulation differ by its own errors.
         self._same = max(accuracy.repeats, accuracy.reached)
-        self.way: Way | None = None
+        self.way: Approach | None = None
 
     def attractor(self) -> Attractor:
         """Simulate the motion and return its attractor."""
@@ -112,12 +112,12 @@ class EventPoint:
                 time *= _LONGER
         except RunawayError as error:
             escaped = error.coordinate or error.reason.split()[0]
-            return Attractor(fate=Fate.ESCAPE, escaped=escaped)
+            return Attractor(fate=AttractorClass.ESCAPE, escaped=escaped)
         except SimulationError as error:
-            return Attractor(fate=Fate.FAILED, detail=error.reason)
+            return Attractor(fate=AttractorClass.FAILED, detail=error.reason)
         except InputError as error:
             detail = f"The start is not admissible: {str(error).partition('must ')[2]}"
-            return Attractor(fate=Fate.FAILED, detail=detail)
+            return Attractor(fate=AttractorClass.FAILED, detail=detail)
 
     def _classified(self, motion: Execution) -> Attractor | None:
         """Return the attractor of a motion, if it is known by now."""
@@ -127,9 +127,9 @@ class EventPoint:
         beyond = np.abs(motion.end_state) > self._bounds
         if beyond.any():
             escaped = self._graph.state_names[int(np.argmax(beyond))]
-            return Attractor(fate=Fate.ESCAPE, escaped=escaped)
+            return Attractor(fate=AttractorClass.ESCAPE, escaped=escaped)
         if self._is_still(motion):
-            return Attractor(fate=Fate.REST)
+            return Attractor(fate=AttractorClass.REST)
         late = tuple(event for event in motion.events if event.time > motion.end_time / 2)
         if not late:
             return self._without_events(motion)
@@ -141,7 +141,7 @@ class EventPoint:
             ]
             settling = self._settling(returns)
             if settling.outcome is AttractorKind.DIES_OUT:
-                return Attractor(fate=Fate.REST, trend=settling.trend)
+                return Attractor(fate=AttractorClass.REST, trend=settling.trend)
             for repeated in settling.repetitions:
                 found = self._closed(motion, section, returns, repeated.returns)
                 if found is not None:
@@ -226,7 +226,7 @@ class EventPoint:
             return None
         self._note_way(returns, n)
         return Attractor(
-            fate=Fate.NO_ZENO,
+            fate=AttractorClass.NO_ZENO,
             period=returns[-1].time - returns[-1 - n].time,
             state=self._named(returns[-1].state),
         )
@@ -234,7 +234,7 @@ class EventPoint:
     def _note_way(self, returns: Sequence[SectionReturn], on_the_way: int) -> None:
         """Record the approach of the motion to its orbit, over its last returns."""
         times = tuple(one.time for one in returns)
-        self.way = Way(times=times, captured=max(len(times) - 1 - on_the_way, 0))
+        self.way = Approach(times=times, captured=max(len(times) - 1 - on_the_way, 0))
 
     def _standard(self, found: EventReturn, section: str) -> EventReturn:
         """Return an orbit from its first section, so that one orbit has one start."""
@@ -255,7 +255,13 @@ class EventPoint:
         impacts = sum(isinstance(event, Impact) for event in found.events)
         # A plastic stop closes at the first impact of its sequence.
         plastic = impacts == zenos == len(found.events) - len(sequence)
-        fate = Fate.NO_ZENO if not zenos else Fate.SIMPLE if plastic else Fate.ZENO
+        fate = (
+            AttractorClass.NO_ZENO
+            if not zenos
+            else AttractorClass.SIMPLE
+            if plastic
+            else AttractorClass.ZENO
+        )
         return Attractor(
             fate=fate,
             returns=_count(found, sequence[-1]),
@@ -308,7 +314,7 @@ class EventPoint:
         for n in range(1, count // 2 + 1):
             if np.max(np.abs(rows[n:] - rows[:-n])) < self._same:
                 state = self._named(states[-1])
-                return Attractor(fate=Fate.NO_ZENO, period=n * turn, state=state)
+                return Attractor(fate=AttractorClass.NO_ZENO, period=n * turn, state=state)
         return None
 
     def _at_last(self, motion: Execution) -> Attractor:
@@ -320,10 +326,10 @@ class EventPoint:
             left = has_left(motion.end_state[:n_q], np.max(np.abs(reached), axis=0))
             if left.any():
                 escaped = self._graph.state_names[int(np.argmax(left))]
-                return Attractor(fate=Fate.ESCAPE, escaped=escaped)
+                return Attractor(fate=AttractorClass.ESCAPE, escaped=escaped)
         if arc.closed and arc.start_time < half:
-            return Attractor(fate=Fate.HELD)
-        return Attractor(fate=Fate.UNSETTLED)
+            return Attractor(fate=AttractorClass.HELD)
+        return Attractor(fate=AttractorClass.UNSETTLED)
 
     def _named(self, state: Vector) -> dict[str, float]:
         return dict(zip(self._graph.state_names, state.tolist(), strict=True))

@@ -11,8 +11,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.maps.attempt import Accuracy
-from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.crossings import Follower, Released
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
+from zeno_orbits.maps.crossings import Follower, ReleaseRecord
 from zeno_orbits.simulation import MotionEnd, scale_of
 
 _NEAR = 0.01
@@ -128,7 +128,10 @@ def known_orbit(
         accuracy: Accuracy of the simulation.
     """
     rate = attractor.spectral_radius
-    if attractor.fate not in (Fate.ZENO, Fate.SIMPLE, Fate.NO_ZENO) or not rate < 1.0:
+    if (
+        attractor.fate not in (AttractorClass.ZENO, AttractorClass.SIMPLE, AttractorClass.NO_ZENO)
+        or not rate < 1.0
+    ):
         return None
     names = follower.dynamics.state_names
     start = np.array([attractor.state[name] for name in names])
@@ -138,7 +141,7 @@ def known_orbit(
     for crossing in crossings:
         if isinstance(crossing, MotionEnd):
             return None
-        if crossing.time < _SOON * period or isinstance(crossing, Released) != at_releases:
+        if crossing.time < _SOON * period or isinstance(crossing, ReleaseRecord) != at_releases:
             continue
         found.append(crossing.state)
         if crossing.time > (1.0 - _SOON) * period:

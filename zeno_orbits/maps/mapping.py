@@ -14,7 +14,12 @@ import numpy as np
 from zeno_orbits.arrays import Rows, Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.loop import compile_formulas
-from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
+from zeno_orbits.maps.attractors import (
+    Attractor,
+    AttractorClass,
+    attractor_from_json,
+    attractor_json,
+)
 from zeno_orbits.maps.plane import Axis, Plane, require_plane, require_refinement
 from zeno_orbits.maps.refinement import Place, fine_count, inherited, refined
 from zeno_orbits.model import ProblemFile
@@ -168,7 +173,9 @@ class ParameterMap(TableRepr):
     @property
     def has_zeno(self) -> bool:
         """True if an attractor is a Zeno periodic orbit or a simple periodic orbit."""
-        return any(one.fate in (Fate.ZENO, Fate.SIMPLE) for one in self.attractors)
+        return any(
+            one.fate in (AttractorClass.ZENO, AttractorClass.SIMPLE) for one in self.attractors
+        )
 
     def header(self) -> dict[str, Any]:
         """Return the map without its points, as plain data."""
@@ -200,7 +207,7 @@ class ParameterMap(TableRepr):
         ]
 
 
-def parameter_map(
+def map_of_plane(
     plane: Plane, plan: ExecutionPlan, *, refine: int = 0, on_progress: Progress = silent
 ) -> ParameterMap:
     """Compute the map of a plane.
@@ -377,7 +384,7 @@ def _identity(plane: Plane, file: ProblemFile) -> dict[str, Any]:
 
 def _found(result: Any) -> Attractor:
     if isinstance(result, FailedPoint):
-        return Attractor(fate=Fate.FAILED, detail=result.reason)
+        return Attractor(fate=AttractorClass.FAILED, detail=result.reason)
     return attractor_from_json(result)
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.maps.crossings import Released, Struck
+from zeno_orbits.maps.crossings import ImpactRecord, ReleaseRecord
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import (
     IMPACT_ROWS,
@@ -172,7 +172,7 @@ def displaced(
     return DisplacedStates(section=section, states=np.array(states))
 
 
-def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> PeriodReturn:
+def _of_releases(dynamics: HybridDynamics, events: Sequence[ReleaseRecord]) -> PeriodReturn:
     """Return the period and the smallest margins over the releases of one period."""
     margins = np.array(
         [
@@ -191,7 +191,7 @@ def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> Period
     return PeriodReturn(state=events[-1].state, numbers=numbers)
 
 
-def _of_impacts(_: HybridDynamics, events: Sequence[Struck]) -> PeriodReturn:
+def _of_impacts(_: HybridDynamics, events: Sequence[ImpactRecord]) -> PeriodReturn:
     """Return the period and the slowest impact over the impacts of one period."""
     slowest = min(-event.rate for event in events)
     return PeriodReturn(state=events[-1].state, numbers=np.array([events[-1].time, slowest]))
@@ -210,7 +210,7 @@ class Crossing:
         far: Largest relative distance of the orbit from the motion in a Newton step.
     """
 
-    event: type[Released | Struck]
+    event: type[ReleaseRecord | ImpactRecord]
     rows: tuple[int, ...]
     margins: tuple[str, ...]
     cycle: Callable[[HybridDynamics, Sequence[Any]], PeriodReturn]
@@ -218,14 +218,14 @@ class Crossing:
 
 
 RELEASES = Crossing(
-    event=Released,
+    event=ReleaseRecord,
     rows=RELEASE_ROWS,
     margins=("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time"),
     cycle=_of_releases,
     far=0.8,
 )
 IMPACTS = Crossing(
-    event=Struck,
+    event=ImpactRecord,
     rows=IMPACT_ROWS,
     margins=("first_impact_speed",),
     cycle=_of_impacts,

@@ -13,7 +13,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, any_number, shown
 from zeno_orbits.maps.attempt import Accuracy
-from zeno_orbits.maps.attractors import Attractor, Fate, attractor_json
+from zeno_orbits.maps.attractors import Attractor, AttractorClass, attractor_json
 from zeno_orbits.maps.classify import (
     attractors_from,
     first_system,
@@ -123,7 +123,7 @@ class Plane:
                 motions[k] = fixed or self.values(x, y), self.state(x, y)
             except InputError as error:
                 # An axis is inside its range, but a derived value may be outside of its range.
-                found[k] = Attractor(fate=Fate.FAILED, detail=str(error))
+                found[k] = Attractor(fate=AttractorClass.FAILED, detail=str(error))
         attractors = attractors_from(
             problem,
             tuple(motions.values()),

@@ -10,10 +10,10 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.maps.approach import Way, steps_towards
-from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost
-from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.crossings import Follower, Struck
+from zeno_orbits.maps.approach import Approach, steps_towards
+from zeno_orbits.maps.attempt import SAME, Accuracy, NewtonState, NoOrbit
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
+from zeno_orbits.maps.crossings import Follower, ImpactRecord
 from zeno_orbits.maps.known import KnownOrbit, Recognition
 from zeno_orbits.maps.newton import (
     IMPACTS,
@@ -93,12 +93,12 @@ class Point:
         self._until = until
         self._accuracy = accuracy
         self._times: dict[Crossing, list[float]] = {RELEASES: [], IMPACTS: []}
-        self.way: Way | None = None
+        self.way: Approach | None = None
         self._tolerance = accuracy.motion
         self._log = MotionLog(units=units, usual=usual)
         self._checked = 0
         self._returns: list[SectionReturn] = []
-        self._strikes: list[Struck] = []
+        self._strikes: list[ImpactRecord] = []
         self._amplitudes: list[float] = []
         self._unit: Vector | None = None
         self._failures = 0
@@ -115,7 +115,7 @@ class Point:
                 return answer
             origin, start = answer.time, answer.state
 
-    def _followed(self, origin: float, start: Vector) -> Attractor | Struck:
+    def _followed(self, origin: float, start: Vector) -> Attractor | ImpactRecord:
         """Simulate the motion from a state to its attractor, or until it needs more accuracy."""
         crossings = self._follower.crossings(
             start,
@@ -128,8 +128,8 @@ class Point:
             if isinstance(crossing, MotionEnd):
                 return self._ended(crossing)
             time = origin + crossing.time
-            answer: Attractor | Struck | None = None
-            if isinstance(crossing, Struck):
+            answer: Attractor | ImpactRecord | None = None
+            if isinstance(crossing, ImpactRecord):
                 answer = self._struck(replace(crossing, time=time))
             elif not self._has_just_returned(time):
                 answer = self._returned(time, crossing.state)
@@ -161,9 +161,11 @@ class Point:
             found = self._attempted(Repetition(returns=n, change=0.0))
             if found is not None:
                 return found
-        fate = Fate.NO_ZENO
+        fate = AttractorClass.NO_ZENO
         if cycle.zeno_points and n:
-            fate = Fate.ZENO if self._dynamics.restitution > 0.0 else Fate.SIMPLE
+            fate = (
+                AttractorClass.ZENO if self._dynamics.restitution > 0.0 else AttractorClass.SIMPLE
+            )
         state = self._returns[-1].state if n and self._returns else cycle.state
         return Attractor(
             fate=fate,
@@ -189,7 +191,7 @@ class Point:
             return None
         settling = self._outcome()
         if settling.outcome is AttractorKind.DIES_OUT:
-            return Attractor(fate=Fate.REST, trend=settling.trend)
+            return Attractor(fate=AttractorClass.REST, trend=settling.trend)
         if self._may_recognize(RELEASES):
             return None
         for repeated in settling.repetitions:
@@ -227,7 +229,7 @@ class Point:
         bundle = self._first_bundle(period, scale)
         if not np.all(np.isfinite(bundle.states)):
             return None
-        attempt = Attempt(
+        attempt = NewtonState(
             follower=self._follower,
             accuracy=self._accuracy,
             span=now.time - before.time,
@@ -253,16 +255,16 @@ class Point:
         except SimulationError:
             return displaced(dynamics, section)
 
-    def _found_by(self, attempt: Attempt) -> Attractor | None:
+    def _found_by(self, attempt: NewtonState) -> Attractor | None:
         """Return the result of an attempt, and record the approach of the motion."""
         found = attempt.run()
-        if isinstance(found, Lost):
+        if isinstance(found, NoOrbit):
             return None
         if found.state:
             self._note_way(attempt, found)
         return found
 
-    def _note_way(self, attempt: Attempt, found: Attractor) -> None:
+    def _note_way(self, attempt: NewtonState, found: Attractor) -> None:
         """Record the approach of the motion to the result of an attempt."""
         state = np.array([found.state[name] for name in self._dynamics.state_names])
         events = self._returns if attempt.crossing is RELEASES else self._strikes
@@ -273,11 +275,11 @@ class Point:
     def _way(
         self,
         crossing: Crossing,
-        events: Sequence[SectionReturn | Struck],
+        events: Sequence[SectionReturn | ImpactRecord],
         period: int,
         state: Vector,
         scale: Vector,
-    ) -> Way:
+    ) -> Approach:
         """Return the approach of the motion to an orbit.
 
         Args:
@@ -289,7 +291,7 @@ class Point:
         """
         times, passed = self._times[crossing], [one.state for one in events]
         on_the_way = steps_towards(passed[::-period], state, scale, self._accuracy.reached)
-        return Way(times=tuple(times), captured=len(times) - 1 - period * on_the_way)
+        return Approach(times=tuple(times), captured=len(times) - 1 - period * on_the_way)
 
     def _recognized(self, crossing: Crossing, state: Vector) -> Attractor | None:
         """Return the known orbit to which the motion converges, and record its approach."""
@@ -297,7 +299,7 @@ class Point:
             if one.orbit.at_releases == (crossing is RELEASES) and one.sees(state):
                 times = self._times[crossing]
                 captured = max(len(times) - len(one.passed), 0)
-                self.way = Way(times=tuple(times), captured=captured)
+                self.way = Approach(times=tuple(times), captured=captured)
                 return one.orbit.attractor
         return None
 
@@ -311,7 +313,7 @@ class Point:
         names = self._dynamics.state_names
         return dict(zip(names, state[: len(names)].tolist(), strict=True))
 
-    def _struck(self, impact: Struck) -> Attractor | Struck | None:
+    def _struck(self, impact: ImpactRecord) -> Attractor | ImpactRecord | None:
         """Compare the first impact of a sequence with earlier first impacts, without a release."""
         self._strikes.append(impact)
         self._times[IMPACTS].append(impact.time)
@@ -341,7 +343,7 @@ class Point:
                 return None
         return None
 
-    def _repeated(self, period: int, scale: Vector) -> Struck | Attractor:
+    def _repeated(self, period: int, scale: Vector) -> ImpactRecord | Attractor:
         """Return the impact for a more accurate continuation, or afterwards the attractor."""
         last = self._strikes[-1]
         if not self._tolerance > self._accuracy.orbit:
@@ -364,7 +366,7 @@ class Point:
             return None
         if not np.all(np.isfinite(bundle.states)):
             return None
-        attempt = Attempt(
+        attempt = NewtonState(
             follower=self._follower,
             accuracy=self._accuracy,
             crossing=IMPACTS,
@@ -380,7 +382,7 @@ class Point:
     def _without_zeno(self, period: int) -> Attractor:
         last, first = self._strikes[-1], self._strikes[-1 - period]
         return Attractor(
-            fate=Fate.NO_ZENO,
+            fate=AttractorClass.NO_ZENO,
             period=last.time - first.time,
             margins={"first_impact_speed": min(-one.rate for one in self._strikes[-period:])},
             state=self._named(last.state),
@@ -388,7 +390,9 @@ class Point:
 
     def _ended(self, event: MotionEnd) -> Attractor:
         if event.reason is Reason.FAILURE:
-            return Attractor(fate=Fate.FAILED, detail=event.detail, state=self._named(event.state))
+            return Attractor(
+                fate=AttractorClass.FAILED, detail=event.detail, state=self._named(event.state)
+            )
         if event.reason is Reason.HORIZON:
             return self._at_last(event.state)
         settling = self._outcome(
@@ -398,26 +402,28 @@ class Point:
         )
         match settling.outcome:
             case AttractorKind.GONE:
-                return Attractor(fate=Fate.ESCAPE, escaped=settling.escaped)
+                return Attractor(fate=AttractorClass.ESCAPE, escaped=settling.escaped)
             case AttractorKind.RESTS | AttractorKind.DIES_OUT:
-                return Attractor(fate=Fate.REST)
+                return Attractor(fate=AttractorClass.REST)
             case _:
-                return Attractor(fate=Fate.HELD)
+                return Attractor(fate=AttractorClass.HELD)
 
     def _at_last(self, state: Vector) -> Attractor:
         """Classify a motion that was simulated to its time limit."""
         settling = self._outcome()
         if settling.outcome is AttractorKind.DIES_OUT:
-            return Attractor(fate=Fate.REST)
+            return Attractor(fate=AttractorClass.REST)
         found = verdict(self._dynamics, self._log, state, self._until, close=self._accuracy.repeats)
         if found.cycle is not None:
             return self._of_cycle(found.cycle)
         if found.kind is AttractorKind.REPEATS:
             turn = clock_turn(self._dynamics, state) or math.nan
-            return Attractor(fate=Fate.NO_ZENO, period=found.turns * turn, state=self._named(state))
+            return Attractor(
+                fate=AttractorClass.NO_ZENO, period=found.turns * turn, state=self._named(state)
+            )
         exponent = found.exponent
         return Attractor(
-            fate=Fate.UNSETTLED,
+            fate=AttractorClass.UNSETTLED,
             kind=found.kind,
             trend=settling.trend,
             detail=found.reason,

@@ -28,7 +28,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, any_number, shown
-from zeno_orbits.maps.attractors import Fate
+from zeno_orbits.maps.attractors import AttractorClass
 from zeno_orbits.maps.classify import (
     approach_from,
     attractors_at,
@@ -63,7 +63,7 @@ from zeno_orbits.work import (
     versions,
 )
 
-_ORBITS = (Fate.ZENO, Fate.SIMPLE, Fate.NO_ZENO)
+_ORBITS = (AttractorClass.ZENO, AttractorClass.SIMPLE, AttractorClass.NO_ZENO)
 """Attractors that are periodic orbits."""
 _SAME_PERIOD = 1e-6
 """Largest relative difference between the period of an orbit and of the motion from its start."""

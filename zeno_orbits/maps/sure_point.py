@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from zeno_orbits.maps.approach import Way
+from zeno_orbits.maps.approach import Approach
 from zeno_orbits.maps.attempt import SAME_PERIOD, Accuracy
-from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
 from zeno_orbits.maps.event_point import EventPoint
 from zeno_orbits.maps.point import Point
 
@@ -21,7 +21,7 @@ _DEPENDS = "its attractor depends on the smallest errors"
 
 def sure_attractor(
     motion: Callable[[Accuracy], Point | EventPoint], accuracy: Accuracy
-) -> tuple[Attractor, Way | None]:
+) -> tuple[Attractor, Approach | None]:
     """Return the attractor of a motion. After a long transient, two accuracies have to agree.
 
     Args:
@@ -36,7 +36,7 @@ def sure_attractor(
         for error in (accuracy.orbit, _FINER * accuracy.orbit)
         if error < accuracy.motion
     ]
-    before: tuple[Attractor, Way] | None = None
+    before: tuple[Attractor, Approach] | None = None
     while True:
         point = motion(accuracy)
         answer = point.attractor()
@@ -47,11 +47,13 @@ def sure_attractor(
         elif way is not None and _agree(*before, answer, way):
             return answer, way
         if way is None or not left:
-            return Attractor(fate=Fate.UNSETTLED, trend=answer.trend, detail=_DEPENDS), None
+            return Attractor(
+                fate=AttractorClass.UNSETTLED, trend=answer.trend, detail=_DEPENDS
+            ), None
         before, accuracy = (answer, way), left.pop(0)
 
 
-def _agree(first: Attractor, way: Way, again: Attractor, way_again: Way) -> bool:
+def _agree(first: Attractor, way: Approach, again: Attractor, way_again: Approach) -> bool:
     """Return True if a motion approaches the same orbit in the same way at two accuracies.
 
     Args:

@@ -16,7 +16,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.maps import Accuracy, Attractor, Fate, attractors_at
+from zeno_orbits.maps import Accuracy, Attractor, AttractorClass, attractors_at
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
     Cycle,
@@ -41,7 +41,11 @@ ACCURACY = Accuracy(motion=1e-6, orbit=1e-8, near=0.05, exact=1e-3, repeats=1e-4
 _ARRIVED = 1e-3
 """Part of the period after its end in which the last impact of an orbit may occur."""
 
-PHASE = {Fate.ZENO: PhaseKind.ZENO, Fate.SIMPLE: PhaseKind.PLASTIC, Fate.NO_ZENO: PhaseKind.IMPACT}
+PHASE = {
+    AttractorClass.ZENO: PhaseKind.ZENO,
+    AttractorClass.SIMPLE: PhaseKind.PLASTIC,
+    AttractorClass.NO_ZENO: PhaseKind.IMPACT,
+}
 """The orbits among the attractors of a map, and the phases of these orbits."""
 
 
@@ -154,7 +158,7 @@ def _settled(
         try:
             seen = attractors_at(problem, some, start=named, until=until, accuracy=ACCURACY)
         except ZenoOrbitsError as error:
-            seen = tuple(Attractor(fate=Fate.FAILED, detail=str(error)) for _ in left)
+            seen = tuple(Attractor(fate=AttractorClass.FAILED, detail=str(error)) for _ in left)
         for k, one in zip(left, seen, strict=True):
             if found[k] is None or one.fate in PHASE:
                 found[k] = one
@@ -163,7 +167,7 @@ def _settled(
 
 def _rank(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> _Rank:
     if attractor.fate not in PHASE:
-        decided = attractor.fate not in (Fate.UNSETTLED, Fate.FAILED)
+        decided = attractor.fate not in (AttractorClass.UNSETTLED, AttractorClass.FAILED)
         return _Rank(2 if decided else 1)
     if search.shape is not None and not is_of_shape(attractor, search.shape):
         return _Rank(1)

@@ -101,7 +101,7 @@ def add_map(commands: Any) -> None:
 def _run_map(options: argparse.Namespace) -> int:
     from zeno_orbits.maps import (
         chunk_of,
-        parameter_map,
+        map_of_plane,
         read_boundaries,
         require_plane,
         require_refinement,
@@ -121,7 +121,7 @@ def _run_map(options: argparse.Namespace) -> int:
 
     def work(checkpoint: Path | None, progress: report.ProgressLine) -> ParameterMap:
         plan = ExecutionPlan(place=place, chunk=chunk, checkpoint=checkpoint)
-        return parameter_map(plane, plan, refine=options.refine, on_progress=progress)
+        return map_of_plane(plane, plan, refine=options.refine, on_progress=progress)
 
     def finish(found: ParameterMap) -> int:
         hand_out(

@@ -19,7 +19,7 @@ from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.maps import Attractor, Axis, Boundary, Fate, ParameterMap
+from zeno_orbits.maps import Attractor, AttractorClass, Axis, Boundary, ParameterMap
 from zeno_orbits.report.plots.panels import figure_size, panels_of
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
 from zeno_orbits.report.symbols import quantity_label
@@ -41,10 +41,10 @@ _OTHER_PERIODS = (
 )
 _WITHOUT_ZENO = ("#CC79A7", "#8E2D6E", "#F0B8D6", "#E7298A", "#67001F", "#B07AA1", "#FBB4AE")
 _PLAIN = {
-    Fate.SIMPLE: "#A6D854",
-    Fate.REST: "#FFFFFF",
-    Fate.HELD: "#C6DBEF",
-    Fate.FAILED: "#000000",
+    AttractorClass.SIMPLE: "#A6D854",
+    AttractorClass.REST: "#FFFFFF",
+    AttractorClass.HELD: "#C6DBEF",
+    AttractorClass.FAILED: "#000000",
 }
 _ESCAPES = ("#D55E00", "#E69F00", "#8C510A", "#B2182B")
 _UNSETTLED = "#F0E442"
@@ -155,14 +155,14 @@ def _phrases(attractors: Sequence[Attractor]) -> dict[str, tuple[Attractor, int]
     found: dict[str, Attractor] = {}
     for one in attractors:
         found.setdefault(_label(one), one)
-    fates = list(Fate)
+    fates = list(AttractorClass)
 
     def place(phrase: str) -> tuple[int, int, int, str]:
         one = found[phrase]
         return fates.index(one.fate), one.returns, one.turns, phrase
 
     order = sorted(found, key=place)
-    escapes = [phrase for phrase in order if found[phrase].fate is Fate.ESCAPE]
+    escapes = [phrase for phrase in order if found[phrase].fate is AttractorClass.ESCAPE]
     return {p: (found[p], escapes.index(p) if p in escapes else 0) for p in order}
 
 
@@ -175,13 +175,13 @@ def _colour(attractor: Attractor, escape: int, used: Set[str]) -> str:
         used: Colors of the attractors before it.
     """
     n = max(attractor.returns, attractor.turns)
-    if attractor.fate is Fate.ZENO:
+    if attractor.fate is AttractorClass.ZENO:
         return _unused((_PERIODS.get(n, _OTHER_PERIODS[0]), *_OTHER_PERIODS), used)
-    if attractor.fate is Fate.NO_ZENO:
+    if attractor.fate is AttractorClass.NO_ZENO:
         return _unused(_WITHOUT_ZENO, used)
-    if attractor.fate is Fate.ESCAPE:
+    if attractor.fate is AttractorClass.ESCAPE:
         return _ESCAPES[escape % len(_ESCAPES)]
-    if attractor.fate is Fate.UNSETTLED:
+    if attractor.fate is AttractorClass.UNSETTLED:
         if attractor.kind in _KINDS:
             return _KINDS[attractor.kind]
         growing = {"growing": _GROWING, "decaying": _DYING}
@@ -205,7 +205,10 @@ def _draw_contours(ax: Axes, found: ParameterMap, curves: Sequence[Vector]) -> l
     if min(found.shape) < _FEWEST or found.orbits:
         # An orbit is the same in all of its basin.
         return []
-    first = [one.fate in (Fate.ZENO, Fate.SIMPLE) and one.returns == 1 for one in found.attractors]
+    first = [
+        one.fate in (AttractorClass.ZENO, AttractorClass.SIMPLE) and one.returns == 1
+        for one in found.attractors
+    ]
     inside = np.reshape(first, found.shape)
     handles: list[Line2D] = []
     fields: list[tuple[Vector, Any, dict[str, Any], str]] = [
