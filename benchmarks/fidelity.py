@@ -22,7 +22,7 @@ import numpy as np
 
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind
+from zeno_orbits.model.numeric.binding import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle

@@ -15,12 +15,13 @@ from .drives.drives import quasi_static_drive as quasi_static_drive
 from .formulas import acceleration_formula as acceleration_formula
 from .formulas import six_digits as six_digits
 from .formulas import with_numbers as with_numbers
-from .graph import GraphMode as GraphMode
-from .graph import ModeGraph as ModeGraph
 from .hybrid import CompletedSystem as CompletedSystem
 from .hybrid import accelerate as accelerate
 from .hybrid import with_energy_ledger as with_energy_ledger
 from .graph import hybrid_system as hybrid_system
+from .graph import system_of_stop as system_of_stop
+from .modes import GraphMode as GraphMode
+from .modes import ModeGraph as ModeGraph
 from .lagrangian import HybridLagrangian as HybridLagrangian
 from .library import ProblemFile as ProblemFile
 from .library import bundled_problems as bundled_problems
@@ -32,7 +33,7 @@ from .drives.motors import MotorBank as MotorBank
 from .numeric.calls import Call as Call
 from .numeric.columns import Columns as Columns
 from .numeric.compiled import CompiledSystem as CompiledSystem
-from .numeric.compiled import bind as bind
+from .numeric.binding import bind as bind
 from .numeric.compiled import compile_system as compile_system
 from .numeric.compiled_flow import CompiledFlow as CompiledFlow
 from .numeric.compiled_flow import FlowMemory as FlowMemory
@@ -47,7 +48,7 @@ from .numeric.derivatives import LinearFormula as LinearFormula
 from .numeric.graph_dynamics import CompiledGraph as CompiledGraph
 from .numeric.graph_dynamics import GraphDynamics as GraphDynamics
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
-from .numeric.hybrid_dynamics import ContactProjection as ContactProjection
+from .numeric.stop_states import ContactProjection as ContactProjection
 from .numeric.own_scale import constraint_sizes as constraint_sizes
 from .numeric.own_scale import own_time as own_time
 from .problem import Problem as Problem

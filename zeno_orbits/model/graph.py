@@ -13,7 +13,7 @@ the flow of `S`, its locked flow the flow of :math:`S \cup \{k\}`, its multiplie
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 
 import casadi as ca
 
@@ -22,102 +22,9 @@ from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
 from zeno_orbits.model.kinks import branched
 from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.modes import GraphMode, ModeGraph, formulas_of
 from zeno_orbits.model.stops import Stop, Switch, require_event_names
 from zeno_orbits.model.waveforms import TimeOrder, time_orders
-
-GraphMode = tuple[tuple[int, ...], tuple[bool, ...]]
-"""A mode: the indices of its closed stops in increasing order, and the side of every kink."""
-
-_Branch = tuple[HybridLagrangian, Drive, tuple[ca.SX, ...]]
-"""Mechanism, drive and conditions on a branch of the kinks."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ModeGraph:
-    r"""The modes and events of a machine, in symbols.
-
-    Attributes:
-        mechanism: The mechanism.
-        drive: Its drive.
-        stops: Its stops.
-        switches: The declared switches.
-        conditions: The conditions of the kinks of its formulas, whose zeros are switches.
-        time_orders: Orders of the switching times of its piecewise inputs.
-        delassus: Delassus matrix :math:`J W J^\top` of all stops.
-        resets: State after every declared switch, ``(n_x,)``.
-        state: ``(q, v, states of the drive, clock)``.
-    """
-
-    mechanism: HybridLagrangian
-    drive: Drive
-    stops: tuple[Stop, ...]
-    switches: tuple[Switch, ...]
-    conditions: tuple[ca.SX, ...]
-    time_orders: tuple[TimeOrder, ...]
-    delassus: ca.SX
-    resets: tuple[ca.SX, ...]
-    state: ca.SX
-    _branches: dict[tuple[bool, ...], _Branch] = field(
-        default_factory=dict["tuple[bool, ...]", "_Branch"], compare=False, repr=False
-    )
-
-    @property
-    def switch_names(self) -> tuple[str, ...]:
-        """Names of the declared switches, then of the kinks."""
-        kinks = (f"kink {k}" for k in range(1, len(self.conditions) + 1))
-        return (*(switch.name for switch in self.switches), *kinks)
-
-    @property
-    def formulas(self) -> list[ca.SX]:
-        """Formulas of the stops and switches."""
-        stops = [ca.SX(part) for one in self.stops for part in (one.gap, one.restitution)]
-        switches = [ca.SX(part) for one in self.switches for part in (one.guard, one.armed)]
-        return [*stops, *switches, *self.resets]
-
-    def one_stop(self, mode: GraphMode, stop: int) -> CompletedSystem:
-        """Return the completed system of an open stop in a mode.
-
-        Args:
-            mode: The mode, whose closed stops are constraints.
-            stop: Index of the stop.
-        """
-        closed, sides = mode
-        mechanism, drive, _ = self._on_branch(sides)
-        shut = ca.vertcat(mechanism.holonomic, *(self.stops[k].gap for k in closed))
-        restitution = ca.SX(self.stops[stop].restitution)
-        one = replace(mechanism, gap=self.stops[stop].gap, holonomic=shut)
-        return completed(one, drive, restitution)
-
-    def guard(self, mode: GraphMode, switch: int) -> tuple[ca.SX, ca.SX]:
-        """Return the guard of a switch in a mode, and the flow of the mode, ``(n_x,)``.
-
-        Args:
-            mode: The mode.
-            switch: Index of a declared switch, or of a kink after these.
-        """
-        closed, sides = mode
-        opened = [k for k in range(len(self.stops)) if k not in closed]
-        if opened:
-            flow = self.one_stop(mode, opened[0]).free_flow
-        else:
-            flow = self.one_stop((closed[:-1], sides), closed[-1]).locked_flow
-        declared = len(self.switches)
-        if switch < declared:
-            return ca.SX(self.switches[switch].guard), flow
-        return self._on_branch(sides)[2][switch - declared], flow
-
-    def _on_branch(self, sides: tuple[bool, ...]) -> _Branch:
-        """Return mechanism, drive and conditions on a branch of the kinks."""
-        if sides not in self._branches:
-            parts = _formulas_of(self.mechanism), _formulas_of(self.drive)
-            found = branched([one for part in parts for one in part.values()], self.state, sides)
-            n = len(parts[0])
-            self._branches[sides] = (
-                replace(self.mechanism, **dict(zip(parts[0], found.formulas[:n], strict=True))),
-                replace(self.drive, **dict(zip(parts[1], found.formulas[n:], strict=True))),
-                found.smooth,
-            )
-        return self._branches[sides]
 
 
 def hybrid_system(
@@ -188,6 +95,39 @@ def graph_of_one_stop(one: CompletedSystem, switches: Sequence[Switch] = ()) -> 
     return _graph(one, (stop,), tuple(switches))
 
 
+def system_of_stop(graph: ModeGraph, mode: GraphMode, stop: int) -> CompletedSystem:
+    """Return the completed system of an open stop in a mode.
+
+    Args:
+        graph: The modes of the machine.
+        mode: The mode, whose closed stops are constraints.
+        stop: Index of the stop.
+    """
+    closed, sides = mode
+    mechanism, drive, _ = graph.on_branch(sides)
+    shut = ca.vertcat(mechanism.holonomic, *(graph.stops[k].gap for k in closed))
+    restitution = ca.SX(graph.stops[stop].restitution)
+    one = replace(mechanism, gap=graph.stops[stop].gap, holonomic=shut)
+    return completed(one, drive, restitution)
+
+
+def guard_and_flow(graph: ModeGraph, mode: GraphMode, switch: int) -> tuple[ca.SX, ca.SX]:
+    """Return the guard of a switch in a mode, and the flow of the mode, ``(n_x,)``.
+
+    Args:
+        graph: The modes of the machine.
+        mode: The mode.
+        switch: Index of a declared switch, or of a kink after these.
+    """
+    closed, sides = mode
+    opened = [k for k in range(len(graph.stops)) if k not in closed]
+    if opened:
+        flow = system_of_stop(graph, mode, opened[0]).free_flow
+    else:
+        flow = system_of_stop(graph, (closed[:-1], sides), closed[-1]).locked_flow
+    return graph.guard(sides, switch), flow
+
+
 def _graph(
     one: CompletedSystem, stops: tuple[Stop, ...], switches: tuple[Switch, ...]
 ) -> ModeGraph:
@@ -212,7 +152,7 @@ def _graph(
     )
     normals = ca.jacobian(gaps, mechanism.q)
     inverse_mass, _ = accelerate(mechanism, ca.SX.zeros(one.n_q))
-    formulas = [*_formulas_of(mechanism).values(), *_formulas_of(drive).values()]
+    formulas = [*formulas_of(mechanism).values(), *formulas_of(drive).values()]
     bare = ModeGraph(
         mechanism=mechanism,
         drive=drive,
@@ -234,7 +174,7 @@ def _time_orders(one: CompletedSystem) -> tuple[TimeOrder, ...]:
     Raises:
         ValueError: If a time depends on the state.
     """
-    formulas = (*_formulas_of(one.mechanism).values(), *_formulas_of(one.drive).values())
+    formulas = (*formulas_of(one.mechanism).values(), *formulas_of(one.drive).values())
     orders = time_orders(formulas)
     if any(ca.depends_on(ca.vertcat(order.lower, order.upper), one.state) for order in orders):
         raise ValueError(
@@ -273,17 +213,6 @@ def _reset(one: CompletedSystem, switch: Switch) -> ca.SX:
         parts.append(after)
         first += n
     return ca.vertcat(*parts, one.state[first:])
-
-
-def _formulas_of(part: HybridLagrangian | Drive) -> dict[str, ca.SX]:
-    """Return the formulas of a mechanism or drive by name, without its symbols."""
-    symbols = ("q", "v", "states")
-    formulas = {one.name: getattr(part, one.name) for one in fields(part)}
-    return {
-        name: formula
-        for name, formula in formulas.items()
-        if isinstance(formula, ca.SX) and name not in symbols
-    }
 
 
 def _require_smooth(state: ca.SX, **formulas: ca.SX) -> None:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -19,9 +19,7 @@ from zeno_orbits.model.contact import ContactQuantities, ImpactLaw
 from zeno_orbits.model.drives.auxiliary import Auxiliary, joined_auxiliary
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.lagrangian import HybridLagrangian
-
-if TYPE_CHECKING:
-    from zeno_orbits.model.graph import ModeGraph
+from zeno_orbits.model.modes import ModeGraph
 
 _TRIALS, _ROUNDING = 4, 1e-9
 """Random states at which a law is tried, and the rounding of formulas there."""

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Protocol, Self, SupportsIndex
+from dataclasses import Field, dataclass, fields, replace
+from typing import Any, ClassVar, Protocol, Self, SupportsIndex, TypeVar
 
-if TYPE_CHECKING:
-    from zeno_orbits.model.problem import Problem
+_Declared = TypeVar("_Declared", bound="Declared")
 
 
 class ProblemSource(Hashable, Protocol):
     """A file of a problem that other processes can load. It can be pickled."""
 
     @property
-    def restored(self) -> Callable[[Mapping[str, Any]], Problem]:
+    def restored(self) -> Callable[[Mapping[str, Any]], Declared]:
         """From changed fields to the problem of the file with these changes."""
         ...
 
@@ -33,9 +32,9 @@ class Origin:
     """
 
     file: ProblemSource
-    declared: Problem
+    declared: Declared
 
-    def reduced_model(self, fidelity: str, model: Problem) -> Problem:
+    def reduced_model(self, fidelity: str, model: _Declared) -> _Declared:
         """Return a reduced model with its own origin.
 
         Args:
@@ -45,7 +44,7 @@ class Origin:
         return with_origin(model, self.file.reduced_model(fidelity))
 
 
-def with_origin(declared: Problem, file: ProblemSource) -> Problem:
+def with_origin(declared: _Declared, file: ProblemSource) -> _Declared:
     """Return a problem with a reference to the file that declares it."""
     return replace(declared, origin=Origin(file=file, declared=declared))
 
@@ -55,6 +54,7 @@ class Declared:
 
     __slots__ = ()
 
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
     origin: Origin | None
 
     @property

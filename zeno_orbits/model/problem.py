@@ -154,7 +154,7 @@ class Problem(Declared):
             values: Values of every gain and parameter, or the parameter vector, ``(n_p,)``.
             transform: A change of the completed system before compilation. It may append states.
         """
-        from zeno_orbits.model.numeric.compiled import bind
+        from zeno_orbits.model.numeric.binding import bind
 
         vector = values.vector if isinstance(values, ParameterValues) else values
         return bind(_compiled(self, transform), vector)

@@ -36,6 +36,7 @@ from zeno_orbits.model import (
     accelerate,
     dense_function,
     mode_functions,
+    system_of_stop,
 )
 
 _Mode = tuple[tuple[int, ...], tuple[bool, ...], int, bool]
@@ -117,7 +118,7 @@ class Machine:
             return mode_functions("machine", parts.state, parts.numbers, rate, watched)
         if self._graph is None:
             raise ValueError("Argument `guard` must be the index of a stop.")
-        value, _ = self._graph.guard(((), sides), guard - len(self.stop_names))
+        value = self._graph.guard(sides, guard - len(self.stop_names))
         value = value if above else -value
         slope = ca.jtimes(value, parts.state, rate)
         watched = ca.vertcat(value, slope, ca.jtimes(slope, parts.state, rate))
@@ -159,7 +160,7 @@ def machine(problem: Problem, rig: Rig) -> Machine:
     def branch(sides: tuple[bool, ...]) -> _Parts:
         if graph is None:
             return _Parts(problem, system, rig, p)
-        return _Parts(problem, replace(graph.one_stop(((), sides), 0), graph=graph), rig, p)
+        return _Parts(problem, replace(system_of_stop(graph, ((), sides), 0), graph=graph), rig, p)
 
     parts = _Parts(problem, system, rig, p)
 
@@ -393,7 +394,7 @@ def _one_by_one(system: CompletedSystem) -> list[CompletedSystem]:
         return [system]
     graph = system.graph
     mode = (), (True,) * len(graph.conditions)
-    return [graph.one_stop(mode, k) for k in range(len(graph.stops))]
+    return [system_of_stop(graph, mode, k) for k in range(len(graph.stops))]
 
 
 def bridged(system: CompletedSystem) -> ca.SX:

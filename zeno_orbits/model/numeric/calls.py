@@ -8,7 +8,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model.numeric.casadi_calls import caller
-from zeno_orbits.model.numeric.hybrid_dynamics import ContactProjection, Landed
+from zeno_orbits.model.numeric.stop_states import ContactProjection, Landed
 
 
 class Call:

@@ -14,10 +14,12 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.graph import GraphMode, ModeGraph
+from zeno_orbits.model.graph import guard_and_flow, system_of_stop
+from zeno_orbits.model.modes import GraphMode, ModeGraph
+from zeno_orbits.model.numeric.binding import bind
 from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.casadi_calls import caller
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compile_system
+from zeno_orbits.model.numeric.compiled import CompiledSystem, compile_system
 from zeno_orbits.model.numeric.compiled_flow import (
     CompiledFlow,
     FlowMemory,
@@ -68,7 +70,7 @@ class CompiledGraph:
         """Return the functions of a stop that is open in a mode."""
         key = (mode, stop)
         if key not in self._systems:
-            one = self.graph.one_stop(mode, stop)
+            one = system_of_stop(self.graph, mode, stop)
             made = compile_system(one, self.symbols, self.state_names)
             self._systems[key] = replace(made, starts=self.starts, state_units=self.state_units)
         return self._systems[key]
@@ -83,7 +85,7 @@ class CompiledGraph:
         """
         key = (mode, switch, above)
         if key not in self._guards:
-            value, flow = self.graph.guard(mode, switch)
+            value, flow = guard_and_flow(self.graph, mode, switch)
             state = self.graph.state
             value = value if above else -value
             rate = ca.jtimes(value, state, flow)

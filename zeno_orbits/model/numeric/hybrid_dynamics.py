@@ -15,42 +15,15 @@ import numpy as np
 
 from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.integrators import FlowWithEvent, PlainFlow, fast_dataclass
+from zeno_orbits.integrators import FlowWithEvent, PlainFlow
 from zeno_orbits.model.numeric.derivatives import Differentiation
+from zeno_orbits.model.numeric.stop_states import ContactProjection, Landed
 from zeno_orbits.model.scale import CharacteristicScales, usual
 
 if TYPE_CHECKING:
     from zeno_orbits.model.numeric.compiled import CompiledSystem
 
 _BEYOND = ": the drive's correction is as large as the corrected value; use the full problem."
-
-
-@fast_dataclass
-class ContactProjection:
-    r"""A state projected onto the stop, with its accelerations.
-
-    Attributes:
-        state: State with zero gap and gap rate, ``(n_x,)``.
-        gap_acceleration: :math:`\ddot h` of the free flow at that state.
-        rate: :math:`\dot x` of the locked flow at that state, ``(n_x,)``.
-    """
-
-    state: Vector
-    gap_acceleration: float
-    rate: Vector
-
-
-@fast_dataclass
-class Landed(ContactProjection):
-    """Result of an impact: the state after it, and the same state projected onto the stop.
-
-    Attributes:
-        state_plus: State just after the impact, ``(n_x,)``.
-        gap_rate: Gap rate of that state.
-    """
-
-    state_plus: Vector
-    gap_rate: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

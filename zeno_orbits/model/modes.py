@@ -1,0 +1,98 @@
+"""The modes of a machine with several stops, switches or kinks, in symbols."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+import casadi as ca
+
+from zeno_orbits.model.drives.circuits import Drive
+from zeno_orbits.model.kinks import branched
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.stops import Stop, Switch
+from zeno_orbits.model.waveforms import TimeOrder
+
+GraphMode = tuple[tuple[int, ...], tuple[bool, ...]]
+"""A mode: the indices of its closed stops in increasing order, and the side of every kink."""
+
+_Branch = tuple[HybridLagrangian, Drive, tuple[ca.SX, ...]]
+"""Mechanism, drive and conditions on a branch of the kinks."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeGraph:
+    r"""The modes and events of a machine, in symbols.
+
+    Attributes:
+        mechanism: The mechanism.
+        drive: Its drive.
+        stops: Its stops.
+        switches: The declared switches.
+        conditions: The conditions of the kinks of its formulas, whose zeros are switches.
+        time_orders: Orders of the switching times of its piecewise inputs.
+        delassus: Delassus matrix :math:`J W J^\top` of all stops.
+        resets: State after every declared switch, ``(n_x,)``.
+        state: ``(q, v, states of the drive, clock)``.
+    """
+
+    mechanism: HybridLagrangian
+    drive: Drive
+    stops: tuple[Stop, ...]
+    switches: tuple[Switch, ...]
+    conditions: tuple[ca.SX, ...]
+    time_orders: tuple[TimeOrder, ...]
+    delassus: ca.SX
+    resets: tuple[ca.SX, ...]
+    state: ca.SX
+    _branches: dict[tuple[bool, ...], _Branch] = field(
+        default_factory=dict["tuple[bool, ...]", "_Branch"], compare=False, repr=False
+    )
+
+    @property
+    def switch_names(self) -> tuple[str, ...]:
+        """Names of the declared switches, then of the kinks."""
+        kinks = (f"kink {k}" for k in range(1, len(self.conditions) + 1))
+        return (*(switch.name for switch in self.switches), *kinks)
+
+    @property
+    def formulas(self) -> list[ca.SX]:
+        """Formulas of the stops and switches."""
+        stops = [ca.SX(part) for one in self.stops for part in (one.gap, one.restitution)]
+        switches = [ca.SX(part) for one in self.switches for part in (one.guard, one.armed)]
+        return [*stops, *switches, *self.resets]
+
+    def guard(self, sides: tuple[bool, ...], switch: int) -> ca.SX:
+        """Return the guard of a switch.
+
+        Args:
+            sides: The side of every kink.
+            switch: Index of a declared switch, or of a kink after these.
+        """
+        declared = len(self.switches)
+        if switch < declared:
+            return ca.SX(self.switches[switch].guard)
+        return self.on_branch(sides)[2][switch - declared]
+
+    def on_branch(self, sides: tuple[bool, ...]) -> _Branch:
+        """Return mechanism, drive and conditions on a branch of the kinks."""
+        if sides not in self._branches:
+            parts = formulas_of(self.mechanism), formulas_of(self.drive)
+            found = branched([one for part in parts for one in part.values()], self.state, sides)
+            n = len(parts[0])
+            self._branches[sides] = (
+                replace(self.mechanism, **dict(zip(parts[0], found.formulas[:n], strict=True))),
+                replace(self.drive, **dict(zip(parts[1], found.formulas[n:], strict=True))),
+                found.smooth,
+            )
+        return self._branches[sides]
+
+
+def formulas_of(part: HybridLagrangian | Drive) -> dict[str, ca.SX]:
+    """Return the formulas of a mechanism or drive by name, without its symbols."""
+    symbols = ("q", "v", "states")
+    formulas = {one.name: getattr(part, one.name) for one in fields(part)}
+    return {
+        name: formula
+        for name, formula in formulas.items()
+        if isinstance(formula, ca.SX) and name not in symbols
+    }
