@@ -27,7 +27,6 @@ from zeno_orbits.search import (
     at_ends,
     far_from_own,
 )
-from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.simulation import Extent
 
 NOTHING = SearchResult(
@@ -224,7 +223,7 @@ def test_an_optimum_that_one_start_found_may_be_local_and_one_of_several_is_not_
     assert "2 of 3 starts led there" in said
     assert "local" not in said
     # Nothing is better than zero, however many starts there were; what is near has no rival.
-    (one,) = _found(orbit, 1, LEAST_RADIUS).candidates
+    (one,) = _found(orbit, 1, 1e-4).candidates
     radius = {"spectral_radius": Extent(lowest=0.0, highest=0.0)}
     least = replace(_found(orbit, 1), candidates=(replace(one, extents=radius),))
     assert "local" not in _said(problem, least, MinSpectralRadius())

@@ -18,7 +18,7 @@ from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.integrators import Automatic, Engine, Radau, Tolerance
+from zeno_orbits.integrators import Automatic, Engine, Radau
 from zeno_orbits.model import (
     CompletedSystem,
     HybridDynamics,
@@ -30,7 +30,6 @@ from zeno_orbits.model import (
     no_drive,
 )
 from zeno_orbits.orbits import (
-    ONE_ZENO,
     EventSequence,
     ZenoOrbit,
     orbit_multipliers,
@@ -50,7 +49,7 @@ from zeno_orbits.search import (
 )
 from zeno_orbits.search.shooting import closing
 from zeno_orbits.search.shooting import fixed_point as closed_cycles
-from zeno_orbits.simulation import SimulationSettings, Truncation, ZenoExtrapolation, simulate
+from zeno_orbits.simulation import SimulationSettings, Truncation, simulate
 from zeno_orbits.verification import VerificationSettings, verify
 
 SETTINGS = SimulationSettings()
@@ -423,162 +422,6 @@ def test_an_orbit_beyond_an_escape_is_refused_in_the_words_of_the_problem(
 
 
 # ---------------------------------------------------------------------------- by the steps
-
-
-def _period(name: str, **changes: Any) -> Any:
-    told: dict[str, Any] = {
-        "name": name,
-        "start": SimpleNamespace(state=f"start of {name}"),
-        "end": SimpleNamespace(state=f"end of {name}"),
-        "scale_at_events": lambda: f"sizes of {name}",
-        "period": 2.0,
-        "shape": ONE_ZENO,
-    }
-    return SimpleNamespace(**told | changes)
-
-
-@pytest.fixture(name="steps")
-def _steps(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Steps of closing that end as they are told to, and under `asked` what was asked of them."""
-    told: dict[str, Any] = {
-        "asked": [],
-        "_settled": [_period("settled")],
-        "cycle_near": [_period("near")],
-        "newton_on_return_map": [SimpleNamespace(cycle=_period("closed"), miss=1e-13, returns=5)],
-        "minimal_period": [None],
-        "round_again": [""],
-        "escape_of": [""],
-        "orbit_of": ["the orbit"],
-    }
-
-    def telling(name: str) -> Any:
-        def tell(*arguments: Any, **named: Any) -> Any:
-            told["asked"].append((name, arguments, named))
-            answers = told[name]
-            answer = answers.pop(0) if len(answers) > 1 else answers[0]
-            if isinstance(answer, Exception):
-                raise answer
-            return answer
-
-        return tell
-
-    for name in [name for name in told if name != "asked"]:
-        monkeypatch.setattr(closing, name, telling(name))
-    return told
-
-
-def _asked(steps: dict[str, Any], name: str) -> list[Any]:
-    return [(arguments, named) for one, arguments, named in steps["asked"] if one == name]
-
-
-def _failed(words: str) -> SimulationError:
-    return SimulationError(words, time=1.0, state=(1.0,))
-
-
-def test_a_motion_that_settles_is_closed_from_its_end(
-    problem: Problem, steps: dict[str, Any]
-) -> None:
-    found = orbit_by_shooting(problem, problem.values(), simulation=SETTINGS, shape=ONE_ZENO)
-    assert found == closing.ShootingResult(orbit="the orbit", miss=1e-13, returns=5)  # type: ignore[arg-type]
-    (((machine, of, settled, wanted, simulation), _),) = _asked(steps, "_settled")
-    assert (of, settled, wanted, simulation) == (problem, 1e-2, ONE_ZENO, SETTINGS)
-    (((same, start), named),) = _asked(steps, "newton_on_return_map")
-    assert (same, start) == (machine, "end of settled")
-    assert named == {
-        "scale": "sizes of settled",
-        "period": 2.0,
-        "settings": SETTINGS,
-        "shape": ONE_ZENO,
-    }
-    # A motion that settled was held within the escapes all the way.
-    assert _asked(steps, "escape_of") == []
-    ((orbit_of, _),) = _asked(steps, "orbit_of")
-    assert (orbit_of[0].name, *orbit_of[1:]) == ("closed", problem, problem.values())
-
-
-def test_a_motion_that_does_not_close_early_is_closed_late(
-    problem: Problem, steps: dict[str, Any]
-) -> None:
-    closed = steps["newton_on_return_map"][0]
-    steps["newton_on_return_map"] = [_failed("It fails"), closed]
-    assert orbit_by_shooting(problem, problem.values(), simulation=SETTINGS).orbit is not None
-    assert [arguments[2] for arguments, _ in _asked(steps, "_settled")] == [1e-2, 1e-4]
-    steps["newton_on_return_map"] = [_failed("It fails")]
-    found = orbit_by_shooting(problem, problem.values(), simulation=SETTINGS)
-    assert (found.orbit, found.miss, found.returns) == (None, math.inf, 0)
-    assert found.detail.startswith("It fails")
-    assert str(OrbitNotClosedError(found)) == found.detail
-    del steps["asked"][:]
-    steps["_settled"] = [closing._NoGuessError("It rests.")]
-    assert orbit_by_shooting(problem, problem.values(), simulation=SETTINGS).detail == "It rests."
-    assert len(_asked(steps, "_settled")) == 1
-
-
-def test_a_period_that_is_several_of_a_shorter_shape_is_closed_as_one(
-    problem: Problem, steps: dict[str, Any]
-) -> None:
-    steps["minimal_period"] = [ONE_ZENO, None]
-    assert orbit_by_shooting(problem, problem.values(), simulation=SETTINGS).orbit is not None
-    assert [arguments[3] for arguments, _ in _asked(steps, "_settled")] == [None, ONE_ZENO]
-    # The shape that is wanted is not changed for another.
-    del steps["asked"][:]
-    steps["minimal_period"], steps["round_again"] = [ONE_ZENO], ["It is gone round twice."]
-    twice = EventSequence.parsed("zeno*2")
-    found = orbit_by_shooting(problem, problem.values(), simulation=SETTINGS, shape=twice)
-    assert (found.orbit, found.detail) == (None, "It is gone round twice.")
-    assert [arguments[3] for arguments, _ in _asked(steps, "_settled")] == [twice, twice]
-
-
-def test_an_orbit_near_another_is_closed_once_from_its_start_and_held_to_the_escapes(
-    problem: Problem, steps: dict[str, Any], orbit: ZenoOrbit
-) -> None:
-    values = problem.values()
-    assert orbit_by_shooting(problem, values, near=orbit, simulation=SETTINGS).orbit is not None
-    (((machine, x), named),) = _asked(steps, "cycle_near")
-    assert x == pytest.approx(np.array(problem.state_vector(orbit.release_state)), abs=1e-12)
-    assert named == {"period": orbit.period, "settings": SETTINGS, "shape": orbit.shape}
-    (((same, start), _),) = _asked(steps, "newton_on_return_map")
-    assert (same, start) == (machine, "start of near")
-    steps["escape_of"] = ["It swings too far."]
-    found = orbit_by_shooting(problem, values, near=orbit, simulation=SETTINGS)
-    assert (found.orbit, found.detail) == (None, "It swings too far.")
-    steps["round_again"] = ["It is gone round twice."]
-    steps["minimal_period"] = [ONE_ZENO]
-    found = orbit_by_shooting(problem, values, near=orbit, simulation=SETTINGS)
-    assert found.detail == "It is gone round twice."
-    assert _asked(steps, "_settled") == []
-
-
-def test_the_way_to_a_motion_is_simulated_roughly(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[Any] = []
-    answers: list[Any] = [
-        SimpleNamespace(cycle="a period"),
-        SimpleNamespace(cycle=None, reason="it rests"),
-    ]
-
-    def settle(*arguments: Any) -> Any:
-        asked.append(arguments)
-        return answers.pop(0)
-
-    monkeypatch.setattr(closing, "run_to_attractor", settle)
-    machine: Any = SimpleNamespace()
-    loose = replace(SETTINGS, tolerance=Tolerance(relative=1e-4, absolute=1e-12))
-    assert closing._settled(machine, problem, 0.5, ONE_ZENO, loose) == "a period"  # type: ignore[comparison-overlap]
-    ((of, starts, settings, wanted, same),) = asked
-    assert (of, wanted, same) == (machine, ONE_ZENO, problem)
-    assert starts == [problem.state_vector(x) for x in problem.starts]
-    assert settings.settled == 0.5
-    assert settings.simulation.tolerance == Tolerance(relative=1e-4, absolute=1e-6)
-    assert settings.simulation.completion == ZenoExtrapolation(tolerance=1e-6)
-    with pytest.raises(closing._NoGuessError, match=r"^It rests\.$"):
-        closing._settled(machine, problem, 0.5, None, SETTINGS)
-    # The other way round.
-    answers.append(SimpleNamespace(cycle="a period"))
-    tight = replace(SETTINGS, tolerance=Tolerance(relative=1e-12, absolute=1e-4))
-    closing._settled(machine, problem, 0.5, None, tight)
-    assert asked[-1][2].simulation.tolerance == Tolerance(relative=1e-6, absolute=1e-4)
 
 
 def test_a_period_goes_beyond_an_escape_on_either_side_and_on_any_arc(problem: Problem) -> None:

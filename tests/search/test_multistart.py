@@ -7,7 +7,7 @@ import math
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,10 @@ import pytest
 from tests.support.commands import ask, interrupted_when
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
-from tests.support.searches import question_of
 from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.model import locate_problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import (
-    Candidate,
     MaxMargin,
     SearchResult,
     SearchSettings,
@@ -33,11 +31,8 @@ from zeno_orbits.search import (
     search_orbits,
 )
 from zeno_orbits.search import multistart as starts
-from zeno_orbits.search.outcome import StartOutcome
-from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.simulation import Extent
-from zeno_orbits.verification import DeltaCut, OrbitCertificate, verify
-from zeno_orbits.work import ExecutionPlan, FailedPoint, Workers, from_plain, to_plain, versions
+from zeno_orbits.verification import verify
+from zeno_orbits.work import ExecutionPlan, FailedPoint, Workers, to_plain
 from zeno_orbits.work import scheduling as spreading_module
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
@@ -110,102 +105,7 @@ def _kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
 # ---------------------------------------------------------------------------- plain data
 
 
-def _certificate() -> OrbitCertificate:
-    """A certificate with all that JSON has no words for."""
-    return OrbitCertificate(
-        tolerance=1e-9,
-        residuals={"release": 5e-324, "closure": math.inf},
-        margins={"locked_time": -0.0},
-        energies={"input_work": math.nan},
-        multipliers=(complex(-0.0, 0.1), complex(math.inf, math.nan)),
-        multiplier_error=math.inf,
-        delta_sweep=(DeltaCut(delta=0.1, speed=math.nan, error=1 / 3),),
-        delta_order=math.nan,
-        integration_error=0.1 + 0.2,
-        zeno_error=math.inf,
-        period=math.nan,
-        n_periods=3,
-        model="derived",
-        trouble="It fell over.",
-        asked=({"quantity": "period", "lower": None, "kept": True},),
-    )
-
-
-def test_what_came_of_a_start_survives_json_to_the_last_bit(alone: SearchResult) -> None:
-    candidate = Candidate(
-        orbit=replace(alone.unwrap(), floquet_multipliers=(complex(0.1, -0.0),)),
-        score=1 / 3,
-        extents={"period": Extent(lowest=-math.inf, highest=0.1, error=math.nan)},
-        certificate=_certificate(),
-    )
-    whole = StartOutcome(
-        status=SearchStatus.FOUND,
-        residuals={"gap": 1e-300},
-        agreement=1e-12,
-        closure_error=0.0,
-        n_unknowns=7,
-        iterations=3,
-        solve_time=0.25,
-        candidate=candidate,
-    )
-    for outcome in (whole, StartOutcome(status=SearchStatus.NO_GUESS, detail="It rests.")):
-        back = from_plain(StartOutcome, json.loads(json.dumps(to_plain(outcome), allow_nan=False)))
-        # As texts, in which NaN equals NaN and -0.0 differs from 0.0.
-        assert repr(to_plain(back)) == repr(to_plain(outcome))
-        assert type(back.status) is SearchStatus
-
-
 # ---------------------------------------------------------------------------- the same answer
-
-
-def test_starts_are_tried_here_first_and_by_workers_then_until_there_are_enough(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    file = locate_problem(PROBLEM)
-    problem, ended = file.load(), list[bool]()
-    settings = SearchSettings(n_starts=2)
-    asked = question_of(problem, free=FREE, objective=MaxMargin(), settings=settings)
-
-    def tried(_: SearchProblem, number: int, accept: Any) -> StartOutcome:
-        return StartOutcome(
-            status=SearchStatus.NOT_SOLVED, detail=f"{number}", repels=accept is None
-        )
-
-    def spread(
-        task: Any, numbers: Any, plan: ExecutionPlan, *, here: Callable[..., Any], on_progress: Any
-    ) -> Iterator[Any]:
-        assert (list(numbers), plan.chunk, plan.noun) == ([0, 1, 2], 1, "starts at most")
-        assert plan.identity == {}
-        on_progress("told", None)
-        try:
-            yield here([0])[0]
-            yield task([1])[0]
-            yield FailedPoint()
-        finally:
-            ended.append(True)
-
-    looked: list[int] = []
-    monkeypatch.setattr(starts, "scanned", lambda of, number: (looked.append(number), of)[1])
-    monkeypatch.setattr(starts, "try_start", tried)
-    monkeypatch.setattr(starts, "spread_in_order", spread)
-    told: list[str] = []
-    workers = StartWorkers(
-        problem_file=file, plan=ExecutionPlan(), tell=lambda stage, _: told.append(stage)
-    )
-    found = [*starts.outcomes_spread(asked, None, workers)]
-    assert [one.detail for one in found] == ["0", "1", FailedPoint().reason]
-    assert [one.repels for one in found] == [True, True, False]
-    assert {one.status for one in found} == {SearchStatus.NOT_SOLVED}
-    # The box is looked at only when a start needs it: no other than the first is asked about here.
-    assert looked == [0, 0, 1]
-    assert (told, ended) == (["told"], [True])
-    some = starts.outcomes_spread(asked, None, workers)
-    assert to_plain(next(some)) == to_plain(found[0])
-    some.close()
-    assert ended == [True, True]
-    here = [*starts.outcomes_here(asked, None)]
-    assert [one.detail for one in here] == ["0", "1", "2"]
-    assert looked[-3:] == [0, 1, 2]
 
 
 @needs_two
@@ -346,25 +246,6 @@ def test_the_checkpoint_of_another_search_is_refused_and_left_untouched(
     assert answer.code == MISUSE
     assert told in answer.err
     assert contents(folder) == before
-
-
-def test_a_checkpoint_knows_all_that_the_outcome_of_a_start_depends_on() -> None:
-    file = locate_problem(PROBLEM)
-    problem = file.load()
-    asked = question_of(problem, free=FREE, objective=MaxMargin(), order=(1, 0))
-    task = starts._Task(problem_file=file, question=asked.question(), accept=Picky())
-    known = starts._identity(task)
-    assert {*known} == {
-        *("work", "problem", "problem_digest", "gains", "parameters", "from", "accept"),
-        *("free", "objective", "bounds", "shape", "initial_states", "sizes", "settings"),
-        "simulator",
-        "versions",
-    }
-    assert (known["work"], known["problem"]) == ("search", PROBLEM)
-    assert known["problem_digest"] == file.digest
-    assert (known["gains"], known["from"]) == ({}, None)
-    assert known["parameters"] == dict(problem.values().parameters)
-    assert known["versions"] == versions()
 
 
 def test_the_checkpoint_of_another_known_orbit_is_refused(

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tests.support.hand_made import Course, course, hand_made, rows_of
 from zeno_orbits.api import Verified
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem
@@ -40,14 +36,8 @@ from zeno_orbits.search import (
     orbit_at_gains,
     orbit_by_shooting,
     search_orbits,
-    start,
 )
-from zeno_orbits.search.objectives import LEAST_RADIUS, TowardTarget
-from zeno_orbits.search.outcome import StartOutcome
-from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.search.start import try_start
-from zeno_orbits.search.transcription.nearness import Nearness
-from zeno_orbits.simulation import Extent, SimulationSettings, simulate
+from zeno_orbits.simulation import SimulationSettings, simulate
 from zeno_orbits.verification import OrbitCertificate, measure, problem_dynamics
 
 ONCE = SearchSettings(n_starts=0)
@@ -71,48 +61,6 @@ def _scan(
 
 # What objectives ask of a program and how they score, at terms made by hand.
 
-HILL = course((0.0, 5.25, -6.0, 2.0), (1.0, 0.0, -3.0, 0.0))
-FALL = course((0.5, -1.0), (2.0, -3.0))
-
-
-def _made(
-    objective: Objective, *flights: Course, free: Mapping[str, float] | None = None, **more: Any
-) -> tuple[float, dict[str, list[float]], Any]:
-    """Return an objective's cost in the guess, its rows there, and the program."""
-    made = hand_made()
-    unknown = {
-        name: made.program.variable(f"free {name}", value)[0, 0]
-        for name, value in (free or {"k": 2.0}).items()
-    }
-    phases = [made.phase(f"phase {k}: ", one) for k, one in enumerate(flights or (HILL,))]
-    terms = made.terms(*phases, free=unknown)
-    terms.nearness = Nearness(first={"k": 1.0, "r": 30.0}, sizes={"k": 0.5, "r": 10.0})
-    for name, value in more.items():
-        setattr(terms, name, value)
-    cost = float(terms.guessed(ca.MX(objective.cost(terms)))[0, 0])
-    return cost, rows_of(made.program), made.program.build()
-
-
-NEAR = Nearness(first={"k": 1.0, "r": 30.0}, sizes={"k": 0.5, "r": 10.0})
-EXTENTS = {"x": Extent(lowest=-3.0, highest=2.0), "energy": Extent(lowest=5.0, highest=6.0)}
-
-
-def test_nearest_gains_cost_half_their_squared_distance_from_the_target_or_the_start() -> None:
-    objective, free = NearestGains(target={"k": 5.0}), {"k": 2.0, "r": 50.0}
-    # ((2 - 5) / 0.5)^2 / 2 + ((50 - 30) / 10)^2 / 2.
-    cost, rows, _ = _made(objective, free=free)
-    assert cost == pytest.approx(18.0 + 2.0)
-    assert rows == {}
-    assert objective.score(free, NEAR, {}) == pytest.approx(20.0)
-    assert objective.goal == {"k": 5.0}
-    assert objective.quantities == ()
-    assert objective.least == -math.inf
-
-
-def test_nothing_that_is_free_is_no_distance_away() -> None:
-    assert NEAR.distance({}, {"k": 5.0}) == 0.0
-    assert NEAR.distance({"k": 1.5}, {}) == pytest.approx(0.5)
-
 
 def test_gains_that_are_wanted_are_named() -> None:
     assert NearestGains(target={"Kp": 2.5, "Kd": -1.0}).wish == "gains near Kp = 2.5, Kd = -1"
@@ -127,30 +75,6 @@ def test_a_gain_that_is_wanted_is_a_finite_number(problem: Problem) -> None:
         NearestGains(target={"L": 1.0}).check(problem, {"R": (1.0, 3.0)})
 
 
-def test_a_period_that_is_wanted_is_a_row_and_the_start_the_cost() -> None:
-    objective = TargetPeriod(target=6.5)
-    cost, rows, _ = _made(objective)
-    assert cost == pytest.approx(2.0)
-    assert rows == {"a period of 6.5 s": [1.5]}
-    assert objective.score({"k": 2.0}, NEAR, {}) == pytest.approx(2.0)
-    cycle: Any = SimpleNamespace(period=6.0)
-    assert objective.measured(cycle) == 6.0
-    assert objective.miss(cycle) == pytest.approx(0.5 / 6.5)
-    longer: Any = SimpleNamespace(period=7.8)
-    assert objective.miss(longer) == pytest.approx(0.2)
-
-
-def test_an_amplitude_is_half_the_range_of_its_state_over_all_arcs() -> None:
-    objective = TargetAmplitude(state="v", target=0.25)
-    # Highest at the start of the second arc, lowest at the end of the first one.
-    cost, rows, _ = _made(objective, HILL, course((0.0,), (2.0, -3.0)))
-    assert cost == pytest.approx(2.0)
-    assert rows["an amplitude of 0.25 of v"] == pytest.approx([(2.0 - -2.0) / 2 - 0.25])
-    cycle: Any = SimpleNamespace(state_names=("x", "v"), arcs=(HILL, FALL))
-    assert objective.measured(cycle) == pytest.approx(2.0, abs=1e-12)
-    assert objective.miss(cycle) == pytest.approx(7.0)
-
-
 @pytest.mark.parametrize("target", [0.0, -1.0, math.inf, math.nan])
 def test_a_target_is_positive_and_finite(problem: Problem, target: float) -> None:
     TargetPeriod(target=1e-3).check(problem, {})
@@ -163,86 +87,6 @@ def test_a_target_is_positive_and_finite(problem: Problem, target: float) -> Non
 def test_an_amplitude_is_one_of_a_state(problem: Problem) -> None:
     with pytest.raises(InputError, match=r"\(theta1, .*\), but it names `angle`"):
         TargetAmplitude(target=1.0, state="angle").check(problem, {})
-
-
-def test_on_the_way_to_a_target_the_distance_from_it_is_the_cost() -> None:
-    objective = TowardTarget(target=TargetPeriod(target=10.0))
-    cost, rows, _ = _made(objective)
-    assert cost == pytest.approx(((8.0 - 10.0) / 10.0) ** 2 / 2)
-    assert rows == {}
-    assert objective.wish == "a period of 10 s, or near it"
-
-
-@pytest.mark.parametrize(("work", "cost"), [(-20.0, -1.0), (4.0, 1.0), (0.0, 0.0)])
-def test_energy_costs_what_it_is_in_units_of_the_guess(work: float, cost: float) -> None:
-    objective = MinEnergy()
-    scaled = ca.MX(work)
-    found, rows, _ = _made(objective, electrical_work=scaled)
-    assert found == pytest.approx(cost)
-    assert rows == {}
-    assert objective.wish == "the least electrical energy per period"
-    assert objective.quantities == ("energy",)
-    assert objective.score({}, NEAR, EXTENTS) == 6.0
-
-
-def test_a_peak_is_an_unknown_in_units_of_its_size_on_all_arcs() -> None:
-    objective = MinPeak(signal="v")
-    cost, rows, program = _made(objective, HILL, course((0.0,), (0.5, -3.0)))
-    assert cost == pytest.approx(1.0)
-    assert set(rows) == {"peak of v: not above it", "peak of v: not below minus it"}
-    # At the end of the second arc v = -2.5: to the thousandth that the guess is larger.
-    assert min(rows["peak of v: not below minus it"]) == pytest.approx(0.001)
-    assert program.scales[program.names["peak of v"][0]] == pytest.approx(2.5)
-    assert objective.wish == "the least peak of v"
-    assert MinPeak(signal="x").score({}, NEAR, EXTENTS) == 3.0
-
-
-def test_a_peak_that_is_not_there_costs_nothing() -> None:
-    cost, _, _ = _made(MinPeak(signal="v"), course((1.0,), (0.0,)))
-    # Where a signal vanishes its size is a convention, a unit of its own.
-    assert cost == pytest.approx(1.0)
-
-
-def test_a_radius_is_an_unknown_above_all_multipliers() -> None:
-    objective = MinSpectralRadius()
-    slope = ca.MX(ca.DM([[0.5, 1.0], [0.0, -0.25]]))
-    cost, rows, program = _made(objective, return_slope=slope)
-    radius = 1.01 * 0.5
-    assert cost == pytest.approx(radius)
-    place = program.names["spectral radius"][0]
-    assert program.lower[place] == pytest.approx(1e-4)
-    assert program.guess[place] == pytest.approx(radius)
-    # The characteristic polynomial of A / rho at 1.
-    above = (1 - 0.5 / radius) * (1 + 0.25 / radius)
-    assert rows["real multipliers not above the spectral radius"] == pytest.approx([above])
-    assert objective.wish == "the fastest contraction"
-    assert objective.least == LEAST_RADIUS == 1e-4
-    assert objective.quantities == ("spectral_radius",)
-    assert objective.rank(Extent(lowest=0.2, highest=0.3)) == 0.3
-    assert objective.rank(Extent(lowest=0.0, highest=1e-9)) == 1e-4
-
-
-def test_multipliers_that_vanish_leave_the_least_radius() -> None:
-    cost, _, _ = _made(MinSpectralRadius(), return_slope=ca.MX(ca.DM([[1e-7]])))
-    assert cost == pytest.approx(1.01e-4)
-
-
-def test_a_contraction_without_a_return_map_is_a_mistake() -> None:
-    with pytest.raises(ValueError, match="lacks the return map"):
-        _made(MinSpectralRadius())
-
-
-def test_a_margin_is_no_row_of_a_program() -> None:
-    objective = MaxMargin()
-    cost, rows, _ = _made(objective)
-    # ((2 - 1) / 0.5)^2 / 2, the distance from the start.
-    assert cost == pytest.approx(2.0)
-    assert rows == {}
-    assert objective.wish == "the widest margin to losing the orbit"
-    assert objective.quantities == ("persistence",)
-    extents = {"persistence": Extent(lowest=0.25, highest=0.25)}
-    assert objective.score({}, NEAR, extents) == -0.25
-    assert objective.least == -1.0
 
 
 # Words of the command line.
@@ -377,38 +221,6 @@ def test_a_spectral_radius_is_kept(problem: Problem) -> None:
     extent = result.candidates[0].extents["spectral_radius"]
     # Without the bound it would be twice that.
     assert 0.09 < extent.highest <= 0.1
-
-
-@pytest.mark.slow
-def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told: list[StartOutcome] = []
-
-    def and_one_that_is_worse(search: SearchProblem, _: object) -> Generator[StartOutcome]:
-        outcome = try_start(search, 0, None)
-        told.append(outcome)
-        yield replace(outcome, detail="Twice as far.", shortfall=2 * outcome.shortfall)
-        yield outcome
-
-    monkeypatch.setattr("zeno_orbits.search.search.outcomes_here", and_one_that_is_worse)
-    result = search_orbits(
-        problem,
-        problem.values(),
-        free={"Kd": (-1.05, -0.95)},
-        bounds=[Bound(name="theta2", upper=1.5), Bound(name="period", lower=1.7)],
-    )
-    assert result.status is SearchStatus.NOT_SOLVED
-    # Of two starts that fail the one is told that comes nearest.
-    assert result.detail == told[0].detail
-    assert "No orbit was found that keeps all bounds" in result.detail
-    assert "`theta2` leaves its bounds :1.5 by 0." in result.detail
-    assert "`period`" not in result.detail
-    lacking = float(result.detail.split("`theta2` leaves its bounds :1.5 by ")[1].rstrip("."))
-    least = _scan(problem, "Kd", [-1.05, -0.95], "theta2")
-    assert lacking == pytest.approx(min(least) - 1.5, rel=1e-2)
-    # In units of the largest value in the guess, which is one of an orbit in the box.
-    assert lacking / (max(least) + 0.01) < told[0].shortfall < lacking / (min(least) - 0.01)
 
 
 @pytest.mark.slow
@@ -588,44 +400,6 @@ def test_the_best_orbit_that_attracts_is_taken_where_the_best_of_all_lies_on_a_f
     assert result.candidates[0].extents["spectral_radius"].highest < 0.99
     assert result.detail.startswith("The best orbit, at Kp = 2.5, Kd = -1, lies on a fold of the")
     assert "the best orbit with a spectral radius up to 0.99" in result.detail
-
-
-@pytest.mark.slow
-def test_an_orbit_on_the_way_is_taken_where_no_bounded_search_finds_one_that_attracts(
-    problem: Problem, certificate: OrbitCertificate, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    on_fold = replace(certificate, multipliers=(1.0 + 0.0j,))
-    seen: list[ZenoOrbit] = []
-
-    def refuse_some(orbit: ZenoOrbit) -> Verdict:
-        seen.append(orbit)
-        if len(seen) <= 8:
-            return Verdict(objection="It does not attract.", certificate=on_fold)
-        return Verdict(certificate=certificate)
-
-    lost = StartOutcome(status=SearchStatus.NOT_SOLVED)
-    from_start = start.from_start
-    monkeypatch.setattr(start, "beside", lambda *_: lost)
-    monkeypatch.setattr(
-        start, "from_start", lambda search, one: lost if search.bounds else from_start(search, one)
-    )
-    result = search_orbits(
-        problem,
-        problem.values(),
-        free={"Kd": (-1.1, -0.9)},
-        objective=NearestGains(target={"Kd": -0.9}),
-        accept=refuse_some,
-        settings=SearchSettings(n_starts=1),
-    )
-    # The first start is the target itself. From the second one, the orbits near the target and
-    # 95 % of the way there are refused, that at 80 % is not.
-    begun, reached = result.attempts[1].gains["Kd"], seen[6].gains["Kd"]
-    assert reached == pytest.approx(-0.9, abs=1e-3)
-    wanted = [begun + part * (reached - begun) for part in (0.95, 0.8)]
-    assert [orbit.gains["Kd"] for orbit in seen[7:]] == pytest.approx(wanted, rel=1e-12)
-    assert result.unwrap() is seen[-1]
-    assert "lies on a fold of the family" in result.detail
-    assert result.detail.endswith("This orbit, on the way to it, is stable.")
 
 
 @pytest.mark.slow

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from zeno_orbits.search.transcription import ipopt
 from zeno_orbits.search.transcription.ipopt import (
     Hessian,
     IpoptSettings,
@@ -131,14 +127,6 @@ def test_rows_of_one_name_give_their_largest() -> None:
     assert _unsolved(program).residuals == pytest.approx({"left": 3.0, "right": 4.0})
 
 
-def test_a_condition_without_rows_leaves_no_name() -> None:
-    builder = ProgramBuilder()
-    x = builder.variable("x", 1.0)
-    builder.equal("nothing", ca.MX.zeros(0))
-    builder.equal("something", x)
-    assert builder.build().row_names == ("something",)
-
-
 # Blocks.
 
 
@@ -157,18 +145,6 @@ def test_blocks_come_back_in_their_own_shape_and_units() -> None:
     assert solution.values["before"].tolist() == [[-1.0]]
 
 
-def test_scales_and_bounds_are_those_of_the_block() -> None:
-    builder = ProgramBuilder()
-    x = builder.variable("x", [2.0, 30.0], scale=[2.0, 10.0], lower=[0.0, 20.0], upper=50.0)
-    builder.equal("row", x)
-    program = builder.build()
-    assert program.scales.tolist() == [2.0, 10.0]
-    assert program.guess.tolist() == [1.0, 3.0]
-    assert program.lower.tolist() == [0.0, 2.0]
-    assert program.upper.tolist() == [25.0, 5.0]
-    assert program.row_lower.tolist() == program.row_upper.tolist() == [0.0, 0.0]
-
-
 @pytest.mark.parametrize(("bounds", "best"), [((1.0, 9.0), 1.0), ((-9.0, -2.0), -2.0)])
 def test_bounds_hold_at_the_solution(bounds: tuple[float, float], best: float) -> None:
     builder = ProgramBuilder()
@@ -180,22 +156,7 @@ def test_bounds_hold_at_the_solution(bounds: tuple[float, float], best: float) -
     assert solution.values["x"][0, 0] == pytest.approx(best, abs=1e-6)
 
 
-def test_a_block_name_is_used_once() -> None:
-    builder = ProgramBuilder()
-    builder.variable("x", 0.0)
-    with pytest.raises(ValueError, match="`name` must be new, but `x` is a block already"):
-        builder.variable("x", 0.0)
-
-
 # Ipopt's words.
-
-
-def test_every_known_status_has_its_own_sentence() -> None:
-    assert SolveStatus.from_ipopt("Solve_Succeeded") is SolveStatus.SOLVED
-    assert SolveStatus.from_ipopt("Infeasible_Problem_Detected") is SolveStatus.INFEASIBLE
-    assert SolveStatus.from_ipopt("Maximum_Iterations_Exceeded") is SolveStatus.ITERATION_LIMIT
-    sentences = [status.value for status in SolveStatus]
-    assert len(set(sentences)) == len(sentences)
 
 
 @pytest.mark.parametrize("word", ["", "Internal_Error", "solve_succeeded", "A new word"])
@@ -285,58 +246,6 @@ def test_a_wrong_derivative_of_such_a_quantity_is_seen_in_the_rows() -> None:
 # What Ipopt is asked, and what is made of its answer.
 
 
-@pytest.mark.parametrize(
-    ("word", "status"),
-    [
-        ("Solve_Succeeded", SolveStatus.SOLVED),
-        ("Feasible_Point_Found", SolveStatus.SOLVED),
-        ("Solved_To_Acceptable_Level", SolveStatus.ACCEPTABLE),
-        ("Infeasible_Problem_Detected", SolveStatus.INFEASIBLE),
-        ("Maximum_Iterations_Exceeded", SolveStatus.ITERATION_LIMIT),
-        ("Maximum_CpuTime_Exceeded", SolveStatus.TIME_LIMIT),
-        ("Maximum_WallTime_Exceeded", SolveStatus.TIME_LIMIT),
-        ("Restoration_Failed", SolveStatus.RESTORATION_FAILED),
-        ("Diverging_Iterates", SolveStatus.DIVERGING),
-        ("Invalid_Number_Detected", SolveStatus.NOT_FINITE),
-        ("Not_Enough_Degrees_Of_Freedom", SolveStatus.TOO_FEW_FREEDOMS),
-        ("Search_Direction_Becomes_Too_Small", SolveStatus.STEP_TOO_SMALL),
-    ],
-)
-def test_every_word_of_ipopt_has_its_status(word: str, status: SolveStatus) -> None:
-    assert SolveStatus.from_ipopt(word) is status
-
-
-def test_settings_reach_ipopt() -> None:
-    settings = IpoptSettings(
-        tolerance=1e-7,
-        optimality=1e-3,
-        most_iterations=31,
-        most_seconds=2.5,
-        first_barrier=1e-2,
-        hessian=Hessian.LIMITED_MEMORY,
-    )
-    options = settings.as_casadi()
-    assert (
-        options["ipopt"]
-        | {
-            "tol": 1e-3,
-            "constr_viol_tol": 1e-7,
-            "max_iter": 31,
-            "max_wall_time": 2.5,
-            "mu_init": 1e-2,
-            "hessian_approximation": "limited-memory",
-        }
-        == options["ipopt"]
-    )
-    # Good enough to stop at if it gets no better: ten times looser, in both.
-    assert options["ipopt"]["acceptable_tol"] == pytest.approx(1e-2)
-    assert options["ipopt"]["acceptable_constr_viol_tol"] == pytest.approx(1e-6)
-    usual = IpoptSettings()
-    assert (usual.tolerance, usual.optimality, usual.first_barrier) == (1e-11, 1e-6, 1e-5)
-    assert (usual.most_iterations, usual.most_seconds) == (150, 60.0)
-    assert usual.hessian is Hessian.EXACT
-
-
 def test_a_guess_is_hardly_pushed_off_its_bounds_as_it_comes_from_a_simulation() -> None:
     builder = ProgramBuilder()
     builder.variable("wide", 0.0, lower=0.0)
@@ -360,101 +269,6 @@ def test_ipopt_says_nothing_and_scales_nothing(capfd: pytest.CaptureFixture[str]
     assert options["no_nlp_grad"]
     solve(_throw(1.0, most_speed=3.0))
     assert capfd.readouterr() == ("", "")
-
-
-class _Answer:
-    """A solver whose answer is given."""
-
-    def __init__(self, x: list[float], g: list[float], **stats: object) -> None:
-        self._answer = {"x": ca.DM(x), "g": ca.DM(g), "f": ca.DM(2.5)}
-        self._stats = {"return_status": "Solve_Succeeded", **stats}
-        self.asked: dict[str, Any] = {}
-
-    def __call__(self, **asked: Any) -> dict[str, ca.DM]:
-        self.asked = asked
-        return self._answer
-
-    def stats(self) -> dict[str, object]:
-        return self._stats
-
-
-def _answered(
-    monkeypatch: pytest.MonkeyPatch, program: NonlinearProgram, answer: _Answer, **settings: Any
-) -> Solution:
-    monkeypatch.setattr(ca, "nlpsol", lambda *_: answer)
-    return solve(program, IpoptSettings(**settings))
-
-
-def _three_rows() -> NonlinearProgram:
-    builder = ProgramBuilder()
-    x = builder.variable("x", [1.0, 2.0], scale=[2.0, 8.0], lower=-4.0, upper=[6.0, 40.0])
-    builder.equal("zero", x[0] - 1)
-    builder.at_least_zero("positive", x)
-    builder.report("sum", x[0] + x[1])
-    return builder.build()
-
-
-def test_an_answer_is_told_in_the_units_of_its_blocks_and_rows(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    answer = _Answer([0.5, 0.25], [-0.25, 3.0, -0.125], iter_count=7)
-    solution = _answered(monkeypatch, _three_rows(), answer)
-    assert solution.values["x"].tolist() == [[1.0], [2.0]]
-    assert solution.values["sum"].tolist() == [[3.0]]
-    assert solution.residuals == {"zero": 0.25, "positive": 0.125}
-    assert (solution.objective, solution.iterations) == (2.5, 7)
-    assert answer.asked["x0"].tolist() == [0.5, 0.25]
-    assert answer.asked["lbx"].tolist() == [-2.0, -0.5]
-    assert answer.asked["ubx"].tolist() == [3.0, 5.0]
-    assert answer.asked["lbg"].tolist() == [0.0, 0.0, 0.0]
-    assert answer.asked["ubg"].tolist() == [0.0, math.inf, math.inf]
-
-
-def test_what_the_solver_does_not_count_is_none_and_a_row_that_is_no_number_is_not_met(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    answer = _Answer([0.5, 0.25], [0.0, math.nan, 1.0])
-    solution = _answered(monkeypatch, _three_rows(), answer)
-    assert solution.iterations == 0
-    assert solution.residuals == {"zero": 0.0, "positive": math.inf}
-
-
-@pytest.mark.parametrize("word", ["NonIpopt_Exception_Thrown", "User_Requested_Stop"])
-def test_an_interrupt_is_passed_on(monkeypatch: pytest.MonkeyPatch, word: str) -> None:
-    answer = _Answer([0.5, 0.25], [0.0, 1.0, 1.0], return_status=word)
-    with pytest.raises(KeyboardInterrupt):
-        _answered(monkeypatch, _three_rows(), answer)
-
-
-def test_rows_are_weighed_down_to_the_rounding_of_their_terms_and_told_as_they_are(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    builder = ProgramBuilder()
-    x = builder.variable("x", [1.0, 1.0])
-    builder.equal("steep", 1e9 * x[0] - 1e9 * x[1] - 6.0)
-    builder.at_least_zero("flat", x[0])
-    program = builder.build()
-    # Two terms of 1e9, four roundings each, a thousand times what is asked.
-    tolerance = 8e9 * float(np.finfo(np.float64).eps) / 1000
-    answer = _Answer([1.0, 1.0], [-6.0 / 1000, 1.0])
-    solution = _answered(monkeypatch, program, answer, tolerance=tolerance)
-    assert solution.residuals == pytest.approx({"steep": 6.0, "flat": 0.0})
-    seen: list[Any] = []
-    monkeypatch.setattr(ca, "nlpsol", lambda *asked: (seen.append(asked), answer)[1])
-    solve(program, IpoptSettings(tolerance=tolerance))
-    ((_, plugin, nlp, options),) = seen
-    assert plugin == "ipopt"
-    weighed = ca.Function("weighed", [nlp["x"]], [nlp["g"]])([1.0, 1.0])
-    assert weighed.full().ravel() == pytest.approx([-6e-3, 1.0])
-    slopes = options["jac_g"]([1.0, 1.0], [])[1]
-    assert slopes.full() == pytest.approx(np.array([[1e6, -1e6], [1.0, 0.0]]))
-
-
-def test_only_the_main_thread_may_be_quiet_for_all() -> None:
-    assert isinstance(ipopt._quiet_about_interrupts(), contextlib.redirect_stderr)
-    with ThreadPoolExecutor(1) as pool:
-        elsewhere = pool.submit(ipopt._quiet_about_interrupts).result()
-    assert isinstance(elsewhere, contextlib.nullcontext)
 
 
 # Rows along columns.
@@ -482,51 +296,3 @@ def test_rows_along_columns_have_a_scale_each_and_a_name_a_column() -> None:
     assert program.row_upper.tolist() == [0.0] * 8 + [math.inf] * 4
     (equation,) = builder.equations
     assert equation.names == names
-
-
-def test_rows_along_no_columns_are_none() -> None:
-    builder = ProgramBuilder()
-    x = builder.variable("x", 1.0)
-    builder.equal("row", x)
-    builder.at_least_zero_along("none", _line(), (ca.MX(2, 0), ca.MX(1, 0)))
-    assert builder.build().row_names == ("row",)
-    assert len(builder.equations) == 1
-
-
-def test_a_matrix_of_rows_has_a_name_a_column_whatever_its_height() -> None:
-    builder = ProgramBuilder()
-    x = builder.variable("x", np.ones((3, 2)))
-    builder.equal(["left", "right"], x)
-    builder.at_least_zero("all", x)
-    assert builder.build().row_names == (*["left"] * 3, *["right"] * 3, *["all"] * 6)
-
-
-def test_a_block_without_bounds_or_scale_is_free_and_plain() -> None:
-    builder = ProgramBuilder()
-    x = builder.variable("x", [[1.0, 3.0], [2.0, 4.0]])
-    builder.equal("row", x[0, 1])
-    program = builder.build()
-    assert program.lower.tolist() == [-math.inf] * 4
-    assert program.upper.tolist() == [math.inf] * 4
-    assert program.scales.tolist() == [1.0] * 4
-    # Columns one below the other, as everywhere.
-    assert program.guess.tolist() == [1.0, 2.0, 3.0, 4.0]
-    (block,) = builder.blocks
-    assert block.guess.tolist() == [[1.0, 3.0], [2.0, 4.0]]
-    assert block.symbol.numel() == 4
-    cost = ca.Function("cost", [program.unknowns], [program.objective])
-    assert float(cost(program.guess)) == 0.0
-
-
-def test_a_matrix_has_a_scale_and_bounds_a_row() -> None:
-    builder = ProgramBuilder()
-    guess = [[2.0, 4.0], [30.0, 60.0]]
-    x = builder.variable("x", guess, scale=[2.0, 10.0], lower=[0.0, -10.0], upper=[8.0, 70.0])
-    builder.equal("row", x)
-    program = builder.build()
-    assert program.guess.tolist() == [1.0, 3.0, 2.0, 6.0]
-    assert program.scales.tolist() == [2.0, 10.0] * 2
-    assert program.lower.tolist() == [0.0, -1.0] * 2
-    assert program.upper.tolist() == [4.0, 7.0] * 2
-    assert builder.blocks[0].scale.tolist() == [2.0, 10.0]
-    assert builder.at_guess(x).full().tolist() == guess

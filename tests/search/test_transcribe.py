@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,19 +14,17 @@ import pytest
 
 from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD, RELEASE, ZENO_TIME
-from tests.support.mechanisms import clocked_oscillator
+from tests.support.mechanisms import clocked_oscillator, forced_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, bind
-from zeno_orbits.orbits import Cycle, EventSequence, cycles
+from zeno_orbits.orbits import Cycle, cycles
 from zeno_orbits.search import SearchStatus, TranscriptionSettings, orbit_at_gains
-from zeno_orbits.search.transcription import transcribe as transcription
-from zeno_orbits.search.transcription.closure import closures_of
+from zeno_orbits.search.transcription.closure import Closure, closure_of, closures_of
 from zeno_orbits.search.transcription.ipopt import Hessian, IpoptSettings, SolveStatus, solve
 from zeno_orbits.search.transcription.nearness import Nearness
-from zeno_orbits.search.transcription.phase import PhaseTerms, WrittenPhase
-from zeno_orbits.search.transcription.program import NonlinearProgram, ProgramBuilder
-from zeno_orbits.search.transcription.transcribe import OrbitTerms, start_block, transcribe
-from zeno_orbits.simulation import simulate
+from zeno_orbits.search.transcription.program import NonlinearProgram
+from zeno_orbits.search.transcription.transcribe import transcribe
+from zeno_orbits.simulation import estimate_tail, extrapolate, simulate
 
 MESH = 1e-7
 VISIBLE = 20 * MESH
@@ -253,193 +253,80 @@ def test_the_orbit_of_the_forced_oscillator_is_found(attracting: bool) -> None:
 
 # How phases are put together, told by phases that are given.
 
-
-class _Writer:
-    """Writes phases of given lengths; what it is asked is kept."""
-
-    def __init__(self, program: ProgramBuilder, *asked: Any) -> None:
-        self.program = program
-        self.asked = asked
-        self.scale = np.array([2.0, 3.0])
-        self.phases: list[tuple[str, Any, Any, tuple[int, ...]]] = []
-        self.joined: list[tuple[Any, ...]] = []
-        self.closed: tuple[Any, ...] = ()
-        _Writer.last = self
-
-    last: Any = None
-
-    def rows_before(self, place: int) -> tuple[int, ...]:
-        return (10 + place,)
-
-    def phase(self, label: str, phase: Any, closure: Any, rows: tuple[int, ...]) -> WrittenPhase:
-        k = len(self.phases)
-        self.phases.append((label, phase, closure, rows))
-        start = self.program.variable(f"{label}start", [float(k), 0.0])[:, 0]
-        self.program.equal(f"{label}row", start[1])
-        terms = PhaseTerms(
-            label=label,
-            start=start,
-            flights=(),
-            approach_rate=ca.MX(-1.0),
-            zeno=None,
-            locked=None,
-        )
-        return WrittenPhase(
-            terms=terms,
-            end=start + 1,
-            rows=(20 + k,),
-            limit_time=ca.MX(0.25 * (k + 1)),
-            duration=ca.MX(1.0 + k),
-            work=ca.MX(10.0**k),
-        )
-
-    def join(self, *asked: Any) -> None:
-        self.joined.append(asked)
-        self.program.equal("join", self.program.variable(f"join {asked[0]}", 0.0))
-
-    def close(self, *asked: Any) -> Any:
-        self.closed = asked
-        self.program.equal("close", self.program.variable("close", 0.0))
-        return "the tangent"
+ACCURACY = 1e-11
 
 
-def _put_together(
-    problem: Problem,
-    monkeypatch: pytest.MonkeyPatch,
-    n: int,
-    n_closures: int | None = None,
-    **free: tuple[float, float],
-) -> tuple[OrbitTerms, Any]:
-    monkeypatch.setattr(transcription, "PhaseWriter", _Writer)
-    cycle: Any = SimpleNamespace(
-        phases=tuple(f"phase {k}" for k in range(n)),
-        shape=EventSequence.parsed(f"zeno*{n}"),
-        start=SimpleNamespace(state="the start"),
-    )
-    closures: Any = [f"closure {k}" for k in range(n if n_closures is None else n_closures)]
-    dynamics: Any = "the dynamics"
-    terms = transcribe(
-        problem.compiled(),
-        problem.values(),
-        dynamics=dynamics,
-        cycle=cycle,
-        closures=closures,
-        free=free,
-        nearness=Nearness(first={}, sizes={}),
-        settings=TranscriptionSettings(),
-    )
-    return terms, _Writer.last
+@pytest.fixture(name="oscillator", scope="module")
+def _oscillator() -> HybridDynamics:
+    return forced_oscillator(FORCED, FORCED.restitution)
 
 
-def test_phases_follow_each_other_in_time_and_their_works_add_up(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture(name="turn", scope="module")
+def _turn(oscillator: HybridDynamics) -> Cycle:
+    start = oscillator_state(0.0, FORCED.stop, 0.0)
+    return cycles(simulate(oscillator, start, until=2.5 * math.tau))[0]
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7, 1e-9, 1e-11])
+def test_a_closure_has_the_fewest_impacts_for_its_tolerance(
+    oscillator: HybridDynamics, turn: Cycle, tolerance: float
 ) -> None:
-    terms, writer = _put_together(problem, monkeypatch, 3, Kp=(1.0, 6.0))
-    labels = ["phase 1: ", "phase 2: ", "phase 3: "]
-    assert writer.phases == [
-        (label, f"phase {k}", f"closure {k}", (10 + k,)) for k, label in enumerate(labels)
-    ]
-    program = terms.program.build()
-    reports = ca.Function("reports", [program.unknowns], list(program.reports.values()))
-    told = dict(
-        zip(
-            program.reports,
-            [float(one) for one in reports.call([ca.DM(program.guess)])],
-            strict=True,
-        )
-    )
-    assert told == {
-        "phase 1: start time": 0.0,
-        "phase 1: Zeno time": 0.25,
-        "phase 2: start time": 1.0,
-        "phase 2: Zeno time": 1.5,
-        "phase 3: start time": 3.0,
-        "phase 3: Zeno time": 3.75,
-        "period": 6.0,
-        "electrical work": 111.0,
-    }
-    assert [float(terms.guessed(one)[0, 0]) for one in (terms.period, terms.electrical_work)] == [
-        6.0,
-        111.0,
-    ]
-    # Each phase starts where the one before it ends, where the rows of that one vanish by
-    # themselves; the first starts where the last one ends.
-    joins = [(label, phase, rows) for label, phase, _, _, rows in writer.joined]
-    assert joins == [(labels[1], "phase 1", (20,)), (labels[2], "phase 2", (21,))]
-    for k, (_, _, end, start, _) in enumerate(writer.joined):
-        assert terms.guessed(ca.horzcat(end, start)).tolist() == [[k + 1.0, k + 1.0], [1.0, 0.0]]
-    at, start, end, rows = writer.closed
-    assert (at, rows) == ("the start", (22,))
-    assert terms.guessed(ca.horzcat(start, end)).tolist() == [[0.0, 3.0], [0.0, 1.0]]
-    assert terms.guessed(terms.end).tolist() == [[3.0], [1.0]]
-    assert terms.guessed(terms.start).tolist() == [[0.0], [0.0]]
-    assert terms.tangent == "the tangent"
-    # A motion need not close, and what is free does not move with it.
-    assert [one.names for one in terms.motion.equations].count("join") == 2
-    assert "close" not in [one.names for one in terms.motion.equations]
-    assert [one.name for one in terms.motion.blocks][:2] == ["phase 1: start", "phase 2: start"]
-    assert not any(one.name.startswith(("free", "close")) for one in terms.motion.blocks)
+    closure = closure_of(turn.impacts, oscillator, tolerance)
+    assert closure.error <= tolerance
+    for n in range(1, closure.n_impacts):
+        fewer = closure_of(turn.impacts[:n], oscillator, tolerance)
+        assert fewer.error > tolerance
+    assert closure.nodes[-1] == closure.n_impacts - 1
+    assert list(closure.nodes) == sorted(set(closure.nodes))
 
 
-def test_a_phase_without_a_closure_is_a_mistake(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
+def test_the_error_of_a_closure_bounds_the_true_one(
+    oscillator: HybridDynamics, turn: Cycle, tolerance: float
 ) -> None:
-    with pytest.raises(ValueError, match="shorter"):
-        _put_together(problem, monkeypatch, 2, n_closures=1)
+    closure = closure_of(turn.impacts, oscillator, tolerance)
+    estimates = []
+    for k in closure.nodes:
+        impact = turn.impacts[k]
+        speed = -oscillator.restitution * impact.approach_rate
+        estimate = estimate_tail(oscillator, impact.time, impact.state_plus, speed)
+        assert estimate is not None
+        estimates.append(estimate)
+    limit = extrapolate(oscillator, estimates)
+    exact = FORCED.zeno_time()
+    assert abs(limit.time - exact) <= closure.error * (1 + exact) + ACCURACY
+    point = np.array(oscillator_state(exact, FORCED.stop, 0.0))
+    assert np.all(np.abs(limit.state - point) <= closure.error * (1 + np.abs(point)) + ACCURACY)
 
 
-@pytest.mark.parametrize(
-    ("name", "box", "size"),
-    [
-        ("Kp", (1.0, 6.0), 2.5),
-        ("Kd", (-900.0, 100.0), 10.0),
-        ("Kd", (-90.0, 0.0), 1.0),
-    ],
-)
-def test_a_free_number_has_its_own_size_or_a_hundredth_of_its_range(
-    problem: Problem,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    box: tuple[float, float],
-    size: float,
+def test_a_tolerance_that_nothing_reaches_takes_all_impacts(
+    oscillator: HybridDynamics, turn: Cycle
 ) -> None:
-    terms, _ = _put_together(problem, monkeypatch, 1, **{name: box})
-    program = terms.program.build()
-    (place, _) = program.names[f"free {name}"]
-    assert program.scales[place] == pytest.approx(size)
-    assert program.lower[place] * size == pytest.approx(box[0])
-    assert program.upper[place] * size == pytest.approx(box[1])
-    values = problem.values()
-    assert terms.guessed(terms.p).ravel().tolist() == list(values.vector) == list(terms.numbers)
-    assert list(terms.free) == [name]
-    # It is the one of the numbers that moves with its unknown.
-    moved = terms.guessed(ca.jacobian(terms.p, terms.program.blocks[0].symbol)).ravel()
-    assert moved.tolist() == [size * (one == name) for one in values.numbers]
+    closure = closure_of(turn.impacts, oscillator, 0.0)
+    assert closure.n_impacts == len(turn.impacts)
 
 
-@pytest.mark.parametrize("free", [("Kp",), ("R", "restitution"), ()])
-def test_the_law_of_impact_depends_on_what_is_free_only_if_it_does(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch, free: tuple[str, ...]
+def test_a_plastic_impact_closes_alone(problem: Problem) -> None:
+    values = problem.values(parameters={"restitution": 0.0})
+    plastic = problem.dynamics(values)
+    run = simulate(plastic, RELEASE, until=6.0)
+    cycle = cycles(run)[-1]
+    assert cycle.rescaled_flights == ()
+    closure = closure_of(cycle.impacts, plastic, 1e-12)
+    assert closure.n_impacts == 1
+    assert closure.nodes == (0,)
+    assert closure.error == 0.0
+
+
+# Which impacts are taken, told by estimates that are given.
+
+
+def test_each_phase_has_its_closure_and_an_impact_that_does_not_hold_closes_exactly(
+    oscillator: HybridDynamics, turn: Cycle
 ) -> None:
-    values = problem.values()
-    ranges = {name: (0.5 * values.number(name), 1.5 * values.number(name)) for name in free}
-    terms, writer = _put_together(problem, monkeypatch, 1, **ranges)
-    law = writer.asked[3]
-    assert float(terms.guessed(law.restitution)[0, 0]) == values.number("restitution")
-    assert law.restitution.is_constant() is ("restitution" not in free)
-
-
-@pytest.mark.parametrize(
-    ("text", "blocks"),
-    [
-        ("zeno", ["release state"]),
-        ("impact", ["start state"]),
-        ("impact,plastic", ["phase 1: release state", "phase 2: start state"]),
-        ("zeno*2", ["phase 1: release state", "phase 2: release state"]),
-    ],
-)
-def test_a_phase_starts_at_a_release_if_the_one_before_it_holds(
-    text: str, blocks: list[str]
-) -> None:
-    shape = EventSequence.parsed(text)
-    assert [start_block(shape, k) for k in range(shape.n_phases)] == blocks
+    (held,) = turn.phases
+    let_go = replace(held, zeno=None, locked=None)
+    cycle: Any = SimpleNamespace(phases=(held, let_go, held))
+    expected = closure_of(turn.impacts, oscillator, 1e-7)
+    alone = Closure(n_impacts=1, nodes=(), error=0.0)
+    assert closures_of(cycle, oscillator, 1e-7) == (expected, alone, expected)

@@ -7,16 +7,17 @@ from typing import Any
 
 import pytest
 
-from tests.support.searches import question_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Bound, ZenoOrbit
-from zeno_orbits.search import NearestGains
-from zeno_orbits.search.validation import check_search
+from zeno_orbits.search import NearestGains, SearchSettings, TransientSettings, search_orbits
 
 
 def _check(problem: Problem, **asked: Any) -> None:
-    check_search(question_of(problem, **{"free": {"Kp": (1.0, 2.0)}, **asked}))
+    """Search for a moment: a search that makes sense ends without an orbit."""
+    settings = SearchSettings(settling=TransientSettings(horizon=1e-3), n_starts=0)
+    told = {"free": {"Kp": (1.0, 2.0)}, **asked}
+    search_orbits(problem, problem.values(), settings=settings, **told)
 
 
 @pytest.mark.parametrize(

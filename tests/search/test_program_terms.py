@@ -1,20 +1,32 @@
-"""Bounds, peaks and margins as rows of a program, at terms that are made by hand."""
+"""What bounds and objectives add to the program of an orbit, on arcs made by hand."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from tests.support.hand_made import SCALE, SCHEME, Course, K, compiled, course, hand_made, rows_of
+from tests.support.hand_made import SCALE, SCHEME, Course, K, course, hand_made, rows_of
 from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.orbits import Bound
-from zeno_orbits.search.transcription import constraints
+from zeno_orbits.search import (
+    MaxMargin,
+    MinEnergy,
+    MinPeak,
+    MinSpectralRadius,
+    NearestGains,
+    Objective,
+    TargetAmplitude,
+    TargetPeriod,
+)
+from zeno_orbits.search.objectives import TowardTarget
 from zeno_orbits.search.transcription.constraints import (
     extreme,
     inside,
@@ -24,7 +36,8 @@ from zeno_orbits.search.transcription.constraints import (
     smallest_share,
 )
 from zeno_orbits.search.transcription.mesh import stage_fractions
-from zeno_orbits.simulation import signal
+from zeno_orbits.search.transcription.nearness import Nearness
+from zeno_orbits.simulation import Extent, signal
 
 EXACT = 1e-12
 POLISHED = 1e-9
@@ -317,27 +330,173 @@ def test_the_least_of_several_phases_is_not_bounded_from_above() -> None:
         keep(terms, Bound(name="locked_time", lower=0.1, upper=2.0))
 
 
-def test_a_spectral_radius_is_asked_to_be_less_by_what_the_mesh_may_be_wrong(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    asked: list[Any] = []
-    monkeypatch.setattr(constraints, "keep_radius_below", lambda *rest: asked.append(rest))
+"""How near the best value the solver stops: ten times its optimality tolerance, relative."""
+
+
+# What objectives ask of a program and how they score, at terms made by hand.
+
+FALL = course((0.5, -1.0), (2.0, -3.0))
+
+
+def _made(
+    objective: Objective, *flights: Course, free: Mapping[str, float] | None = None, **more: Any
+) -> tuple[float, dict[str, list[float]], Any]:
+    """Return an objective's cost in the guess, its rows there, and the program."""
     made = hand_made()
-    terms = made.terms(made.phase("", HILL))
-    bound = Bound(name="spectral_radius", upper=0.5)
+    unknown = {
+        name: made.program.variable(f"free {name}", value)[0, 0]
+        for name, value in (free or {"k": 2.0}).items()
+    }
+    phases = [made.phase(f"phase {k}: ", one) for k, one in enumerate(flights or (HILL,))]
+    terms = made.terms(*phases, free=unknown)
+    terms.nearness = Nearness(first={"k": 1.0, "r": 30.0}, sizes={"k": 0.5, "r": 10.0})
+    for name, value in more.items():
+        setattr(terms, name, value)
+    cost = float(terms.guessed(ca.MX(objective.cost(terms)))[0, 0])
+    return cost, rows_of(made.program), made.program.build()
+
+
+NEAR = Nearness(first={"k": 1.0, "r": 30.0}, sizes={"k": 0.5, "r": 10.0})
+EXTENTS = {"x": Extent(lowest=-3.0, highest=2.0), "energy": Extent(lowest=5.0, highest=6.0)}
+
+
+def test_nearest_gains_cost_half_their_squared_distance_from_the_target_or_the_start() -> None:
+    objective, free = NearestGains(target={"k": 5.0}), {"k": 2.0, "r": 50.0}
+    # ((2 - 5) / 0.5)^2 / 2 + ((50 - 30) / 10)^2 / 2.
+    cost, rows, _ = _made(objective, free=free)
+    assert cost == pytest.approx(18.0 + 2.0)
+    assert rows == {}
+    assert objective.score(free, NEAR, {}) == pytest.approx(20.0)
+    assert objective.goal == {"k": 5.0}
+    assert objective.quantities == ()
+    assert objective.least == -math.inf
+
+
+def test_nothing_that_is_free_is_no_distance_away() -> None:
+    assert NEAR.distance({}, {"k": 5.0}) == 0.0
+    assert NEAR.distance({"k": 1.5}, {}) == pytest.approx(0.5)
+
+
+def test_a_period_that_is_wanted_is_a_row_and_the_start_the_cost() -> None:
+    objective = TargetPeriod(target=6.5)
+    cost, rows, _ = _made(objective)
+    assert cost == pytest.approx(2.0)
+    assert rows == {"a period of 6.5 s": [1.5]}
+    assert objective.score({"k": 2.0}, NEAR, {}) == pytest.approx(2.0)
+    cycle: Any = SimpleNamespace(period=6.0)
+    assert objective.measured(cycle) == 6.0
+    assert objective.miss(cycle) == pytest.approx(0.5 / 6.5)
+    longer: Any = SimpleNamespace(period=7.8)
+    assert objective.miss(longer) == pytest.approx(0.2)
+
+
+def test_an_amplitude_is_half_the_range_of_its_state_over_all_arcs() -> None:
+    objective = TargetAmplitude(state="v", target=0.25)
+    # Highest at the start of the second arc, lowest at the end of the first one.
+    cost, rows, _ = _made(objective, HILL, course((0.0,), (2.0, -3.0)))
+    assert cost == pytest.approx(2.0)
+    assert rows["an amplitude of 0.25 of v"] == pytest.approx([(2.0 - -2.0) / 2 - 0.25])
+    cycle: Any = SimpleNamespace(state_names=("x", "v"), arcs=(HILL, FALL))
+    assert objective.measured(cycle) == pytest.approx(2.0, abs=1e-12)
+    assert objective.miss(cycle) == pytest.approx(7.0)
+
+
+def test_on_the_way_to_a_target_the_distance_from_it_is_the_cost() -> None:
+    objective = TowardTarget(target=TargetPeriod(target=10.0))
+    cost, rows, _ = _made(objective)
+    assert cost == pytest.approx(((8.0 - 10.0) / 10.0) ** 2 / 2)
+    assert rows == {}
+    assert objective.wish == "a period of 10 s, or near it"
+
+
+@pytest.mark.parametrize(("work", "cost"), [(-20.0, -1.0), (4.0, 1.0), (0.0, 0.0)])
+def test_energy_costs_what_it_is_in_units_of_the_guess(work: float, cost: float) -> None:
+    objective = MinEnergy()
+    scaled = ca.MX(work)
+    found, rows, _ = _made(objective, electrical_work=scaled)
+    assert found == pytest.approx(cost)
+    assert rows == {}
+    assert objective.wish == "the least electrical energy per period"
+    assert objective.quantities == ("energy",)
+    assert objective.score({}, NEAR, EXTENTS) == 6.0
+
+
+def test_a_peak_is_an_unknown_in_units_of_its_size_on_all_arcs() -> None:
+    objective = MinPeak(signal="v")
+    cost, rows, program = _made(objective, HILL, course((0.0,), (0.5, -3.0)))
+    assert cost == pytest.approx(1.0)
+    assert set(rows) == {"peak of v: not above it", "peak of v: not below minus it"}
+    # At the end of the second arc v = -2.5: to the thousandth that the guess is larger.
+    assert min(rows["peak of v: not below minus it"]) == pytest.approx(0.001)
+    assert program.scales[program.names["peak of v"][0]] == pytest.approx(2.5)
+    assert objective.wish == "the least peak of v"
+    assert MinPeak(signal="x").score({}, NEAR, EXTENTS) == 3.0
+
+
+def test_a_peak_that_is_not_there_costs_nothing() -> None:
+    cost, _, _ = _made(MinPeak(signal="v"), course((1.0,), (0.0,)))
+    # Where a signal vanishes its size is a convention, a unit of its own.
+    assert cost == pytest.approx(1.0)
+
+
+def test_a_radius_is_an_unknown_above_all_multipliers() -> None:
+    objective = MinSpectralRadius()
+    slope = ca.MX(ca.DM([[0.5, 1.0], [0.0, -0.25]]))
+    cost, rows, program = _made(objective, return_slope=slope)
+    radius = 1.01 * 0.5
+    assert cost == pytest.approx(radius)
+    place = program.names["spectral radius"][0]
+    assert program.lower[place] == pytest.approx(1e-4)
+    assert program.guess[place] == pytest.approx(radius)
+    # The characteristic polynomial of A / rho at 1.
+    above = (1 - 0.5 / radius) * (1 + 0.25 / radius)
+    assert rows["real multipliers not above the spectral radius"] == pytest.approx([above])
+    assert objective.wish == "the fastest contraction"
+    assert objective.least == 1e-4
+    assert objective.quantities == ("spectral_radius",)
+    assert objective.rank(Extent(lowest=0.2, highest=0.3)) == 0.3
+    assert objective.rank(Extent(lowest=0.0, highest=1e-9)) == 1e-4
+
+
+def test_multipliers_that_vanish_leave_the_least_radius() -> None:
+    cost, _, _ = _made(MinSpectralRadius(), return_slope=ca.MX(ca.DM([[1e-7]])))
+    assert cost == pytest.approx(1.01e-4)
+
+
+def test_a_contraction_without_a_return_map_is_a_mistake() -> None:
     with pytest.raises(ValueError, match="lacks the return map"):
-        keep(terms, bound)
-    terms.return_slope = ca.MX(0.1)
-    assert keep(terms, bound, slack=0.25) == 1.0
-    ((program, slope, radius),) = asked
-    assert program is made.program
-    assert slope is terms.return_slope
-    assert radius == pytest.approx(0.75 - 1e-7, abs=1e-15)
-    assert math.isclose(constraints.RADIUS_SLACK, 1e-7)
+        _made(MinSpectralRadius())
 
 
-def test_the_parts_of_a_contact_are_told_apart() -> None:
-    terms = hand_made().terms()
-    found = [constraints._contact(terms, "part", k).function([1.5, 0.25], [K]) for k in range(5)]
-    expected = compiled().contact([1.5, 0.25], [K]).full().ravel()
-    assert [float(one) for one in found] == pytest.approx(expected)
+def test_a_margin_is_no_row_of_a_program() -> None:
+    objective = MaxMargin()
+    cost, rows, _ = _made(objective)
+    # ((2 - 1) / 0.5)^2 / 2, the distance from the start.
+    assert cost == pytest.approx(2.0)
+    assert rows == {}
+    assert objective.wish == "the widest margin to losing the orbit"
+    assert objective.quantities == ("persistence",)
+    extents = {"persistence": Extent(lowest=0.25, highest=0.25)}
+    assert objective.score({}, NEAR, extents) == -0.25
+    assert objective.least == -1.0
+
+
+# Words of the command line.
+
+
+# Objectives, each against a scan by simulation.
+
+
+# Bounds.
+
+
+# What is free.
+
+
+# Ways to an orbit.
+
+
+# Orbits that do not attract.
+
+
+# Misuse.
