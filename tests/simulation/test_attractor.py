@@ -211,17 +211,6 @@ def test_a_force_may_not_fall_to_zero_within_a_third_of_a_step(sign, slope, hold
     assert keeps_holding(force, rate, 1.0).tolist() == [holds]
 
 
-def test_every_motion_has_phases_of_its_own_length():
-    force, rate = np.ones((3, 2)), np.full((3, 2), -1.0)
-    steps = np.array([1.0, 4.0, 2.0])
-    assert keeps_holding(force, rate, steps).tolist() == [True, False, True]
-
-
-def test_a_stop_without_force_at_one_phase_does_not_hold():
-    assert keeps_holding(np.array([[0.0]]), np.zeros((1, 1)), 0.0).tolist() == [False]
-    assert keeps_holding(np.array([[0.0, 1.0]]), np.array([[3.0, 0.0]]), 1.0).tolist() == [False]
-
-
 def test_a_motion_is_still_only_if_it_is_in_every_phase_of_the_clock():
     largest = np.array([[2.0, 30.0]])
     now = np.array([[[1e-7, 1e-6]]])
@@ -242,23 +231,6 @@ def test_a_stop_lets_go_if_its_force_falls_through_zero_between_two_phases(least
     force = 1 + least + np.cos(angle)
     slope = -omega * np.sin(angle)
     assert keeps_holding(force[None], slope[None], np.pi / 32 / omega).tolist() == [holds]
-
-
-def test_a_stop_that_has_let_go_at_one_phase_does_not_hold():
-    # At the first phase its force comes back, so that the cubic is positive from there on.
-    force, slope = np.array([[-0.01, 1.0, 1.0]]), np.array([[10.0, 0.0, 0.0]])
-    assert keeps_holding(force, slope, 1.0).tolist() == [False]
-    assert keeps_holding(np.abs(force), slope, 1.0).tolist() == [True]
-
-
-def test_a_force_that_rises_between_two_phases_holds_and_one_that_falls_may_not():
-    force, slope = np.array([[1.0, 1.0]]), np.array([[6.0, -6.0]])
-    assert keeps_holding(force, slope, 1.0).tolist() == [True]
-    assert keeps_holding(force, -slope, 1.0).tolist() == [False]
-
-
-def test_a_stop_without_a_clock_holds_while_its_force_is_positive():
-    assert keeps_holding(np.array([[0.1], [-0.1]]), np.zeros((2, 1)), 0.0).tolist() == [True, False]
 
 
 def test_what_the_problem_declares_is_gone_and_other_angles_after_ten_turns():

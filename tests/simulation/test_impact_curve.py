@@ -8,23 +8,26 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.integrate import DOP853, LSODA
 
-from tests.support.mechanisms import bead_on_disc, fading_ball
+from tests.reference.closed_forms import FORCED
+from tests.support.mechanisms import (
+    bead_on_disc,
+    fading_ball,
+    falling_away,
+    forced_oscillator,
+    oscillator_state,
+)
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import RungeKutta, Tolerance, doubled_nodes, radau_nodes
+from zeno_orbits.integrators import RungeKutta, SciPy, Stepper, Tolerance, radau_nodes
 from zeno_orbits.model import CharacteristicScales, HybridDynamics
-from zeno_orbits.simulation.zeno import impact_curve
 from zeno_orbits.simulation.zeno.impact_curve import (
     CurveEnd,
     CurveLostError,
     CurvePiece,
     ImpactCurve,
-    converged,
-    correction,
-    differentiated,
     iterated,
     refined_piece,
-    relative,
     start_at,
     straight_piece,
 )
@@ -299,24 +302,6 @@ def _off(piece: CurvePiece) -> float:
     return float(np.max(np.abs(means @ piece.slopes - slopes)))
 
 
-def test_a_straight_piece_has_its_slope_and_the_numbers_of_its_start_at_every_node() -> None:
-    start = _start()
-    slope = np.array([1.0, -2.0, 0.5, 3.0])
-    piece = straight_piece(start, 0.6, 5, slope)
-    assert piece.nodes is radau_nodes(5)
-    assert piece.slopes.tolist() == [slope.tolist()] * 5
-    assert piece.derivatives.tolist() == [start.derivative.tolist()] * 5
-    assert piece.falls.tolist() == [start.fall] * 5
-    assert piece.end == pytest.approx(Z + 0.6 * slope, abs=1e-15)
-    assert piece.speeds(np.array([0.0, 0.5, 1.0])) == pytest.approx([0.9, 0.6, 0.3], abs=1e-15)
-
-
-def test_a_speed_that_rounding_has_below_zero_is_zero() -> None:
-    piece = straight_piece(_start(0.3), 3 * 0.1, 4, Z)
-    assert 0.3 - 3 * 0.1 < 0.0
-    assert piece.speeds(np.array([0.0, 1.0])).tolist() == [0.3, 0.0]
-
-
 @pytest.mark.parametrize("length", [0.6, 0.9])
 def test_one_iteration_keeps_a_linear_law_at_every_node(length: float) -> None:
     piece = straight_piece(_start(), length, 5, np.array([0.3, -1.0, 0.5, 2.0]))
@@ -333,21 +318,6 @@ def test_one_iteration_keeps_a_linear_law_at_every_node(length: float) -> None:
     assert twice.changes[1] < ROUNDING
     assert twice.end == pytest.approx(once.end, abs=ROUNDING)
     assert twice.derivatives is once.derivatives
-
-
-def test_derivatives_that_are_no_good_are_taken_at_the_nodes_themselves() -> None:
-    start = replace(_start(), derivative=np.zeros((4, 2)))
-    piece = straight_piece(start, 0.6, 5, np.array([0.3, -1.0, 0.5, 2.0]))
-    assert _off(iterated(_linear(), piece)) > 1e-3
-    found = differentiated(_linear(), piece)
-    assert _off(found) < ROUNDING
-    assert found.derivatives == pytest.approx(np.tile(LAW[:, :3] @ BASIS, (5, 1, 1)), abs=1e-15)
-
-
-def test_an_iteration_that_is_not_finite_is_lost() -> None:
-    piece = straight_piece(_start(), 0.6, 4, Z)
-    with pytest.raises(CurveLostError):
-        iterated(_linear(scale=np.nan), piece)
 
 
 def test_a_piece_at_more_nodes_is_the_same_polynomial() -> None:
@@ -376,107 +346,131 @@ def test_a_piece_at_more_nodes_is_the_same_polynomial() -> None:
     assert finer.end == pytest.approx(piece.end, abs=ROUNDING)
 
 
-def test_the_correction_of_a_piece_is_what_twice_as_many_nodes_change_at_its_end() -> None:
-    s, length = 3, 0.6
-    piece = iterated(_linear(), straight_piece(_start(), length, s, Z))
-    curve = _Linear()
-    found = correction(cast("ImpactCurve", curve), piece)
-    assert curve.asked == [s]
-    # The law at all nodes at once, for every entry of the slopes there.
-    nodes = doubled_nodes(s)
-    speeds = 0.9 - length * nodes.places
-    means = nodes.means(nodes.places, LOSS * speeds / length)
-    matrix = np.kron(means, np.eye(4)) - length * np.kron(nodes.integral, LAW)
-    forcing = [LAW @ Z + _forcing(float(w)) for w in speeds]
-    slopes = np.linalg.solve(matrix, np.ravel(forcing)).reshape(2 * s, 4)
-    expected = Z + length * nodes.whole @ slopes - piece.end
-    assert np.max(np.abs(expected)) > 1e-5
-    assert found == pytest.approx(expected, abs=ROUNDING)
-
-
 # How far iterations have come.
 
 
-def test_a_change_is_relative_to_one_and_the_number() -> None:
-    assert relative(np.array([0.1, -0.6, 0.3]), np.array([0.0, -3.0, 1.0])) == pytest.approx(0.15)
-    assert relative(np.array([0.1, -0.9, 0.3]), np.array([0.0, -3.0, 1.0])) == pytest.approx(0.225)
+@pytest.mark.parametrize("speed", [1.0, 1e-3, 1e-9, 1e-200])
+def test_a_flight_of_a_ball_lasts_as_long_as_in_the_textbook(speed: float) -> None:
+    flight = rescaled_flights(fading_ball(10.0, 0.0, 0.9), RungeKutta(), FINE)
+    landing = flight(np.array([0.0, 0.0, speed, 1.0]), speed)
+    assert landing is not None
+    duration, state, rate = landing
+    assert duration == pytest.approx(speed / 5, rel=1e-14)
+    assert rate == pytest.approx(-speed, rel=1e-14)
+    assert state[1] == pytest.approx(speed / 5, rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("changes", "rest"),
-    [
-        # Nothing is known of the rate.
-        ((0.1,), 0.1),
-        # The sum of a geometric series, but no more than the last change.
-        ((0.1, 0.02), 0.005),
-        ((9.0, 0.1, 0.02), 0.005),
-        ((9.0, 0.1, 0.08), 0.08),
-        ((0.1, 0.1), 0.1),
-        ((0.1, 0.2), 0.2),
-    ],
-)
-def test_further_iterations_change_what_a_series_of_the_last_two_would(
-    changes: tuple[float, ...], rest: float
+@pytest.mark.parametrize("engine", [RungeKutta(), SciPy(method=DOP853), SciPy(method=LSODA)])
+@pytest.mark.parametrize("speed", [0.3, 1e-2, 1e-6])
+def test_a_flight_ends_where_its_power_series_does(engine: Stepper, speed: float) -> None:
+    dynamics = forced_oscillator(FORCED, FORCED.restitution)
+    tolerance = Tolerance(relative=1e-12, absolute=1e-13)
+    flight = rescaled_flights(dynamics, engine, tolerance)
+    landing = flight(np.array(oscillator_state(0.4, FORCED.stop, -speed)), speed)
+    assert landing is not None
+    duration, approach = FORCED.short_flight(0.4, speed)
+    assert landing[0] == pytest.approx(duration, rel=1e-9)
+    assert -landing[2] == pytest.approx(approach, rel=1e-9)
+
+
+def test_a_flight_that_the_stop_does_not_pull_back_is_given_up() -> None:
+    flight = rescaled_flights(falling_away(1.0), RungeKutta(), FINE)
+    assert flight(np.array([0.0, 0.1]), 0.1) is None
+
+
+def test_a_flight_along_which_the_pull_ends_is_given_up() -> None:
+    # The weight is gone after 0.1 s, the flight would last 0.2 s and more.
+    flight = rescaled_flights(fading_ball(10.0, 100.0, 0.9), RungeKutta(), FINE)
+    assert flight(np.array([0.0, 0.0, 1.0, 1.0]), 1.0) is None
+
+
+def test_a_flight_of_too_many_steps_is_given_up() -> None:
+    flight = rescaled_flights(fading_ball(10.0, 0.0, 0.9), RungeKutta(largest_step=1e-5), FINE)
+    assert flight(np.array([0.0, 0.0, 1.0, 1.0]), 1.0) is None
+    coarse = rescaled_flights(fading_ball(10.0, 0.0, 0.9), RungeKutta(largest_step=1e-3), FINE)
+    assert coarse(np.array([0.0, 0.0, 1.0, 1.0]), 1.0) is not None
+
+
+def test_a_state_that_is_not_finite_gives_no_flight() -> None:
+    flight = rescaled_flights(fading_ball(10.0, 1.0, 0.9), RungeKutta(), FINE)
+    assert flight(np.array([0.0, np.nan, 1.0, 1.0]), 1.0) is None
+
+
+@dataclass
+class Made:
+    """A system, its engine and its steps in one: a scaled gap as a function of time and its rate.
+
+    The state is the gap's acceleration, which each step gives at its end.
+    """
+
+    gap: Callable[[float], float]
+    rate: Callable[[float], float]
+    size: float = 1.0
+    accelerations: tuple[float, ...] = (-1.0,)
+    state_names: tuple[str, ...] = ("acceleration",)
+    start: float = 0.0
+
+    def gap_acceleration(self, x: Vector) -> float:
+        (acceleration,) = x
+        return float(acceleration)
+
+    def flight(self, speed: float) -> None:
+        """A flow that nobody follows."""
+
+    def steps(self, *_: object) -> Any:
+        for k, acceleration in enumerate(self.accelerations):
+            yield Made(self.gap, self.rate, self.size, (acceleration,), start=k * self.size)
+
+    @property
+    def after(self) -> Vector:
+        return self.state_at(self.size)
+
+    def state_at(self, offset: float) -> Vector:
+        time = self.start + offset
+        return np.array([*self.accelerations, self.gap(time), self.rate(time)])
+
+
+def landing_of(made: Any) -> tuple[float, Vector, float] | None:
+    """The end of the flight at a gap rate of 3."""
+    return rescaled_flights(made, made, FINE)(np.array([-1.0]), 3.0)
+
+
+@pytest.mark.parametrize("acceleration", [0.0, 0.5])
+def test_a_flight_is_given_up_where_the_stop_does_not_pull_at_the_end_of_a_step(
+    acceleration: float,
 ) -> None:
-    piece = replace(straight_piece(_start(), 0.6, 4, Z), changes=changes)
-    assert piece.rest == pytest.approx(rest, rel=1e-12)
+    def found(*accelerations: float) -> tuple[float, Vector, float] | None:
+        made = Made(lambda t: t - 0.5 * t**2, lambda t: 1.0 - t, accelerations=accelerations)
+        return landing_of(made)
+
+    landing = found(-1.0, -1.0, -1.0)
+    assert landing is not None
+    assert (landing[0], landing[2]) == pytest.approx((3.0 * 2.0, 3.0 * -1.0), rel=1e-14)
+    assert found(-1.0, acceleration, -1.0) is None
 
 
-Scripted = Callable[[ImpactCurve, CurvePiece], CurvePiece]
+def test_a_flight_may_land_at_the_very_end_of_a_step() -> None:
+    made = Made(lambda t: t - t**2, lambda t: 1.0 - 2.0 * t)
+    landing = landing_of(made)
+    assert landing is not None
+    assert (landing[0], landing[2]) == (3.0, -3.0)
+    assert landing_of(Made(lambda t: t, lambda _: 1.0)) is None
 
 
-def _scripted(*changes: float) -> Scripted:
-    left = list(changes)
-
-    def one(_curve: ImpactCurve, piece: CurvePiece) -> CurvePiece:
-        return replace(piece, changes=(*piece.changes, left.pop(0)))
-
-    return one
-
-
-@pytest.mark.parametrize(
-    ("tolerance", "changes", "n"),
-    [
-        # A fifth of the tolerance is left, at most.
-        (1.25, (0.25, 9.0), 1),
-        (1.25, (0.26, 0.01, 9.0), 2),
-        # Slower than by halves, but below the tolerance: rounding.
-        (0.75, (1.0, 0.75, 9.0), 2),
-        (1e-6, (3e-6, 0.9e-6, 0.8e-6, 9.0), 3),
-        (1e-6, (2e-6, 1.5e-6, 0.9e-6, 9.0), 3),
-        # One slow iteration may be the first guess's fault.
-        (1e-6, (1.0, 0.6, 1e-3, 1e-6, 1e-9, 9.0), 4),
-    ],
-)
-def test_iterations_end_at_the_tolerance_or_at_rounding_below_it(
-    monkeypatch: pytest.MonkeyPatch, tolerance: float, changes: tuple[float, ...], n: int
-) -> None:
-    monkeypatch.setattr(impact_curve, "iterated", _scripted(*changes))
-    piece = straight_piece(_start(), 0.6, 4, Z)
-    assert converged(_linear(), piece, tolerance).changes == changes[:n]
+@pytest.mark.parametrize("duration", [1e-4, 1.0, 1e4])
+def test_a_landing_is_as_exact_in_a_short_flight_as_in_a_long_one(duration: float) -> None:
+    # A parabola of that duration in a step by half as long: Newton's method squares what is left.
+    made = Made(
+        lambda t: t - t**2 / duration, lambda t: 1.0 - 2.0 * t / duration, size=1.5 * duration
+    )
+    landing = landing_of(made)
+    assert landing is not None
+    assert landing[0] == pytest.approx(3.0 * duration, rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("changes", "n"),
-    [
-        ((1.0, 0.6, 0.4), 3),
-        ((1.0, 0.1, 0.06), 3),
-        # Falling by halves is no slowness, but eight iterations are enough.
-        (tuple(0.5**k for k in range(8)), 8),
-    ],
-)
-def test_iterations_that_do_not_converge_are_lost(
-    monkeypatch: pytest.MonkeyPatch, changes: tuple[float, ...], n: int
-) -> None:
-    made: list[float] = []
-    one = _scripted(*changes)
-
-    def counted(curve: ImpactCurve, piece: CurvePiece) -> CurvePiece:
-        after = one(curve, piece)
-        made.append(after.changes[-1])
-        return after
-
-    monkeypatch.setattr(impact_curve, "iterated", counted)
-    with pytest.raises(CurveLostError):
-        converged(_linear(), straight_piece(_start(), 0.6, 4, Z), 1e-9)
-    assert len(made) == n
+def test_a_landing_is_found_from_either_side() -> None:
+    # The gap is flat at the end of the step, and the first correction goes far back.
+    made = Made(lambda t: 1.5 - t + 0.8 * (t - 1.5) ** 2, lambda t: -1 + 1.6 * (t - 1.5), size=2.0)
+    landing = landing_of(made)
+    assert landing is not None
+    assert (landing[0], landing[2]) == pytest.approx((3.0 * 1.5, -3.0), rel=1e-14)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import mpmath
@@ -25,11 +24,10 @@ from tests.support.mechanisms import (
 from tests.support.units import Units, dimension_of, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import RungeKutta, Tolerance
-from zeno_orbits.model import CharacteristicScales, HybridDynamics, load_problem
+from zeno_orbits.model import HybridDynamics, load_problem
 from zeno_orbits.simulation import (
     Execution,
     SimulationSettings,
-    TailEstimate,
     ZenoExtrapolation,
     ZenoLimit,
     ZenoPassage,
@@ -38,7 +36,7 @@ from zeno_orbits.simulation import (
 )
 from zeno_orbits.simulation.zeno.impact_curve import CurveEnd, ImpactCurve
 from zeno_orbits.simulation.zeno.rescaled_flight import Flight, rescaled_flights
-from zeno_orbits.simulation.zeno.zeno_passage import is_settled, pass_through
+from zeno_orbits.simulation.zeno.zeno_passage import pass_through
 
 FINE = Tolerance(relative=1e-14, absolute=1e-15)
 TOLERANCE = 1e-12
@@ -353,37 +351,6 @@ def test_speeds_that_do_not_fall_end_the_passage() -> None:
 # Settling.
 
 
-def _sequence(state: Callable[[int], float], n: int) -> list[TailEstimate]:
-    return [
-        TailEstimate(
-            impact_time=0.0,
-            resting=np.array([state(k)]),
-            speed=0.99**k,
-            time=0.0,
-            state=np.zeros(1),
-            gap_acceleration=-1.0,
-        )
-        for k in range(n)
-    ]
-
-
-def test_a_sequence_that_falls_with_the_speed_has_settled() -> None:
-    smooth = _sequence(lambda k: 0.99**k + 0.3 * 0.99 ** (2 * k), 6)
-    assert is_settled(smooth, 0.99)
-    assert not is_settled(smooth[:5], 0.99)
-
-
-def test_a_transient_of_a_few_impacts_is_waited_for() -> None:
-    disturbed = _sequence(lambda k: 0.99**k + 1e-2 * 0.5**k, 40)
-    assert not is_settled(disturbed[:10], 0.99)
-    # 1e-2 / 2^33 is 1e-12.
-    assert is_settled(disturbed, 0.99)
-
-
-def test_a_transient_of_very_many_impacts_is_not_waited_for() -> None:
-    assert is_settled(_sequence(lambda k: 0.999**k + 1e-2 * 0.97**k, 10), 0.999)
-
-
 @pytest.mark.parametrize("units", [Units(), Units(length=1e3, time=1e3), Units(time=1e-6)])
 def test_the_states_on_the_stop_are_those_without_gap_and_gap_rate_in_any_units(
     units: Units,
@@ -425,15 +392,6 @@ def test_a_passage_is_the_same_in_far_units(units: Units) -> None:
         return [point.time / units.time, *(point.state / sizes)]
 
     assert zeno(units) == pytest.approx(zeno(Units()), rel=1e-9, abs=1e-11)
-
-
-def test_a_transient_counts_in_the_size_that_its_state_usually_has() -> None:
-    smooth = _sequence(lambda k: 0.999**k, 10)
-    states = [np.append(one.resting, 1e-14 * 0.3**k) for k, one in enumerate(smooth)]
-    both = [replace(one, resting=x) for one, x in zip(smooth, states, strict=True)]
-    assert is_settled(both, 0.999)
-    usual = (*(1.0 for _ in smooth[0].resting), 1e-14)
-    assert not is_settled(both, 0.999, CharacteristicScales(sizes=usual))
 
 
 def _simulated(
