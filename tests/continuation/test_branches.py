@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -9,14 +10,21 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.reference.reference_orbit import RELEASE
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation import FamilySteps, SpecialPointKind
+from zeno_orbits.continuation import (
+    ContinuationSettings,
+    FamilySteps,
+    SpecialPointKind,
+)
 from zeno_orbits.continuation.branch import Branch, follow_branch
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
-from zeno_orbits.continuation.return_maps import DifferentiatedReturn
+from zeno_orbits.continuation.return_maps import Composed, DifferentiatedReturn
+from zeno_orbits.continuation.setup import start_at_release
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits import Line, Margin, MarginKind, Section
-from zeno_orbits.work import silent
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import Line, Margin, MarginKind, Section, ZenoOrbit
+from zeno_orbits.work import from_plain, silent, to_plain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,3 +205,58 @@ def test_a_family_that_stops_for_no_known_reason_is_given_up_with_the_trouble() 
     assert branch.ending is SpecialPointKind.GAVE_UP
     assert "Nothing returns" in branch.detail
     assert branch.points[-1].s == pytest.approx(0.2, abs=1e-5)
+
+
+FIRST, NEAR = Margin(loss=MarginKind.FIRST_IMPACT), Margin(loss=MarginKind.NEAR_MISS)
+ACCELERATION = Margin(loss=MarginKind.ACCELERATION)
+
+
+def ended(margins: Mapping[Margin, float], restitution: float = 0.0) -> Branch:
+    """Return a family that ends at s = 0.25, as an impact that grazes has it."""
+
+    def image(y: ca.SX, s: ca.SX) -> ca.SX:
+        return y + (ca.sqrt(s - 0.25) + s - 0.25 - y) / 2
+
+    returns = Formula(
+        function=formula(image, 1),
+        margins={
+            margin: lambda x, _, factor=factor: factor * (np.sqrt(1 + 4 * float(x[0])) - 1) / 2
+            for margin, factor in margins.items()
+        },
+        least=0.25,
+        e=restitution,
+    )
+    metric = FamilyMetric(scale=np.ones(1), unit=1.0, horizon=1.0)
+    start = first_point(returns, metric, np.array([0.75]), 0.5, rising=False)
+    return follow_branch(returns, metric, start, (0.0, 1.0), FamilySteps(), on_progress=silent)
+
+
+def test_an_end_at_which_two_things_happen_says_both() -> None:
+    for order in ((FIRST, NEAR), (NEAR, FIRST)):
+        branch = ended(dict(zip(order, (1.0, 3.0), strict=True)))
+        assert branch.ending is SpecialPointKind.GRAZING
+        assert branch.end is not None
+        assert branch.end.also == (SpecialPointKind.EARLIER_GRAZING,)
+        again = from_plain(Branch, json.loads(json.dumps(to_plain(branch))))
+        assert again.end is not None
+        assert again.end.also == branch.end.also
+
+
+def test_an_acceleration_that_seems_to_vanish_alone_ends_plastic_impacts_only() -> None:
+    assert ended({ACCELERATION: 1.0}).ending is SpecialPointKind.THEOREM_LOST
+    assert ended({ACCELERATION: 1.0}, restitution=0.3).ending is SpecialPointKind.GAVE_UP
+
+
+def test_two_returns_have_the_product_of_the_derivatives(
+    problem: Problem, orbit: ZenoOrbit
+) -> None:
+    box, settings = (-1.5, -0.5), ContinuationSettings()
+    setup = start_at_release(problem, orbit, "Kd", box, settings).setup
+    returns = setup.returns(problem)
+    once = first_point(returns, setup.metric, np.array(RELEASE), -1.0, rising=True)
+    twice = Composed(maps=(returns, returns))
+    point = first_point(twice, setup.metric, np.array(RELEASE), -1.0, rising=True)
+    assert point.found.time == pytest.approx(2 * once.found.time, rel=1e-10)
+    assert point.multipliers[0].real == pytest.approx(once.multipliers[0].real ** 2, abs=1e-9)
+    # The family is the same one, so is its tangent.
+    assert np.max(np.abs(point.tangent - once.tangent)) < 1e-7

@@ -24,9 +24,6 @@ from zeno_orbits.continuation import (
     orbit_amplitude,
     start_orbit,
 )
-from zeno_orbits.continuation.corrector import first_point
-from zeno_orbits.continuation.return_maps import Composed
-from zeno_orbits.continuation.setup import start_at_release
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import (
     HybridDynamics,
@@ -272,19 +269,6 @@ def test_the_amplitude_vanishes_where_the_linearized_pendulum_neither_grows_nor_
     value, step = family.last.at.value, 1e-3
     slope = (linear_growth(value + step) - linear_growth(value - step)) / (2 * step)
     assert (linear_growth(value) - 1) / slope == pytest.approx(0.0, abs=1e-8)
-
-
-def test_two_returns_have_the_product_of_the_derivatives() -> None:
-    box, settings = (-1.5, -0.5), ContinuationSettings()
-    setup = start_at_release(PENDULUM, pendulum_orbit(), "Kd", box, settings).setup
-    returns = setup.returns(PENDULUM)
-    once = first_point(returns, setup.metric, np.array(RELEASE), -1.0, rising=True)
-    twice = Composed(maps=(returns, returns))
-    point = first_point(twice, setup.metric, np.array(RELEASE), -1.0, rising=True)
-    assert point.found.time == pytest.approx(2 * once.found.time, rel=1e-10)
-    assert point.multipliers[0].real == pytest.approx(once.multipliers[0].real ** 2, abs=1e-9)
-    # The family is the same one, so is its tangent.
-    assert np.max(np.abs(point.tangent - once.tangent)) < 1e-7
 
 
 @pytest.mark.slow

@@ -6,9 +6,8 @@ import json
 import os
 import signal
 import time
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import joblib
 import numpy as np
@@ -28,21 +27,14 @@ from zeno_orbits.continuation import (
     start_orbit,
 )
 from zeno_orbits.continuation import parallel as dispatch
-from zeno_orbits.continuation.branch import Branch
-from zeno_orbits.continuation.corrector import first_point
-from zeno_orbits.continuation.families import HalfCurve
-from zeno_orbits.continuation.jobs import FollowDirection, FollowHalfCurve, Job
-from zeno_orbits.continuation.parallel import Dispatch
-from zeno_orbits.continuation.setup import start_at_release
-from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
-from zeno_orbits.model import load_problem, locate_problem
+from zeno_orbits.errors import CheckpointError, InputError, WorkError
+from zeno_orbits.model import locate_problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.work import (
     Cluster,
     ExecutionPlan,
     FailedPoint,
     Workers,
-    from_plain,
     open_pool,
     silent,
     to_plain,
@@ -133,71 +125,7 @@ def test_the_command_writes_the_same_bytes_with_one_worker_and_two(tmp_path: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.json", "two.json"]
 
 
-def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
-    problem, orbit = oscillator()
-    settings = ContinuationSettings(steps=FamilySteps(most=3))
-    begin = start_at_release(problem, orbit, "A", (0.79, 1.2), settings)
-    setup = begin.setup
-    start = first_point(setup.returns(problem), setup.metric, begin.x, 1.0, rising=False)
-    job = FollowDirection(setup=setup, start=start)
-    branch = replace(job.run(problem, settings, silent), ending=SpecialPointKind.FOLD)
-    again = from_plain(Branch, json.loads(json.dumps(to_plain(branch), allow_nan=False)))
-    assert to_plain(again) == to_plain(branch)
-    assert again.points[0].multipliers == branch.points[0].multipliers
-    # An oscillator without memory has no coordinates on its section, but that is a shape, too.
-    assert again.points[0].jacobian.shape == branch.points[0].jacobian.shape == (0, 0)
-    half = HalfCurve(x=(0.1, 5e-324), y=(-0.0, 1 / 3), errors=(float("inf"), 0.0), end="40 steps")
-    told = json.loads(json.dumps(to_plain(half), allow_nan=False))
-    assert to_plain(from_plain(HalfCurve, told)) == to_plain(half)
-    assert from_plain(HalfCurve, told) == half
-
-
-def test_a_curve_that_closes_has_no_second_half() -> None:
-    here = Dispatch(
-        problem=load_problem(PROBLEM), settings=ContinuationSettings(), on_progress=silent
-    )
-
-    class Loop:
-        result: ClassVar[object] = HalfCurve
-
-        def run(self, *_: Any) -> HalfCurve:
-            return HalfCurve(x=(0.0,), y=(0.0,), errors=(0.0,), end=SpecialPointKind.CLOSED.value)
-
-        def failed(self, reason: str) -> HalfCurve:
-            raise AssertionError(reason)
-
-    loops: list[tuple[Job[HalfCurve], ...]] = [(Loop(), Loop())]
-    assert [len(group) for group in here.results("stage", "halves", loops)] == [1]
-
-
 # ---------------------------------------------------------------------------- what is lost
-
-
-@pytest.mark.slow
-def test_a_job_that_fails_or_kills_every_worker_leaves_the_others_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    spread, run = dispatch.parallel_map, FollowHalfCurve.run
-
-    def fail(half: FollowHalfCurve, *arguments: Any) -> HalfCurve:
-        if half.upwards:
-            raise SimulationError("Nothing returns", time=0.0, state=())
-        return run(half, *arguments)
-
-    monkeypatch.setattr(FollowHalfCurve, "run", fail)
-    (curve,) = crewed(None).boundaries
-    assert curve.ends == ("2 steps", "gave up: Nothing returns (at t = 0 s)")
-    monkeypatch.setattr(FollowHalfCurve, "run", run)
-
-    def lose_a_half(task: Any, *arguments: Any, **named: Any) -> Any:
-        results = spread(task, *arguments, **named)
-        return (
-            (FailedPoint(), *results[1:]) if isinstance(task.jobs[0], FollowHalfCurve) else results
-        )
-
-    monkeypatch.setattr(dispatch, "parallel_map", lose_a_half)
-    (curve,) = crewed(Workers(count=1)).boundaries
-    assert curve.ends == ("2 steps", f"gave up: {FailedPoint().reason}")
 
 
 @pytest.mark.slow
