@@ -8,11 +8,9 @@ import json
 import math
 import os
 import re
-import shlex
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
-from html import unescape
 from html.parser import HTMLParser
 from io import StringIO
 from pathlib import Path
@@ -26,14 +24,13 @@ from tests.support.browser import Browser, need_browser
 from tests.support.commands import examples
 from tests.support.disturbances import pushes_of, recovery_of
 from tests.support.orbits import changed
+from tests.support.report_pages import commands_in, plotted
 from zeno_orbits.cli import main
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import ZenoOrbit, read_orbit, write_orbit
 from zeno_orbits.precision import TimedSetting, WorkPrecision, read_work_precision
 from zeno_orbits.report.page import Subject, load_bundle, page_of, words
-from zeno_orbits.report.page.page import commands_of, template_environment
-from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate, problem_dynamics, verify
 
@@ -275,12 +272,8 @@ def test_the_commands_on_the_page_find_the_orbit_again(
     subject: Subject, page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    shown = unescape(
-        re.findall(r"<pre[^>]*><code>(.*?)</code></pre>", page, re.DOTALL)[0]
-    ).splitlines()
-    assert [tuple(shlex.split(line)) for line in shown] == list(commands_of(subject))
-    for line in shown:
-        assert ask(*shlex.split(line)[1:])[0] == YES
+    for command in commands_in(page):
+        assert ask(*command[1:])[0] == YES
     again = read_orbit(tmp_path / "orbit.json")
     assert again.parameters == subject.orbit.parameters
     assert again.period == pytest.approx(subject.orbit.period, rel=1e-9)
@@ -289,7 +282,7 @@ def test_the_commands_on_the_page_find_the_orbit_again(
 def test_numbers_that_differ_from_the_problem_stand_in_the_command(subject: Subject) -> None:
     other = {**subject.orbit.parameters, "R": 2.5, "K_emf": 0.02}
     moved = replace(subject, orbit=replace(subject.orbit, parameters=other))
-    words_of = commands_of(moved)[0]
+    words_of = commands_in(page_of(moved, load_bundle()))[0]
     # `K_emf` is derived, but not as it stands here; what follows from `R` is left out.
     assert [word for word in words_of if "=" in word] == [
         *("Kp=2.5", "Kd=-1.0", "R=2.5", "K_emf=0.02"),
@@ -346,28 +339,6 @@ def test_texts_that_are_html_stay_texts(hostile: Subject) -> None:
     assert "<img" not in page
     # Title, heading, problem, source, meanings, bounds, versions, trade, file: all there, as text.
     assert reader.words.count(EVIL) > 20
-
-
-def rendered(template: str, **values: object) -> str:
-    """Return a small template, rendered as the page is."""
-    return template_environment().from_string(template).render(**values)
-
-
-def test_data_inside_a_script_element_reads_back_whatever_it_holds() -> None:
-    data = {"a": EVIL, "b": ["<!--", "\u2028", "θ"], "c": [1.5e-300, None]}
-    text = rendered("{{ data|tojson }}", data=data)
-    assert not set("<>&") & set(text)
-    assert json.loads(text) == data
-
-
-def test_what_is_not_finite_cannot_slip_into_the_data() -> None:
-    with pytest.raises(ValueError, match="Out of range float"):
-        rendered("{{ data|tojson }}", data={"a": math.nan})
-
-
-def test_attributes_are_escaped() -> None:
-    page = rendered('<a title="{{ title }}">{{ text }}</a>', title="\">'", text="<")
-    assert page == '<a title="&#34;&gt;&#39;">&lt;</a>'
 
 
 # ---------------------------------------------------------------------------- the command
@@ -529,8 +500,8 @@ def test_a_trade_file_reads_back(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------- the data
 
 
-def test_the_plots_show_what_was_simulated(subject: Subject) -> None:
-    data = curves_of(subject)
+def test_the_plots_show_what_was_simulated(subject: Subject, page: str) -> None:
+    data = plotted(page)
     execution = subject.execution
     assert execution is not None
     zeno = execution.zeno_points[0]
@@ -546,8 +517,8 @@ def test_the_plots_show_what_was_simulated(subject: Subject) -> None:
     assert first["x"][0] == pytest.approx(subject.orbit.release_state["theta1"], abs=1e-7)
 
 
-def test_the_closeup_goes_on_where_the_simulation_ends(subject: Subject) -> None:
-    zeno = curves_of(subject)["zeno"]
+def test_the_closeup_goes_on_where_the_simulation_ends(page: str) -> None:
+    zeno = plotted(page)["zeno"]
     flights = [arc for arc in zeno["arcs"] if arc["kind"] == "free" and arc["t"][0] < 0.0]
     # The first flight that is left out begins where the last one that was simulated ends: its time
     # is that of the tail, 2 w/(a (1 - e)) to first order in w, and w is 2e-6 there.
@@ -668,8 +639,10 @@ def test_every_plot_is_there_and_shows_something(shown: Browser, plot: str) -> N
 
 
 @pytest.mark.slow
-def test_the_zoom_goes_by_decades_into_the_zeno_point(opened: Browser, subject: Subject) -> None:
-    decades = curves_of(subject)["zeno"]["decades"]
+def test_the_zoom_goes_by_decades_into_the_zeno_point(
+    opened: Browser, subject: Subject, page: str
+) -> None:
+    decades = plotted(page)["zeno"]["decades"]
     press(opened, "zeno", "in")
     widths = []
     for _ in range(decades):
@@ -690,8 +663,8 @@ def test_the_zoom_goes_by_decades_into_the_zeno_point(opened: Browser, subject: 
     assert opened.complaints() == []
 
 
-def test_at_every_depth_flights_are_seen(opened: Browser, subject: Subject) -> None:
-    for _ in range(curves_of(subject)["zeno"]["decades"]):
+def test_at_every_depth_flights_are_seen(opened: Browser, page: str) -> None:
+    for _ in range(plotted(page)["zeno"]["decades"]):
         press(opened, "zeno", "in")
         low, high = range_of(opened, "zeno")
         bottom, top = range_of(opened, "zeno", "yaxis")
@@ -867,11 +840,11 @@ def test_an_orbit_of_several_hits_is_told_to_have_many(
     assert ("That one impact takes all of its speed" in text) is not many
 
 
-def test_the_commands_of_a_problem_of_ones_own_name_its_file(subject: Subject) -> None:
+def test_the_commands_of_a_problem_of_ones_own_name_its_file(subject: Subject, page: str) -> None:
     own = replace(subject, problem_file="mine/machine.py")
-    search, check, _ = commands_of(own)
-    assert search[:3] == ("zeno-orbits", "search", "mine/machine.py")
-    assert check[-4:-2] == ("--problem", "mine/machine.py")
-    search, check, _ = commands_of(subject)
-    assert search[:3] == ("zeno-orbits", "search", "motor_pendulum")
+    search, check, _ = commands_in(page_of(own, load_bundle()))
+    assert search[:3] == ["zeno-orbits", "search", "mine/machine.py"]
+    assert check[-4:-2] == ["--problem", "mine/machine.py"]
+    search, check, _ = commands_in(page)
+    assert search[:3] == ["zeno-orbits", "search", "motor_pendulum"]
     assert "--problem" not in check

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 
 from tests.support.browser import Browser
+from tests.support.report_pages import plotted, tables_in, tiles_in
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.precision import TimedSetting, WorkPrecision
 from zeno_orbits.report.page import Subject, load_bundle, page_of
-from zeno_orbits.report.page.plot_data import curves_of
-from zeno_orbits.report.page.tables import tables_of, tiles_of
-from zeno_orbits.report.table import Table
 from zeno_orbits.simulation import Ending, Execution, Mode
 from zeno_orbits.verification import OrbitCertificate
 
@@ -72,8 +70,13 @@ def execution(subject: Subject) -> Execution:
 
 
 @pytest.fixture(scope="module")
-def curves(subject: Subject) -> dict[str, Any]:
-    return curves_of(subject)
+def page(subject: Subject) -> str:
+    return page_of(subject, load_bundle())
+
+
+@pytest.fixture(scope="module")
+def curves(page: str) -> dict[str, Any]:
+    return plotted(page)
 
 
 def drawn_arcs(execution: Execution) -> list[Any]:
@@ -208,18 +211,6 @@ def test_the_machine_stands_as_its_angles_say(
 # ---------------------------------------------------------------------------- cells
 
 
-@pytest.fixture(scope="module")
-def tables(subject: Subject) -> dict[str, Table[Any]]:
-    return tables_of(subject, load_bundle())
-
-
-def cells(table: Table[Any]) -> dict[str, list[Any]]:
-    """Return heading to cells."""
-    headings = [column.heading for column in table.columns]
-    columns = list(zip(*table.rows, strict=True))
-    return {heading: list(column) for heading, column in zip(headings, columns, strict=True)}
-
-
 def near(texts: list[str], values: Any, digits: int) -> bool:
     """Return True if each text is its number to some digits, and zero is 0."""
     return all(
@@ -229,10 +220,9 @@ def near(texts: list[str], values: Any, digits: int) -> bool:
 
 
 @pytest.mark.parametrize("kind", ["gains", "parameters"])
-def test_every_cell_of_the_numbers_of_an_orbit(
-    tables: dict[str, Table[Any]], subject: Subject, kind: str
-) -> None:
-    known, found = getattr(subject.orbit, kind), cells(tables[kind])
+def test_every_cell_of_the_numbers_of_an_orbit(page: str, subject: Subject, kind: str) -> None:
+    section = {"gains": "asked", "parameters": "parameters"}[kind]
+    known, found = getattr(subject.orbit, kind), tables_in(page, section)[0]
     quantities = getattr(subject.problem, kind)
     assert list(found) == ["name", "value", "unit", "meaning"]
     assert found["name"] == [one.name for one in quantities]
@@ -241,8 +231,8 @@ def test_every_cell_of_the_numbers_of_an_orbit(
     assert found["meaning"] == [one.meaning for one in quantities]
 
 
-def test_every_cell_of_the_multipliers(tables: dict[str, Table[Any]]) -> None:
-    assert cells(tables["multipliers"]) == {
+def test_every_cell_of_the_multipliers(page: str) -> None:
+    assert tables_in(page, "stability")[0] == {
         "number": ["1", "2"],
         "real part [1]": ["0.25", "0.125"],
         "imaginary part [1]": ["-0.5", "0.0625"],
@@ -252,30 +242,29 @@ def test_every_cell_of_the_multipliers(tables: dict[str, Table[Any]]) -> None:
 
 def test_what_is_below_the_error_of_a_multiplier_is_shown_as_zero(subject: Subject) -> None:
     certificate = replace(subject.certificate, multipliers=(-0.5 + 0j, complex(1e-17, -1e-18)))
-    found = cells(
-        tables_of(replace(subject, certificate=certificate), load_bundle())["multipliers"]
-    )
+    found = tables_in(
+        page_of(replace(subject, certificate=certificate), load_bundle()), "stability"
+    )[0]
     assert found["real part [1]"] == ["-0.5", "0"]
     assert found["imaginary part [1]"] == ["0", "0"]
     assert found["modulus [1]"] == ["0.5", "0"]
 
 
-def test_every_cell_of_the_residuals(tables: dict[str, Table[Any]], subject: Subject) -> None:
-    found, sizes = cells(tables["checks"]), subject.certificate.residuals
+def test_every_cell_of_the_residuals(page: str, subject: Subject) -> None:
+    found, sizes = tables_in(page, "checks")[0], subject.certificate.residuals
     names = [text.partition(":")[0] for text in found["for the expert"]]
     assert sorted(names) == sorted(sizes)
     for name, passed, shown in zip(names, found["passed"], found["residual [1]"], strict=True):
-        assert passed == (sizes[name] <= 1e-9)
+        assert (passed == "✓ yes") == (sizes[name] <= 1e-9)
         if name in {"drift", "escape"}:
             assert shown == ("never reached" if name == "drift" else "0")
         else:
             assert float(shown) == pytest.approx(sizes[name], rel=0.05)
 
 
-def test_every_cell_of_margins_and_energies(
-    tables: dict[str, Table[Any]], subject: Subject
-) -> None:
-    margins, found = subject.certificate.margins, cells(tables["margins"])
+def test_every_cell_of_margins_and_energies(page: str, subject: Subject) -> None:
+    found, parts = tables_in(page, "margins")
+    margins = subject.certificate.margins
     units = {
         "gap_acceleration": "rad/s^2",
         "first_impact_speed": "rad/s",
@@ -284,7 +273,7 @@ def test_every_cell_of_margins_and_energies(
     }
     assert dict(zip(found["name"], found["unit"], strict=True)) == units
     assert near(found["value"], [margins[name] for name in found["name"]], 6)
-    energies, parts = subject.certificate.energies, cells(tables["energies"])
+    energies = subject.certificate.energies
     # What is rounding beside the largest, as what is left over is, is zero.
     least = 1e-13 * max(energies.values())
     shown = [value if abs(value) > least else 0.0 for value in energies.values()]
@@ -298,14 +287,13 @@ def test_the_force_on_a_stop_has_the_unit_of_its_gap(
 ) -> None:
     units = (*(unit,) * 2, *subject.problem.state_units[2:])
     problem = replace(subject.problem, state_units=units, outputs=())
-    found = cells(tables_of(replace(subject, problem=problem), load_bundle())["margins"])
+    found = tables_in(page_of(replace(subject, problem=problem), load_bundle()), "margins")[0]
     shown = dict(zip(found["name"], found["unit"], strict=True))
     assert shown["release_transversality"] == f"{force}/s"
 
 
-def test_every_cell_of_the_events(tables: dict[str, Table[Any]], execution: Execution) -> None:
-    found = cells(tables["events"])
-    times, words, speeds = found.values()
+def test_every_cell_of_the_events(page: str, execution: Execution) -> None:
+    times, words, speeds = tables_in(page, "motion")[0].values()
     assert near(times, [event.time for event in execution.events], 12)
     hits = [k for k, word in enumerate(words) if word == "impact"]
     rates = [-impact.state_minus[3] for impact in execution.impacts]
@@ -315,19 +303,25 @@ def test_every_cell_of_the_events(tables: dict[str, Table[Any]], execution: Exec
     assert words[-1] == "release"
 
 
-def test_every_cell_of_bounds_trade_and_versions(tables: dict[str, Table[Any]]) -> None:
-    assert tables["bounds"].rows == (("peak", "-", "2", "0.5", "1.5"),)
-    assert tables["trade"].rows[0] == ("1e-02", "fast, 1e-06", "1.00", "1.0e-07")
-    assert tables["trade"].rows[3] == ("1e-08", "fast, 1e-09", "4.00", "1.0e-11")
-    assert tables["trade"].rows[5] == ("1e-12", "none", "", "")
-    versions = {row[0]: row[1:] for row in tables["versions"].rows}
+def rows_in(page: str, section: str) -> list[tuple[str, ...]]:
+    """Return the rows of the last table of a section."""
+    return list(zip(*tables_in(page, section)[-1].values(), strict=True))
+
+
+def test_every_cell_of_bounds_trade_and_versions(page: str) -> None:
+    assert rows_in(page, "asked") == [("peak", "-", "2", "0.5", "1.5")]
+    trade = rows_in(page, "trade")
+    assert trade[0] == ("1e-02", "fast, 1e-06", "1.00", "1.0e-07")
+    assert trade[3] == ("1e-08", "fast, 1e-09", "4.00", "1.0e-11")
+    assert trade[5] == ("1e-12", "none", "", "")
+    versions = {row[0]: row[1:] for row in rows_in(page, "reproduce")}
     assert versions["numpy"] == ("1.2", np.__version__)
     assert versions["plotly"] == ("-", load_bundle().version)
 
 
-def test_every_tile(subject: Subject, execution: Execution) -> None:
+def test_every_tile(page: str, subject: Subject, execution: Execution) -> None:
     (point,), (release,) = execution.zeno_points, execution.releases
-    found = {name: (float(number), unit) for name, number, unit in tiles_of(subject)}
+    found = {name: (float(number), unit) for name, (number, unit) in tiles_in(page).items()}
     assert found == {
         "period": (pytest.approx(subject.orbit.period, rel=1e-9), "s"),
         "first impact after": (pytest.approx(execution.impacts[0].time, rel=1e-8), "s"),
@@ -341,9 +335,9 @@ def test_every_tile(subject: Subject, execution: Execution) -> None:
 
 
 @pytest.fixture(scope="module")
-def opened(subject: Subject, browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Browser:
+def opened(page: str, browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Browser:
     path: Path = tmp_path_factory.mktemp("data") / "report.html"
-    path.write_text(page_of(subject, load_bundle()), encoding="utf-8")
+    path.write_text(page, encoding="utf-8")
     browser.emulate(1100)
     browser.open(path)
     return browser

@@ -17,25 +17,8 @@ import numpy as np
 import pytest
 
 from tests.support.periods_by_hand import arc, impact, system, zeno
-from zeno_orbits.errors import StepSizeError
 from zeno_orbits.orbits import EventSequence
-from zeno_orbits.report.page import Bundle, Subject, page_of, words
-from zeno_orbits.report.page import subject as subjects
-from zeno_orbits.report.page.page import _contents, commands_of
-from zeno_orbits.report.page.tables import (
-    bounds_table,
-    checks_table,
-    energies_table,
-    events_table,
-    gains_table,
-    margins_table,
-    multipliers_table,
-    parameters_table,
-    tables_of,
-    tiles_of,
-    trade_table,
-    versions_table,
-)
+from zeno_orbits.report.page import Bundle, page_of, words
 from zeno_orbits.simulation import Execution, Mode, Release
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 
@@ -183,201 +166,7 @@ def test_only_an_angle_beyond_half_a_turn_gets_a_caution(
 # Tiles.
 
 
-def test_tiles_are_the_main_numbers_of_a_period() -> None:
-    rests = arc(Mode.LOCKED, [0.0, 0.25], [(0, 0, 0), (0, 0, 0)])
-    shown = _execution(*HITS, LIMIT, RELEASE, arcs=[rests, FLIGHT, REST])
-    assert tiles_of(_subject(execution=shown)) == (
-        ("period", "2", "s"),
-        ("first impact after", "0.5", "s"),
-        ("Zeno point after", "1.25", "s"),
-        ("rests on the stop for", "1", "s"),
-        ("a small push is multiplied by", "0.25", "per period"),
-    )
-
-
-def test_no_more_than_three_zeno_points_have_tiles_and_none_no_rest() -> None:
-    points = [zeno(float(k), (0, 0, 0)) for k in (1, 2, 3, 4)]
-    names = [name for name, _, _ in tiles_of(_subject(execution=_execution(*HITS, *points)))]
-    assert names.count("Zeno point after") == 3
-    for execution in (None, _execution(*HITS)):
-        names = [name for name, _, _ in tiles_of(_subject(execution=execution))]
-        assert names == ["period", "first impact after", "a small push is multiplied by"]
-
-
-def test_numbers_are_told_to_ten_digits_and_an_unknown_radius_as_unknown() -> None:
-    third = 1.0 / 3.0
-    certificate = replace(GOOD, multipliers=(), multiplier_error=math.inf)
-    limit = zeno(third, (0, 0, 0))
-    rest = arc(Mode.LOCKED, [third, 1.0], [(0, 0, 0), (0, 0, 0)])
-    found = tiles_of(
-        _subject(
-            orbit=_orbit(third, period=third),
-            certificate=certificate,
-            execution=_execution(limit, arcs=[rest]),
-        )
-    )
-    assert [number for _, number, _ in found] == [*["0.3333333333"] * 3, "0.666667", "unknown"]
-    known = replace(GOOD, multipliers=(third + 0j,))
-    assert tiles_of(_subject(certificate=known))[-1][1] == "0.3333"
-
-
 # Tables.
-
-
-def test_a_table_of_events_is_cut_in_its_middle_where_it_is_long() -> None:
-    hits = [impact(k / 8, (0.0, -1.0 - k, 0.0)) for k in range(41)]
-    whole = events_table(_execution(*hits[:40]), "m")
-    assert len(whole.rows) == 40
-    assert [column.heading for column in whole.columns][2] == "speed of the impact [m/s]"
-    cut = events_table(_execution(*hits, LIMIT, RELEASE), "m")
-    assert len(cut.rows) == 41
-    assert cut.rows[19:22] == (
-        ("2.375", "impact", "20"),
-        ("...", "and 3 more", ""),
-        ("2.875", "impact", "24"),
-    )
-    assert cut.rows[0] == ("0", "impact", "1")
-    assert cut.rows[-2] == ("1.25", "Zeno point, 0.12 s after the last impact followed", "")
-    assert cut.rows[-1] == ("2", "release", "")
-
-
-def test_times_and_speeds_of_events_have_their_digits() -> None:
-    third = impact(1.0 / 3.0, (0.0, -1.0 / 3.0, 0.0))
-    assert events_table(_execution(third), "m").rows == (("0.333333333333", "impact", "0.333333"),)
-
-
-def test_residuals_up_to_the_tolerance_pass_in_causal_order() -> None:
-    sizes = {"period": 2.1e-9, "closure": 2e-9, "release": 0.0, "drift": math.inf}
-    table = checks_table(replace(GOOD, residuals=sizes))
-    assert [(row[1], row[2]) for row in table.rows] == [
-        (True, "0"),
-        (True, "2.0e-09"),
-        (False, "2.1e-09"),
-        (False, "never reached"),
-    ]
-    names = ["release", "closure", "period", "drift"]
-    assert [row[3] for row in table.rows] == [f"{name}: {RESIDUALS[name]}" for name in names]
-    assert [row[0] for row in table.rows] == [words.CHECKS[name] for name in names]
-    assert "2e-09" in table.caption
-
-
-@pytest.mark.parametrize(
-    ("energy", "unit", "force"),
-    [("J", "m", "N"), ("J", "rad", "N m"), ("J", "1", "J"), ("kJ", "m", "kJ/m"), ("J", "c", "J/c")],
-)
-def test_margins_have_the_units_of_the_gap_and_of_its_force(
-    energy: str, unit: str, force: str
-) -> None:
-    every = dict(zip(words.MARGINS, (1 / 3, *(2.0, 3.0, 4.0, 5.0, 6.0, 7.0)), strict=True))
-    table = margins_table(replace(GOOD, margins=every), unit, energy)
-    assert table.is_titled
-    assert [(name, value, of) for name, value, of, _ in table.rows] == [
-        ("gap_acceleration", "0.333333", f"{unit}/s^2"),
-        ("first_impact_speed", "2", f"{unit}/s"),
-        ("release_transversality", "3", f"{force}/s"),
-        ("switch_transversality", "4", "SI/s"),
-        ("lets_go", "5", f"{unit}/s^2"),
-        ("phases_apart", "6", "1"),
-        ("locked_time", "7", "s"),
-    ]
-    assert [row[3] for row in table.rows] == [words.MARGINS[name][0] for name in every]
-
-
-def test_energies_are_zero_where_they_are_rounding_of_the_largest() -> None:
-    rows = energies_table(GOOD, "J").rows
-    # 3e-13 of 8 is rounding; a part without words has its name.
-    assert rows == (
-        ("put in by the source", "8"),
-        ("lost as heat in the windings", "-4"),
-        ("left over after the period", "0"),
-    )
-    told = {"input_work": -2.0, "odd_part": 1.0 / 3.0, "energy_gain": -3e-13}
-    table = energies_table(replace(GOOD, energies=told), "kJ")
-    assert [column.heading for column in table.columns] == ["part", "energy [kJ]"]
-    assert table.rows[1:] == (
-        ("odd_part", "0.333333"),
-        ("left over after the period", "-3e-13"),
-    )
-    # The largest is the one that is lost.
-    lost = {"input_work": 1.0, "copper_loss": -4.0, "energy_gain": 3e-13}
-    assert energies_table(replace(GOOD, energies=lost), "J").rows[-1][1] == "0"
-    assert energies_table(replace(GOOD, energies={}), "J").rows == ()
-
-
-def test_multipliers_are_numbered_from_one() -> None:
-    table = multipliers_table(replace(GOOD, multipliers=(0.3 - 0.4j, 1.0 / 3.0 + 0j)))
-    assert table.rows == (
-        ("1", "0.3", "-0.4", "0.5"),
-        ("2", "0.33333333", "0", "0.33333333"),
-    )
-    assert "1.0e-06" in table.caption
-
-
-def test_bounds_that_are_no_bounds_are_left_out() -> None:
-    one = {"quantity": "peak", "lower": 1.0, "upper": None, "lowest": 1.5, "highest": 2.0}
-    asked = _orbit(0.5, certificate={"asked": [one, "odd", 3]})
-    assert bounds_table(asked).rows == (("peak", "1", "-", "1.5", "2"),)
-    assert bounds_table(_orbit(0.5)).rows == ()
-
-
-def test_packages_that_found_the_orbit_come_first() -> None:
-    bundle: Any = SimpleNamespace(version="9.9")
-    rows = versions_table(_orbit(0.5, versions={"abacus": "0.1"}), bundle).rows
-    assert rows[0] == ("abacus", "0.1", "-")
-    assert rows[-1] == ("plotly", "-", "9.9")
-    assert len({row[0] for row in rows}) == len(rows) > 3
-
-
-def test_tables_that_a_subject_lacks_are_left_out() -> None:
-    bundle: Any = SimpleNamespace(version="9.9")
-    always = {"gains", "bounds", "multipliers", "checks", "margins", "energies", "parameters"}
-    always |= {"versions"}
-    assert set(tables_of(_subject(execution=None), bundle)) == always
-    assert set(tables_of(_subject(), bundle)) == always | {"events"}
-    trade: Any = SimpleNamespace(cheapest=lambda _: None)
-    found = tables_of(_subject(trade=trade), bundle)
-    assert set(found) == always | {"events", "trade"}
-    assert {row[1:] for row in trade_table(trade).rows} == {("none", "", "")}
-    titled = {name for name, table in found.items() if table.is_titled}
-    assert titled == {"margins", "parameters"}
-    assert {name: table.caption for name, table in found.items()} == {
-        "gains": "Gains",
-        "bounds": "Bounds the search was asked to keep",
-        "multipliers": "Floquet multipliers (error of the largest: 1.0e-06)",
-        "checks": "Relative residuals (up to 2e-09 pass)",
-        "margins": "Margins",
-        "energies": "Energy over one period",
-        "parameters": "Parameters",
-        "versions": "Versions",
-        "events": "Events of one period, times since its start",
-        "trade": "Cheapest setting that reaches an accuracy",
-    }
-    headings = {name: [c.heading for c in table.columns] for name, table in found.items()}
-    quantities = ["name", "value", "unit", "meaning"]
-    assert headings["gains"] == headings["parameters"] == headings["margins"] == quantities
-    assert headings["multipliers"] == [
-        *("number", "real part [1]", "imaginary part [1]", "modulus [1]"),
-    ]
-    assert headings["checks"] == ["in plain words", "passed", "residual [1]", "for the expert"]
-    assert headings["energies"] == ["part", "energy [J]"]
-    assert headings["versions"] == ["package", "that found the orbit", "that wrote this page"]
-    assert headings["events"] == ["time [s]", "event", "speed of the impact [m/s]"]
-
-
-def test_gains_and_parameters_have_twelve_digits_their_units_and_their_order() -> None:
-    def quantity(name: str) -> Any:
-        return SimpleNamespace(name=name, unit=f"unit of {name}", meaning=f"meaning of {name}")
-
-    def row(name: str, value: str) -> tuple[str, ...]:
-        return (name, value, f"unit of {name}", f"meaning of {name}")
-
-    problem: Any = SimpleNamespace(
-        gains=[quantity("Kp"), quantity("Kd")], parameters=[quantity("m"), quantity("l")]
-    )
-    orbit = _orbit(0.5, gains={"Kd": 1.0 / 3.0, "Kp": -0.0}, parameters={"l": 2.0 / 3.0, "m": 1.0})
-    # Gains as the orbit has them, parameters as the problem has.
-    assert gains_table(orbit, problem).rows == (row("Kd", "0.333333333333"), row("Kp", "0"))
-    assert parameters_table(orbit, problem).rows == (row("m", "1"), row("l", "0.666666666667"))
 
 
 def test_everything_that_a_certificate_names_has_its_words() -> None:
@@ -388,51 +177,6 @@ def test_everything_that_a_certificate_names_has_its_words() -> None:
 
 
 # Contents and commands.
-
-
-def test_sections_are_those_that_the_subject_has() -> None:
-    always = {
-        "happens": "What happens",
-        "asked": "What was asked",
-        "motion": "The motion",
-        "stability": "Stability",
-        "checks": "Can it be trusted?",
-    }
-    margins, trade = {"margins": "Margins"}, {"trade": "What accuracy costs"}
-    more = {
-        "parameters": "Parameters",
-        "theory": "The theory in short",
-        "reproduce": "How to reproduce it",
-    }
-    full = _contents(_subject(trade="a trade"))
-    assert list(full.items()) == list({**always, **margins, **trade, **more}.items())
-    bare = _subject(certificate=replace(GOOD, margins={}))
-    assert _contents(bare) == {**always, **more}
-
-
-def test_only_numbers_that_are_the_orbits_own_stand_in_its_commands() -> None:
-    def values(parameters: dict[str, float]) -> Any:
-        # `derived` follows from `free`, and `odd` from nothing.
-        known = {"free": 1.0, "kept": 2.0, "odd": 0.0, **parameters}
-        return SimpleNamespace(parameters={**known, "derived": 10 * known["free"]})
-
-    defaults = {"free": 1.0, "kept": 2.0, "derived": None, "odd": None}
-    problem = SimpleNamespace(
-        parameters=[SimpleNamespace(name=n, default=v) for n, v in defaults.items()], values=values
-    )
-    numbers = {"free": 3.0, "kept": 2.0, "derived": 30.0, "odd": 0.5}
-    orbit = _orbit(0.5, parameters=numbers, gains={"Kp": 0.1, "Kd": -1.0})
-    search, check, report = commands_of(_subject(orbit=orbit, problem=problem))
-    assert search == (
-        *("zeno-orbits", "search", "toy", "--set", "Kp=0.1", "--set", "Kd=-1.0"),
-        *("--set", "free=3.0", "--set", "odd=0.5", "-o", "orbit.json"),
-    )
-    assert check == ("zeno-orbits", "verify", "orbit.json", "--tolerance", "2e-09")
-    assert report == ("zeno-orbits", "report")
-    own = _subject(orbit=orbit, problem=problem, problem_file="my.py", file="mine.json")
-    search, check, _ = commands_of(own)
-    assert (search[2], search[-1]) == ("my.py", "mine.json")
-    assert check[:5] == ("zeno-orbits", "verify", "mine.json", "--problem", "my.py")
 
 
 # The page as a whole.
@@ -578,26 +322,6 @@ def test_a_page_holds_no_space_that_its_template_alone_is_laid_out_with() -> Non
 
 
 # The motion of a subject.
-
-
-def _whole(monkeypatch: pytest.MonkeyPatch, motion: Any) -> Subject:
-    def of(*_: Any) -> Any:
-        if isinstance(motion, Exception):
-            raise motion
-        return motion
-
-    monkeypatch.setattr(subjects, "orbit_motion", of)
-    some: Any = None
-    return Subject(orbit=some, problem=some, dynamics=some, certificate=some).followed()
-
-
-def test_a_subject_is_followed_or_says_why_it_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = _whole(monkeypatch, "a motion")
-    assert (found.execution, found.trouble) == ("a motion", "")
-    assert (found.file, found.problem_file, found.content, found.date) == ("orbit.json", "", "", "")
-    lost = _whole(monkeypatch, StepSizeError("It is lost", time=0.5, state=()))
-    assert lost.execution is None
-    assert "It is lost" in lost.trouble
 
 
 def test_every_law_has_the_number_that_the_theory_gives_it() -> None:

@@ -14,57 +14,12 @@ import zeno_orbits as zo
 from zeno_orbits.errors import counted
 from zeno_orbits.model import bundled_problems, load_problem
 from zeno_orbits.report import terminal
-from zeno_orbits.report.table import (
-    name_column,
-    number_column,
-    shown_multiplier,
-    shown_number,
-    shown_size,
-    text_column,
-)
 from zeno_orbits.report.terminal import NotebookLine, line_for_watcher, progress
-from zeno_orbits.report.terminal.console import print_table
 
 
 def plain(text: str) -> str:
     """Return what a terminal shows, without its colours."""
     return re.sub(r"\x1b\[[0-9;]*m", "", text)
-
-
-@pytest.mark.parametrize("width", ["20", "80", "200"])
-def test_no_name_number_or_word_of_a_table_is_cut(
-    width: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", width)
-    name, number, words = "a name that one must type", "-1.2345678901e-12", "some text to be read"
-    columns = [
-        name_column("first name", lambda _: name),
-        number_column("value [rad/s]", lambda _: number),
-        text_column("meaning", lambda _: words),
-        text_column("passed", lambda _: True),
-    ]
-    print_table(columns, [None, None])
-    printed = plain(capsys.readouterr().out)
-    assert printed.count(name) == printed.count(number) == 2
-    for word in (*words.split(), "ok"):
-        assert printed.split().count(word) == 2
-    for word in ("first", "name", "value", "[rad/s]", "meaning", "passed"):
-        assert word in printed.split()
-
-
-def test_a_narrow_table_breaks_its_headings_before_its_texts(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", "40")
-    text = "the middle of the first flight"
-    columns = [text_column("what", lambda _: text), number_column("standard error", lambda _: "1")]
-    print_table(columns, [None])
-    heading, below, row = plain(capsys.readouterr().out).splitlines()[:3]
-    assert (heading.split(), below.split()) == (["standard"], ["what", "error"])
-    # Numbers are set to the right.
-    assert row == f"{text}         1"
 
 
 def test_a_sentence_ends_its_lines_between_words_in_a_terminal_and_is_whole_in_a_file(
@@ -86,14 +41,6 @@ def test_a_sentence_ends_its_lines_between_words_in_a_terminal_and_is_whole_in_a
         assert all(line.startswith("  ") for line in folded)
         assert (len(folded) > 1) == (len(error.splitlines()) > 1) == is_terminal
         assert all(len(line) <= 30 or name in line for line in folded if is_terminal)
-
-
-def test_a_size_of_zero_and_a_multiplier_below_its_error_are_printed_as_zero() -> None:
-    assert (shown_size(0.0), shown_size(3.14e-9), shown_number(-0.0, 3)) == ("0", "3.1e-09", "0")
-    assert shown_multiplier(2.6e-17, 1e-9, 7) == "0"
-    # Not known from zero either, but large: it is told, and its error beside it.
-    assert shown_multiplier(0.25, 0.5, 7) == "0.25"
-    assert shown_multiplier(-3e-12, 1e-13, 7) == "-3e-12"
 
 
 def test_every_problem_is_named_whole_in_eighty_columns(

@@ -8,13 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.orbits import EventSequence, Moment
 from zeno_orbits.simulation import Arc, Ending, Impact, Mode, ZenoPoint
-from zeno_orbits.verification.claim import Claim, ClaimedPhase
-from zeno_orbits.verification.integration import FirstCycle
-
-SCALE = np.array([1.0, 10.0, 100.0])
-"""Sizes of the states."""
 
 
 def system(**parts: Any) -> Any:
@@ -84,57 +78,4 @@ def arc(
         impact_index=0,
         time_unit=unit,
         trajectory=None if straight else steps,
-    )
-
-
-def phase(
-    start: tuple[float, Sequence[float]],
-    impacts: Sequence[Impact],
-    limit: ZenoPoint | None,
-    end: tuple[float, Sequence[float]],
-    **parts: Any,
-) -> Any:
-    """Return a phase: where it starts, what happens, where it ends."""
-    return SimpleNamespace(
-        start=Moment(time=start[0], state=state(*start[1])),
-        impacts=tuple(impacts),
-        zeno=limit,
-        end=Moment(time=end[0], state=state(*end[1])),
-        **{"locked": None, "flight": None, **parts},
-    )
-
-
-def cycle(phases: Sequence[Any], arcs: Sequence[Arc] = (), **parts: Any) -> Any:
-    """Return a period of some phases."""
-    named = {"shorter_periods": lambda _: dict[EventSequence, float](), **parts}
-    return SimpleNamespace(
-        phases=tuple(phases),
-        impacts=tuple(one for part in phases for one in part.impacts),
-        zeno_points=tuple(part.zeno for part in phases if part.zeno is not None),
-        start=phases[0].start,
-        end=phases[-1].end,
-        execution=SimpleNamespace(arcs=tuple(arcs)),
-        **named,
-    )
-
-
-def first_cycle(period: Any, *, gap: float = 2.0, force: float = 50.0) -> FirstCycle:
-    """Return a period with the sizes of its states, of its gap and of its multiplier."""
-    return FirstCycle(cycle=period, largest=SCALE, scale=SCALE, gap=gap, force=force)
-
-
-def claim(shape: str, period: float, phases: Sequence[Any]) -> Claim:
-    """Return what an orbit says that has these phases, to the last digit."""
-    return Claim(
-        shape=EventSequence.parsed(shape),
-        period=period,
-        phases=tuple(
-            ClaimedPhase(
-                start_time=one.start.time,
-                start=one.start.state,
-                impacts=tuple((i.time, i.state_minus) for i in one.impacts),
-                zeno=None if one.zeno is None else (one.zeno.time, one.zeno.state),
-            )
-            for one in phases
-        ),
     )
