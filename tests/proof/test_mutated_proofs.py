@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -10,8 +11,12 @@ from typing import Any
 import pytest
 
 import zeno_orbits as zo
-from tests.support.certificates import mutants
+from tests.support.certificates import (
+    BITS,
+    mutants,
+)
 from zeno_orbits.errors import InputError
+from zeno_orbits.model import load_problem
 from zeno_orbits.proof import check_proof
 from zeno_orbits.proof.checker import certificate as judged
 
@@ -121,3 +126,32 @@ def _listed(ends: Any) -> list[float]:
 def _value(text: str) -> float:
     mantissa, exponent = text.replace("0x", "").split("p")
     return int(mantissa, 16) * 2.0 ** int(exponent)
+
+
+Certificate = dict[str, Any]
+
+"""As published of the impact oscillator, with its conjugate."""
+
+
+def _tail(c: Certificate) -> Any:
+    return next(record for record in c["passes"][0]["records"] if record["kind"] == "tail")
+
+
+@pytest.mark.slow
+def test_a_tail_hardly_slower_than_its_bound_is_refused(zeno: Certificate) -> None:
+    # Cauchy's bound by the speed divides by the room between the bound and the speed: one unit,
+    # 2^-BITS, far below the rounding of a double. The honest room accepts the same sets.
+    false = copy.deepcopy(zeno)
+    records = false["passes"][0]["records"]
+    before = records[records.index(_tail(false)) - 1]["set"]
+    system, over, _ = judged.read_system(false, load_problem("forced_oscillator"))
+    section = judged.ContactSection.of(system, false["section"])
+    box = judged.Box.of(system, section, false["passes"][0]["box"], over)
+    speed = system.gap_rate(judged._set(system, box, before).hull)
+    assert speed.r > 0
+    _tail(false)["speed"] = f"0x{2 * speed.high:x}p-{BITS}"
+    assert check_proof(false).ok
+    _tail(false)["speed"] = f"0x{speed.high + 1:x}p-{BITS}"
+    assert "(tail): r[" in check_proof(false).claims[0].evidence
+    _tail(false)["speed"] = f"0x{speed.high:x}p-{BITS}"
+    assert "(tail): the speed after the impact" in check_proof(false).claims[0].evidence
