@@ -6,8 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,7 +18,7 @@ from tests.reference.shaken_truth import DIGITS, Table, throw
 from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
 from zeno_orbits.model import CompletedSystem, HybridDynamics, Problem, StateLimit, load_problem
 from zeno_orbits.orbits import OrbitImpact, PhaseKind, ZenoOrbit
@@ -30,7 +28,6 @@ from zeno_orbits.simulation import (
     Mode,
     SimulationSettings,
     TailEstimate,
-    Truncation,
     ZenoExtrapolation,
     ZenoLimit,
     simulate,
@@ -39,13 +36,9 @@ from zeno_orbits.verification import (
     RESIDUALS,
     OrbitCertificate,
     VerificationSettings,
-    cross_checks,
     verify,
     with_certificate,
 )
-from zeno_orbits.verification.claim import claim_of
-from zeno_orbits.verification.cross_checks import cut_order, delta_sweep
-from zeno_orbits.verification.integration import _measured, observe
 
 QUICK = VerificationSettings(n_periods=1)
 MOTION = {"first_impact", "impact_sequence", "zeno_point", "closure", "period", "drift"}
@@ -79,14 +72,6 @@ def test_the_paper_rule_is_of_third_order(certificate: OrbitCertificate) -> None
     speeds = [cut.speed for cut in certificate.delta_sweep]
     assert speeds == sorted(speeds, reverse=True)
     assert all(cut.speed < cut.delta for cut in certificate.delta_sweep)
-
-
-def test_cuts_that_err_less_than_the_integration_have_no_order(
-    certificate: OrbitCertificate,
-) -> None:
-    sweep = certificate.delta_sweep
-    assert math.isfinite(cut_order(sweep, certificate.integration_error))
-    assert math.isnan(cut_order(sweep, max(cut.error for cut in sweep)))
 
 
 def test_the_declared_orbit_is_stable_with_the_declared_multipliers(
@@ -425,35 +410,6 @@ def test_a_second_model_that_is_wrong_on_the_stop_fails_alone(
     assert seen.failed == ("second_model",)
 
 
-def test_a_second_model_that_is_wrong_before_impacts_only_fails_alone(
-    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    struck = [np.array(list(impact.state_minus.values())) for impact in orbit.impacts]
-
-    def energy(x: Vector) -> float:
-        at_impact = min(float(np.max(np.abs(x - one))) for one in struck) < 1e-6
-        return machine.energy(x) * (1 + 1e-6 * at_impact)
-
-    def wrong(_: Problem) -> Any:
-        return SimpleNamespace(dynamics=lambda _: replace(machine, energy=energy))
-
-    monkeypatch.setattr(cross_checks, "load_reference", wrong)
-    assert verify(orbit, problem, settings=QUICK).failed == ("second_model",)
-
-
-def test_the_largest_gap_of_a_rescaled_flight_is_that_of_the_motion(
-    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
-) -> None:
-    first = observe(machine, claim_of(orbit, problem), QUICK.simulation, 1).first
-    assert first is not None
-    hop = first.cycle.rescaled_flights[0]
-    states = [hop.state_at(t) for t in np.linspace(hop.start_time, hop.end_time, 201)]
-    alone = replace(first.cycle.execution, arcs=(hop,), events=())
-    seen = _measured(machine, replace(first.cycle, execution=alone)).gap
-    # The steps, at which it is looked for, lie at most an eighth of the hop apart.
-    assert seen == pytest.approx(max(machine.gap(x) for x in states), rel=0.05)
-
-
 def test_a_gap_that_is_negative_in_mid_flight_fails_alone(
     check: Check, orbit: ZenoOrbit, machine: HybridDynamics
 ) -> None:
@@ -466,36 +422,6 @@ def test_a_gap_that_is_negative_in_mid_flight_fails_alone(
     seen = check(orbit, replace(machine, gap=gap))
     assert seen.failed == ("penetration",)
     assert seen.residuals["penetration"] == pytest.approx(1e-3, rel=0.01)
-
-
-def test_a_gap_that_is_negative_at_one_step_only_fails_alone(
-    check: Check, orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
-) -> None:
-    first = observe(machine, claim_of(orbit, problem), QUICK.simulation, 1).first
-    assert first is not None
-    inside = first.cycle.execution.arcs[0].flow_states[1]
-
-    def gap(x: Vector) -> float:
-        return -1e-3 if np.array_equal(x, inside) else machine.gap(x)
-
-    assert check(orbit, replace(machine, gap=gap)).failed == ("penetration",)
-
-
-def test_an_energy_that_an_impact_loses_too_much_is_measured_in_that_of_the_first_hit(
-    check: Check, orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
-) -> None:
-    first = observe(machine, claim_of(orbit, problem), QUICK.simulation, 1).first
-    assert first is not None
-    hit = first.cycle.impacts[0]
-    part = 1e-6 * machine.normal_inertia(hit.state_minus)
-
-    def energy(x: Vector) -> float:
-        return machine.energy(x) + part * machine.gap_rate(x) ** 2 / 2
-
-    seen = check(orbit, replace(machine, energy=energy))
-    assert "impact_energy" in seen.failed
-    lost = 1e-6 * (1 - machine.restitution**2)
-    assert seen.residuals["impact_energy"] == pytest.approx(lost, rel=1e-3)
 
 
 def test_a_constraint_that_is_broken_before_the_first_impact_only_fails_alone(
@@ -586,28 +512,6 @@ def test_one_wrong_zeno_limit_of_two_is_enough(place: int) -> None:
     simulation = SimulationSettings(completion=late)
     seen = verify(orbit, table, settings=replace(QUICK, simulation=simulation))
     assert {"zeno_point", "delta_sweep"} <= set(seen.failed)
-
-
-def test_a_cut_that_cannot_be_followed_is_told_by_an_error_without_bound(
-    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = observe(machine, claim_of(orbit, problem), QUICK.simulation, 1).first
-    assert first is not None
-
-    def fails_once(*given: Any, settings: SimulationSettings, **named: Any) -> Execution:
-        if settings.completion == Truncation(delta=middle):
-            raise SimulationError("The cut motion has no end", time=0.0, state=())
-        return simulate(*given, settings=settings, **named)
-
-    fastest = abs(first.cycle.phases[0].impacts[0].approach_rate)
-    middle = 3e-3 * fastest
-    monkeypatch.setattr(cross_checks, "simulate", fails_once)
-    sweep = delta_sweep(machine, first, (3e-2, 3e-3, 3e-4), QUICK.simulation, 1e-9)
-    assert [cut.delta for cut in sweep] == pytest.approx(
-        [part * fastest for part in (3e-2, 3e-3, 3e-4)]
-    )
-    assert [math.isinf(cut.error) for cut in sweep] == [False, True, False]
-    assert math.isnan(sweep[1].speed)
 
 
 def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(problem: Problem) -> None:
