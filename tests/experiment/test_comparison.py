@@ -19,7 +19,6 @@ from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import (
     Comparison,
-    Deviations,
     OrbitTable,
     RecordedSignal,
     Recording,
@@ -27,8 +26,6 @@ from zeno_orbits.experiment import (
     tabulate_orbit,
 )
 from zeno_orbits.experiment.comparison.alignment import aligned
-from zeno_orbits.experiment.comparison.deviations import N_BINS, deviations_between
-from zeno_orbits.experiment.comparison.signal_metrics import greatest
 from zeno_orbits.experiment.orbit_table import gap_coordinates
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
@@ -238,43 +235,6 @@ def test_what_shows_no_such_orbit_is_told_with_the_reason(
     found = compare_recording(orbit, problem, changed(recorded(table, problem, noise=1e-3), change))
     assert not found.agrees
     assert any(part in one for one in found.reasons for part in reason.split("|")), found.reasons
-
-
-def test_between_samples_a_deviation_is_that_around_it_and_as_unsure_as_it_changes() -> None:
-    nan = math.nan
-    row = np.array([nan, 1.0, nan, nan, 4.0, 4.0, nan, 2.0])
-    filled, apart = deviations_between(row)
-    # Around the end of the period: from 2 at place -1 to 1 at place 1.
-    assert filled == pytest.approx([1.5, 1.0, 2.0, 3.0, 4.0, 4.0, 3.0, 2.0])
-    assert apart == pytest.approx([1.0, 0.0, 3.0, 3.0, 0.0, 0.0, 2.0, 0.0])
-    filled, apart = deviations_between(np.array([nan, 3.0, nan]))
-    assert filled == pytest.approx([3.0, 3.0, 3.0])
-    assert apart == pytest.approx([0.0, 0.0, 0.0])
-
-
-def deviating(sums: np.ndarray, counts: np.ndarray, table: OrbitTable) -> Deviations:
-    """Return deviations of one signal whose samples do not scatter, ``(n_groups, N_BINS)`` each."""
-    each = sums / np.maximum(counts, 1.0)
-    return Deviations(
-        table=table,
-        period=table.period,
-        sums=sums[:, :, None],
-        squares=(counts * each**2)[:, :, None],
-        counts=counts[:, :, None],
-        by_cycles=True,
-    )
-
-
-def test_the_greatest_deviation_is_one_that_several_cycles_show(table: OrbitTable) -> None:
-    sums, counts = np.zeros((6, N_BINS)), np.ones((6, N_BINS))
-    sums[:, 7] = -0.5
-    # One cycle alone has a sample in the next bin: nothing tells how sure it is.
-    counts[1:, 8], sums[0, 8] = 0.0, 2.0
-    found = greatest(deviating(sums, counts, table), 0)
-    assert found.value == pytest.approx(-0.5)
-    assert math.isfinite(found.error)
-    lonely = deviating(sums, np.where(np.arange(6)[:, None] == 0, counts, 0.0), table)
-    assert not greatest(lonely, 0).known
 
 
 def test_signals_that_jump_are_aligned_as_well() -> None:

@@ -23,19 +23,7 @@ from benchmarks.contact_fits import (
     settled_period,
 )
 from tests.support.commands import ask
-from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment import FitParameter, RecordedSignal, Recording, measurable
-from zeno_orbits.experiment.identification.contact_rows import (
-    UNMATCHED,
-    ContactRows,
-    SeenEdge,
-    SeenRows,
-)
-from zeno_orbits.experiment.identification.least_squares import Weighed, weighed
-from zeno_orbits.experiment.identification.predictions import EventTimes
-from zeno_orbits.experiment.identification.prepared import UnfittableError, prepared
-from zeno_orbits.experiment.identification.unknowns import begin_of, unknowns_of
-from zeno_orbits.work import silent
+from zeno_orbits.experiment import RecordedSignal, Recording, UnfittableError, measurable
 
 TRUTH = {"restitution": 0.28, "ks": 57.5, "R": 47.0}
 """Parameters that are 4.5 to 7 % away from the start."""
@@ -50,39 +38,7 @@ def _only(recording: Recording, *names: str) -> Recording:
     return replace(recording, signals=tuple(map(recording.signal, names)))
 
 
-def _stage(problem: zo.Problem, recording: Recording, names: tuple[str, ...]) -> Weighed:
-    """Return the residuals of a fit at its start."""
-    values = problem.values()
-    sought = [
-        FitParameter(names=(name,), lower=0.5 * value, upper=2.0 * value)
-        for name in names
-        for value in [values.parameters[name]]
-    ]
-    begin = begin_of(problem, values, sought)
-    unknowns = unknowns_of(problem, begin, sought)
-    whole = prepared(problem, begin, unknowns, recording, silent)
-    data = whole.samples.without_jumps(whole.orbits.table(unknowns.first))
-    return weighed(whole.orbits, data, whole.found, unknowns.first, whole.contacts)
-
-
 # Derivatives and exact recordings.
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("names", [("restitution", "ks", "R"), ("d", "omega", "m"), ("U", "N")])
-def test_the_derivatives_of_all_residuals_equal_finite_differences(names: tuple[str, ...]) -> None:
-    stage = _stage(zo.load_problem("relay"), _recording(), names)
-    x = stage.orbits.unknowns.first + np.linspace(2e-3, -1e-3, len(names) + 1)
-    jacobian, n = stage.jacobian(x), stage.data.values.size
-    step = 1e-5
-    for k in range(len(x)):
-        change = step * np.eye(len(x))[k]
-        differences = (stage.residuals(x + change) - stage.residuals(x - change)) / (2 * step)
-        off, size = np.abs(differences - jacobian[:, k]), np.max(np.abs(jacobian[:, k]))
-        # Edges are smooth: what is left are the third derivatives, and rounding of the orbit.
-        assert np.max(off[n:]) < 1e-5 * size
-        # At kinks of the current the cubic between nodes has an error of its own.
-        assert np.quantile(off[:n], 0.99) < 1e-5 * size
 
 
 @pytest.mark.slow
@@ -178,64 +134,6 @@ def test_intervals_of_other_machines_hold(
 
 
 # Edges that do not match.
-
-
-def _rows(hidden: float = np.inf, number: int = 2) -> ContactRows:
-    """Return the edges of a stop that is struck at 0.1, 0.2 s and so on, and released at 0.6 s."""
-    edges = [
-        SeenEdge(label=f"s.impact {k}", number=k, phase=0.1 * (k + 1), turn=0.0, error=1e-3)
-        for k in range(number)
-    ]
-    release = SeenEdge(label="s.release", number=None, phase=0.6, turn=0.0, error=1e-3)
-    rows = SeenRows(stop="s", edges=(*edges, release), hidden=hidden, error=1e-3)
-    return ContactRows(sequences=(rows,), stops=("s",), period=1.0)
-
-
-def _events(*events: tuple[str, float]) -> EventTimes:
-    names, times = zip(*events, ("switch clock", 1.0), strict=True)
-    return EventTimes(names=names, times=np.array(times), period=1.0)
-
-
-_ZENO = ("zeno s", 0.25)
-_RELEASE = ("release s", 0.6)
-
-
-def _residuals(rows: ContactRows, *events: tuple[str, float], shift: float = 0.0) -> Vector:
-    return rows.residuals(_events(*events), shift)
-
-
-def test_matching_edges_have_residuals_in_units_of_their_errors() -> None:
-    found = _residuals(_rows(), ("impact s", 0.1), ("impact s", 0.198), _ZENO, _RELEASE)
-    np.testing.assert_allclose(found, [0.0, 2.0, 0.0, 0.0, 0.0], atol=1e-9)
-
-
-def test_a_delay_moves_all_edges_across_the_end_of_the_period() -> None:
-    moved = [("impact s", 0.1), ("impact s", 0.2), _ZENO, _RELEASE]
-    np.testing.assert_allclose(_residuals(_rows(), *moved, shift=1.0), 0.0, atol=1e-9)
-    np.testing.assert_allclose(
-        _residuals(_rows(), *moved, shift=0.001), [-1.0, -1.0, -1.0, 0.0, 0.0], atol=1e-9
-    )
-
-
-def test_a_bounce_that_the_orbit_lacks_costs_its_distance_to_the_zeno_point() -> None:
-    found = _residuals(_rows(), ("impact s", 0.1), ("zeno s", 0.12), _RELEASE)
-    np.testing.assert_allclose(found[1], 80.0)
-
-
-def test_a_bounce_that_the_recording_lacks_costs_its_excess() -> None:
-    impacts = [("impact s", 0.1), ("impact s", 0.2), ("impact s", 0.24), _ZENO, _RELEASE]
-    assert _residuals(_rows(hidden=0.05), *impacts)[3] == 0.0
-    np.testing.assert_allclose(_residuals(_rows(hidden=0.01), *impacts)[3], 30.0)
-
-
-def test_sequences_and_releases_without_their_like_cost_as_much_as_no_orbit() -> None:
-    none = _residuals(_rows(), ("switch other", 0.5))
-    assert np.all(none[:3] == UNMATCHED)
-    unreleased = _residuals(_rows(), ("impact s", 0.1), ("impact s", 0.2), _ZENO)
-    assert unreleased[2] == UNMATCHED
-    second = [("impact s", 0.7), ("zeno s", 0.75), ("release s", 0.8)]
-    extra = _residuals(_rows(), ("impact s", 0.1), ("impact s", 0.2), _ZENO, _RELEASE, *second)
-    np.testing.assert_allclose(extra, [0.0, 0.0, 0.0, 0.0, UNMATCHED], atol=1e-9)
 
 
 # Bad input.

@@ -19,13 +19,9 @@ from zeno_orbits.experiment import (
     fit_parameters,
     tabulate_orbit,
 )
-from zeno_orbits.experiment.comparison.folding import folded
-from zeno_orbits.experiment.identification.orbit_sensitivity import orbit_slope
-from zeno_orbits.experiment.identification.uncertainty import unseen_combinations
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.search import newton_on_return_map, orbit_by_shooting
-from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.search import orbit_by_shooting
 
 SOUGHT = (
     FitParameter(names=("R",), lower=2.0, upper=4.0),
@@ -85,57 +81,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, problem
     assert inside >= 11
 
 
-def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
-    orbit: ZenoOrbit, problem: Problem
-) -> None:
-    names = ("R", "K_torque", "restitution", "J_rotor")
-    places = tuple(problem.names.index(name) for name in names)
-    p = np.array(orbit.values(problem).vector)
-    table = tabulate_orbit(orbit, problem, problem.state_names)
-    cycle, settings = table.cycle, SimulationSettings()
-
-    def closed(values: np.ndarray):
-        dynamics = problem.dynamics(values)
-        return newton_on_return_map(
-            dynamics, cycle.start.state, scale=cycle.scale(), period=cycle.period, settings=settings
-        ).cycle
-
-    here = closed(p)
-    slope = orbit_slope(
-        problem.dynamics(p),
-        here.start.state,
-        scale=here.scale(),
-        period=here.period,
-        chosen=places,
-        settings=settings,
-    )
-    times = np.array([0.2, 0.5, 0.9, 1.1, 1.26, 1.31, 1.4, 1.7])
-    for k, place in enumerate(places):
-        step = 1e-5 * p[place]
-        ahead, behind = p.copy(), p.copy()
-        ahead[place] += step
-        behind[place] -= step
-        after, before = closed(ahead), closed(behind)
-        # Central differences: 1e-10 of truncation and 1e-12 / 1e-5 of rounding, relative.
-        by_period = (after.period - before.period) / (2 * step)
-        assert slope.period[k] == pytest.approx(by_period, rel=1e-6)
-        rows = [_at(after, times) - _at(before, times)]
-        differences = rows[0] / (2 * step)
-        size = np.max(np.abs(differences), axis=0)
-        # Between its nodes a derivative is a cubic, good to some 1e-3.
-        assert np.all(np.abs(slope.at(times)[:, :, k] - differences) < 2e-3 * size)
-
-
-def _at(cycle, times: np.ndarray) -> np.ndarray:
-    arcs = [cycle.flight, *cycle.rescaled_flights, cycle.locked]
-    start = cycle.start.time
-    found = []
-    for time in times:
-        arc = next(a for a in arcs if a.start_time - start <= time < a.end_time - start)
-        found.append(arc.state_at(start + time))
-    return np.array(found)
-
-
 @pytest.mark.slow
 def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, problem: Problem) -> None:
     # Only the ratio of both inertial terms I2 and m2 lc2^2 enters with lc2 as it does... I1 and
@@ -151,19 +96,6 @@ def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, problem: Proble
     assert set(found.unseen[0].direction) == {"I1", "J_rotor"}
     assert "I1" in found.unseen[0].text
     assert math.isinf(found.fitted[0].error)
-
-
-def test_unseen_combinations_are_read_off_the_information() -> None:
-    # Information about log(a) - log(b) alone, about log(a) + log(b) alone, and about a alone.
-    ratio = np.outer([1.0, -1.0], [1.0, -1.0]) * 1e6
-    (one,) = unseen_combinations(("a", "b"), ratio, 1.0)
-    assert "only `a/b` is seen" in one.text
-    product = np.outer([1.0, 1.0], [1.0, 1.0]) * 1e6
-    (one,) = unseen_combinations(("a", "b"), product, 1.0)
-    assert "only the product of `a` and `b` is seen" in one.text
-    (one,) = unseen_combinations(("a", "b"), np.diag([1e6, 0.0]), 1.0)
-    assert one.text == "`b` is not seen"
-    assert unseen_combinations(("a", "b"), 1e6 * np.eye(2), 1.0) == ()
 
 
 @pytest.mark.parametrize(
@@ -200,19 +132,3 @@ def test_a_start_without_an_orbit_is_told(other: ZenoOrbit, problem: Problem) ->
     nowhere = problem.values(gains={"Kp": 2.5, "Kd": 5.0})
     with pytest.raises(UnfittableError, match="an orbit to fit is missing at the start"):
         fit_parameters(problem, nowhere, record(other, problem, 0), SOUGHT)
-
-
-def test_gathering_many_samples_changes_no_mean(other: ZenoOrbit, problem: Problem) -> None:
-    from zeno_orbits.experiment import compare_recording
-
-    table = tabulate_orbit(other, problem, ("theta1",))
-    long = recorded(table, problem, n_cycles=20, rate=2000.0)
-    where = compare_recording(other, problem, long).where
-    assert where is not None
-    values = long.signal("theta1").values[None]
-    gathered = folded(long.time, values, where)
-    assert len(gathered.phases) < len(long.time) / 2
-    assert gathered.counts.sum() == len(long.time)
-    # A mean over a bin is the value at the mean phase, but for the bend: 20 rad/s^2 (3e-3 s)^2 / 8.
-    here = table.at(gathered.phases)
-    assert gathered.values == pytest.approx(here, abs=1e-3)

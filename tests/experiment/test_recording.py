@@ -22,7 +22,6 @@ from zeno_orbits.experiment import (
     read_recording,
     write_recording,
 )
-from zeno_orbits.model.units import in_si
 
 HEAD = "# zeno-orbits data 1\n# source: measured\n# problem: some_problem\n"
 TITLES = "time [s],angle [rad],current [A]\n"
@@ -93,56 +92,6 @@ def test_what_is_written_is_read_to_the_bit(rows: list[tuple[float, float]]) -> 
     for here, there in zip(found.signals, signals, strict=True):
         assert (here.name, here.unit) == (there.name, there.unit)
         assert_array_equal(here.values, there.values)
-
-
-@pytest.mark.parametrize(
-    ("text", "unit", "factor"),
-    [
-        ("s", "s", 1.0),
-        ("ms", "s", 1e-3),
-        ("us", "s", 1e-6),
-        ("µs", "s", 1e-6),
-        ("min", "s", 60.0),
-        ("deg", "rad", math.pi / 180),
-        ("°", "rad", math.pi / 180),
-        ("rev", "rad", 2 * math.pi),
-        ("deg/s", "rad/s", math.pi / 180),
-        ("rpm", "rad/s", 2 * math.pi / 60),
-        ("rev/min", "rad/s", 2 * math.pi / 60),
-        ("mm/s", "m/s", 1e-3),
-        ("mm/s^2", "m/s^2", 1e-3),
-        ("m/ms^2", "m/s^2", 1e6),
-        ("km", "m", 1e3),
-        ("cm", "m", 1e-2),
-        ("mA", "A", 1e-3),
-        ("mV", "V", 1e-3),
-        ("N m s/rad", "N m s/rad", 1.0),
-        ("1", "1", 1.0),
-    ],
-)
-def test_a_unit_of_an_instrument_is_so_many_of_ours(text: str, unit: str, factor: float) -> None:
-    found, scale = in_si(text)
-    assert found == unit
-    # A product and a quotient round by at most an ulp each.
-    assert scale == pytest.approx(factor, rel=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("furlong", "`furlong` is not a unit. Known units are kg, .*deg.*mA"),
-        ("counts", r"encoder; write angle = counts \* 360"),
-        ("ticks", "encoder"),
-        ("LSB", "converter"),
-        ("raw", "instrument"),
-        ("", "not a unit"),
-        ("rpm/s", "`rpm` must stand alone"),
-        ("m/s/s", "is not a unit"),
-    ],
-)
-def test_what_is_no_unit_is_refused_with_a_hint(text: str, reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
-        in_si(text)
 
 
 def test_units_are_converted(write: Write) -> None:

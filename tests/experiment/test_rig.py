@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from benchmarks.rig_convergence import fit_order, orbit_distance, spring_contact
+from benchmarks.rig_convergence import fit_order
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.experiment import (
@@ -27,15 +27,7 @@ from zeno_orbits.experiment.rig import (
     cut_cycles,
     damping_number,
     default_rig,
-    effective_restitution,
 )
-from zeno_orbits.experiment.rig.cycle_comparison import (
-    OrbitCurve,
-    drift,
-    numbers_of_orbit,
-    orbit_curve,
-)
-from zeno_orbits.experiment.rig.cycles import settling_cycles
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import (
     CompletedSystem,
@@ -352,38 +344,6 @@ def test_a_rotor_crosses_its_play_freely_and_strikes_the_teeth_with_their_restit
     assert momentum == pytest.approx(torque_time, abs=2e-2 * float(np.max(torque_time)))
 
 
-def test_teeth_give_back_what_their_loss_leaves() -> None:
-    """Without a motor's torque the impact of the teeth is the contact law of the stop once more."""
-    rotor, joint, loss, slip = 0.015, INERTIA - 0.015, 0.5, 1.5
-    gear = Gear(rotor_inertia=rotor, play=0.02, stiffness=4000.0, loss=loss)
-    values = DISC.values(parameters={"K": 1e-12})
-    # Dry friction holds nothing here: the joint is stopped by hand, by starting it at rest and the
-    # rotor through a current that has gone before it touches.
-    from zeno_orbits.experiment.rig.machine import machine
-
-    built = machine(DISC, Rig(gears={1: gear}))
-    p = np.array(values.vector)
-    numbers = np.concatenate([p, [0.0], [0.0]])
-
-    def rate(_t: float, y: Vector) -> Vector:
-        return np.array(built.mode().rate(y, numbers)).ravel()
-
-    motion = solve_ivp(
-        rate,
-        (0.0, 0.05),
-        (0.0, 0.0, 0.0, 0.0, slip),
-        method="DOP853",
-        rtol=1e-11,
-        atol=1e-13,
-        max_step=2e-4,
-    )
-    touched = motion.y[3] - motion.y[0] > 0.01
-    after = motion.y[:, np.argmax(touched) + np.argmin(touched[np.argmax(touched) :])]
-    e = effective_restitution(loss * slip)
-    assert after[4] - after[1] == pytest.approx(-e * slip, rel=1e-6)
-    assert rotor * after[4] + joint * after[1] == pytest.approx(rotor * slip, rel=1e-9)
-
-
 def test_a_current_ripples_between_its_two_closed_forms() -> None:
     """An RL circuit under pulses: exponentials between the edges, periodic from its own valley."""
     supply, frequency, asked, drop = 12.0, 5e3, 4.0, 0.5
@@ -507,27 +467,6 @@ def test_the_rig_tends_to_the_zeno_orbit_as_the_square_root_of_its_compliance(
     assert abs(errors[2]) < 1e-6
 
 
-def test_each_further_contact_of_the_chatter_adds_its_length(
-    problem: Problem, orbit: ZenoOrbit
-) -> None:
-    """Theory (6.6), without a fitted number, between one stiffness and the next by 1/e^2."""
-    e, curve = 0.2, orbit_curve(orbit, problem, n_per_arc=50)
-    scaled: list[float] = []
-    for k in (1e7, 1e7 / e**2):
-        rig = Rig(contact=Contact(stiffness=k))
-        settled = settle_rig(orbit, problem, rig, cycles=1, settle=6, settings=FINE)
-        scaled.append(orbit_distance(orbit, problem, curve, settled).lock_time * math.sqrt(k))
-    lasting, left = spring_contact(e, 0.0)
-    load = 1e-4
-    slower = (left - spring_contact(e, load)[1]) / (load * lasting)
-    hand = load_reference(problem).dynamics(orbit.values(problem))
-    inertia = hand.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
-    expected = lasting * math.sqrt(inertia) * (1 - 2 * slower / (1 - e))
-    # The next terms are smaller by the length of a contact over that of the first flights, 1e-3 at
-    # the softer of the two; the bracket is a quarter of what it is the difference of.
-    assert scaled[1] - scaled[0] == pytest.approx(expected, rel=0.02)
-
-
 def test_settled_cycles_begin_and_end_at_releases_and_repeat(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:
@@ -554,15 +493,6 @@ def test_a_machine_that_does_not_lock_is_told_so(problem: Problem, orbit: ZenoOr
         settle_rig(orbit, problem, stuck, cycles=1, settle=2)
 
 
-def test_a_machine_gets_the_cycles_to_settle_that_the_multipliers_of_its_orbit_ask_for(
-    orbit: ZenoOrbit,
-) -> None:
-    counts = {(): 8, (0.15,): 10, (0.5, -0.1): 27, (1e-5,): 4, (0.0,): 4, (0.999,): 60, (1.2,): 60}
-    for multipliers, count in counts.items():
-        known = replace(orbit, floquet_multipliers=tuple(map(complex, multipliers)))
-        assert settling_cycles(known) == count
-
-
 def test_no_cycle_at_all_is_refused(problem: Problem, orbit: ZenoOrbit) -> None:
     for cycles, settle in ((0, 1), (1, -1)):
         with pytest.raises(InputError, match="`cycles` must be at least 1, and `settle`"):
@@ -581,7 +511,6 @@ def test_the_comparison_tells_means_spreads_and_where_the_machine_is_farthest(
 ) -> None:
     settled = settle_rig(orbit, problem, Rig(contact=Contact(stiffness=1e5)), cycles=2)
     comparison = compare_cycles(orbit, problem, settled)
-    assert comparison.orbit == numbers_of_orbit(orbit, problem)
     assert comparison.orbit.period == orbit.period
     assert comparison.mean.period == pytest.approx(orbit.period, abs=1e-4)
     assert comparison.spread.period < 1e-9
@@ -589,36 +518,6 @@ def test_the_comparison_tells_means_spreads_and_where_the_machine_is_farthest(
     # Farthest while the contact takes the place of the reset: at the first impact.
     assert comparison.portrait_at == pytest.approx(orbit.impacts[0].time / orbit.period, abs=0.01)
     assert comparison.as_json()["source"] == "simulated"
-
-
-def test_a_drift_is_the_change_along_the_line_and_noise_makes_none() -> None:
-    line = 3.0 + 0.5 * np.arange(5.0)
-    assert drift(line) == pytest.approx((2.0, 0.0), abs=1e-13)
-    noise = np.random.default_rng(0).normal(size=(2000, 6))
-    taken_for_drift = sum(abs(change) > chance for change, chance in map(drift, noise))
-    # Expected are 0.2 of 2000; four or more have a probability of 1e-4.
-    assert taken_for_drift < 4
-    drifts = noise + 30.0 * np.linspace(0.0, 1.0, 6)
-    assert sum(abs(change) > chance for change, chance in map(drift, drifts)) > 1500
-    # Numbers that go to and fro have no trend, however far they go.
-    change, chance = drift(np.array([1.0, -1.0, 1.0, -1.0, 1.0]))
-    assert abs(change) < chance
-
-
-def test_distances_from_a_line_are_those_of_its_sides() -> None:
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
-    curve = OrbitCurve(times=np.arange(5.0), states=square, ranges=np.array([1.0, 1.0]))
-    points = np.array([[0.5, 0.2], [0.5, -0.3], [2.0, 2.0], [1.0, 0.4], [0.0, 0.0]])
-    # Posts stand 3e-4 apart; the side itself is found, so the distances are exact.
-    assert curve.distances(points) == pytest.approx([0.2, 0.3, math.sqrt(2), 0.0, 0.0], abs=1e-15)
-    stretched = replace(curve, ranges=np.array([1.0, 2.0]))
-    assert stretched.distances(points)[1] == pytest.approx(0.15, abs=1e-15)
-
-
-def test_an_orbit_lies_on_its_own_line(problem: Problem, orbit: ZenoOrbit) -> None:
-    coarse, fine = (orbit_curve(orbit, problem, n_per_arc=n) for n in (1500, 2100))
-    # Chords of 3e-4 of the size, and what is left out of flights shorter than that.
-    assert np.max(fine.distances(coarse.states)) < 3e-4
 
 
 def test_a_power_law_is_fitted_with_its_order() -> None:

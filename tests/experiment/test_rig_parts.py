@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,26 +15,51 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from benchmarks.rig_convergence import orbit_distance, spring_contact
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment.rig import damping_number, effective_restitution
+from zeno_orbits.experiment import (
+    RigSettings,
+    settle_rig,
+)
+from zeno_orbits.experiment.rig import (
+    damping_number,
+    effective_restitution,
+)
 from zeno_orbits.experiment.rig.controller import BridgeLeg, Encoders, level, pulse
+from zeno_orbits.experiment.rig.cycle_comparison import (
+    OrbitCurve,
+    drift,
+    orbit_curve,
+)
 from zeno_orbits.experiment.rig.forces import (
     averaged_voltage,
     contact_force,
     friction_force,
     teeth_torque,
 )
+from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import (
+    CompletedSystem,
     Contact,
     Controller,
     Friction,
     Gear,
     HBridge,
+    HybridLagrangian,
+    MotorBank,
+    Problem,
+    Quantity,
     Rig,
     Sensors,
+    full_drive,
+    hybrid_system,
+    load_reference,
+    quasi_static_drive,
     rig_with_numbers,
     without_parts,
 )
+from zeno_orbits.orbits import ZenoOrbit
 
 ROUNDING = float(np.finfo(float).eps)
 RESTITUTIONS = (1e-3, 0.05, 0.2, 0.5, 0.9, 0.999)
@@ -321,3 +347,152 @@ def test_without_its_controller_a_machine_has_no_sensors_either() -> None:
     rig = Rig(controller=Controller(period=1e-3), sensors=Sensors(), friction={"a": Friction()})
     assert without_parts(rig, ["controller"]) == replace(rig, controller=None, sensors=None)
     assert without_parts(rig, ["friction"]).friction == {}
+
+
+FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
+
+# --------------------------------------------------------- a disc that a motor turns, and no stop
+
+INERTIA, FAR = 0.02, 1e6
+ELECTRIC = {"R": 2.0, "L": 3e-3, "K": 0.05}
+
+
+def disc_system(p: Mapping[str, ca.SX], *, quasi_static: bool = False) -> CompletedSystem:
+    """Return a disc on a motor, its stop far away, under ``V = V0 - Kp angle - Kd rate``."""
+    angle, rate = ca.SX.sym("angle"), ca.SX.sym("rate")
+    disc = HybridLagrangian.from_energies(
+        q=angle, v=rate, kinetic=INERTIA * rate**2 / 2, potential=ca.SX(0), gap=FAR - angle
+    )
+    motor = MotorBank(
+        selection=ca.SX(1),
+        resistance=ca.SX(ELECTRIC["R"]),
+        inductance=ca.SX(ELECTRIC["L"]),
+        torque_constant=p["K"],
+        emf_constant=p["K"],
+        voltage=p["V0"] - p["Kp"] * angle - p["Kd"] * rate,
+    )
+    drive = quasi_static_drive if quasi_static else full_drive
+    return hybrid_system(disc, drive(disc, motor), p["restitution"])
+
+
+def gain(name: str) -> Quantity:
+    return Quantity(name=name, unit="1", meaning=name, default=0.0, lower=-9.0, upper=9.0)
+
+
+DISC = Problem(
+    name="disc",
+    title="disc on a motor",
+    source="here",
+    state_names=("angle", "rate", "current"),
+    state_units=("rad", "rad/s", "A"),
+    parameters=(
+        Quantity(name="K", unit="N m/A", meaning="motor constant", default=ELECTRIC["K"]),
+        Quantity.restitution(0.2),
+    ),
+    gains=(gain("V0"), gain("Kp"), gain("Kd")),
+    model=disc_system,
+    starts=({},),
+    portraits=(("angle", "rate"),),
+    amplitude_of="angle",
+)
+
+
+# -------------------------------------------------------------------------------- the contact
+
+
+# -------------------------------------------------------------------- friction, gears, bridges
+
+
+def test_teeth_give_back_what_their_loss_leaves() -> None:
+    """Without a motor's torque the impact of the teeth is the contact law of the stop once more."""
+    rotor, joint, loss, slip = 0.015, INERTIA - 0.015, 0.5, 1.5
+    gear = Gear(rotor_inertia=rotor, play=0.02, stiffness=4000.0, loss=loss)
+    values = DISC.values(parameters={"K": 1e-12})
+    # Dry friction holds nothing here: the joint is stopped by hand, by starting it at rest and the
+    # rotor through a current that has gone before it touches.
+    from zeno_orbits.experiment.rig.machine import machine
+
+    built = machine(DISC, Rig(gears={1: gear}))
+    p = np.array(values.vector)
+    numbers = np.concatenate([p, [0.0], [0.0]])
+
+    def rate(_t: float, y: Vector) -> Vector:
+        return np.array(built.mode().rate(y, numbers)).ravel()
+
+    motion = solve_ivp(
+        rate,
+        (0.0, 0.05),
+        (0.0, 0.0, 0.0, 0.0, slip),
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-13,
+        max_step=2e-4,
+    )
+    touched = motion.y[3] - motion.y[0] > 0.01
+    after = motion.y[:, np.argmax(touched) + np.argmin(touched[np.argmax(touched) :])]
+    e = effective_restitution(loss * slip)
+    assert after[4] - after[1] == pytest.approx(-e * slip, rel=1e-6)
+    assert rotor * after[4] + joint * after[1] == pytest.approx(rotor * slip, rel=1e-9)
+
+
+# -------------------------------------------------------------------------------- the controller
+
+
+# ---------------------------------------------------------------------- near an orbit of the model
+
+
+def test_each_further_contact_of_the_chatter_adds_its_length(
+    problem: Problem, orbit: ZenoOrbit
+) -> None:
+    """Theory (6.6), without a fitted number, between one stiffness and the next by 1/e^2."""
+    e, curve = 0.2, orbit_curve(orbit, problem, n_per_arc=50)
+    scaled: list[float] = []
+    for k in (1e7, 1e7 / e**2):
+        rig = Rig(contact=Contact(stiffness=k))
+        settled = settle_rig(orbit, problem, rig, cycles=1, settle=6, settings=FINE)
+        scaled.append(orbit_distance(orbit, problem, curve, settled).lock_time * math.sqrt(k))
+    lasting, left = spring_contact(e, 0.0)
+    load = 1e-4
+    slower = (left - spring_contact(e, load)[1]) / (load * lasting)
+    hand = load_reference(problem).dynamics(orbit.values(problem))
+    inertia = hand.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
+    expected = lasting * math.sqrt(inertia) * (1 - 2 * slower / (1 - e))
+    # The next terms are smaller by the length of a contact over that of the first flights, 1e-3 at
+    # the softer of the two; the bracket is a quarter of what it is the difference of.
+    assert scaled[1] - scaled[0] == pytest.approx(expected, rel=0.02)
+
+
+def test_a_drift_is_the_change_along_the_line_and_noise_makes_none() -> None:
+    line = 3.0 + 0.5 * np.arange(5.0)
+    assert drift(line) == pytest.approx((2.0, 0.0), abs=1e-13)
+    noise = np.random.default_rng(0).normal(size=(2000, 6))
+    taken_for_drift = sum(abs(change) > chance for change, chance in map(drift, noise))
+    # Expected are 0.2 of 2000; four or more have a probability of 1e-4.
+    assert taken_for_drift < 4
+    drifts = noise + 30.0 * np.linspace(0.0, 1.0, 6)
+    assert sum(abs(change) > chance for change, chance in map(drift, drifts)) > 1500
+    # Numbers that go to and fro have no trend, however far they go.
+    change, chance = drift(np.array([1.0, -1.0, 1.0, -1.0, 1.0]))
+    assert abs(change) < chance
+
+
+def test_distances_from_a_line_are_those_of_its_sides() -> None:
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
+    curve = OrbitCurve(times=np.arange(5.0), states=square, ranges=np.array([1.0, 1.0]))
+    points = np.array([[0.5, 0.2], [0.5, -0.3], [2.0, 2.0], [1.0, 0.4], [0.0, 0.0]])
+    # Posts stand 3e-4 apart; the side itself is found, so the distances are exact.
+    assert curve.distances(points) == pytest.approx([0.2, 0.3, math.sqrt(2), 0.0, 0.0], abs=1e-15)
+    stretched = replace(curve, ranges=np.array([1.0, 2.0]))
+    assert stretched.distances(points)[1] == pytest.approx(0.15, abs=1e-15)
+
+
+def test_an_orbit_lies_on_its_own_line(problem: Problem, orbit: ZenoOrbit) -> None:
+    coarse, fine = (orbit_curve(orbit, problem, n_per_arc=n) for n in (1500, 2100))
+    # Chords of 3e-4 of the size, and what is left out of flights shorter than that.
+    assert np.max(fine.distances(coarse.states)) < 3e-4
+
+
+# -------------------------------------------------------------------------------------- refusals
+
+
+# ------------------------------------------------------------------------------- any other problem

@@ -18,7 +18,6 @@ from zeno_orbits.experiment import (
     sampled,
     tabulate_orbit,
 )
-from zeno_orbits.experiment.identification import identification
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import orbit_by_shooting
@@ -57,16 +56,6 @@ def test_a_transient_is_told_and_where_it_ends(
 ) -> None:
     with pytest.raises(UnfittableError, match=r"first cycle .* still settling; .* --t-start \d"):
         fit_parameters(problem, problem.values(), crop_recording(settling, since, until), SOUGHT)
-
-
-@pytest.mark.slow
-def test_without_that_check_a_transient_gives_wrong_numbers(
-    settling: Recording, problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(identification, "unsteady", lambda _: None)
-    found = fit_parameters(problem, problem.values(), crop_recording(settling, 3.6, 11.0), SOUGHT)
-    resistance = found.fitted[0]
-    assert not resistance.low <= TRUTH["R"] <= resistance.high
 
 
 @pytest.mark.slow

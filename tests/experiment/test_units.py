@@ -20,8 +20,7 @@ from zeno_orbits.experiment import (
     run_rig,
     settle_rig,
 )
-from zeno_orbits.experiment.rig.run import rate_weight, rig_tolerance
-from zeno_orbits.model import CharacteristicScales, Contact, Rig
+from zeno_orbits.model import Contact, Rig
 
 GRAMS = Units(mass=1e3, length=1e3, time=1e3)
 """Gram, millimetre, millisecond."""
@@ -49,29 +48,6 @@ def test_a_machine_that_nobody_declared_is_the_same(units: Units) -> None:
 
     # Local errors of 1e-10, over two contacts and flights.
     assert contacts(units) == pytest.approx(contacts(Units()), rel=1e-8, abs=1e-10)
-
-
-def test_a_stiff_stop_is_followed_as_exactly_as_its_force_asks_for() -> None:
-    soft, stiff = Contact(stiffness=1e4), Contact(stiffness=4e7)
-    assert rig_tolerance(soft, CharacteristicScales()).relative == 1e-10
-    # It gives way by 1 / 4e7 under a load of 1, of which 3e-7 is 7.5e-15.
-    assert rig_tolerance(stiff, CharacteristicScales()).absolute == pytest.approx(7.5e-15)
-    # The same part of a gap of a million under a load of a million.
-    far = CharacteristicScales(gap=1e6, multiplier=1e6)
-    assert rig_tolerance(stiff, far).absolute == pytest.approx(7.5e-15)
-    ball = Contact(stiffness=1e12, exponent=1.5)
-    assert rig_tolerance(ball, CharacteristicScales()).absolute == pytest.approx(3e-15)
-
-
-def test_rates_in_contact_are_held_to_what_rounding_of_the_gap_leaves() -> None:
-    # A soft stop holds rates as coordinates, a stiff one as a soft one: 1e-12 over 7.5e-15 is 133.
-    assert rate_weight(Contact(stiffness=1e4), CharacteristicScales(), 1.0) == 1.0
-    assert rate_weight(Contact(stiffness=4e7), CharacteristicScales(), 40.0) == pytest.approx(1e2)
-    # 1e-15 of a gap excites 1e-15 * 2e5 of its rate, which is 2.7e4 times 7.5e-15.
-    assert rate_weight(Contact(stiffness=4e7), CharacteristicScales(), 1e-3) == pytest.approx(1e4)
-    # The load of 1 presses a ball in by 1e-8; there its stop is one of 1.5e12 * 1e-4.
-    ball = Contact(stiffness=1e12, exponent=1.5)
-    assert rate_weight(ball, CharacteristicScales(), 1.5e-2) == pytest.approx(1e4)
 
 
 def test_a_leg_of_too_many_steps_ends_with_where_it_was() -> None:

@@ -41,13 +41,7 @@ from zeno_orbits.search.events.event_search import (
     settled_return,
 )
 from zeno_orbits.search.events.margins import EventWays
-from zeno_orbits.search.events.optimum import (
-    PRECISION,
-    Evaluation,
-    Optimum,
-    along_edges,
-    least_worst,
-)
+from zeno_orbits.search.events.optimum import PRECISION, Optimum, Sample, along_edges, least_worst
 from zeno_orbits.search.events.outcome import AcceptEvents, EventSearchResult
 from zeno_orbits.search.events.points import (
     DIFFERENCED,
@@ -305,7 +299,7 @@ class _Task:
         """Return free values from the unit box."""
         return self.ranges[:, 0] + u * (self.ranges[:, 1] - self.ranges[:, 0])
 
-    def trial(self, u: Vector) -> Evaluation:
+    def trial(self, u: Vector) -> Sample:
         """Return objective and rows at free values in the unit box.
 
         Raises:
@@ -328,7 +322,7 @@ class _Task:
         if isinstance(self.objective, Target):
             target = self.objective.target
             equal.append(self._in_box(self.prescribed(points[0]).scaled(1 / target, target)))
-        return Evaluation(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
+        return Sample(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
 
     def sized(self, numbers: Vector) -> _Task:
         """Return the task with the sizes of the bounded quantities at free values.
@@ -343,7 +337,7 @@ class _Task:
         sizes = {one.name: size_of(one, point.extent(one.name).largest) for one in self.bounds}
         return replace(self, sizes=sizes)
 
-    def near(self, first: Evaluation, *, precision: float = PRECISION) -> Optimum:
+    def near(self, first: Sample, *, precision: float = PRECISION) -> Optimum:
         """Return the optimum near a first trial, up to an edge of the objective.
 
         Args:
@@ -352,7 +346,7 @@ class _Task:
         """
         return least_worst(self.trial, first, precision=precision)
 
-    def finished(self, found: Optimum, first: Evaluation) -> Optimum:
+    def finished(self, found: Optimum, first: Sample) -> Optimum:
         """Return an optimum after a search along edges of the objective.
 
         Args:
@@ -407,7 +401,7 @@ class _Task:
         by = [(here[name] - wanted[name]) / sizes[name] ** 2 for name in self.free]
         return (Slope(value=value, by=np.array(by)),)
 
-    def pushes(self, trial: Evaluation) -> list[tuple[float, Push | None]]:
+    def pushes(self, trial: Sample) -> list[tuple[float, Push | None]]:
         """Return the least impulse at every corner of a trial, zero where the orbit is unstable."""
         problem, objective = self.orbits.problem, self.objective
         if not isinstance(objective, MaxPush):
@@ -453,7 +447,7 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
     return _told(task, first, task.finished(best, first))
 
 
-def _strongest(task: _Task, first: Evaluation) -> EventSearchResult:
+def _strongest(task: _Task, first: Sample) -> EventSearchResult:
     """Return the orbit with the largest least push, by a search without derivatives."""
     start = first
     if first.violation:
@@ -463,7 +457,7 @@ def _strongest(task: _Task, first: Evaluation) -> EventSearchResult:
     known = {start.u.tobytes(): (_least_impulse(pushed), start)}
     size = _least_impulse(pushed) or 1.0
 
-    def evaluated(u: Vector) -> tuple[float, Evaluation | None]:
+    def evaluated(u: Vector) -> tuple[float, Sample | None]:
         nonlocal best, best_pushes
         u = np.clip(np.array(u), 0.0, 1.0)
         key = u.tobytes()
@@ -507,7 +501,7 @@ def _strongest(task: _Task, first: Evaluation) -> EventSearchResult:
     )
 
 
-def _widest(task: _Task, first: Evaluation) -> EventSearchResult:
+def _widest(task: _Task, first: Sample) -> EventSearchResult:
     """Return the orbit with the widest margin, within the bounds."""
     start = first
     if first.violation:
@@ -540,11 +534,11 @@ def _least_impulse(pushes: Sequence[tuple[float, Push | None]]) -> float:
     return min(impulse for impulse, _ in pushes)
 
 
-def _by_nominal(task: _Task, first: Evaluation) -> list[Optimum]:
+def _by_nominal(task: _Task, first: Sample) -> list[Optimum]:
     """Return the worst-case optimum near the optimum at the search's own parameters."""
     alone = replace(task, corners=({},))
     nominal = alone.near(
-        Evaluation(
+        Sample(
             u=first.u,
             points=first.points[:1],
             costs=first.costs[:1],
@@ -560,7 +554,7 @@ def _by_nominal(task: _Task, first: Evaluation) -> list[Optimum]:
     return [task.near(begin)]
 
 
-def _by_feasible(task: _Task, first: Evaluation) -> list[Optimum]:
+def _by_feasible(task: _Task, first: Sample) -> list[Optimum]:
     """Return the optimum near the values that keep the bounds and are nearest to the start."""
     if isinstance(task.objective, NearestGains | Target):
         return []
@@ -572,7 +566,7 @@ def _by_feasible(task: _Task, first: Evaluation) -> list[Optimum]:
         return []
 
 
-def _told(task: _Task, first: Evaluation, best: Optimum) -> EventSearchResult:
+def _told(task: _Task, first: Sample, best: Optimum) -> EventSearchResult:
     """Return the result of an optimum."""
     trial, objective = best.trial, task.objective
     point = trial.points[0]
@@ -618,7 +612,7 @@ def _extent(points: Sequence[OrbitAtValues], name: str) -> Extent:
     )
 
 
-def _vanishing(task: _Task, first: Evaluation, last: Evaluation) -> dict[str, float]:
+def _vanishing(task: _Task, first: Sample, last: Sample) -> dict[str, float]:
     """Return the impacts that no bound keeps and whose speed falls to nothing at every corner."""
     objective = task.objective
     if not isinstance(objective, OfImpacts):
@@ -635,7 +629,7 @@ def _vanishing(task: _Task, first: Evaluation, last: Evaluation) -> dict[str, fl
 
 
 def _least_speeds(
-    objective: Objective, first: Evaluation, vanishing: Mapping[str, float]
+    objective: Objective, first: Sample, vanishing: Mapping[str, float]
 ) -> tuple[Bound, ...]:
     """Return bounds that keep impacts which would vanish."""
     if not isinstance(objective, OfImpacts):
@@ -647,7 +641,7 @@ def _least_speeds(
     )
 
 
-def _end_of_family(task: _Task, last: Evaluation, vanishing: Mapping[str, float]) -> str:
+def _end_of_family(task: _Task, last: Sample, vanishing: Mapping[str, float]) -> str:
     numbers = zip(task.free, task.numbers(last.u), strict=True)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in numbers)
     said = [

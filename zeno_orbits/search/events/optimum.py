@@ -57,7 +57,7 @@ _TOUCHES = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evaluation:
+class Sample:
     """Objective and rows at free values.
 
     Attributes:
@@ -109,12 +109,12 @@ class Optimum:
         reason: Reason why the search ended otherwise.
     """
 
-    trial: Evaluation
+    trial: Sample
     converged: bool
     reason: str = ""
 
 
-def along_edges(evaluate: Callable[[Vector], Evaluation], found: Optimum, size: float) -> Optimum:
+def along_edges(evaluate: Callable[[Vector], Sample], found: Optimum, size: float) -> Optimum:
     """Return the least worst value near another, where the objective may have edges.
 
     Args:
@@ -150,9 +150,7 @@ def along_edges(evaluate: Callable[[Vector], Evaluation], found: Optimum, size: 
     return Optimum(trial=best, converged=False, reason="the objective still decreases")
 
 
-def _least_of_models(
-    best: Evaluation, near: Sequence[Evaluation], half: float
-) -> tuple[Vector, float]:
+def _least_of_models(best: Sample, near: Sequence[Sample], half: float) -> tuple[Vector, float]:
     """Return the minimum of the models in a box, and the predicted decrease of the objective.
 
     The unknowns of the linear program are the step over the half width, and the decrease over the
@@ -193,7 +191,7 @@ class _Refused(Exception):  # noqa: N818 (it ends a method, and is no error)
 
 
 def least_worst(
-    evaluate: Callable[[Vector], Evaluation], first: Evaluation, *, precision: float = PRECISION
+    evaluate: Callable[[Vector], Sample], first: Sample, *, precision: float = PRECISION
 ) -> Optimum:
     """Return the least worst value near a first trial.
 
@@ -205,7 +203,7 @@ def least_worst(
     """
     reasons: list[str] = []
 
-    def advance(trials: Sequence[Evaluation], half: float) -> PathStep[Evaluation, bool]:
+    def advance(trials: Sequence[Sample], half: float) -> PathStep[Sample, bool]:
         best = trials[-1]
         box = np.clip(np.stack([best.u - half, best.u + half], axis=1), 0.0, 1.0)
         found, ended, reason = _in_box(evaluate, best, box, abs(first.value) or 1.0, precision)
@@ -225,7 +223,7 @@ def least_worst(
             raise StepError("the objective cannot be decreased")
         return PathStep(points=points, easy=held)
 
-    def give_up(_trials: Sequence[Evaluation], reason: str) -> PathStep[Evaluation, bool]:
+    def give_up(_trials: Sequence[Sample], reason: str) -> PathStep[Sample, bool]:
         reasons.append(reason)
         return PathStep(end=False)
 
@@ -241,20 +239,16 @@ _WHOLE = StepControl(first=1.0, longest=1.0, shortest=1e-3, most=12, growth=2.0,
 
 
 def _in_box(
-    evaluate: Callable[[Vector], Evaluation],
-    first: Evaluation,
-    box: Vector,
-    size: float,
-    precision: float,
-) -> tuple[Evaluation, bool, str]:
+    evaluate: Callable[[Vector], Sample], first: Sample, box: Vector, size: float, precision: float
+) -> tuple[Sample, bool, str]:
     """Return the best trial in a box, whether the method converged, and why a motion failed."""
     # SciPy's optimizers take a while to import.
     from scipy.optimize import minimize
 
     k, several = len(first.u), len(first.heights) > 1
-    known: dict[bytes, Evaluation] = {first.u.tobytes(): first}
+    known: dict[bytes, Sample] = {first.u.tobytes(): first}
 
-    def at(z: Vector) -> Evaluation:
+    def at(z: Vector) -> Sample:
         u = np.clip(np.array(z[:k]), box[:, 0], box[:, 1])
         key = u.tobytes()
         if key not in known:
