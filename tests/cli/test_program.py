@@ -28,7 +28,6 @@ from tests.support.commands import (
     raising,
 )
 from zeno_orbits.cli import main
-from zeno_orbits.cli.process import Interrupts
 from zeno_orbits.errors import InputError, StepSizeError, ZenoOrbitsError
 from zeno_orbits.report.terminal import progress
 
@@ -228,12 +227,3 @@ def test_what_an_interrupt_leaves_half_done_is_told_as_an_interrupt(
     assert ask("problems") == Answer(
         INTERRUPTED, "", "zeno-orbits: interrupted, nothing was written\n"
     )
-
-
-def test_a_second_interrupt_is_ignored_while_the_first_is_handled() -> None:
-    with Interrupts() as interrupts:
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGTERM)
-        signal.raise_signal(signal.SIGINT)
-        assert interrupts.seen
-        assert interrupts.signal == signal.SIGTERM

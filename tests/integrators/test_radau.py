@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import casadi as ca
 import numpy as np
 import pytest
 
@@ -19,7 +18,6 @@ from zeno_orbits.integrators import (
     RungeKutta,
     Segment,
     SegmentResult,
-    StageGuess,
     SteppedTrajectory,
     Termination,
     Tolerance,
@@ -28,8 +26,7 @@ from zeno_orbits.integrators import (
     rates_of,
     staying_rate,
 )
-from zeno_orbits.integrators.steps import solved
-from zeno_orbits.model import CompiledFlow, ModeFunctions, bind, load_problem
+from zeno_orbits.model import bind, load_problem
 from zeno_orbits.simulation import simulate
 
 TIGHT = Tolerance(relative=1e-11, absolute=1e-12)
@@ -61,19 +58,6 @@ def test_a_decay_changes_neither_the_guard_time_nor_the_number_of_steps(rate: fl
     assert _n_steps(passage) < 25
 
 
-def test_the_order_is_two_s_minus_one() -> None:
-    # One step of y' = -y: the end is the Pade approximant of exp(-h), right to h^(2 s).
-    flow = PlainFlow(field=lambda y: -y, guard_and_rate=lambda _: (1.0, 0.0))
-    scheme = radau_scheme(3)
-    errors: list[float] = []
-    for size in (0.2, 0.1):
-        step = solved(flow.newton(scheme), np.array([1.0]), size, TIGHT, None)
-        assert step is not None
-        errors.append(abs(float(step.after[0]) - math.exp(-size)))
-    # The next term of the expansion changes the ratio by a few tens of the smaller step, 20 %.
-    assert errors[0] / errors[1] == pytest.approx(2.0**6, rel=0.2)
-
-
 @pytest.mark.parametrize("n_stages", [1, 3, 5, 7])
 def test_the_eigenvectors_rebuild_the_inverse_of_the_matrix(n_stages: int) -> None:
     scheme = radau_scheme(n_stages)
@@ -83,31 +67,6 @@ def test_the_eigenvectors_rebuild_the_inverse_of_the_matrix(n_stages: int) -> No
         part = np.outer(column, value * row)
         rebuilt += part.real if value.imag == 0.0 else 2 * part.real
     assert rebuilt == pytest.approx(scheme.inverse, abs=1e-10 * float(np.abs(rebuilt).max()))
-
-
-def test_compiled_and_plain_iterations_are_the_same() -> None:
-    problem = load_problem("motor_pendulum")
-    dynamics = problem.dynamics(problem.values())
-    flow = dynamics.free
-    plain = PlainFlow(field=flow.rate, guard_and_rate=flow.guard)
-    y, scheme, size = np.array([0.2, 0.1, -5.0, 1.0, -1.8]), radau_scheme(7), 5e-4
-    # Central differences are right to about 1e-10, which Newton turns into a rate, not an error.
-    ours = solved(flow.newton(scheme), y, size, TIGHT, None)
-    theirs = solved(plain.newton(scheme), y, size, TIGHT, None)
-    assert ours is not None
-    assert theirs is not None
-    assert ours.stages == pytest.approx(theirs.stages, abs=1e-11)
-    by_hand = RungeKutta().follow(_leg(flow, y, size)).state
-    assert ours.after == pytest.approx(by_hand, abs=1e-9)
-    # What a step hands on is what a step without symbols would: the polynomial and the guard.
-    assert ours.coefficients == pytest.approx(scheme.coefficients(ours.stages), abs=1e-12)
-    assert flow.guard(ours.after) == pytest.approx(flow.guard(ours.after.copy()), rel=1e-14)
-    onwards = StageGuess(ours.coefficients, 1.0, 1.7)
-    ahead = flow.newton(scheme).begin(ours.after, 1.7 * size, TIGHT, onwards)
-    by_plain = plain.newton(scheme).begin(ours.after, 1.7 * size, TIGHT, onwards)
-    assert ahead.stages == pytest.approx(by_plain.stages, abs=1e-11)
-    # A continuation from elsewhere would leave corrections far above the tolerance.
-    assert ahead.last < 1e-3
 
 
 def test_the_jacobian_of_a_compiled_flow_is_its_derivative() -> None:
@@ -271,18 +230,3 @@ def test_a_flow_that_blows_up_ends_in_a_named_error(engine: Radau | Automatic) -
     flow = PlainFlow(field=lambda y: y**2, guard_and_rate=lambda _: (1.0, 0.0))
     with np.errstate(all="ignore"), pytest.raises(StepSizeError, match="rounding level"):
         engine.follow(_leg(flow, np.array([1.0]), 2.0))
-
-
-def test_a_singular_newton_matrix_refuses_the_step_and_no_wrong_state_comes_out() -> None:
-    # y' = y: the matrix (mu / h) - 1 has a zero pivot where h is the real eigenvalue itself.
-    y, p = ca.SX.sym("y"), ca.SX.sym("p", 0)
-    rate = ca.Function("rate", [y, p], [y])
-    dummy = ca.Function("dummy", [y, p], [ca.vertcat(y, y)])
-    mode = ModeFunctions(rate=rate, guard=dummy)
-    flow = CompiledFlow(mode, np.zeros(0))
-    scheme = radau_scheme(7)
-    singular = scheme.spectrum.values[0].real
-    assert solved(flow.newton(scheme), np.array([1.0]), singular, TIGHT, None) is None
-    good = solved(flow.newton(scheme), np.array([1.0]), 0.5, TIGHT, None)
-    assert good is not None
-    assert float(good.after[0]) == pytest.approx(math.exp(0.5), rel=1e-12)

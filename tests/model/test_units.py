@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 import zeno_orbits as zo
 from tests.support.units import Units, in_units
-from zeno_orbits.model import powers_of
-from zeno_orbits.model.units import energy_unit, require_coherent
+from zeno_orbits.model import (
+    powers_of,
+)
+from zeno_orbits.model.units import energy_unit, in_si, is_rate_of, require_coherent
 
 TABLE = zo.load_problem("vibrating_table")
 
@@ -66,3 +71,89 @@ def test_a_millimetre_is_no_metre() -> None:
 def test_other_times_angles_and_forces_are_no_units_of_a_problem(unit: str) -> None:
     with pytest.raises(ValueError, match=r"is not a unit\. Known units are kg, m, s"):
         powers_of(unit)
+
+
+Write = Callable[[str | bytes], Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def written(content: str | bytes) -> Path:
+        path = tmp_path / "data.csv"
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return written
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "factor"),
+    [
+        ("s", "s", 1.0),
+        ("ms", "s", 1e-3),
+        ("us", "s", 1e-6),
+        ("µs", "s", 1e-6),
+        ("min", "s", 60.0),
+        ("deg", "rad", math.pi / 180),
+        ("°", "rad", math.pi / 180),
+        ("rev", "rad", 2 * math.pi),
+        ("deg/s", "rad/s", math.pi / 180),
+        ("rpm", "rad/s", 2 * math.pi / 60),
+        ("rev/min", "rad/s", 2 * math.pi / 60),
+        ("mm/s", "m/s", 1e-3),
+        ("mm/s^2", "m/s^2", 1e-3),
+        ("m/ms^2", "m/s^2", 1e6),
+        ("km", "m", 1e3),
+        ("cm", "m", 1e-2),
+        ("mA", "A", 1e-3),
+        ("mV", "V", 1e-3),
+        ("N m s/rad", "N m s/rad", 1.0),
+        ("1", "1", 1.0),
+    ],
+)
+def test_a_unit_of_an_instrument_is_so_many_of_ours(text: str, unit: str, factor: float) -> None:
+    found, scale = in_si(text)
+    assert found == unit
+    # A product and a quotient round by at most an ulp each.
+    assert scale == pytest.approx(factor, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("furlong", "`furlong` is not a unit. Known units are kg, .*deg.*mA"),
+        ("counts", r"encoder; write angle = counts \* 360"),
+        ("ticks", "encoder"),
+        ("LSB", "converter"),
+        ("raw", "instrument"),
+        ("", "not a unit"),
+        ("rpm/s", "`rpm` must stand alone"),
+        ("m/s/s", "is not a unit"),
+    ],
+)
+def test_what_is_no_unit_is_refused_with_a_hint(text: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        in_si(text)
+
+
+"""More than one piece of the reader: some 4 MB are read at a time."""
+
+
+def test_units_multiply_out() -> None:
+    assert powers_of("V s/rad") == powers_of("kg m^2/A s^2 rad")
+    assert powers_of("N m/A") == powers_of("kg m^2/s^2 A")
+    assert powers_of("ohm") == powers_of("V/A")
+    assert powers_of("H/ohm") == {"s": 1}
+    assert powers_of("1") == {}
+    assert powers_of("1/s") == powers_of("Hz")
+    assert is_rate_of("rad/s", "rad")
+    assert not is_rate_of("m/s", "rad")
+    assert not is_rate_of("m s", "m")
+
+
+# The same verdict in any units.
+
+"""How far the ball of the table goes while the clock turns by a radian: all of a / omega^2 [m]."""
+
+
+# Matrices in place of energies.

@@ -13,7 +13,7 @@ from scipy.integrate import DOP853
 
 from tests.reference.closed_forms import COCO, FORCED, StoppedOscillator
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD, RELEASE
-from tests.support.executions import at, execution_of
+from tests.support.executions import execution_of
 from tests.support.families import BALL, OSCILLATOR
 from tests.support.mechanisms import clocked_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
@@ -30,7 +30,6 @@ from zeno_orbits.model import (
     no_drive,
 )
 from zeno_orbits.orbits import (
-    EventSequence,
     PhaseKind,
     ReturnDerivative,
     differentials_of,
@@ -45,7 +44,6 @@ from zeno_orbits.orbits import (
     section_jacobian,
     to_next_release,
 )
-from zeno_orbits.orbits.monodromy import period_derivative
 from zeno_orbits.simulation import (
     Ending,
     Impact,
@@ -584,65 +582,7 @@ def test_a_fall_that_a_plastic_table_throws_off_moves_the_return_behind_it() -> 
     assert by_state @ along == pytest.approx(turned, abs=1e-6)
 
 
-@pytest.mark.parametrize("turns", [1, 2])
-def test_a_period_of_impacts_has_the_multipliers_that_coco_publishes(turns: int) -> None:
-    phase, velocity = 0.07595216493831239, -1.3565863500759056
-    problem = clocked_oscillator(COCO, attracting=False)
-    machine = problem.dynamics(problem.values())
-    start = np.array(oscillator_state(phase, COCO.stop, velocity))
-    shape = EventSequence(phases=turns * (PhaseKind.IMPACT,))
-    derivative = period_derivative(machine, start, shape, horizon=20.0, settings=SETTINGS)
-    assert derivative.start.tolist() == start.tolist()
-    assert derivative.end == pytest.approx(start, abs=1e-11)
-    assert derivative.period.value == pytest.approx(2 * math.pi * turns, abs=1e-11)
-    assert derivative.period.by_parameters.tolist() == []
-    published = complex(-0.58429531434153, 0.00560035149247) ** turns
-    slope = poincare_jacobian(
-        machine,
-        start,
-        scale=np.array([1.0, 2.0, 3.0, 4.0]),
-        period=2 * math.pi * turns,
-        settings=SETTINGS,
-        shape=shape,
-    )
-    values = sorted(np.linalg.eigvals(slope), key=lambda value: (value.real, value.imag))
-    pair = sorted([published, published.conjugate()], key=lambda value: value.imag)
-    assert min(values, key=lambda value: abs(value - 1.0)) == pytest.approx(1.0, abs=1e-10)
-    for value in pair:
-        assert min(abs(found - value) for found in values) < 1e-10
-    # Along the velocity after the impact.
-    one = np.array([0.0, 0.0, 1.0, 0.0])
-
-    def ended(s: float) -> Vector:
-        run = simulate(machine, start + s * one, until=20.0, impacts=turns)
-        return np.append(run.impacts[-1].state_plus, run.impacts[-1].time)
-
-    measured = differences(ended)
-    assert derivative.by_state @ one == pytest.approx(measured[:4], abs=OF_DIFFERENCES)
-    assert derivative.period.by_state @ one == pytest.approx(measured[4], abs=OF_DIFFERENCES)
-
-
 # Executions made by hand.
-
-
-@pytest.mark.parametrize(
-    ("legs", "time"),
-    [
-        ((("t", 1.0), ("r", 2.0)), 2.0),
-        ((("t", 1.0), ("r", 2.0), ("i", 3.0), ("z", 4.0), ("r", 5.0)), 2.0),
-        ((("i", 1.0), ("z", 2.0), ("i", 3.0), ("z", 4.0), ("r", 5.0)), 5.0),
-    ],
-)
-def test_a_return_that_is_not_one_accumulation_tells_where_it_ends(
-    machine: HybridDynamics,
-    monkeypatch: pytest.MonkeyPatch,
-    legs: tuple[tuple[str, float], ...],
-    time: float,
-) -> None:
-    monkeypatch.setattr(monodromy, "to_next_release", lambda *_, **__: execution_of(*legs))
-    with pytest.raises(SimulationError, match="stop is touched without an impact") as caught:
-        return_derivative(machine, CENTRE, horizon=9.0, settings=SETTINGS)
-    assert (caught.value.time, caught.value.state) == (time, (time, 0.0))
 
 
 def test_a_return_that_does_not_come_tells_the_horizon_and_its_start(
@@ -665,11 +605,3 @@ def test_a_start_flies_at_once_if_it_locks_for_a_millionth_of_a_return(
     legs: tuple[tuple[str, float], ...], first: int
 ) -> None:
     assert monodromy.first_that_counts(execution_of(*legs), 2.0) == first
-
-
-def test_one_entry_that_overflows_is_enough_to_refuse_a_derivative() -> None:
-    state = np.array([[1.0, 2.0], [np.inf, 3.0]])
-    shift = SaltationDerivative(time=np.zeros(2), state=state, rate=np.zeros(2))
-    with pytest.raises(SimulationError, match="is not finite") as caught:
-        monodromy._require_finite(shift, 2.5, at(0.25))
-    assert (caught.value.time, caught.value.state) == (2.5, (0.25, 0.0))

@@ -14,12 +14,10 @@ from zeno_orbits.orbits import (
     ONE_ZENO,
     EventSequence,
     cycle_of,
-    first_return,
     followed,
     period,
     place_on_section,
 )
-from zeno_orbits.orbits.period import later_releases, to_release
 from zeno_orbits.simulation import Execution, SimulationSettings
 
 SETTINGS = SimulationSettings()
@@ -51,42 +49,6 @@ def _simulated(monkeypatch: pytest.MonkeyPatch) -> Simulated:
 
 RETURN = (("i", 1.0), ("z", 2.0), ("r", 3.0))
 TWO = (*RETURN, ("i", 4.0), ("z", 5.0), ("r", 6.0))
-
-
-def test_releases_count_after_the_first_flight() -> None:
-    locked = execution_of(("r", 0.5), *RETURN, ("l", 9.0))
-    assert [release.time for release in later_releases(locked)] == [3.0]
-    assert [release.time for release in later_releases(execution_of(*TWO))] == [3.0, 6.0]
-    assert later_releases(execution_of(("r", 0.5))) == ()
-    first = first_return(execution_of(*TWO))
-    assert first is not None
-    assert first.time == 3.0
-    assert first_return(execution_of(("l", 9.0))) is None
-
-
-@pytest.mark.parametrize(
-    ("first", "count", "again"),
-    [
-        (execution_of(*RETURN), 1, False),
-        (execution_of(*TWO), 2, False),
-        # Released first: that release is none of those waited for.
-        (execution_of(("r", 0.5)), 1, True),
-        (execution_of(("r", 0.5), *RETURN), 2, True),
-        # The horizon came first: there is no more to wait for.
-        (execution_of(("l", 9.0)), 1, False),
-        (execution_of(*RETURN, ("f", 9.0)), 2, False),
-        (execution_of(("r", 0.5), ("f", 9.0)), 2, False),
-    ],
-)
-def test_one_release_more_is_waited_for_if_the_first_comes_before_a_flight(
-    simulated: Simulated, first: Execution, count: int, *, again: bool
-) -> None:
-    second = execution_of(*TWO)
-    simulated.left = [first, second]
-    found = to_release(STOP, START, count, horizon=9.0, settings=SETTINGS)
-    assert found is (second if again else first)
-    counts = [count, count + 1] if again else [count]
-    assert simulated.asked == [{"until": 9.0, "releases": n} for n in counts]
 
 
 @pytest.mark.parametrize(

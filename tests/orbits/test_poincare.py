@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +13,9 @@ from tests.reference.reference_orbit import MULTIPLIER, PERIOD, RELEASE, ZENO_ST
 from tests.support.mechanisms import clocked_oscillator, oscillator_state
 from tests.support.units import Units, in_units
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import (
     IMPACT_ROWS,
-    ONE_ZENO,
     RELEASE_ROWS,
     REST_ROWS,
     EventSequence,
@@ -29,16 +24,11 @@ from zeno_orbits.orbits import (
     poincare,
     poincare_jacobian,
     poincare_map,
-    project_to_section,
     release_section,
     rows_of,
     to_next_release,
 )
-from zeno_orbits.orbits import section as sections
-from zeno_orbits.orbits.monodromy import Sensitivity
-from zeno_orbits.orbits.poincare import SectionDerivative
-from zeno_orbits.orbits.section import conditions
-from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation, simulate
+from zeno_orbits.simulation import SimulationSettings, simulate
 
 SETTINGS = SimulationSettings()
 SCALE = np.maximum(np.abs(RELEASE), np.abs(ZENO_STATE)) + 1e-3
@@ -219,21 +209,6 @@ def test_conditions_of_far_different_sizes_are_all_kept(time: float) -> None:
     assert release_section(dynamics, release, scale).dimension == 0
 
 
-def test_a_state_without_a_section_near_it_is_told(
-    machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    away = CENTRE + 1e-3
-    near = project_to_section(machine, RELEASE_ROWS, away, SCALE)
-    assert conditions(machine, RELEASE_ROWS, near) == pytest.approx(np.zeros(3), abs=1e-12)
-    # Conditions that stay where they are, by as little as rounding may leave or by more.
-    size = np.max(np.abs(release_section(machine, CENTRE, SCALE).normal @ np.ones(3)))
-    for off, found in ((0.1, True), (10.0, False)):
-        stuck = np.full(3, off * 1e-9 / size)
-        monkeypatch.setattr(sections, "conditions", lambda *_, stuck=stuck: stuck)
-        with nullcontext() if found else pytest.raises(SimulationError, match="cannot be placed"):
-            project_to_section(machine, RELEASE_ROWS, CENTRE, SCALE)
-
-
 @pytest.mark.parametrize(
     ("restitution", "rows"), [(0.0, REST_ROWS), (0.3, IMPACT_ROWS), (1.0, IMPACT_ROWS)]
 )
@@ -242,17 +217,6 @@ def test_a_period_from_an_impact_starts_on_the_stop_and_at_rest_after_a_plastic_
 ) -> None:
     assert rows_of(EventSequence.parsed("impact"), restitution) == rows
     assert rows_of(EventSequence.parsed("zeno"), restitution) == RELEASE_ROWS
-
-
-def test_the_error_of_multipliers_is_the_farthest_of_the_rougher_ones_and_noise() -> None:
-    found = poincare._multipliers(np.diag([0.5, 0.2]), np.diag([0.49, 0.1]), 1e-3)
-    assert sorted(value.real for value in found.values) == [0.2, 0.5]
-    assert found.error == pytest.approx(0.1 + 1e-3)
-
-
-def test_noise_of_returns_counts_in_differences_over_their_step() -> None:
-    quiet, noisy = (_clocked(attracting=True, by_differences=True, noise=x) for x in (0.0, 1e-12))
-    assert noisy.error - quiet.error == pytest.approx(1e-12 / poincare._DIFFERENCE, rel=1e-3)
 
 
 def test_the_slope_of_a_system_without_formulas_is_that_of_differences(
@@ -283,19 +247,6 @@ def test_a_section_that_is_a_point_has_no_multipliers_by_differences_either() ->
     assert found.error == 0.0
 
 
-def test_a_number_moves_with_the_coordinates_through_the_state_and_with_parameters_twice() -> None:
-    derivative = SectionDerivative(
-        jacobian=np.zeros((2, 2)),
-        by_parameters=np.zeros((2, 1)),
-        lift=np.array([[1.0, 0.0, 10.0], [0.0, 2.0, 20.0], [3.0, 4.0, 30.0]]),
-    )
-    number = Sensitivity(
-        value=1.0, by_state=np.array([1.0, 0.5, -1.0]), by_parameters=np.array([7.0])
-    )
-    # The parameter moves the state by its column of the lift, and the number by 7 besides.
-    assert derivative.of(number).tolist() == [-2.0, -3.0, 10.0 + 10.0 - 30.0 + 7.0]
-
-
 def test_the_spectral_radius_is_the_largest_modulus() -> None:
     found = Multipliers(values=(0.6 + 0.8j, 0.5, -2.0), error=0.0, jacobian=np.zeros((3, 3)))
     assert found.spectral_radius == 2.0
@@ -313,84 +264,3 @@ def test_a_return_is_waited_for_twice_as_long_as_the_period_that_is_given(*, exa
     assert found[0, 0] == pytest.approx(math.exp(-2 * math.pi), abs=1e-8)
     with pytest.raises(SimulationError):
         poincare_jacobian(dynamics, x, period=0.45 * 2 * math.pi, **given)
-
-
-def _slopes(
-    monkeypatch: pytest.MonkeyPatch, fine: np.ndarray, rough: np.ndarray | None
-) -> tuple[Multipliers, list[SimulationSettings]]:
-    """Return multipliers of slopes that are given, and the settings of each; none is an error."""
-    asked: list[SimulationSettings] = []
-
-    def slope(*_: Any, settings: SimulationSettings, **__: Any) -> np.ndarray:
-        asked.append(settings)
-        if len(asked) == 1:
-            return fine
-        if rough is None:
-            raise SimulationError("It does not return", time=1.0, state=())
-        return rough
-
-    monkeypatch.setattr(poincare, "poincare_jacobian", slope)
-    system: Any = SimpleNamespace(differentiation=object())
-    settings = SimulationSettings(
-        tolerance=Tolerance(relative=1e-6, absolute=1e-8),
-        completion=ZenoExtrapolation(tolerance=1e-9, resolved=1e-3),
-    )
-    found = orbit_multipliers(
-        system, np.zeros(2), scale=np.ones(2), period=1.0, settings=settings, noise=5.0
-    )
-    return found, asked
-
-
-def test_multipliers_are_taken_again_at_looser_tolerances_with_impacts_left_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    fine = np.diag([0.5, -0.75])
-    found, (first, second) = _slopes(monkeypatch, fine, np.diag([0.25, -0.75]))
-    assert found.values == (-0.75, 0.5)
-    assert found.jacobian is fine
-    assert first.tolerance == Tolerance(relative=1e-6, absolute=1e-8)
-    assert second.tolerance.relative == pytest.approx(1e-4)
-    assert isinstance(second.completion, ZenoExtrapolation)
-    assert second.completion.tolerance == pytest.approx(1e-7)
-    assert second.completion.resolved == pytest.approx(1e-2)
-    # What they differ by, and ten times the tolerance, as two runs may agree by chance.
-    assert found.error == pytest.approx(0.25 + 1e-5, rel=1e-9)
-
-
-def test_multipliers_that_cannot_be_taken_again_have_no_known_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    found, _ = _slopes(monkeypatch, np.diag([0.5, -0.75]), None)
-    assert found.values == (-0.75, 0.5)
-    assert found.error == math.inf
-
-
-def test_differences_are_central_and_extrapolated_over_two_steps(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    # A return map of two coordinates that is cubic: a central difference over d errs by its third
-    # derivative times d^2 / 6, and what is extrapolated by nothing. It has even parts, too.
-    slope, cubic = np.array([[0.5, 0.25], [-1.0, 0.75]]), np.array([[1e9, 2e9], [3e9, 0.0]])
-
-    def chart(*_: Any) -> Any:
-        return SimpleNamespace(
-            dimension=2, state=lambda _, y: y.copy(), coordinates=lambda x: 2.0 * x
-        )
-
-    def cycle(_: Any, y: np.ndarray, *__: Any, **___: Any) -> Any:
-        after = slope @ y + cubic @ y**3 + 1e5 * y[::-1] ** 2
-        return SimpleNamespace(end=SimpleNamespace(state=after))
-
-    monkeypatch.setattr(poincare, "_section", chart)
-    monkeypatch.setattr(poincare, "place_on_section", lambda _, __, x: x)
-    monkeypatch.setattr(poincare, "cycle_of", cycle)
-    given: Any = {"scale": np.ones(2), "period": 1.0, "settings": SETTINGS}
-    system: Any = SimpleNamespace(differentiation=None)
-    near, far = poincare._differences(system, np.zeros(2), ONE_ZENO, **given)
-    assert near == pytest.approx(2 * (slope + cubic * 2e-5**2), rel=1e-9)
-    assert far == pytest.approx(2 * (slope + cubic * 4e-5**2), rel=1e-9)
-    assert poincare_jacobian(system, np.zeros(2), **given) == pytest.approx(2 * slope, rel=1e-9)
-    found = orbit_multipliers(system, np.zeros(2), **given, noise=4e-5)
-    assert found.jacobian == pytest.approx(2 * slope, rel=1e-9)
-    off = [min(abs(np.linalg.eigvals(near) - value)) for value in np.linalg.eigvals(2 * slope)]
-    assert found.error == pytest.approx(max(off) + 2.0, rel=1e-9)

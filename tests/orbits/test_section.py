@@ -10,18 +10,15 @@ import numpy as np
 import pytest
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import SimulationError
 from zeno_orbits.orbits import (
     IMPACT_ROWS,
-    RELEASE_ROWS,
     REST_ROWS,
     Line,
     project_to_section,
     section_along,
     section_around,
 )
-from zeno_orbits.orbits import section as sections
-from zeno_orbits.orbits.section import conditions, conditions_gradient
 
 ROUNDING = 1e-14
 
@@ -113,18 +110,6 @@ def test_a_chart_of_a_circle_keeps_to_it_along_its_tangent(
     assert system.calls == 1
 
 
-def test_a_state_of_a_chart_is_corrected_twelve_times_at_most() -> None:
-    system = stuck(1e-3)
-    chart = section_around(system, IMPACT_ROWS, np.zeros(2), np.ones(2))
-    assert chart.state(system, np.zeros(1))[0] == pytest.approx(-12e-3)
-    assert system.calls == 12
-    # A correction of 1e-15 is followed by another, one below by none.
-    for value, calls in ((1e-15, 12), (1.5e-15, 12), (0.9e-15, 1)):
-        system = stuck(value)
-        chart.state(system, np.zeros(1))
-        assert system.calls == calls
-
-
 @pytest.mark.parametrize("value", [1e100, -1e100, np.nan, [1.0, 1e100], [1e101, 1.0]])
 def test_a_section_is_lost_where_one_of_its_conditions_is_beyond_all_bounds(value: Any) -> None:
     system = stuck(value)
@@ -161,27 +146,6 @@ def test_a_condition_without_a_gradient_takes_no_dimension() -> None:
     assert chart.normal == pytest.approx(np.array([[1 / 3, 0.0], [0.0, 0.0]]), abs=ROUNDING)
 
 
-def test_conditions_are_the_chosen_rows_of_the_contact_and_the_constraints() -> None:
-    whole = np.arange(5.0)[:, None] + np.array([[0.1, 0.2, 0.3, 0.4]])
-    bound = np.array([[7.1, 7.2, 7.3, 7.4]])
-    system: Any = Surface(
-        lambda _: 1.0,
-        lambda _: 2.0,
-        lambda _: 3.0,
-        gradient=lambda _: whole,
-        holonomic=lambda _: np.array([4.0, 5.0]),
-        holonomic_gradient=lambda _: bound,
-    )
-    x = np.zeros(2)
-    assert conditions(system, RELEASE_ROWS, x).tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
-    assert conditions(system, REST_ROWS, x).tolist() == [1.0, 2.0, 4.0, 5.0]
-    # The gap acceleration, row 2, is no condition.
-    found = conditions_gradient(system, (1,), RELEASE_ROWS, x)
-    assert found.tolist() == [*whole[[0, 1, 3]][:, [0, 1, 3]].tolist(), [7.1, 7.2, 7.4]]
-    with pytest.raises(InputError, match="must have formulas"):
-        conditions_gradient(circle(), (), IMPACT_ROWS, x)
-
-
 def _line_by_parameters() -> Any:
     """Return the section ``x + y = 3 p_0 + p_2``."""
     gradient = [[1.0, 1.0, -3.0, 0.0, -1.0], *4 * [5 * [9.0]]]
@@ -207,13 +171,6 @@ def test_a_chart_moves_with_its_section_the_shortest_way_in_scaled_states() -> N
     assert still.drift.shape == (2, 0)
 
 
-def test_differences_for_a_section_without_formulas_err_by_the_square_of_a_millionth() -> None:
-    cubic: Any = Surface(lambda x: 5 * x[0] - 2 * x[1] ** 3)
-    found = sections._scaled_gradient(cubic, IMPACT_ROWS, np.zeros(2), np.array([3.0, 10.0]))
-    # By y the slope is zero, and the difference quotient -2 (1e-6 10)^2 10.
-    assert found[0] == pytest.approx([15.0, -2e-9], rel=1e-6)
-
-
 def test_a_state_is_projected_to_the_nearest_one_in_scaled_states() -> None:
     line: Any = _line_by_parameters()
     found = project_to_section(line, IMPACT_ROWS, np.array([0.5, 0.5]), np.array([2.0, 0.5]))
@@ -222,17 +179,3 @@ def test_a_state_is_projected_to_the_nearest_one_in_scaled_states() -> None:
         x = np.array(start)
         found = project_to_section(circle(gradient=_of_circle), IMPACT_ROWS, x, np.ones(2))
         assert found == pytest.approx(x / np.linalg.norm(x), abs=ROUNDING)
-
-
-def test_a_projection_ends_at_rounding_or_after_twenty_corrections() -> None:
-    for value, calls in ((4e-16, 1), (-4e-16, 1), (6e-16, 20), (1e-9, 20), (-1e-9, 20)):
-        system = stuck(value)
-        found = project_to_section(system, IMPACT_ROWS, np.zeros(2), np.ones(2))
-        assert system.calls == calls
-        assert found == pytest.approx([-calls * value, 0.0], rel=1e-12, abs=0.0)
-    with pytest.raises(SimulationError, match="cannot be placed") as caught:
-        project_to_section(stuck(-1.2e-9), IMPACT_ROWS, np.array([0.0, 2.0]), np.ones(2))
-    assert caught.value.time == 0.0
-    assert caught.value.state == pytest.approx((20 * 1.2e-9, 2.0))
-    with pytest.raises(SimulationError):
-        project_to_section(stuck([0.0, 1.2e-9]), REST_ROWS, np.zeros(2), np.ones(2))

@@ -15,7 +15,7 @@ from tests.reference.many_digits.execution import extended_execution
 from tests.reference.reference_orbit import FIRST_IMPACT, PERIOD, RELEASE, ZENO_STATE, ZENO_TIME
 from tests.support.units import Units, in_units
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, PenetrationError, SimulationError
+from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, SciPy, Tolerance
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.precision import (
@@ -28,10 +28,7 @@ from zeno_orbits.precision import (
     settings_for,
     why_engine,
 )
-from zeno_orbits.precision.accuracy import COARSEST
-from zeno_orbits.precision.landmark import Landmark, LandmarkKind, apart, landmarks, sizes, sizes_of
 from zeno_orbits.simulation import (
-    Execution,
     Release,
     SimulationSettings,
     ZenoPassage,
@@ -76,7 +73,8 @@ def error_of(assured: ExecutionWithError, truth: dict[str, list[tuple[float, Vec
         "zeno_points": [(p.time, p.state) for p in run.zeno_points],
         "end": [(run.end_time, run.end_state)],
     }
-    unit, scale = run.events[-1].time, sizes(run)
+    ends = [x for arc in run.arcs for x in (arc.start_state, arc.end_state)]
+    unit, scale = run.events[-1].time, np.max(np.abs(ends), axis=0)
     return max(
         max(abs(time - true_time) / unit, float(np.max(np.abs(x - true_x) / scale)))
         for name in truth
@@ -93,7 +91,7 @@ def test_what_is_no_accuracy_in_reach_is_refused(wanted: float) -> None:
         settings_for(wanted)
 
 
-@pytest.mark.parametrize("wanted", [FINEST, 1e-6, COARSEST])
+@pytest.mark.parametrize("wanted", [FINEST, 1e-6, 0.01])
 def test_the_tolerance_is_below_the_accuracy_and_all_else_is_kept(wanted: float) -> None:
     given = SimulationSettings(engine=Radau(), most_impacts=17)
     chosen = settings_for(wanted, given)
@@ -150,60 +148,6 @@ def test_times_are_judged_by_the_last_event_and_not_by_a_far_horizon(
     # The times grow by the root of the height, the speeds too.
     assert execution_distance(early, late) == pytest.approx(1e-3, rel=0.01, abs=1.1e-3)
     assert execution_distance(early, late) > 0.9e-3
-
-
-def test_what_cannot_be_reached_ends_in_a_no(
-    ball: HybridDynamics, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Rounding that every tolerance shakes anew, in place of a motion that magnifies it."""
-    shake = iter(1e-9 * (-1) ** k for k in range(100))
-
-    def shaken(dynamics: HybridDynamics, state: Sequence[float], **named: object) -> Execution:
-        return simulate(dynamics, (state[0] + next(shake), state[1]), **named)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(accuracy, "simulate", shaken)
-    with pytest.raises(SimulationError, match=r"1e-10 is out of reach: the best estimate is"):
-        execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-10)
-    assert execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-6).error > 1e-10
-
-
-def test_a_run_too_coarse_to_go_through_is_not_the_end_but_the_finest_one_is(
-    ball: HybridDynamics, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fragile(
-        dynamics: HybridDynamics,
-        state: Sequence[float],
-        *,
-        settings: SimulationSettings,
-        **named: object,
-    ) -> Execution:
-        if settings.tolerance.relative > least:
-            raise PenetrationError("Through the stop", time=0.0, state=tuple(state))
-        return simulate(dynamics, state, settings=settings, **named)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(accuracy, "simulate", fragile)
-    least = 1e-8
-    assured = execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-4)
-    assert assured.settings.tolerance.relative < least
-    least = 0.0
-    with pytest.raises(PenetrationError):
-        execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-4)
-
-
-def test_the_zeno_points_own_doubt_counts_where_two_runs_share_it(
-    ball: HybridDynamics, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def doubtful(*arguments: object, **named: object) -> Execution:
-        run = simulate(*arguments, **named)  # type: ignore[arg-type]
-        doubts = tuple(
-            replace(e, limit_error=1e-5) if hasattr(e, "tail") else e for e in run.events
-        )
-        return replace(run, events=doubts)
-
-    monkeypatch.setattr(accuracy, "simulate", doubtful)
-    assert execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-3).error >= 1e-5
-    with pytest.raises(SimulationError, match="out of reach"):
-        execution_to_accuracy(ball, (1.0, 0.0), until=5.0, accuracy=1e-6)
 
 
 # ------------------------------------------------------------ the error of Zeno points, total
@@ -366,64 +310,7 @@ def test_executions_that_go_different_ways_are_infinitely_apart(machine: HybridD
     assert execution_distance(run, run) == 0.0
 
 
-def test_shifted_landmarks_of_equal_count_are_far_apart(machine: HybridDynamics) -> None:
-    marks = landmarks(simulate(machine, RELEASE, until=3.5 * PERIOD))
-    assert [mark.kind for mark in marks] == [LandmarkKind.RELEASE] * len(marks)
-    # On a periodic orbit the states agree, so only the times tell.
-    scale = sizes_of([mark.state for mark in marks])
-    assert apart(marks[:-1], marks[1:], scale) > 0.3
-    assert apart(marks, marks, scale) == 0.0
-
-
 # ------------------------------------------------------------------------------- landmarks
-
-
-def mark(kind: LandmarkKind, time: float, *state: float) -> Landmark:
-    return Landmark(kind=kind, time=time, state=np.array(state))
-
-
-def test_landmarks_of_another_kind_or_number_are_infinitely_apart() -> None:
-    one, other = mark(LandmarkKind.RELEASE, 1.0, 2.0), mark(LandmarkKind.ZENO, 1.0, 2.0)
-    scale = np.ones(1)
-    assert apart([one], [one], scale) == 0.0
-    assert math.isinf(apart([one], [other], scale))
-    assert math.isinf(apart([one], [one, one], scale))
-    assert math.isinf(apart([], [one], scale))
-
-
-def test_nothing_that_is_no_number_is_near_anything() -> None:
-    sound, odd = mark(LandmarkKind.END, 1.0, 1.0, 1.0), mark(LandmarkKind.END, 1.0, 1.0, math.nan)
-    assert not apart([odd], [sound], np.ones(2)) <= 1.0
-    late = mark(LandmarkKind.END, math.nan, 1.0, 1.0)
-    assert not apart([late, sound], [sound, sound], np.ones(2)) <= 1.0
-
-
-def test_a_state_that_stays_zero_or_is_zero_to_rounding_is_no_unit() -> None:
-    assert sizes_of([(0.0, 1e-17, -3.0), (0.0, 0.0, 2.0)]) == pytest.approx([1.0, 1.0, 3.0])
-    assert sizes_of([(1e-9, -2.0)]) == pytest.approx([1e-9, 2.0])
-
-
-def test_a_state_is_measured_by_its_largest_value_and_not_by_that_at_an_impact(
-    ball: HybridDynamics,
-) -> None:
-    """The height is zero to rounding at every impact."""
-    first, second = (
-        simulate(ball, (1.0, 0.0), until=0.6, settings=SimulationSettings(tolerance=tolerance))
-        for tolerance in (Tolerance(relative=1e-6), Tolerance())
-    )
-    assert execution_distance(first, second) < 1e-5
-    assert sizes(second)[0] == 1.0
-
-
-def test_a_motion_without_any_event_is_judged_by_its_end(ball: HybridDynamics) -> None:
-    run = simulate(ball, (1.0, 0.0), until=0.1)
-    (end,) = landmarks(run)
-    assert (end.kind, end.time) == (LandmarkKind.END, 0.1)
-    assert landmarks(simulate(ball, (1.0, 0.0), until=0.6))[0].kind is LandmarkKind.IMPACT
-    assert landmarks(simulate(ball, (1.0, 0.0), until=5.0))[0].kind is LandmarkKind.ZENO
-    other = simulate(ball, (1.0, 1e-3), until=0.1)
-    # The largest speed of the other one is 0.98 m/s.
-    assert execution_distance(run, other) == pytest.approx(1e-3 / (0.1 * GRAVITY - 1e-3))
 
 
 def test_a_ball_at_rest_has_no_error_but_its_tolerance(ball: HybridDynamics) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tests.support.mechanisms import bound, evaluated
 from zeno_orbits.cli import main
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import (
     CompletedSystem,
     Drive,
@@ -33,16 +33,12 @@ from zeno_orbits.model import (
 )
 from zeno_orbits.orbits import read_orbit
 from zeno_orbits.precision import ReductionCost, errors_of_reduced_models
-from zeno_orbits.precision.reduced_models import (
-    CORRECTED,
-    LANDMARKS,
-    QUASI_STATIC,
-    layer_time,
-    orbit_near,
-)
 from zeno_orbits.search import TargetPeriod, orbit_at_gains, search_orbits
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify
+
+QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
+LANDMARKS = ("period", "first_impact", "zeno_time", "release", "zeno_state")
 
 PENDULUM = Path(__file__).parents[2] / "problems" / "motor_pendulum"
 
@@ -382,20 +378,6 @@ def test_a_plastic_impact_has_no_zeno_state_to_compare(problem: Problem) -> None
     assert set(cost.measured) == set(LANDMARKS) - {"zeno_state"}
     for landmark, error in cost.measured.items():
         assert cost.estimate[landmark] == pytest.approx(error, rel=0.05)
-
-
-def test_the_layer_of_one_motor_is_its_inductance_over_its_resistance(problem: Problem) -> None:
-    full = problem.dynamics(problem.values())
-    assert layer_time(full, np.array([0.3, 0.0, 1.0, 0.0])) == pytest.approx(0.002 / 3, rel=1e-12)
-    _, reduced = _numbers(problem, QUASI_STATIC)
-    assert layer_time(reduced, np.array([0.3, 0.0, 1.0, 0.0])) == 0.0
-
-
-def test_a_release_from_which_nothing_returns_is_refused(problem: Problem) -> None:
-    full = problem.dynamics(_with_inductance(problem, 10.0))
-    release = np.array([0.198, 0.0, -5.236, 0.0])
-    with pytest.raises(SimulationError, match=r"No Zeno point|lacks an orbit"):
-        orbit_near(full, release, 1.81)
 
 
 @pytest.mark.parametrize("word", [QUASI_STATIC, CORRECTED])

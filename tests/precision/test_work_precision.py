@@ -6,7 +6,7 @@ import json
 import math
 import shutil
 from dataclasses import replace
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +14,7 @@ import pytest
 from tests.reference.many_digits.execution import extended_execution
 from tests.reference.reference_orbit import PERIOD, RELEASE
 from zeno_orbits import precision
-from zeno_orbits.errors import InputError, StepSizeError, ZenoOrbitsError
-from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.precision import (
     SAME_WORK,
@@ -24,7 +23,6 @@ from zeno_orbits.precision import (
     WorkPrecisionSettings,
     measure_work_precision,
 )
-from zeno_orbits.precision import trials as trading
 from zeno_orbits.precision.landmark import LandmarkKind
 from zeno_orbits.precision.reference import true_landmarks
 from zeno_orbits.precision.trials import engines
@@ -108,61 +106,6 @@ def test_a_reduced_model_errs_by_its_model_and_not_by_its_tolerance(
     # Measured on its orbit: 2.6e-4 of the period, and more of the state.
     assert 1e-5 < tight < 1e-2
     assert errors(measured, "fidelity", "corrected")[-1] < 0.1 * tight
-
-
-def test_a_false_truth_makes_every_trial_err(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def false(*arguments: Any) -> Any:
-        truth = true_landmarks(*arguments)
-        marks = tuple(replace(mark, time=mark.time + 1e-3) for mark in truth.marks)
-        return replace(truth, marks=marks)
-
-    monkeypatch.setattr(trading, "true_landmarks", false)
-    monkeypatch.setattr(trading, "engines", lambda: {"explicit": RungeKutta()})
-    found = measure_work_precision(
-        problem, problem.values(), RELEASE, settings=replace(TINY, cuts=(), impacts=())
-    )
-    assert min(t.error for t in found.trials) > 0.9e-3 / TINY.until
-
-
-def test_a_trial_that_fails_is_a_row_with_its_trouble(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Broken:
-        def __init__(self, error: Exception) -> None:
-            self.error = error
-
-        def follow(self, _leg: object) -> NoReturn:
-            raise self.error
-
-    broken = {
-        "stuck": Broken(StepSizeError("No step is small enough", time=1.0, state=(0.0,))),
-        "overflown": Broken(OverflowError("too large")),
-        "odd": Broken(ValueError("array must not contain infs or NaNs")),
-    }
-    sound = {"explicit": RungeKutta()}
-    monkeypatch.setattr(trading, "engines", lambda: broken | sound)
-    found = measure_work_precision(
-        problem, problem.values(), RELEASE, settings=replace(TINY, cuts=(), impacts=())
-    )
-    rows = {t.name: t for t in found.trials}
-    for name in broken:
-        assert math.isinf(rows[name].error)
-        assert math.isinf(rows[name].seconds)
-    assert "No step is small enough" in rows["stuck"].trouble
-    assert rows["overflown"].trouble == "too large"
-    assert not rows["explicit"].trouble
-    assert all(t.name not in broken for t in found.front)
-
-
-def test_an_interrupt_ends_the_trials(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_arguments: object, **_named: object) -> NoReturn:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(trading, "simulate", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        measure_work_precision(problem, problem.values(), RELEASE, settings=TINY)
 
 
 def test_progress_names_what_is_measured_and_rises(problem: Problem) -> None:

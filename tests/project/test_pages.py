@@ -12,7 +12,6 @@ import pytest
 
 from tests.support.pages import ROOT, SHOWN, blocks, commands, run_page
 from zeno_orbits.cli import build_parser
-from zeno_orbits.cli.old_forms import in_new_forms
 
 PAGES = sorted(
     [
@@ -112,8 +111,8 @@ def test_every_block_of_a_page_says_what_it_is(page: Path) -> None:
 
 
 def understood(words: Sequence[str]) -> None:
-    """Check that the command line parses some words, in a new form or an old one."""
-    build_parser().parse_args(in_new_forms(words))
+    """Check that the command line parses some words."""
+    build_parser().parse_args(words)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -8,7 +8,6 @@ import pickle
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -114,28 +113,6 @@ def test_an_execution_has_the_same_states_in_every_bit_after_a_round_trip(engine
             assert np.array_equal(other.state_at(time), execution.state_at(time))
     longer = zo.simulate("motor_pendulum", until=2.1, settings=settings)
     assert longer != execution
-
-
-def test_a_proof_survives_with_its_exact_ends() -> None:
-    pytest.importorskip("flint", reason="needs the extra `proof`")
-    from zeno_orbits.proof.theorem import Bounds, ProvedInterval
-
-    interval = ProvedInterval(low=Fraction(1, 3), high=Fraction(1, 3) + Fraction(1, 2**250))
-    bounds = Bounds(
-        period=interval,
-        zeno_times=(interval,),
-        impact_times=(),
-        start_state={"q": interval},
-        multipliers=(),
-        norm=0.5,
-    )
-    proof = zo.Proof(
-        problem="p", values={}, over={}, bounds=bounds, certificate={}, wall_time=1.0, versions={}
-    )
-    for way in WAYS:
-        other = way(proof)
-        assert other == proof
-        assert other.bounds.period == interval
 
 
 def test_a_problem_is_pickled_as_its_source_and_its_changes(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from tests.support.searches import question_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
@@ -215,25 +214,6 @@ def test_nearest_orbits_are_the_same_if_numbers_and_period_agree_to_five_digits(
 
 
 # The question itself.
-
-
-@pytest.mark.parametrize(
-    ("changes", "compared"),
-    [
-        ({}, True),
-        ({"free": {}}, False),
-        ({"settings": SearchSettings(n_starts=1)}, True),
-        ({"settings": SearchSettings(n_starts=0)}, False),
-        ({"objective": NearestGains(target={})}, False),
-        ({"near": True}, False),
-    ],
-)
-def test_an_optimum_is_sought_all_over_the_box_unless_an_orbit_is_known(
-    problem: Problem, orbit: ZenoOrbit, changes: dict[str, Any], compared: bool
-) -> None:
-    told: dict[str, Any] = {"objective": MinEnergy(), **changes}
-    told["near"] = orbit if told.get("near") else None
-    assert question_of(problem, **told).seeks_optimum is compared
 
 
 def test_an_accuracy_asks_for_a_mesh_a_closure_and_an_agreement_of_its_own_size() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -16,11 +17,11 @@ import pytest
 
 from tests.support import chores
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.search import SearchSettings
 from zeno_orbits.verification import OrbitCertificate, VerificationSettings
-from zeno_orbits.work import EntryError, from_plain, to_plain
-from zeno_orbits.work.files import read_json
+from zeno_orbits.work import EntryError, from_plain, read_object, to_plain
+from zeno_orbits.work.checkpoint import open_checkpoint
 
 
 class Colour(Enum):
@@ -178,4 +179,28 @@ def test_a_file_that_is_no_json_says_why(tmp_path: Path, text: Any, told: str) -
     if text is not None:
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=told):
-        read_json(path)
+        read_object(path)
+
+
+WORK = {"work": "test"}
+
+
+def test_a_chunk_in_the_place_of_another_is_refused_though_its_checksum_is_right(
+    tmp_path: Path,
+) -> None:
+    checkpoint = open_checkpoint(tmp_path, WORK, [1, 1])
+    checkpoint.save(0, ["first"])
+    assert checkpoint.finished() == {0: ["first"]}
+    shutil.copy(tmp_path / "chunk-000000.json", tmp_path / "chunk-000001.json")
+    with pytest.raises(CheckpointError, match=r"chunk-000001\.json.*other work or another chunk"):
+        checkpoint.finished()
+
+
+@pytest.mark.parametrize("kept", [0, 1, 3])
+def test_a_chunk_with_more_or_fewer_results_than_points_is_refused(
+    tmp_path: Path, kept: int
+) -> None:
+    checkpoint = open_checkpoint(tmp_path, WORK, [2])
+    checkpoint.save(0, ["one"] * kept)
+    with pytest.raises(CheckpointError, match=f"it has {kept} results in place of 2"):
+        checkpoint.finished()
