@@ -133,9 +133,6 @@ def test_intervals_of_other_machines_hold(
     assert all(one.holds and one.half < most for one in scores.values())
 
 
-# Edges that do not match.
-
-
 # Bad input.
 
 

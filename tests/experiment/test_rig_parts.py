@@ -397,9 +397,6 @@ DISC = Problem(
 )
 
 
-# -------------------------------------------------------------------------------- the contact
-
-
 # -------------------------------------------------------------------- friction, gears, bridges
 
 
@@ -433,9 +430,6 @@ def test_teeth_give_back_what_their_loss_leaves() -> None:
     e = effective_restitution(loss * slip)
     assert after[4] - after[1] == pytest.approx(-e * slip, rel=1e-6)
     assert rotor * after[4] + joint * after[1] == pytest.approx(rotor * slip, rel=1e-9)
-
-
-# -------------------------------------------------------------------------------- the controller
 
 
 # ---------------------------------------------------------------------- near an orbit of the model
@@ -490,9 +484,6 @@ def test_an_orbit_lies_on_its_own_line(problem: Problem, orbit: ZenoOrbit) -> No
     coarse, fine = (orbit_curve(orbit, problem, n_per_arc=n) for n in (1500, 2100))
     # Chords of 3e-4 of the size, and what is left out of flights shorter than that.
     assert np.max(fine.distances(coarse.states)) < 3e-4
-
-
-# -------------------------------------------------------------------------------------- refusals
 
 
 # ------------------------------------------------------------------------------- any other problem

@@ -10,19 +10,13 @@ from tests.reference.exact_flights import settled
 from tests.reference.reference_orbit import PERIOD, PERIODS, RELEASE
 from tests.support.hard_to_prove import cartesian_pendulum, pendulum
 from tests.support.mechanisms import clocked_oscillator, oscillator
-from zeno_orbits.continuation.return_maps import Composed, ImpactReturns
 from zeno_orbits.errors import InputError, RunawayError
 from zeno_orbits.maps import Accuracy, AttractorClass, attractors_at, usual_time
-from zeno_orbits.maps.approach import (
-    all_come_nearer,
-    is_approached,
-    places_on_the_way,
-    steps_towards,
-)
 from zeno_orbits.model import load_problem, own_time
-from zeno_orbits.orbits import Line, orbit_multipliers
+from zeno_orbits.orbits import orbit_multipliers
 from zeno_orbits.simulation import SimulationSettings, simulate
-from zeno_orbits.simulation.attractor import TEN_TURNS
+
+TEN_TURNS = 20 * math.pi
 
 PENDULUM = load_problem("motor_pendulum")
 START = PENDULUM.state_vector(PENDULUM.starts[0])
@@ -261,29 +255,6 @@ def test_orbits_without_a_zeno_point_have_the_multipliers_of_their_closed_form()
     assert found[0].state["speed"] == pytest.approx(1.3565863500759056, abs=1e-8)
 
 
-def test_the_multipliers_between_impacts_are_those_of_the_exact_derivative():
-    # Differences of shared steps here, the variational equation of a continuation there.
-    oscillator = load_problem("forced_oscillator")
-    values = oscillator.values(parameters={"c": 0.1, "stop": 0.0, "restitution": 0.8, "omega": 2.6})
-    start = {"speed": 1.0, "cosine": 1.0}
-    (found,) = attractors_at(oscillator, [values], start=start, until=600.0)
-    assert found.fate is AttractorClass.NO_ZENO
-    p = np.array(values.vector)
-    returns = ImpactReturns(
-        compiled=oscillator.compiled(),
-        line=Line(origin=p, direction=0 * p),
-        settings=SimulationSettings(),
-    )
-    x, scale = np.array(oscillator.state_vector(found.state)), np.ones(4)
-    n = round(found.period / (2 * math.pi / 2.6))
-    whole = Composed(maps=n * (returns,)) if n > 1 else returns
-    back = whole.follow(x, 0.0, horizon=20.0)
-    assert back.end == pytest.approx(x, abs=1e-7)
-    tangent = returns.frame(x, 0.0, scale).tangent
-    exact = sorted(np.linalg.eigvals(tangent.T @ back.by_state @ tangent), key=abs)
-    assert sorted(found.multipliers, key=abs) == pytest.approx(exact, abs=1e-5)
-
-
 @pytest.mark.slow
 def test_an_orbit_is_not_that_of_a_motion_whose_errors_led_to_it():
     # Errors of 1e-6 lead this ball, after 140 turns, to an attracting orbit of ten turns. Exact
@@ -304,56 +275,6 @@ def test_an_orbit_is_not_that_of_a_motion_whose_errors_led_to_it():
     alike = Accuracy(motion=1e-8)
     (once,) = attractors_at(PENDULUM, [PENDULUM.values()], accuracy=alike)
     assert once.fate is AttractorClass.ZENO
-
-
-def test_a_step_leads_to_an_orbit_if_the_derivative_there_tells_half_of_it():
-    slow = np.diag([0.9, 0.1])
-    start = np.array([1.0, 0.1])
-    assert is_approached(start, slow @ start, slow, 0.0)
-    assert is_approached(start, np.array([0.94, 0.01]), slow, 0.0)
-    # It moves by less than half of that, not at all, or the other way.
-    assert not is_approached(start, np.array([0.96, 0.01]), slow, 0.0)
-    assert not is_approached(start, start, slow, 0.0)
-    assert not is_approached(start, np.array([1.1, 0.01]), slow, 0.0)
-    # Below the errors of the motion nothing can be told.
-    assert is_approached(1e-6 * start, 1e-6 * start, slow, 1e-6)
-    assert is_approached(np.empty(0), np.empty(0), np.empty((0, 0)), 0.0)
-
-
-def test_a_slow_way_to_an_orbit_is_looked_at_on_one_side_or_on_both():
-    slow, origin = np.array([[0.98, 0.5], [0.0, 0.1]]), np.array([0.3, 0.01])
-    places = places_on_the_way(origin, slow)
-    assert places == pytest.approx(np.outer(np.arange(1, 7) / 6, origin))
-    for over in (-slow, np.diag([-0.98, 0.1])):
-        both = places_on_the_way(origin, over)
-        assert both == pytest.approx(np.concatenate([places, -places]))
-    turning = 0.98 * np.array([[0.6, -0.8], [0.8, 0.6]])
-    assert len(places_on_the_way(origin, turning)) == 0
-
-
-def test_a_slow_way_ends_at_another_orbit_if_one_place_goes_back():
-    slow = np.array([[0.98, 0.5], [0.0, 0.1]])
-    places = places_on_the_way(np.array([0.3, 0.01]), slow)
-    images = places @ slow.T
-    assert all_come_nearer(places, images, slow)
-    over = places_on_the_way(np.array([0.3, 0.01]), -slow)
-    assert all_come_nearer(over, over @ -slow.T, -slow)
-    # At half of the rate of the multipliers, but not at a tenth of it.
-    assert all_come_nearer(places, (places + images) / 2, slow)
-    assert not all_come_nearer(places, 0.9 * places + 0.1 * images, slow)
-    for k in range(len(places)):
-        back = images.copy()
-        back[k] = 1.01 * places[k]
-        assert not all_come_nearer(places, back, slow)
-
-
-def test_steps_towards_an_orbit_are_counted_back_from_the_last():
-    away = [0.1, 0.2, 0.4, 0.3, 0.5]
-    passed, at, scale = [np.array([1.0 + 2.0 * one]) for one in away], np.ones(1), 2.0 * np.ones(1)
-    assert steps_towards(passed, at, scale, 0.0) == 2
-    assert steps_towards(passed, at, scale, 0.45) == 4
-    assert steps_towards(passed[::2], at, scale, 0.0) == 2
-    assert steps_towards(passed[:1], at, scale, 0.0) == 0
 
 
 @pytest.mark.parametrize("name", ["vibrating_table", "two_tone_table", "forced_oscillator"])

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from tests.reference.closed_forms import StoppedOscillator
@@ -157,9 +156,3 @@ def test_a_simulation_that_stops_is_a_failure_with_its_reason(problem: Problem) 
 def test_an_attractor_comes_back_from_plain_data_to_the_last_bit(attractor: Attractor) -> None:
     back = attractor_from_json(attractor_json(attractor))
     assert repr(back) == repr(attractor)
-
-
-def test_numbers_of_an_attractor_are_plain(problem: Problem) -> None:
-    for value in attractor_json(at(problem))["state"].values():
-        assert type(value) is float
-    assert np.isnan(Attractor(fate=AttractorClass.REST).spectral_radius)

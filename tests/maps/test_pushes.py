@@ -110,7 +110,7 @@ def test_the_least_push_of_the_pendulum_separates_return_from_loss(
 def test_an_impulse_in_contact_changes_no_gap_rate_and_the_stop_only_pushes(
     orbit: zo.ZenoOrbit, problem: zo.Problem
 ) -> None:
-    from zeno_orbits.maps.pushes import pushed
+    from zeno_orbits.maps import pushed
 
     values = orbit.values(problem)
     dynamics = problem.dynamics(values)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -73,19 +71,6 @@ def test_other_times_angles_and_forces_are_no_units_of_a_problem(unit: str) -> N
         powers_of(unit)
 
 
-Write = Callable[[str | bytes], Path]
-
-
-@pytest.fixture
-def write(tmp_path: Path) -> Write:
-    def written(content: str | bytes) -> Path:
-        path = tmp_path / "data.csv"
-        path.write_bytes(content.encode() if isinstance(content, str) else content)
-        return path
-
-    return written
-
-
 @pytest.mark.parametrize(
     ("text", "unit", "factor"),
     [
@@ -136,9 +121,6 @@ def test_what_is_no_unit_is_refused_with_a_hint(text: str, reason: str) -> None:
         in_si(text)
 
 
-"""More than one piece of the reader: some 4 MB are read at a time."""
-
-
 def test_units_multiply_out() -> None:
     assert powers_of("V s/rad") == powers_of("kg m^2/A s^2 rad")
     assert powers_of("N m/A") == powers_of("kg m^2/s^2 A")
@@ -149,11 +131,6 @@ def test_units_multiply_out() -> None:
     assert is_rate_of("rad/s", "rad")
     assert not is_rate_of("m/s", "rad")
     assert not is_rate_of("m s", "m")
-
-
-# The same verdict in any units.
-
-"""How far the ball of the table goes while the clock turns by a radian: all of a / omega^2 [m]."""
 
 
 # Matrices in place of energies.

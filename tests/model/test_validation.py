@@ -249,12 +249,6 @@ def test_the_traceback_is_there_for_those_who_ask(tmp_path: Path) -> None:
     assert isinstance(caught.value.__cause__, ValueError)
 
 
-@pytest.mark.parametrize("name", sorted(bundled_problems()))
-def test_every_bundled_problem_holds_together(name: str) -> None:
-    problem = load_problem(name)
-    assert problem.checked() is problem
-
-
 @pytest.mark.parametrize("flags", [[], ["--with-motor"], ["--with-circuit"]])
 def test_a_new_problem_works_as_it_is_written(
     flags: list[str],

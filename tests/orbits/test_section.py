@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.executions import at
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.orbits import (
     IMPACT_ROWS,
+    ONE_ZENO,
     REST_ROWS,
+    EventSequence,
     Line,
+    place_on_section,
     project_to_section,
     section_along,
     section_around,
@@ -179,3 +183,28 @@ def test_a_state_is_projected_to_the_nearest_one_in_scaled_states() -> None:
         x = np.array(start)
         found = project_to_section(circle(gradient=_of_circle), IMPACT_ROWS, x, np.ones(2))
         assert found == pytest.approx(x / np.linalg.norm(x), abs=ROUNDING)
+
+
+START = at(0.0, 1.0)
+
+
+def test_a_start_is_moved_along_the_impulse_by_its_gap_and_no_other_way() -> None:
+    def system(restitution: float) -> Any:
+        # Two coordinates, their velocities and one state more.
+        return SimpleNamespace(
+            restitution=restitution,
+            n_q=2,
+            gap=lambda x: x[0] + x[1],
+            impulse_direction=lambda _: np.array([9.0, 9.0, 0.75, 0.25, 9.0]),
+            on_stop=lambda _: START,
+        )
+
+    impact = EventSequence.parsed("impact")
+    x = np.array([0.5, -0.25, 1.0, 2.0, 3.0])
+    moved = place_on_section(system(0.5), impact, x)
+    assert moved.tolist() == [0.5 - 0.1875, -0.25 - 0.0625, 1.0, 2.0, 3.0]
+    assert x.tolist() == [0.5, -0.25, 1.0, 2.0, 3.0]
+    exact = np.array([0.5, -0.5, 1.0, 2.0, 3.0])
+    assert place_on_section(system(0.5), impact, exact) is exact
+    for shape, restitution in ((impact, 0.0), (ONE_ZENO, 0.5), (ONE_ZENO, 0.0)):
+        assert place_on_section(system(restitution), shape, x) is START

@@ -130,8 +130,6 @@ def _value(text: str) -> float:
 
 Certificate = dict[str, Any]
 
-"""As published of the impact oscillator, with its conjugate."""
-
 
 def _tail(c: Certificate) -> Any:
     return next(record for record in c["passes"][0]["records"] if record["kind"] == "tail")

@@ -163,9 +163,6 @@ def test_only_an_angle_beyond_half_a_turn_gets_a_caution(
     assert words.cautions(problem, None) == []
 
 
-# Tiles.
-
-
 # Tables.
 
 
@@ -174,9 +171,6 @@ def test_everything_that_a_certificate_names_has_its_words() -> None:
     assert list(words.ENERGIES) == [
         *("input_work", "copper_loss", "other_loss", "impact_loss", "energy_gain"),
     ]
-
-
-# Contents and commands.
 
 
 # The page as a whole.

@@ -224,12 +224,6 @@ def test_a_motion_that_comes_back_after_more_than_a_chunk_is_found() -> None:
     assert settling.cycle.period == pytest.approx(2 * math.pi, abs=1e-8)
 
 
-# ---------------------------------------------------------------------------- motions made up
-
-
-# Several starts.
-
-
 # Limits of the wait.
 
 

@@ -102,9 +102,6 @@ def _kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     return folder, answer.data
 
 
-# ---------------------------------------------------------------------------- plain data
-
-
 # ---------------------------------------------------------------------------- the same answer
 
 

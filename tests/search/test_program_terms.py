@@ -330,9 +330,6 @@ def test_the_least_of_several_phases_is_not_bounded_from_above() -> None:
         keep(terms, Bound(name="locked_time", lower=0.1, upper=2.0))
 
 
-"""How near the best value the solver stops: ten times its optimality tolerance, relative."""
-
-
 # What objectives ask of a program and how they score, at terms made by hand.
 
 FALL = course((0.5, -1.0), (2.0, -3.0))
@@ -479,24 +476,6 @@ def test_a_margin_is_no_row_of_a_program() -> None:
     extents = {"persistence": Extent(lowest=0.25, highest=0.25)}
     assert objective.score({}, NEAR, extents) == -0.25
     assert objective.least == -1.0
-
-
-# Words of the command line.
-
-
-# Objectives, each against a scan by simulation.
-
-
-# Bounds.
-
-
-# What is free.
-
-
-# Ways to an orbit.
-
-
-# Orbits that do not attract.
 
 
 # Misuse.

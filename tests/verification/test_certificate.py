@@ -46,13 +46,13 @@ def test_small_residuals_and_positive_margins_pass() -> None:
     assert GOOD.verdict() == ("Verified: a stable Zeno periodic orbit; largest residual 1.0e-12.")
 
 
-@pytest.mark.parametrize("name", list(RESIDUALS))
 @pytest.mark.parametrize("size", [2e-9, math.inf, math.nan])
-def test_one_large_residual_refuses_and_is_named(name: str, size: float) -> None:
-    seen = _with(**{name: size})
-    assert seen.failed == (name,)
-    assert not seen.passed
-    assert seen.verdict().startswith(f"Refused: `{name}` = ")
+def test_one_large_residual_refuses_and_is_named(size: float) -> None:
+    for name in RESIDUALS:
+        seen = _with(**{name: size})
+        assert seen.failed == (name,)
+        assert not seen.passed
+        assert seen.verdict().startswith(f"Refused: `{name}` = ")
 
 
 def test_the_tolerance_itself_passes() -> None:
