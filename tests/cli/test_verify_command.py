@@ -68,64 +68,19 @@ def _later_zeno(data: dict[str, Any]) -> None:
     data["zeno_time"] += 1e-4
 
 
-def _longer_period(data: dict[str, Any]) -> None:
-    data["period"] *= 1 + 1e-6
-
-
-def _other_first_impact(data: dict[str, Any]) -> None:
-    data["impacts"][0]["time"] += 1e-5
-
-
-def _not_at_release(data: dict[str, Any]) -> None:
-    data["release_state"]["current"] += 1e-3
-
-
-def _off_the_stop(data: dict[str, Any]) -> None:
-    data["release_state"]["theta2"] += 1e-3
-
-
-def _inside_the_stop(data: dict[str, Any]) -> None:
-    data["release_state"]["theta2"] -= 1e-3
-
-
-def _moving_into_the_stop(data: dict[str, Any]) -> None:
-    data["release_state"]["dtheta2"] -= 1e-3
-
-
-def _doubled_period(data: dict[str, Any]) -> None:
-    data["period"] *= 2
-
-
 def _henries_for_millihenries(data: dict[str, Any]) -> None:
     data["parameters"]["L"] *= 1000
-
-
-def _milliamperes_for_amperes(data: dict[str, Any]) -> None:
-    data["release_state"]["current"] *= 1000
 
 
 def _out_of_all_bounds(data: dict[str, Any]) -> None:
     data["release_state"]["theta1"] = 1e200
 
 
-def _other_zeno_point(data: dict[str, Any]) -> None:
-    data["zeno_state"]["theta1"] += 1e-4
-
-
 @pytest.mark.parametrize(
     ("tamper", "residual"),
     [
         (_later_zeno, "zeno_point"),
-        (_other_zeno_point, "zeno_point"),
-        (_longer_period, "period"),
-        (_other_first_impact, "first_impact"),
-        (_not_at_release, "release"),
-        (_off_the_stop, "release"),
-        (_inside_the_stop, "release"),
-        (_moving_into_the_stop, "release"),
-        (_doubled_period, "period"),
         (_henries_for_millihenries, "first_impact"),
-        (_milliamperes_for_amperes, "release"),
         (_out_of_all_bounds, "release"),
     ],
 )
@@ -174,7 +129,7 @@ def test_an_orbit_that_is_less_certain_than_asked_is_a_no(orbit_file: Path) -> N
 
 
 @pytest.mark.parametrize("command", [("verify",), ("plot", "-o", "pictures")])
-@pytest.mark.parametrize("part", [0.0, 0.001, 0.2, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("part", [0.0, 0.5])
 def test_an_orbit_file_that_is_cut_short_is_refused(
     part: float, command: tuple[str, ...], orbit_file: Path, here: Path
 ) -> None:
@@ -189,100 +144,30 @@ def _newer(data: dict[str, Any]) -> Any:
     return {**data, "format": 4}
 
 
-def _other_format(data: dict[str, Any]) -> Any:
-    return {**data, "format": "1"}
-
-
-def _list(data: dict[str, Any]) -> Any:
-    return [data]
-
-
 def _nan(data: dict[str, Any]) -> Any:
     return {**data, "period": math.nan}
-
-
-def _nan_inside(data: dict[str, Any]) -> Any:
-    return {**data, "release_state": {**data["release_state"], "theta1": math.nan}}
-
-
-def _infinite_gain(data: dict[str, Any]) -> Any:
-    return {**data, "gains": {"Kp": math.inf, "Kd": -1.0}}
-
-
-def _negative_period(data: dict[str, Any]) -> Any:
-    return {**data, "period": -1.0}
-
-
-def _text_period(data: dict[str, Any]) -> Any:
-    return {**data, "period": "1.8"}
-
-
-def _text_states(data: dict[str, Any]) -> Any:
-    return {**data, "zeno_state": "here"}
-
-
-def _impact_numbers(data: dict[str, Any]) -> Any:
-    return {**data, "impacts": [1.0, 2.0]}
-
-
-def _no_impacts(data: dict[str, Any]) -> Any:
-    return {**data, "impacts": []}
-
-
-def _no_period(data: dict[str, Any]) -> Any:
-    return {name: value for name, value in data.items() if name != "period"}
-
-
-def _missing_state(data: dict[str, Any]) -> Any:
-    return {**data, "release_state": {"theta1": 0.2}}
 
 
 def _missing_gain(data: dict[str, Any]) -> Any:
     return {**data, "gains": {"Kp": 2.5}}
 
 
-def _unknown_parameter(data: dict[str, Any]) -> Any:
-    return {**data, "parameters": {**data["parameters"], "m3": 1.0}}
-
-
 def _bad_restitution(data: dict[str, Any]) -> Any:
     return {**data, "parameters": {**data["parameters"], "restitution": 1.2}}
-
-
-def _other_problem(data: dict[str, Any]) -> Any:
-    return {**data, "problem": "bouncing_ball"}
 
 
 def _unknown_problem(data: dict[str, Any]) -> Any:
     return {**data, "problem": "flying_machine"}
 
 
-def _single_multiplier(data: dict[str, Any]) -> Any:
-    return {**data, "floquet_multipliers": [0.1]}
-
-
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
         (_newer, ("format 4", "newer")),
-        (_other_format, ("`format`",)),
-        (_list, ("object",)),
         (_nan, ("`period`", "finite")),
-        (_nan_inside, ("`release_state.theta1`", "finite")),
-        (_infinite_gain, ("`gains.Kp`", "finite")),
-        (_negative_period, ("`period`", "positive")),
-        (_text_period, ("`period`", "number")),
-        (_text_states, ("`zeno_state`",)),
-        (_impact_numbers, ("`impacts[0]`",)),
-        (_no_impacts, ("impact",)),
-        (_no_period, ("`period`",)),
-        (_missing_state, ("theta2",)),
         (_missing_gain, ("Kd",)),
-        (_unknown_parameter, ("m3",)),
         (_bad_restitution, ("`restitution`", "1.2")),
-        (_other_problem, ()),
         (_unknown_problem, ("`flying_machine`",)),
-        (_single_multiplier, ("`floquet_multipliers[0]`",)),
     ],
 )
 def test_a_false_orbit_file_is_refused_and_its_entry_named(
