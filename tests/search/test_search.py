@@ -93,6 +93,22 @@ def test_a_search_reports_how_well_it_did(found: SearchResult) -> None:
     assert [attempt.status for attempt in found.attempts] == [SearchStatus.FOUND]
 
 
+def test_the_agreement_of_a_coarse_program_is_at_least_its_distance_from_a_simulation(
+    problem: Problem,
+) -> None:
+    usual = SearchSettings()
+    mesh = replace(usual.transcription, mesh_tolerance=1e-2)
+    coarse = replace(usual, agreement=1.0, rounds=1, transcription=mesh)
+    found = orbit_at_gains(problem, problem.values(), settings=coarse)
+    orbit, machine = found.unwrap(), problem.dynamics(problem.values())
+    start = problem.state_vector(orbit.release_state)
+    run = simulate(machine, start, until=2 * orbit.period, releases=1)
+    pairs = [(run.releases[0].time, orbit.period), (run.zeno_points[0].time, orbit.zeno_time)]
+    pairs += [(a.time, b.time) for a, b in zip(run.impacts, orbit.impacts, strict=False)]
+    distance = max(abs(true - said) for true, said in pairs) / orbit.period
+    assert 1e-6 < distance <= found.agreement < 1e-2
+
+
 @pytest.mark.parametrize(("restitution", "period"), list(PERIODS.items()))
 def test_other_restitutions_have_their_declared_periods(
     problem: Problem, restitution: float, period: float
