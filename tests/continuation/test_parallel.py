@@ -168,6 +168,7 @@ def test_what_is_finished_is_not_done_again(
     assert contents(folder) == before
 
 
+@pytest.mark.slow
 def test_a_job_that_was_lost_is_done_again_and_gives_the_same(
     kept: tuple[Path, dict[str, Any]],
 ) -> None:

@@ -41,7 +41,7 @@ def test_texts_annotations_and_errors_are_left_alone() -> None:
         assert "def clipped(x: float, low: float = " in mutant.source
 
 
-@pytest.mark.parametrize("path", ["orbits/section.py", "verification/certificate.py"])
+@pytest.mark.parametrize("path", ["orbits/section.py"])
 def test_every_mutant_of_a_module_is_another_program(path: str) -> None:
     source = (Path(__file__).parents[2] / "zeno_orbits" / path).read_text(encoding="utf-8")
     whole = ast.dump(ast.parse(source))
