@@ -118,29 +118,29 @@ def _at(row: Sequence[str], s: float) -> float:
 
 
 @pytest.mark.usefixtures("remembered")
-def test_none_of_100_changed_sets_is_accepted(short: Certificate) -> None:
+def test_none_of_40_changed_sets_is_accepted(short: Certificate) -> None:
     assert check_proof(short).ok
     chance = random.Random(5)
-    for number in range(100):
+    for number in range(40):
         mutant = copy.deepcopy(short)
         _falsify(mutant["basin"], chance, number)
         assert not _accepted(mutant), number
 
 
 @pytest.mark.usefixtures("remembered")
-def test_of_100_random_changes_those_accepted_leave_the_set_as_it_is(
+def test_of_40_random_changes_those_accepted_leave_the_set_as_it_is(
     short: Certificate,
 ) -> None:
     assert check_proof(short).ok
     accepted = 0
-    for mutant in mutants(short, 100, 7, "basin"):
+    for mutant in mutants(short, 40, 7, "basin"):
         if mutant != short and _accepted(mutant):
             accepted += 1
             old, new = (_intervals(one["basin"][0]["box"]) for one in (short, mutant))
             for (a, r), (b, q) in zip(old, new, strict=True):
                 assert abs(a - b) + q <= r * (1 + Fraction(1, 50))
     # Last digits of a set may change within its slack.
-    assert accepted < 60
+    assert accepted < 24
 
 
 def _accepted(mutant: Certificate) -> bool:

@@ -280,7 +280,6 @@ def _inert() -> zo.Problem:
     ("objective", "bounds"),
     [
         (zo.MinEnergy(), [zo.Bound(name="spectral_radius", upper=0.3)]),
-        (zo.MinPeak(signal="current"), [zo.Bound(name="energy", lower=8.0)]),
         (zo.TargetAmplitude(state="theta1", target=1.55), []),
     ],
 )

@@ -320,7 +320,7 @@ LONG = (
 
 @needs_two
 @pytest.mark.slow
-@pytest.mark.parametrize("signal_", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("signal_", [signal.SIGKILL])
 def test_a_search_that_is_killed_in_the_middle_ends_at_the_same_bytes(
     signal_: signal.Signals, tmp_path: Path, commands: Commands
 ) -> None:

@@ -87,7 +87,7 @@ def test_over_uncertain_weights_the_smallest_weight_decides() -> None:
 def test_the_largest_push_of_the_pendulum_is_that_of_brute_force() -> None:
     problem = zo.load_problem("motor_pendulum")
     best = 0.0
-    for kd in np.linspace(-1.1, -0.5, 13):
+    for kd in np.linspace(-1.1, -0.5, 7):
         orbit = zo.find_orbit_by_shooting(problem, gains={"Kp": 2.5, "Kd": float(kd)}).unwrap()
         best = max(best, least_push(problem, orbit, settings=PUSHES).largest)
     result = zo.search_gains(
