@@ -87,7 +87,7 @@ def test_trade_where_nothing_happens_so_soon_is_a_no_in_one_line(here: Path) -> 
 
 @pytest.mark.parametrize(
     "where",
-    ["precision.trade", "report.plots.plot_trade", "report.plots.save_figure"],
+    ["precision.measure_work_precision", "report.plots.plot_trade", "report.plots.save_figure"],
 )
 def test_an_interrupted_trade_writes_nothing(
     where: str, traded: tuple[Answer, Path], here: Path, monkeypatch: pytest.MonkeyPatch
