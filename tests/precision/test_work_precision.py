@@ -280,10 +280,10 @@ def test_a_window_holds_the_zeno_point_of_a_falling_ball() -> None:
 @pytest.mark.parametrize(
     ("name", "remedy"),
     [
-        ("extended_orbit", r"`zeno_orbits\.proof\.prove\(orbit, problem\)`"),
-        ("ExtendedOrbit", r"`zeno_orbits\.proof\.prove\(orbit, problem\)`"),
-        ("extended_execution", r"`zeno_orbits\.proof\.enclose_period\(orbit, problem\)`"),
-        ("ExtendedExecution", r"`zeno_orbits\.proof\.enclose_period\(orbit, problem\)`"),
+        ("extended_orbit", r"`zeno_orbits\.prove\(orbit\)`"),
+        ("ExtendedOrbit", r"`zeno_orbits\.prove\(orbit\)`"),
+        ("extended_execution", r"`zeno_orbits\.enclose_period\(orbit\)`"),
+        ("ExtendedExecution", r"`zeno_orbits\.enclose_period\(orbit\)`"),
     ],
 )
 def test_a_removed_name_ends_in_one_line_with_its_remedy(name: str, remedy: str) -> None:

@@ -109,7 +109,7 @@ def parts(
     )
     cycle = SimpleNamespace(period=times[-1] / 3)
 
-    def rig_cycles(*_: Any, cycles: int, on_progress: Progress) -> Any:
+    def settle_rig(*_: Any, cycles: int, on_progress: Progress) -> Any:
         on_progress("simulating the machine", 0.5)
         assert cycles == 3
         return SimpleNamespace(run=run, cycles=(cycle, cycle, cycle))
@@ -122,7 +122,7 @@ def parts(
         table = tabulate_orbit(orbit, problem, ("theta1", "theta2"))
         return replace(recorded(table, problem, n_cycles=8.0), source=Source.MEASURED)
 
-    monkeypatch.setattr(f"{COUNTERPARTS}.rig_cycles", rig_cycles)
+    monkeypatch.setattr(f"{COUNTERPARTS}.settle_rig", settle_rig)
     monkeypatch.setattr("zeno_orbits.experiment.read_recording", read_recording)
 
 
@@ -701,7 +701,7 @@ def test_the_same_orbit_gives_the_same_bytes(orbit_file: Path) -> None:
 def test_a_recording_takes_the_place_of_the_rig(
     orbit_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"{COUNTERPARTS}.rig_cycles", None)
+    monkeypatch.setattr(f"{COUNTERPARTS}.settle_rig", None)
     Path("run.csv").touch()
     seen: list[MatchedRun] = []
     draw = plots.plot_beside_portraits
@@ -724,7 +724,7 @@ def test_what_a_problem_does_not_have_is_said_and_left_out(
     def still(*_: Any, **__: Any) -> Any:
         raise SimulationError("The rig does not move in cycles", time=1.0, state=(0.0,))
 
-    monkeypatch.setattr(f"{COUNTERPARTS}.rig_cycles", still)
+    monkeypatch.setattr(f"{COUNTERPARTS}.settle_rig", still)
     # A film without ffmpeg, and nothing that takes long.
     monkeypatch.setitem(PAPER, "animation", lambda _: {"machine.gif": b"GIF8"})
     monkeypatch.setitem(PAPER, "region", lambda _: {})
