@@ -606,6 +606,7 @@ def test_the_ear_for_requests_and_complaints_hears_them(browser: Browser, tmp_pa
     assert "http://127.0.0.1:9/a.png" in browser.requests()
 
 
+@pytest.mark.slow
 def test_the_page_itself_forbids_requests_and_other_scripts(opened: Browser) -> None:
     opened.run(
         "const made = document.createElement('script'); made.textContent = 'window.taken = 1';"
@@ -663,6 +664,7 @@ def test_the_zoom_goes_by_decades_into_the_zeno_point(
     assert opened.complaints() == []
 
 
+@pytest.mark.slow
 def test_at_every_depth_flights_are_seen(opened: Browser, page: str) -> None:
     for _ in range(plotted(page)["zeno"]["decades"]):
         press(opened, "zeno", "in")
@@ -681,6 +683,7 @@ def test_at_every_depth_flights_are_seen(opened: Browser, page: str) -> None:
         assert 0.5 * (top - bottom) < inside < top
 
 
+@pytest.mark.slow
 def test_the_states_over_time_zoom_too(opened: Browser, subject: Subject) -> None:
     start, end = range_of(opened, "series")
     press(opened, "series", "in")
@@ -689,6 +692,7 @@ def test_the_states_over_time_zoom_too(opened: Browser, subject: Subject) -> Non
     assert (low + high) / 2 == pytest.approx(subject.orbit.zeno_time, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1100, "light")])
 def test_the_page_fits_its_screen_and_follows_its_colours(
     browser: Browser, page_file: Path, width: int, scheme: str
@@ -708,6 +712,7 @@ def test_the_page_fits_its_screen_and_follows_its_colours(
     assert int(plot[1:3], 16) == red
 
 
+@pytest.mark.slow
 def test_a_plot_follows_when_the_scheme_changes(opened: Browser) -> None:
     opened.emulate(1100, scheme="dark")
     from selenium.webdriver.support.ui import WebDriverWait
@@ -716,6 +721,7 @@ def test_a_plot_follows_when_the_scheme_changes(opened: Browser) -> None:
     WebDriverWait(opened.driver, 10).until(lambda _: opened.run(script) == "#151515")
 
 
+@pytest.mark.slow
 def test_in_print_the_page_is_light_and_has_no_buttons(shown: Browser) -> None:
     shown.emulate(720, media="print", scheme="dark")
     looks = shown.run(

@@ -195,6 +195,7 @@ def test_workers_with_other_code_are_refused(
         parallel_map(chores.square, POINTS, plan(cluster.place()))
 
 
+@pytest.mark.slow
 def test_the_address_of_a_worker_is_not_that_of_a_scheduler(cluster: DaskCluster) -> None:
     cluster.start_worker("--no-nanny")
     (address,) = parallel_map(chores.addresses, [0.0], plan(cluster.place()))
