@@ -99,7 +99,7 @@ def test_a_long_lived_process_keeps_little_and_leaves_nothing(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.benchmark
+@pytest.mark.weekly
 @pytest.mark.parametrize("name", REDUCED)
 def test_a_benchmark_runs_to_its_end(name: str, tmp_path: Path) -> None:
     done = run([f"benchmarks/{name}.py", *REDUCED[name]], tmp_path)
