@@ -73,12 +73,7 @@ LONG = {
 
 @pytest.mark.parametrize(
     "page",
-    [
-        pytest.param(p, marks=[pytest.mark.slow] if p.name in LONG else [])
-        for p in PAGES
-        # The slow tests run every block of the others at once.
-        if p.name not in LONG or p not in SLOW
-    ],
+    [pytest.param(p, marks=[pytest.mark.slow] if p.name in LONG else []) for p in PAGES],
     ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_the_blocks_of_a_page_run(page: Path, here: Path) -> None:
@@ -88,6 +83,7 @@ def test_the_blocks_of_a_page_run(page: Path, here: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 @pytest.mark.parametrize("page", SLOW, ids=lambda page: page.name)
 def test_the_blocks_of_a_page_run_with_the_slow_ones(page: Path) -> None:
     run_page(page, slow=True)
