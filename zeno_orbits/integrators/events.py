@@ -17,7 +17,6 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.engine import Step, fast_dataclass
-from zeno_orbits.integrators.steps import ExplicitStep
 
 Guard = tuple[float, float]
 """A guard and its time derivative."""
@@ -144,9 +143,6 @@ def polished(flow: Guarded, step: Step, offset: float) -> float:
         step: The step that contains the root.
         offset: Root of the dense output, counted from the start of the step [s].
     """
-    if isinstance(step, ExplicitStep):
-        # Its dense output is a true step already.
-        return offset
     for _ in range(4):
         value, rate = flow.guard(step.end_at(offset))
         change = -value / rate if rate < 0.0 else 0.0

@@ -65,7 +65,7 @@ static double fall_beside(Step *step, int k) {
     Beside beside;
     beside.curve.look = look_at_beside;
     beside.curve.size = step->curve.size;
-    beside.curve.exact = step->curve.exact;
+    beside.curve.exact = 0;
     beside.step = step;
     beside.k = k;
     fall = first_fall(&beside.curve, watched->before, watched->after, on_guard);

@@ -5,17 +5,11 @@ typedef struct {
     const Machine *m;
     const double *before, *slope, *after, *slope_after, *guard_after;
     const double *coefficients; /* of an implicit step, else null */
-    double ended[1 + ZL_MOST];  /* where the last true step from its start ended, and how */
+    double ended[1 + ZL_MOST];  /* where the last implicit step from its start ended, and how */
 } Step;
 
-/* Keep where a true step from the start ended, and how. */
-static void keep_end(Step *step, double offset, const double *state) {
-    step->ended[0] = offset;
-    memcpy(step->ended + 1, state, (size_t)step->m->run->leg.n_y * sizeof(double));
-}
-
 /* The state inside a step as dense output has it, and the guard there. */
-static void dense(Step *step, double offset, double *state, double *pair) {
+static void dense(const Step *step, double offset, double *state, double *pair) {
     const int n = (int)step->m->run->leg.n_y;
     int i;
     if (offset == step->curve.size) {
@@ -28,13 +22,10 @@ static void dense(Step *step, double offset, double *state, double *pair) {
         double value[ZL_MOST];
         polynomial_at(step->coefficients, n, offset / step->curve.size, value);
         for (i = 0; i < n; i++) state[i] = step->before[i] + value[i];
-    } else if (offset == step->ended[0]) {
-        memcpy(state, step->ended + 1, (size_t)n * sizeof(double));
     } else {
         double slopes[12][ZL_MOST];
         memcpy(slopes[0], step->slope, (size_t)n * sizeof(double));
         explicit_state(step->m, step->before, offset, slopes, state);
-        keep_end(step, offset, state);
     }
     guard_at(step->m, state, pair);
 }
@@ -49,7 +40,8 @@ static void true_end(Step *step, double offset, double *state, double *pair) {
         memcpy(state, found.after, bytes);
         pair[0] = found.guard[0];
         pair[1] = found.guard[1];
-        keep_end(step, offset, found.after);
+        step->ended[0] = offset;
+        memcpy(step->ended + 1, found.after, bytes);
         return;
     }
     dense(step, offset, state, pair);
@@ -70,7 +62,7 @@ static void leg_end(Step *step, double offset, double *state) {
     const int n = (int)step->m->run->leg.n_y;
     double shift = offset - step->ended[0], slope[ZL_MOST], pair[2];
     int i;
-    if (!step->coefficients || !(fabs(shift) <= DOUBLES * step->curve.size)) {
+    if (!(fabs(shift) <= DOUBLES * step->curve.size)) {
         true_end(step, offset, state, pair);
         return;
     }
@@ -169,7 +161,7 @@ static void bounds_between(const Curve *curve, const Place *left, const Place *r
 }
 
 static void state_inside(const Curve *curve, double offset, double *state, double *pair) {
-    dense((Step *)(void *)(uintptr_t)(const void *)curve, offset, state, pair);
+    dense((const Step *)(const void *)curve, offset, state, pair);
 }
 
 /* Where in a step the guard of a leg first falls; NaN if it does not. */
@@ -480,7 +472,7 @@ static int step_leg(const Machine *m) {
     rate_at(m, after, slope_after);
     step.curve.look = look_inside;
     step.curve.size = size;
-    step.curve.exact = !was_implicit;
+    step.curve.exact = 0;
     step.m = m;
     step.before = leg->y;
     step.slope = leg->slope;
