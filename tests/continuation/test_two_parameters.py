@@ -260,6 +260,7 @@ def test_a_less_accurate_return_is_seen_in_the_error() -> None:
     assert np.all(errors > 1e-7)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_folds_and_flips_of_the_pendulum_pass_their_cusp_and_end_where_a_family_has_them() -> (
     None

@@ -71,6 +71,7 @@ def test_what_is_fitted_can_be_passed_on(fitted: Identification, problem: Proble
     assert data["parameters"]["K_torque"] == data["parameters"]["K_emf"]
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, problem: Problem) -> None:
     # Of 5 seeds and 3 numbers at 95 %, 10 or fewer inside has a chance below 1e-3.

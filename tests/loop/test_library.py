@@ -248,6 +248,7 @@ def test_random_runs_and_units_end_in_a_status(tmp_path: Path, name: str) -> Non
     assert sum(count > 0 for count in counts) >= 3
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_no_undefined_behaviour_is_met(tmp_path: Path) -> None:
     """Rerun the tests of runs with a library that checks addresses and arithmetic."""

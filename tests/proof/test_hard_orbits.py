@@ -233,6 +233,7 @@ def test_flights_that_are_not_resolved_are_summed_up_earlier(name: str) -> None:
     assert proof.bounds.zeno_times[0].width < 1e-2
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_leg_of_nine_states_is_proved_by_default_and_its_certificate_holds() -> None:
     problem = hard_to_prove.leg()

@@ -121,6 +121,7 @@ def test_what_is_no_orbit_is_not_proved(table: ZenoOrbit, surface: ZenoOrbit, na
     assert f"`{claim}`" in proof.verdict()
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_basin_is_much_larger_than_a_box_lies_in_the_sampled_ball_and_its_certificate_holds() -> (
     None

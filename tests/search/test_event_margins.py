@@ -119,6 +119,7 @@ def _radius(start: np.ndarray[Any, Any], force: float) -> tuple[np.ndarray[Any, 
     return np.array([start[0], *z]), float(radius)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_an_impact_pair_loses_its_stability_where_its_closed_form_does() -> None:
     fixed = {"k": 0.0, "c": 0.0, "restitution": E, "omega": OMEGA, "A": 4.0}

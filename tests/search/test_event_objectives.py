@@ -275,6 +275,7 @@ def _inert() -> zo.Problem:
     )
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("objective", "bounds"),

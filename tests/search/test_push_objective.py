@@ -75,6 +75,7 @@ def test_a_push_in_proportion_to_the_weight_is_largest_at_the_largest_weight() -
     assert "Beyond it: the oscillation grows." in detail
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_over_uncertain_weights_the_smallest_weight_decides() -> None:
     wish, start = zo.MaxPush(uncertain={"weight": (0.5, 2.0)}), {**SPRING, "weight": 1.0}
@@ -83,6 +84,7 @@ def test_over_uncertain_weights_the_smallest_weight_decides() -> None:
     assert "(at weight = 0.5)" in detail
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_largest_push_of_the_pendulum_is_that_of_brute_force() -> None:
     problem = zo.load_problem("motor_pendulum")
@@ -104,6 +106,7 @@ def test_the_largest_push_of_the_pendulum_is_that_of_brute_force() -> None:
     assert again.largest == pytest.approx(found.extents["push"].lowest, abs=2 * again.error)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_over_an_uncertain_box_the_push_is_the_least_of_its_corners() -> None:
     problem = zo.load_problem("motor_pendulum")
