@@ -272,8 +272,11 @@ def test_an_impact_that_lets_go_at_once_has_its_multiplier_in_closed_form() -> N
             return flown - (table.place(start + flight) - table.place(start))
 
         slope = 1 - mp.diff(gap, (u, s), (1, 0)) / mp.diff(gap, (u, s), (0, 1))
+        # The table falls faster than the ball where it lets go.
+        away = -table.g - mp.diff(table.place, u, 2)
     assert len(certificate.multipliers) == 1
     assert certificate.multipliers[0].real == pytest.approx(float(slope), abs=1e-7)
+    assert certificate.margins["lets_go"] == pytest.approx(float(away), rel=1e-8)
 
 
 # Whichever way they are found.
