@@ -143,11 +143,11 @@ def test_threads_carry_the_same_derivatives() -> None:
 
 MULTIPLIERS = """
 import numpy as np, zeno_orbits as zo
-from zeno_orbits.orbits import floquet_multipliers
+from zeno_orbits.orbits import orbit_multipliers
 from zeno_orbits.simulation import SimulationSettings
 problem = zo.load_problem("motor_pendulum")
 x = np.array([0.1985068301199, 0, -5.2365375521764, 0, -1.8591703843225])
-found = floquet_multipliers(
+found = orbit_multipliers(
     problem.dynamics(problem.values()), x, scale=1 + np.abs(x), period=1.81371293903044,
     settings=SimulationSettings(),
 )

@@ -200,12 +200,12 @@ PROGRAM = """
 import sys
 from tests.work.test_work import POINTS, plan
 from tests.support.chores import Diary
-from zeno_orbits.work import Workers, spread
+from zeno_orbits.work import Workers, parallel_map
 from pathlib import Path
 if __name__ == "__main__":
     place = Workers(count=int(sys.argv[3]))
     task = Diary(folder=sys.argv[1], pause=0.15)
-    spread(task, POINTS, plan(Path(sys.argv[2]), place=place))
+    parallel_map(task, POINTS, plan(Path(sys.argv[2]), place=place))
 """
 
 
