@@ -170,6 +170,7 @@ def _zeno_in_time(stop: str, switching: float, **changed: float) -> bool:
     return any(time < switching for time in zenos)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_relay_closes_down_to_the_voltage_of_an_independent_loop() -> None:
     end = _family(load_problem("relay"), "U", (9.0, 24.5)).first

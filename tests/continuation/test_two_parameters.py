@@ -317,6 +317,7 @@ def test_the_second_cusp_of_the_pendulum_is_where_two_folds_of_its_families_merg
     assert abs(far[0] - far[1]) / abs(near[0] - near[1]) == pytest.approx(10**1.5, rel=0.1)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_grazing_of_the_pendulum_keeps_to_its_family_and_meets_an_earlier_release() -> None:
     # Below Kp = 2.45 another family runs into an end beside this one, 1e-4 off in Kd.

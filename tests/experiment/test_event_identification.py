@@ -78,6 +78,7 @@ def test_channels_narrow_the_interval_of_the_restitution() -> None:
     assert errors[0] < 0.5 * errors[1]
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_intervals_of_recordings_with_noise_hold() -> None:
     scores = [

@@ -183,6 +183,7 @@ def test_the_command_prints_the_verdict_first_and_leaves_with_its_code(tmp_path:
         assert data["verdict"] in {one.value for one in ComparisonVerdict}
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GAPS)
 def test_two_standard_errors_hold_the_truth_in_95_of_100(name: str) -> None:

@@ -38,6 +38,7 @@ def answer(folder: Path, *words: str, **variables: str) -> str:
     return done.stdout
 
 
+@pytest.mark.weekly
 @needs_compiler
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["automatic"])

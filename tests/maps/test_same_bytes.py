@@ -65,6 +65,7 @@ def test_a_map_without_the_loop_has_the_same_attractors_to_rounding(
             assert one["period"] == pytest.approx(other["period"], rel=1e-10)
 
 
+@pytest.mark.weekly
 @needs_compiler
 @pytest.mark.slow
 def test_a_large_map_compiles_its_formulas_first_and_is_the_file_of_their_tapes(

@@ -593,6 +593,7 @@ def test_no_mutation_is_accepted_with_a_claim_that_is_false(impact: Certificate)
     _require_sound_under_mutations(impact, count=40, seed=1)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_none_of_300_mutations_is_accepted_with_a_claim_that_is_false(impact: Certificate) -> None:
     _require_sound_under_mutations(impact, count=300, seed=2)

@@ -318,6 +318,7 @@ LONG = (
 )
 
 
+@pytest.mark.weekly
 @needs_two
 @pytest.mark.slow
 @pytest.mark.parametrize("signal_", [signal.SIGKILL])
