@@ -202,7 +202,6 @@ class Crossing:
     """The events at which motions cross a section.
 
     Attributes:
-        event: Kind of the events.
         rows: Rows of the contact that vanish on the section.
         margins: Names of the margins, as in a certificate.
         cycle: Function of the system and the events of one period, with times from its start. It
@@ -210,7 +209,6 @@ class Crossing:
         far: Largest relative distance of the orbit from the motion in a Newton step.
     """
 
-    event: type[ReleaseRecord | ImpactRecord]
     rows: tuple[int, ...]
     margins: tuple[str, ...]
     cycle: Callable[[HybridDynamics, Sequence[Any]], PeriodReturn]
@@ -218,14 +216,12 @@ class Crossing:
 
 
 RELEASES = Crossing(
-    event=ReleaseRecord,
     rows=RELEASE_ROWS,
     margins=("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time"),
     cycle=_of_releases,
     far=0.8,
 )
 IMPACTS = Crossing(
-    event=ImpactRecord,
     rows=IMPACT_ROWS,
     margins=("first_impact_speed",),
     cycle=_of_impacts,

@@ -7,7 +7,6 @@ limit. No law continues the motion beyond such a limit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -70,16 +69,6 @@ class Accumulations:
         falls = np.sum(intervals[-3:]) < _HALF * np.sum(intervals[-6:-3])
         if falls and intervals[-1] < _ACCUMULATED * intervals[0]:
             raise self.in_turn(time, x)
-
-    def see_impacts(self, times: Sequence[float], stop: str) -> None:
-        """Record impacts on one stop after `_LAST` others on it: they do not come in turn.
-
-        Args:
-            times: When [s].
-            stop: Name of the stop.
-        """
-        last = tuple((time, stop) for time in times[-_IN_TURN:])
-        self.impacts = (*self.impacts[len(last) - _IN_TURN :], *last)[-_IN_TURN:]
 
     def see_switch(self, time: float, name: str, x: Vector, scale: float) -> None:
         """Record an event of a declared switch, unless such events accumulate.
