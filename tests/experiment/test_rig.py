@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from benchmarks.rig_convergence import fit_order
+from tests.support.disc import DISC, ELECTRIC, INERTIA
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.experiment import (
@@ -30,23 +30,16 @@ from zeno_orbits.experiment.rig import (
 )
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import (
-    CompletedSystem,
     Contact,
     Controller,
     Friction,
     Gear,
     HBridge,
-    HybridLagrangian,
-    MotorBank,
     Problem,
     PwmSettings,
-    Quantity,
     Rig,
-    full_drive,
-    hybrid_system,
     load_problem,
     load_reference,
-    quasi_static_drive,
 )
 from zeno_orbits.orbits import ZenoOrbit
 
@@ -54,49 +47,6 @@ FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
 STIFF = Contact(stiffness=1e6)
 
 # --------------------------------------------------------- a disc that a motor turns, and no stop
-
-INERTIA, FAR = 0.02, 1e6
-ELECTRIC = {"R": 2.0, "L": 3e-3, "K": 0.05}
-
-
-def disc_system(p: Mapping[str, ca.SX], *, quasi_static: bool = False) -> CompletedSystem:
-    """Return a disc on a motor, its stop far away, under ``V = V0 - Kp angle - Kd rate``."""
-    angle, rate = ca.SX.sym("angle"), ca.SX.sym("rate")
-    disc = HybridLagrangian.from_energies(
-        q=angle, v=rate, kinetic=INERTIA * rate**2 / 2, potential=ca.SX(0), gap=FAR - angle
-    )
-    motor = MotorBank(
-        selection=ca.SX(1),
-        resistance=ca.SX(ELECTRIC["R"]),
-        inductance=ca.SX(ELECTRIC["L"]),
-        torque_constant=p["K"],
-        emf_constant=p["K"],
-        voltage=p["V0"] - p["Kp"] * angle - p["Kd"] * rate,
-    )
-    drive = quasi_static_drive if quasi_static else full_drive
-    return hybrid_system(disc, drive(disc, motor), p["restitution"])
-
-
-def gain(name: str) -> Quantity:
-    return Quantity(name=name, unit="1", meaning=name, default=0.0, lower=-9.0, upper=9.0)
-
-
-DISC = Problem(
-    name="disc",
-    title="disc on a motor",
-    source="here",
-    state_names=("angle", "rate", "current"),
-    state_units=("rad", "rad/s", "A"),
-    parameters=(
-        Quantity(name="K", unit="N m/A", meaning="motor constant", default=ELECTRIC["K"]),
-        Quantity.restitution(0.2),
-    ),
-    gains=(gain("V0"), gain("Kp"), gain("Kd")),
-    model=disc_system,
-    starts=({},),
-    portraits=(("angle", "rate"),),
-    amplitude_of="angle",
-)
 
 
 def disc_matrix(resistance: float, constant: float = ELECTRIC["K"]) -> Vector:

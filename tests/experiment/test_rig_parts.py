@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from benchmarks.rig_convergence import orbit_distance, spring_contact
+from tests.support.disc import DISC, INERTIA
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import (
@@ -40,22 +40,15 @@ from zeno_orbits.experiment.rig.forces import (
 )
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import (
-    CompletedSystem,
     Contact,
     Controller,
     Friction,
     Gear,
     HBridge,
-    HybridLagrangian,
-    MotorBank,
     Problem,
-    Quantity,
     Rig,
     Sensors,
-    full_drive,
-    hybrid_system,
     load_reference,
-    quasi_static_drive,
     rig_with_numbers,
     without_parts,
 )
@@ -350,51 +343,6 @@ def test_without_its_controller_a_machine_has_no_sensors_either() -> None:
 
 
 FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
-
-# --------------------------------------------------------- a disc that a motor turns, and no stop
-
-INERTIA, FAR = 0.02, 1e6
-ELECTRIC = {"R": 2.0, "L": 3e-3, "K": 0.05}
-
-
-def disc_system(p: Mapping[str, ca.SX], *, quasi_static: bool = False) -> CompletedSystem:
-    """Return a disc on a motor, its stop far away, under ``V = V0 - Kp angle - Kd rate``."""
-    angle, rate = ca.SX.sym("angle"), ca.SX.sym("rate")
-    disc = HybridLagrangian.from_energies(
-        q=angle, v=rate, kinetic=INERTIA * rate**2 / 2, potential=ca.SX(0), gap=FAR - angle
-    )
-    motor = MotorBank(
-        selection=ca.SX(1),
-        resistance=ca.SX(ELECTRIC["R"]),
-        inductance=ca.SX(ELECTRIC["L"]),
-        torque_constant=p["K"],
-        emf_constant=p["K"],
-        voltage=p["V0"] - p["Kp"] * angle - p["Kd"] * rate,
-    )
-    drive = quasi_static_drive if quasi_static else full_drive
-    return hybrid_system(disc, drive(disc, motor), p["restitution"])
-
-
-def gain(name: str) -> Quantity:
-    return Quantity(name=name, unit="1", meaning=name, default=0.0, lower=-9.0, upper=9.0)
-
-
-DISC = Problem(
-    name="disc",
-    title="disc on a motor",
-    source="here",
-    state_names=("angle", "rate", "current"),
-    state_units=("rad", "rad/s", "A"),
-    parameters=(
-        Quantity(name="K", unit="N m/A", meaning="motor constant", default=ELECTRIC["K"]),
-        Quantity.restitution(0.2),
-    ),
-    gains=(gain("V0"), gain("Kp"), gain("Kd")),
-    model=disc_system,
-    starts=({},),
-    portraits=(("angle", "rate"),),
-    amplitude_of="angle",
-)
 
 
 # -------------------------------------------------------------------- friction, gears, bridges
