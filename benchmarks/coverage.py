@@ -304,7 +304,7 @@ class Row:
     errors: list[float]
 
     def rare(self, tests: int) -> bool:
-        """Tell whether chance explains so few less often than its share of so many tests."""
+        """Return True if chance explains so few less often than its share of so many tests."""
         few = float(binom.cdf(sum(self.held), len(self.held), SHARE))
         return few < CHANCE / tests
 

@@ -111,7 +111,7 @@ def inner_curves(
 
 
 def runs_along(curve: SpecialCurve, known: SpecialCurve) -> bool:
-    """Tell whether most of a curve lies on a known one of its kind."""
+    """Return True if most of a curve lies on a known one of its kind."""
     if curve.kind is not known.kind or len(known.x) < 2:
         return False
     units = np.array([KP[1] - KP[0], KD[1] - KD[0]])

@@ -114,7 +114,7 @@ def _kind(one: Attractor) -> str:
 
 
 def near_boundary(found: ParameterMap, index: int) -> bool:
-    """Tell whether one of the eight neighbours of a point has another fate."""
+    """Return True if one of the eight neighbours of a point has another fate."""
     grid = np.array([_kind(one) for one in found.attractors]).reshape(found.shape)
     row, column = divmod(index, found.x.count)
     around = grid[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]

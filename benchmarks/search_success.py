@@ -84,7 +84,7 @@ def random_problems(seed: int) -> Iterator[dict[str, Any]]:
 
 
 def has_orbit(values: ParameterValues) -> bool:
-    """Tell whether a long simulation settles to a periodic orbit."""
+    """Return True if a long simulation settles to a periodic orbit."""
     problem = pendulum()
     starts = [problem.state_vector(start) for start in problem.starts]
     cycle = run_to_attractor(problem.dynamics(values), starts).cycle

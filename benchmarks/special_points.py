@@ -353,7 +353,7 @@ class Families:
         }
 
     def _true(self, tracer: Tracer, family: Family, kind: str, value: float) -> bool:
-        """Tell whether an orbit right at a listed point has a multiplier on the unit circle."""
+        """Return True if an orbit right at a listed point has a multiplier on the unit circle."""
         point = min(family.special, key=lambda one: abs(one.at.value - value)).at
         x = np.array(list(point.state.values()))
         if x.size != tracer.scale.size:

@@ -41,7 +41,7 @@ class Impact:
         self.count = 0
 
     def __call__(self, integrator: Any, _direction: int) -> bool:
-        """Tell whether the integration goes on."""
+        """Return True if the integration goes on."""
         x = integrator.state
         approach = x[3]
         if not approach < 0.0:

@@ -24,7 +24,7 @@ def file(tmp_path: Path, orbit: ZenoOrbit) -> Path:
 
 
 def refused(answer: Answer, message: str) -> bool:
-    """Tell whether a command was misused and says so in one line."""
+    """Return True if a command was misused and says so in one line."""
     lines = answer.err.splitlines()
     return answer.code == MISUSE and len(lines) == 1 and message in lines[0] and not answer.out
 

@@ -83,7 +83,7 @@ def test_the_forced_oscillator_loses_its_release_where_the_force_just_reaches_th
 
 
 def still_locks(stop: float) -> bool:
-    """Tell whether the oscillator's impacts accumulate before the stop would let go again."""
+    """Return True if the oscillator's impacts accumulate before the stop would let go again."""
     oscillator = StoppedOscillator(damping=1.9, stop=stop, restitution=0.5)
     deadline = oscillator.release_time + 2 * math.pi
     time, approach = oscillator.next_impact(oscillator.release_time, 0.0)

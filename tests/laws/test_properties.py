@@ -234,7 +234,7 @@ units = st.builds(
 
 
 def _cut_in_an_event(execution: Execution, within: float) -> bool:
-    """Tell whether rounding decides on which side of the end an event lies."""
+    """Return True if rounding decides on which side of the end an event lies."""
     events = [*execution.impacts, *execution.zeno_points, *execution.releases]
     until = execution.end_time
     return any(abs(until - event.time) <= within * max(1.0, until) for event in events)

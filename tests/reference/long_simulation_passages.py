@@ -68,7 +68,7 @@ class Piece:
 
 
 def rests(pieces: Sequence[Piece], close: float) -> bool:
-    """Tell whether what is left of the motion in the last quarter is none."""
+    """Return True if what is left of the motion in the last quarter is none."""
     everything = np.concatenate([s.execution.sampled(10)[1] for s in pieces])
     times, states = pieces[-1].execution.sampled(10)
     late = states[times >= 0.75 * times[-1]]
@@ -104,7 +104,7 @@ def scale_of(passages: Sequence[Passage]) -> Vector:
 
 
 def repeats(passages: Sequence[Passage], n: int, close: float, *, now: float) -> bool:
-    """Tell whether the motion is close to one that repeats after `n` passages.
+    """Return True if the motion is close to one that repeats after `n` passages.
 
     The distance left is that of the last two periods, summed as the geometric series they begin.
 

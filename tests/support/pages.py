@@ -55,12 +55,12 @@ class Block:
 
     @property
     def slow(self) -> bool:
-        """Tell whether it takes long."""
+        """Return True if it takes long."""
         return self.mark == "slow"
 
     @property
     def left_out(self) -> bool:
-        """Tell whether it is not run at all."""
+        """Return True if it is not run at all."""
         return self.mark.startswith(("not run: ", "command: "))
 
     @property
