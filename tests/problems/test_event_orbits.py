@@ -316,6 +316,24 @@ def test_a_section_that_does_not_occur_is_refused_with_the_known_events() -> Non
         zo.find_event_orbit("kneed_walker", section="zeno elbow")
 
 
+def test_an_impact_that_accumulates_is_no_section() -> None:
+    with pytest.raises(zo.InputError, match=r"accumulate: take `zeno knee`"):
+        zo.find_event_orbit("kneed_walker", section="impact knee")
+
+
+@pytest.mark.parametrize("problem", ["clapper", "hopper", "relief_valve"])
+def test_period_and_multipliers_do_not_depend_on_the_section(problem: str) -> None:
+    orbit = zo.find_event_orbit(problem)
+    limits = {name.replace("zeno", "impact") for name in orbit.sequence}
+    others = {event.name for event in orbit.events} - limits - {orbit.section}
+    for section in others:
+        other = zo.find_event_orbit(problem, section=section)
+        assert other.certificate["passed"]
+        assert other.period == pytest.approx(orbit.period, rel=1e-12)
+        sizes = [sorted(map(abs, one.floquet_multipliers)) for one in (orbit, other)]
+        assert sizes[1] == pytest.approx(sizes[0], abs=1e-9)
+
+
 def test_a_machine_with_one_stop_has_the_same_orbit_as_a_list_of_events() -> None:
     numbers = {"Kp": 2.5, "Kd": -1.0}
     events = zo.find_event_orbit("motor_pendulum", gains=numbers)

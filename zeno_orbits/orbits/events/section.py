@@ -540,7 +540,8 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
             release and an impact that occurs often enough.
 
     Raises:
-        InputError: If the event of the section does not occur.
+        InputError: If the event of the section does not occur, or is an impact of a sequence that
+            accumulates.
         SimulationError: If the motion has no events, or does not return.
     """
     names = [orbit_event_name(event) for event in execution.events]
@@ -554,6 +555,11 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         known = ", ".join(sorted(set(names))) or "none"
         raise InputError(
             f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."
+        )
+    limit = _limit_of(section or "", names)
+    if limit:
+        raise InputError(
+            f"Argument `section` must not be `{section}`, whose impacts accumulate: take `{limit}`."
         )
     scale = largest_states(execution.arcs, graph)
     for chosen in event_sections(execution, graph) if section is None else [section]:
@@ -572,6 +578,13 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         time=execution.end_time,
         state=tuple(execution.end_state.tolist()),
     )
+
+
+def _limit_of(impact: str, names: Sequence[str]) -> str:
+    """Return the name of the Zeno points at which impacts accumulate, or an empty string."""
+    kind, _, stop = impact.partition(" ")
+    limit = f"zeno {stop}"
+    return limit if kind == "impact" and limit in names else ""
 
 
 def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:
@@ -600,11 +613,6 @@ def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
         and not _is_armed_again(graph, event)
     ]
     zenos = [name for name in names if name.startswith("zeno ")]
-    accumulate = {name.removeprefix("zeno ") for name in zenos}
-    impacts = [
-        name
-        for name in names
-        if name.startswith("impact ") and name.removeprefix("impact ") not in accumulate
-    ]
+    impacts = [name for name in names if name.startswith("impact ") and not _limit_of(name, names)]
     others = [name for name in names if name.startswith("switch ")]
     return list(dict.fromkeys([*switches, *zenos, *impacts, *others]))
