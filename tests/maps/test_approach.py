@@ -1,0 +1,98 @@
+"""The test whether a motion converges to an orbit, on linear maps, for which its laws are exact."""
+
+import numpy as np
+import pytest
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.maps.approach import (
+    Approach,
+    all_come_nearer,
+    is_approached,
+    places_on_the_way,
+    steps_towards,
+)
+
+SKEW = np.array([[1.0, 3.0], [0.0, 1.0]])
+"""Eigenvectors of the maps. They are not orthogonal: a length may grow although a map contracts."""
+
+
+def linear_map(*multipliers: float) -> Vector:
+    return SKEW @ np.diag(multipliers) @ np.linalg.inv(SKEW)
+
+
+@pytest.mark.parametrize("direction", [0, 1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_step_may_differ_from_the_linear_prediction_by_half_of_it(
+    direction: int, sign: float
+) -> None:
+    a, before = linear_map(0.7, -0.4), np.array([0.3, -0.1])
+    step = np.max(np.abs(before - a @ before))
+    assert is_approached(before, a @ before, a, 0.0)
+    for share, agrees in ((0.49, True), (0.51, False)):
+        after = a @ before
+        after[direction] += sign * share * step
+        assert is_approached(before, after, a, 0.0) is agrees
+
+
+def test_a_step_below_the_error_of_a_return_agrees() -> None:
+    a, orbit = linear_map(0.7, -0.4), np.zeros(2)
+    assert is_approached(orbit, np.array([1e-9, -1e-9]), a, 1.01e-9)
+    assert not is_approached(orbit, np.array([1e-9, -1e-9]), a, 0.99e-9)
+
+
+def test_a_slow_motion_passes_equal_parts_of_the_way_to_its_orbit() -> None:
+    origin = np.array([0.3, -0.6])
+    places = places_on_the_way(origin, linear_map(0.9, -0.4))
+    assert places[-1] == pytest.approx(origin)
+    steps = np.diff(places, axis=0, prepend=np.zeros((1, 2)))
+    assert steps == pytest.approx(np.tile(origin / len(places), (len(places), 1)))
+
+
+def test_an_alternating_motion_also_passes_the_mirrored_places() -> None:
+    origin = np.array([0.3, -0.6])
+    one_side = places_on_the_way(origin, linear_map(0.9, -0.4))
+    both = places_on_the_way(origin, linear_map(-0.9, 0.4))
+    assert both == pytest.approx(np.concatenate([one_side, -one_side]))
+
+
+def test_a_spiral_has_no_straight_way() -> None:
+    turn = 0.9 * np.array([[0.6, -0.8], [0.8, 0.6]])
+    assert len(places_on_the_way(np.array([0.3, -0.6]), turn)) == 0
+
+
+@pytest.mark.parametrize("multipliers", [(0.9, 0.2), (-0.9, 0.2), (0.5, 0.5), (0.97, -0.97)])
+def test_every_point_comes_nearer_under_a_contraction(multipliers: tuple[float, float]) -> None:
+    a = linear_map(*multipliers)
+    places = np.random.default_rng(1).normal(size=(40, 2))
+    images = places @ a.T
+    assert all_come_nearer(places, images, a)
+    for k in (0, 17, 39):
+        moved = images.copy()
+        moved[k] = places[k]
+        assert not all_come_nearer(places, moved, a)
+
+
+def test_a_quarter_of_the_rate_of_the_multipliers_is_required() -> None:
+    a, places = linear_map(0.8, 0.1), np.array([[0.3, 0.1], [-0.2, 0.4]])
+    assert all_come_nearer(places, 0.949 * places, a)
+    assert not all_come_nearer(places, 0.951 * places, a)
+    assert not all_come_nearer(places, -0.951 * places, a)
+
+
+def test_the_last_steps_towards_an_orbit_are_counted() -> None:
+    orbit, scale = np.array([1.0, 2.0]), np.array([1.0, 10.0])
+    distances = [0.5, 0.9, 0.3, 0.1, 0.03]
+    passed = [orbit + d * np.array([0.5, -1.0]) * scale for d in distances]
+    assert steps_towards(passed[::-1], orbit, scale, 0.0) == 3
+    assert steps_towards(passed[::-1], orbit, scale, 1.0) == 4
+    assert steps_towards([orbit, orbit + 0.1 * scale, orbit], orbit, scale, 0.0) == 1
+
+
+def test_an_approach_is_shared_if_its_returns_come_at_the_same_times() -> None:
+    times = (1.0, 2.5, 4.0, 6.0)
+    approach = Approach(times=times, captured=2)
+    # The mean time of a return is 1.5.
+    for late, shared in ((0.014, True), (0.016, False), (-0.014, True), (-0.016, False)):
+        other = Approach(times=(1.0, 2.5, 4.0 + late, 9.0), captured=0)
+        assert approach.is_shared_by(other) is shared
+    assert not approach.is_shared_by(Approach(times=(1.0, 2.5), captured=0))
