@@ -82,7 +82,8 @@ def test_a_quarter_of_the_rate_of_the_multipliers_is_required() -> None:
 def test_the_last_steps_towards_an_orbit_are_counted() -> None:
     orbit, scale = np.array([1.0, 2.0]), np.array([1.0, 10.0])
     distances = [0.5, 0.9, 0.3, 0.1, 0.03]
-    passed = [orbit + d * np.array([0.5, -1.0]) * scale for d in distances]
+    ways = np.array([[0.5, -1.0], [1.0, 0.0], [-1.0, 0.9], [0.0, 1.0], [1.0, 1.0]])
+    passed = [orbit + d * way * scale for d, way in zip(distances, ways, strict=True)]
     assert steps_towards(passed[::-1], orbit, scale, 0.0) == 3
     assert steps_towards(passed[::-1], orbit, scale, 1.0) == 4
     assert steps_towards([orbit, orbit + 0.1 * scale, orbit], orbit, scale, 0.0) == 1
