@@ -1,4 +1,4 @@
-"""The test whether a motion converges to an orbit, on linear maps, for which its laws are exact."""
+"""Tests whether a motion converges to an orbit, on linear maps, for which their laws are exact."""
 
 import numpy as np
 import pytest
@@ -11,6 +11,8 @@ from zeno_orbits.maps.approach import (
     places_on_the_way,
     steps_towards,
 )
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
+from zeno_orbits.maps.known import KnownOrbit, Recognition, distinct_orbits
 
 SKEW = np.array([[1.0, 3.0], [0.0, 1.0]])
 """Eigenvectors of the maps. They are not orthogonal: a length may grow although a map contracts."""
@@ -97,3 +99,82 @@ def test_an_approach_is_shared_if_its_returns_come_at_the_same_times() -> None:
         other = Approach(times=(1.0, 2.5, 4.0 + late, 9.0), captured=0)
         assert approach.is_shared_by(other) is shared
     assert not approach.is_shared_by(Approach(times=(1.0, 2.5), captured=0))
+
+
+UNIT = np.array([0.01, 1.0])
+"""Sizes of the states of the orbits below."""
+
+
+def known(*states: tuple[float, float], rate: float = 0.5, period: float = 2.0) -> KnownOrbit:
+    return KnownOrbit(
+        attractor=Attractor(fate=AttractorClass.ZENO, returns=len(states), period=period),
+        at_releases=True,
+        states=states,
+        scale=tuple(UNIT),
+        rate=rate,
+    )
+
+
+DOUBLE = known((0.01, 1.0), (0.01, -2.0))
+
+
+def seen(orbit: KnownOrbit, order: list[int], distances: list[float], reached: float = 0.0) -> bool:
+    """Return True if the last of some crossings shows that a motion converges to an orbit."""
+    recognition = Recognition(orbit=orbit, reached=reached)
+    found = False
+    for place, distance in zip(order, distances, strict=True):
+        found = recognition.sees(np.array(orbit.states[place]) + distance * UNIT)
+    return found
+
+
+def test_a_motion_that_comes_nearer_over_a_period_converges() -> None:
+    # With the multiplier 0.5 a quarter of its rate is a factor of 0.875 over a period.
+    for share, converges in ((0.874, True), (0.876, False)):
+        assert seen(DOUBLE, [0, 1, 0], [0.004, 0.001, 0.004 * share]) is converges
+    assert not seen(DOUBLE, [0, 1], [0.004, 0.001])
+
+
+def test_a_motion_in_another_order_does_not_converge() -> None:
+    assert not seen(DOUBLE, [0, 0, 0, 0], [0.004, 0.002, 0.001, 0.0005])
+    assert seen(DOUBLE, [0, 0, 1, 0], [0.004, 0.002, 0.001, 0.0005])
+
+
+def test_a_motion_has_to_come_near_for_a_whole_period() -> None:
+    # Near is one percent of 1 - 0.5.
+    assert not seen(DOUBLE, [0, 1, 0], [0.0051, 0.001, 0.001])
+    assert not seen(DOUBLE, [0, 1, 0], [0.0049, 0.0051, 0.001])
+    assert seen(DOUBLE, [0, 1, 0], [0.0049, 0.0049, 0.001])
+
+
+def test_a_distance_within_the_error_of_the_motion_is_enough() -> None:
+    assert seen(DOUBLE, [0, 1, 0], [1e-9, 1e-9, 2e-9], reached=3e-9)
+    assert not seen(DOUBLE, [0, 1, 0], [1e-9, 1e-9, 4e-9], reached=3e-9)
+
+
+def test_a_motion_that_stays_near_is_not_waited_for_without_end() -> None:
+    recognition = Recognition(orbit=DOUBLE, reached=0.0)
+    assert not recognition.may_see
+    waits = [recognition.may_see]
+    for k in range(12):
+        assert not recognition.sees(np.array(DOUBLE.states[k % 2]) + 0.004 * UNIT)
+        waits.append(recognition.may_see)
+    # Over its first periods the motion may still show it.
+    assert all(waits[1:5])
+    assert not any(waits[-3:])
+
+
+def test_equal_orbits_are_one_and_orbits_of_one_kind_are_numbered() -> None:
+    again = known((0.01, -2.0), (0.01, 1.0))
+    assert distinct_orbits([DOUBLE, again]) == (DOUBLE,)
+    assert DOUBLE.attractor.number == 0
+    others = [known((0.01, 1.0), (0.01, -2.1)), known((0.01, 1.0), (0.01, -2.0), period=2.1)]
+    single = known((0.01, 1.0))
+    numbers = [one.attractor.number for one in distinct_orbits([DOUBLE, single, *others])]
+    assert numbers == [1, 0, 2, 3]
+
+
+def test_an_orbit_passes_each_of_its_states_and_no_other() -> None:
+    for state in DOUBLE.states:
+        assert DOUBLE.passes(np.array(state) + 0.9e-4 * UNIT)
+        assert not DOUBLE.passes(np.array(state) + 1.1e-4 * UNIT)
+    assert not DOUBLE.passes(np.array([0.01, 0.0]))
