@@ -146,6 +146,31 @@ def test_a_motion_that_leaves_its_stop_late_repeats_after_the_time_that_its_expo
     assert found.period == pytest.approx(TURN / machine.omega, rel=1e-9)
 
 
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("damping", [0.1, 0.2, 0.3, 0.4, 0.5])
+def test_a_damped_motion_that_never_strikes_comes_to_rest(damping: float, named: bool) -> None:
+    free = oscillator(damping=damping, named=named)
+    (found,) = attractors_at(free, [free.values()], until=60.0 / damping)
+    assert found.fate is AttractorClass.REST
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_motion_that_overflows_has_escaped(named: bool) -> None:
+    # It grows as exp(0.95 t), beyond the largest number after 750 s.
+    falling = oscillator(stiffness=-1.0, named=named)
+    (found,) = attractors_at(falling, [falling.values()], until=2000.0)
+    assert (found.fate, found.escaped) == (AttractorClass.ESCAPE, "x")
+
+
+def test_arcs_that_all_end_on_their_stop_show_no_escape() -> None:
+    # The limit never acts: this is the motor pendulum, whose second link stays on its side.
+    limited = load_problem("limited_pendulum")
+    values = limited.values(parameters={"U": 100.0, "restitution": 0.45})
+    for until in (3.0, 5.0, 8.0):
+        (found,) = attractors_at(limited, [values], until=until)
+        assert found.fate is not AttractorClass.ESCAPE
+
+
 def two_frequencies() -> zo.Problem:
     """Return a ball on a table that a clock and an oscillator of another frequency shake."""
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import casadi as ca
 import numpy as np
 
+import zeno_orbits as zo
 from tests.reference.closed_forms import StoppedOscillator
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import (
@@ -210,20 +211,29 @@ def pushed_away(rate: float) -> HybridDynamics:
     return numeric(mechanism, restitution=0.5)
 
 
-def oscillator(damping: float = 0.1, stiffness: float = 1.0) -> Problem:
-    """``x'' + c x' + k x = 0`` above a stop at ``x = -10``, far below where it starts, 1."""
+def oscillator(damping: float = 0.1, stiffness: float = 1.0, *, named: bool = False) -> Problem:
+    """``x'' + c x' + k x = 0`` above a stop at ``x = -10``, far below where it starts, 1.
+
+    Args:
+        damping: `c`.
+        stiffness: `k`.
+        named: Whether the stop is declared by its name, as one of several.
+    """
 
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        stop = zo.Stop(name="floor", gap=q + 10, restitution=p["restitution"])
         mechanism = HybridLagrangian.from_energies(
             q=q,
             v=v,
             kinetic=v**2 / 2,
             potential=p["k"] * q**2 / 2,
-            gap=q + 10,
+            gap=None if named else q + 10,
+            stops=(stop,) if named else (),
             passive_force=-p["c"] * v,
         )
-        return hybrid_system(mechanism, no_drive(mechanism), p["restitution"])
+        restitution = () if named else (p["restitution"],)
+        return hybrid_system(mechanism, no_drive(mechanism), *restitution)
 
     quantities = (
         Quantity(name="c", unit="1/s", meaning="damping", default=damping),

@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
@@ -42,6 +43,7 @@ from zeno_orbits.simulation import (
     ZenoPoint,
     clock_turn,
     has_left,
+    has_overflowed,
     is_still,
     outcome_of,
     scale_of,
@@ -114,6 +116,9 @@ class EventPoint:
             escaped = error.coordinate or error.reason.split()[0]
             return Attractor(fate=AttractorClass.ESCAPE, escaped=escaped)
         except SimulationError as error:
+            beyond = has_overflowed(error.state, self._graph.n_q, self._graph.own)
+            if beyond.any():
+                return self._escaped(beyond)
             return Attractor(fate=AttractorClass.FAILED, detail=error.reason)
         except InputError as error:
             detail = f"The start is not admissible: {str(error).partition('must ')[2]}"
@@ -126,8 +131,7 @@ class EventPoint:
             return recognized
         beyond = np.abs(motion.end_state) > self._bounds
         if beyond.any():
-            escaped = self._graph.state_names[int(np.argmax(beyond))]
-            return Attractor(fate=AttractorClass.ESCAPE, escaped=escaped)
+            return self._escaped(beyond)
         if self._is_still(motion):
             return Attractor(fate=AttractorClass.REST)
         late = tuple(event for event in motion.events if event.time > motion.end_time / 2)
@@ -321,15 +325,21 @@ class EventPoint:
         """Classify a motion that was simulated to its time limit."""
         arc, half = motion.arcs[-1], motion.end_time / 2
         n_q = self._graph.n_q
-        reached = [one.end_state[:n_q] for one in motion.arcs if one.end_time <= half]
+        # The ends of arcs alone may all lie on the stops, where a gap is rounding.
+        reached = [one.flow_states[:, :n_q] for one in motion.arcs if one.end_time <= half]
         if reached:
-            left = has_left(motion.end_state[:n_q], np.max(np.abs(reached), axis=0))
+            before = np.max(np.abs(np.concatenate(reached)), axis=0)
+            left = has_left(motion.end_state[:n_q], before)
             if left.any():
-                escaped = self._graph.state_names[int(np.argmax(left))]
-                return Attractor(fate=AttractorClass.ESCAPE, escaped=escaped)
+                return self._escaped(left)
         if arc.closed and arc.start_time < half:
             return Attractor(fate=AttractorClass.HELD)
         return Attractor(fate=AttractorClass.UNSETTLED)
+
+    def _escaped(self, beyond: NDArray[np.bool_]) -> Attractor:
+        """Return the escape of the first of some coordinates."""
+        escaped = self._graph.state_names[int(np.argmax(beyond))]
+        return Attractor(fate=AttractorClass.ESCAPE, escaped=escaped)
 
     def _named(self, state: Vector) -> dict[str, float]:
         return dict(zip(self._graph.state_names, state.tolist(), strict=True))

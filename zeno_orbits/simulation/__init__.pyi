@@ -12,6 +12,7 @@ from .attractor import bounds_of as bounds_of
 from .attractor import changes as changes
 from .attractor import growth_of as growth_of
 from .attractor import has_left as has_left
+from .attractor import has_overflowed as has_overflowed
 from .attractor import is_still as is_still
 from .attractor import outcome_of as outcome_of
 from .attractor import repetitions as repetitions

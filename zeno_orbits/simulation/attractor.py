@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model import CharacteristicScales
 
 Flags = NDArray[np.bool_]
 
@@ -56,6 +57,8 @@ _STILL = 1e-6
 """Rates below this part of the largest rates belong to a motion at rest."""
 _LEFT = 1e3
 """A coordinate that is this many times as far as it ever was before does not come back."""
+_OVERFLOW = 1e100
+"""Part of its size beyond which powers of a coordinate overflow."""
 LOOK_BACK = 8
 """Number of returns that determine the size of each state."""
 _FADED = 1e-3
@@ -375,3 +378,14 @@ def has_left(position: Vector, before: Vector) -> Flags:
         before: Largest modulus of each coordinate in the first half of that time, ``(n_q,)``.
     """
     return (before > 0.0) & (np.abs(position) > _LEFT * before)
+
+
+def has_overflowed(state: Sequence[float], n_q: int, own: CharacteristicScales) -> Flags:
+    """Return the mask of coordinates of a failed simulation that have diverged beyond doubt.
+
+    Args:
+        state: State at the failure, at least ``(n_x,)``.
+        n_q: Number of coordinates.
+        own: Characteristic scales of the problem.
+    """
+    return np.abs(state[:n_q]) > _OVERFLOW * own.states(len(state))[:n_q]

@@ -14,7 +14,12 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation.attractor import has_left, is_still, keeps_holding
+from zeno_orbits.simulation.attractor import (
+    has_left,
+    has_overflowed,
+    is_still,
+    keeps_holding,
+)
 from zeno_orbits.simulation.compiled.executions import releases_by_loop, serves
 from zeno_orbits.simulation.execution import Event, Impact
 from zeno_orbits.simulation.pieces import Piece
@@ -30,7 +35,9 @@ _ABSOLUTE = 0.1
 """Absolute over relative local error."""
 _MOST_IMPACTS, _MOST_STEPS = 20_000, 200_000
 _RATED = 32
-"""Number of events between two evaluations of the rates."""
+"""Number of states at which rates are evaluated between two tests for rest."""
+_SOME = 8
+"""Number of these states in a piece without events."""
 _PASSED = 64
 """Number of pieces whose states are kept before their largest moduli are taken."""
 
@@ -122,7 +129,11 @@ def watched(
             name = _first_beyond(dynamics, last, np.array(caught.state), far) or name
         yield _end(caught, Reason.ESCAPE, name)
     except SimulationError as caught:
-        yield _end(caught, Reason.FAILURE, caught.reason)
+        beyond = has_overflowed(caught.state, dynamics.n_q, dynamics.own)
+        if beyond.any():
+            yield _end(caught, Reason.ESCAPE, dynamics.state_names[int(np.argmax(beyond))])
+        else:
+            yield _end(caught, Reason.FAILURE, caught.reason)
     except InputError as caught:
         detail = f"The start is not admissible: {str(caught).partition('must ')[2]}"
         if dynamics.gap(state) < 0.0:
@@ -234,6 +245,8 @@ class _Watch:
             self._changed = piece.events[-1].time
         if len(self._unrated) < _RATED:
             struck = [(one.state_minus, False) for one in piece.events if isinstance(one, Impact)]
+            if not piece.events:
+                struck = [(x, piece.locked) for x in piece.states[:: len(piece.states) // _SOME + 1]]
             self._unrated += struck[: _RATED - len(self._unrated)]
         if self._is_bounded and len(piece.states):
             beyond = np.max(np.abs(piece.states[:, n_q:]), axis=0) > self._bounds
