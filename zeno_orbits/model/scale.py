@@ -62,8 +62,9 @@ class CharacteristicScales:
             n_q: Number of coordinates.
             n_x: Number of states.
         """
-        sizes = self.states(n_x)
-        return np.concatenate([sizes[n_q : 2 * n_q], sizes[n_q:] / self.time])
+        sizes, pace = self.states(n_x), self.gap_rate / self.gap
+        velocities, further = sizes[n_q : 2 * n_q], sizes[2 * n_q :]
+        return np.concatenate([velocities, velocities * pace, further / self.time])
 
     def not_small(self, sizes: Vector, part: float) -> Vector:
         """Return sizes of states, those that are next to nothing replaced by the largest.

@@ -2,10 +2,12 @@ r"""Characteristic scales of a problem, relative to which small values are small
 
 Every threshold for zero and every local error is relative to one of these scales. With
 :math:`|q|, |v|, |a|` at the problem's initial states and the time :math:`T` of its clock, or
-:math:`\sqrt{|q| / |a|}`, the scale of a coordinate is :math:`\max(|q|, |v| T, |a| T^2)`, and the
-largest scale among coordinates with the same unit. The scale of an angle is 1. The scale of the gap
-is its change over such a displacement. Scales far from 1 are rounded to powers of a thousand, and
-all other scales to 1, so a mechanism of everyday size has the scale 1 in SI units.
+:math:`\sqrt{|q| / |a|}`, a coordinate has the scale :math:`s = \max(|q|, |v| T, |a| T^2)`, and the
+largest scale among coordinates with the same unit. The scale of an angle is 1. The scale of a
+velocity is :math:`s / T`, but at most :math:`\max(|v|, |a| T, \sqrt{|a| s})`, since a clock may be
+far faster than the mechanism. The scale of the gap is its change over such a displacement. Scales
+far from 1 are rounded to powers of a thousand, and all other scales to 1, so a mechanism of usual
+size has the scale 1 in SI units.
 """
 
 from __future__ import annotations
@@ -77,11 +79,13 @@ class ScaleReach:
         states: Sizes of coordinates, then of their velocities, ``(2 n_q,)``.
         gap: Scale of the gap.
         time: Time scale [s].
+        pace: Largest velocity relative to its coordinate [1/s], at most the inverse of the time.
     """
 
     states: Vector
     gap: float
     time: float
+    pace: float
 
     def sizes(self, n_x: int) -> Vector:
         """Return the scale of each state, ``(n_x,)``, by default 1."""
@@ -115,13 +119,13 @@ def own_scale(
         reach = reach_of(dynamics, starts, units, clock, branch)
         states = _in_phases(np.array(starts, dtype=np.float64), clock, branch is not None)
         inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
-        gap, time = np.float64(reach.gap), np.float64(reach.time)
+        gap, time, pace = (np.float64(one) for one in (reach.gap, reach.time, reach.pace))
         return CharacteristicScales(
             time=_rounded(float(time)),
             gap=_rounded(float(gap)),
-            gap_rate=_rounded(float(gap / time)),
-            gap_acceleration=_rounded(float(gap / time / time), _WIDE),
-            multiplier=_rounded(float(gap / time / time * inertia), _WIDE),
+            gap_rate=_rounded(float(gap * pace)),
+            gap_acceleration=_rounded(float(gap * pace * pace), _WIDE),
+            multiplier=_rounded(float(gap * pace * pace * inertia), _WIDE),
             sizes=(
                 *map(_rounded, reach.states.tolist()),
                 *_further_sizes(dynamics, states, further, float(time), branch),
@@ -194,7 +198,17 @@ def reach_of(
     largest = np.maximum(np.maximum(places, velocities * time), accelerations * time * time)
     largest = _alike(largest, units)
     gap = np.float64(max(_gap_reach(dynamics, x, largest) for x in states))
-    return ScaleReach(states=np.append(largest, largest / time), gap=float(gap), time=float(time))
+    reached = np.maximum(
+        velocities, np.maximum(accelerations * time, (accelerations * largest) ** 0.5)
+    )
+    speeds = np.where(reached > 0.0, np.minimum(largest / time, reached), largest / time)
+    moves = largest > 0.0
+    return ScaleReach(
+        states=np.append(largest, speeds),
+        gap=float(gap),
+        time=float(time),
+        pace=float(np.max(speeds[moves] / largest[moves], initial=0.0) or 1 / time),
+    )
 
 
 def _alike(sizes: Vector, units: Sequence[str], fixed: float = 1.0) -> Vector:
