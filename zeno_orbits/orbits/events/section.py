@@ -19,7 +19,12 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits.events.event_orbit import orbit_event_name, sequence_of
 from zeno_orbits.orbits.looser_run import extrapolated
-from zeno_orbits.orbits.section import RELEASE_ROWS, project_to_section
+from zeno_orbits.orbits.section import (
+    IMPACT_ROWS,
+    RELEASE_ROWS,
+    project_to_section,
+    section_around,
+)
 from zeno_orbits.simulation import (
     Arc,
     ArcPassage,
@@ -124,13 +129,19 @@ class EventReturn:
 
     @property
     def by_state(self) -> Vector:
-        """Derivative of the end with respect to the start, ``(n_x, n_x)``."""
-        return self._derivatives[0].state[:, : len(self.start)]
+        """Derivative of the end with respect to the start, ``(n_x, n_x)``.
+
+        A start beside the stop that it leaves is moved onto it first.
+        """
+        return self._by_start[:, : len(self.start)]
 
     @property
     def by_parameters(self) -> Vector:
-        """Derivative of the end with respect to the parameters, ``(n_x, k)``."""
-        return self._derivatives[0].state[:, len(self.start) :]
+        """Derivative of the end with respect to the parameters, ``(n_x, k)``.
+
+        The start stays on the stop that it leaves, which parameters may move.
+        """
+        return self._by_start[:, len(self.start) :]
 
     @property
     def shifts(self) -> tuple[SaltationDerivative, ...]:
@@ -156,6 +167,26 @@ class EventReturn:
             time=self.period,
             state=tuple(self.start.tolist()),
         )
+
+    @cached_property
+    def _by_start(self) -> Vector:
+        """Derivative of the end with respect to the start and the parameters, ``(n_x, n_x + k)``.
+
+        A flight returns to the gap from which it starts, so a start off its stop would stay off it.
+        """
+        first, graph = self.execution.arcs[0], self.differentiation.graph
+        end, n_x = self._derivatives[0].state, len(self.start)
+        if not first.stop:
+            return end
+        scale = largest_states(self.execution.arcs, graph)
+        view = graph.view(
+            graph.mode_of(first.closed, first.sides), graph.stop_names.index(first.stop)
+        )
+        chosen = self.differentiation.chosen
+        chart = section_around(view, IMPACT_ROWS, self.start, scale, parameters=chosen)
+        onto = scale[:, None] * chart.tangent @ chart.tangent.T / scale
+        moved = end[:, n_x:] + end[:, :n_x] @ chart.drift
+        return np.concatenate([end[:, :n_x] @ onto, moved], axis=1)
 
     @cached_property
     def _derivatives(self) -> tuple[SaltationDerivative, tuple[SaltationDerivative, ...]]:
@@ -397,6 +428,9 @@ def closed_return(
         )
         if mode is None:
             mode = SectionMode.of(found.execution.arcs[0], section)
+            x = on_section(graph, found.start, mode)
+            if np.any(x != found.start):
+                continue
         scale, guess, before = largest_states(found.execution.arcs, graph), found.period, size
         off = found.end - found.start
         change = None if inverse is None else inverse @ off
@@ -537,7 +571,7 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         execution: An execution that settles.
         graph: The graph of modes.
         section: Name of the event of the section. The default is the first of a declared switch, a
-            release and an impact that occurs often enough.
+            release and an impact that occurs often enough in the second half of the execution.
 
     Raises:
         InputError: If the event of the section does not occur, or is an impact of a sequence that
@@ -556,13 +590,16 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         raise InputError(
             f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."
         )
-    limit = _limit_of(section or "", names)
+    # The transient may have Zeno points that the orbit lacks.
+    late = tuple(one for one in execution.events if one.time > execution.end_time / 2)
+    limit = _limit_of(section or "", [orbit_event_name(event) for event in late])
     if limit:
         raise InputError(
             f"Argument `section` must not be `{section}`, whose impacts accumulate: take `{limit}`."
         )
     scale = largest_states(execution.arcs, graph)
-    for chosen in event_sections(execution, graph) if section is None else [section]:
+    settled = replace(execution, events=late)
+    for chosen in event_sections(settled, graph) if section is None else [section]:
         marks = [
             (event.time, state_after(event))
             for event, name in zip(execution.events, names, strict=True)
