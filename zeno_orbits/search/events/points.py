@@ -28,6 +28,7 @@ from zeno_orbits.orbits import (
     EventQuantities,
     EventReturn,
     Reading,
+    SectionMode,
     StepError,
     closed_return,
     course_signal_names,
@@ -356,6 +357,8 @@ class OrbitsOverValues:
             guess=near.period,
             settings=self.simulation,
             parameters=chosen,
+            # A stop that moves may otherwise pass the last start.
+            mode=SectionMode.of(near.execution.arcs[0], section),
         )
 
     def differenced(
