@@ -8,7 +8,7 @@ left onto zero gap. Newton's method solves :math:`P(x) - x = 0` with the derivat
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -591,14 +591,16 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
             f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."
         )
     # The transient may have Zeno points that the orbit lacks.
-    late = tuple(one for one in execution.events if one.time > execution.end_time / 2)
-    limit = _limit_of(section or "", [orbit_event_name(event) for event in late])
+    half = execution.end_time / 2
+    late = {orbit_event_name(event) for event in execution.events if event.time > half}
+    limit = _limit_of(section or "", late)
     if limit:
         raise InputError(
             f"Argument `section` must not be `{section}`, whose impacts accumulate: take `{limit}`."
         )
     scale = largest_states(execution.arcs, graph)
-    settled = replace(execution, events=late)
+    lasting = tuple(event for event in execution.events if orbit_event_name(event) in late)
+    settled = replace(execution, events=lasting)
     for chosen in event_sections(settled, graph) if section is None else [section]:
         marks = [
             (event.time, state_after(event))
@@ -617,7 +619,7 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     )
 
 
-def _limit_of(impact: str, names: Sequence[str]) -> str:
+def _limit_of(impact: str, names: Collection[str]) -> str:
     """Return the name of the Zeno points at which impacts accumulate, or an empty string."""
     kind, _, stop = impact.partition(" ")
     limit = f"zeno {stop}"
