@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -45,7 +46,7 @@ def _problem(model: Model, states: Mapping[str, str], **defaults: float) -> zo.P
         gains=(),
         model=model,
         starts=({"cosine": 1.0},),
-        portraits=(tuple(states)[:2],),
+        portraits=((tuple(states)[0], tuple(states)[1]),),
         amplitude_of=next(iter(states)),
     )
 
@@ -85,7 +86,7 @@ def _orbit_of(machine: ImpactOscillator, near: tuple[float, float]) -> tuple[flo
 
 
 def _multipliers(machine: ImpactOscillator, time: float, velocity: float) -> list[complex]:
-    values = np.linalg.eigvals(machine.monodromy(time, velocity))
+    values: Any = np.linalg.eigvals(machine.monodromy(time, velocity))
     return sorted(map(complex, values), key=lambda mu: (-abs(mu), -mu.imag))
 
 
@@ -118,9 +119,13 @@ def test_the_multipliers_are_those_of_the_saltation_matrix(case: tuple[float, ..
 
 def test_maps_have_the_multipliers_of_the_saltation_matrix() -> None:
     machine, parameters, _ = _case(CASES[0])
-    axes = {"x": ("restitution", 0.25, 0.3014, 2), "y": ("d", 0.34, 0.3527, 2)}
     fixed = {name: value for name, value in parameters.items() if name not in ("restitution", "d")}
-    found = zo.parameter_map(OSCILLATOR, **axes, parameters=fixed)
+    found = zo.parameter_map(
+        OSCILLATOR,
+        x=("restitution", 0.25, 0.3014, 2),
+        y=("d", 0.34, 0.3527, 2),
+        parameters=fixed,
+    )
     for k, one in enumerate(found.attractors):
         e, d = found.x.values()[k % 2], found.y.values()[k // 2]
         there = replace(machine, restitution=e, stop=d)
@@ -215,7 +220,8 @@ def _duffing(p: Mapping[str, ca.SX], *, by_stops: bool) -> zo.CompletedSystem:
         passive_force=-p["c"] * v,
         applied_force=-p["F"] * clock.cosine,
         clock=clock,
-        **({"stops": (wall,)} if by_stops else {"gap": h}),
+        gap=None if by_stops else h,
+        stops=(wall,) if by_stops else (),
     )
     return zo.hybrid_system(
         mechanism, zo.no_drive(mechanism), None if by_stops else p["restitution"]
@@ -242,11 +248,11 @@ def _bead(p: Mapping[str, ca.SX], *, on_circle: bool) -> zo.CompletedSystem:
         x, y = q[0], q[1]
         force = p["A"] * clock.cosine * ca.vertcat(-y, x) - p["c"] * v
         potential, gap = y, x + p["s"]
-        held = {"holonomic": (x**2 + y**2 - 1) / 2}
+        held = (x**2 + y**2 - 1) / 2
     else:
         # The angle is zero below, and grows with x.
         force = p["A"] * clock.cosine - p["c"] * v
-        potential, gap, held = -ca.cos(q), ca.sin(q) + p["s"], {}
+        potential, gap, held = -ca.cos(q), ca.sin(q) + p["s"], None
     mechanism = zo.HybridLagrangian.from_energies(
         q=q,
         v=v,
@@ -255,7 +261,7 @@ def _bead(p: Mapping[str, ca.SX], *, on_circle: bool) -> zo.CompletedSystem:
         applied_force=force,
         clock=clock,
         stops=(zo.Stop(name="wall", gap=gap, restitution=p["restitution"]),),
-        **held,
+        holonomic=held,
     )
     return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
 
