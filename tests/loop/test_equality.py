@@ -38,6 +38,7 @@ from zeno_orbits.simulation import (
     Truncation,
     ZenoExtrapolation,
     ZenoPassage,
+    by_reference,
     simulate,
 )
 
@@ -359,3 +360,16 @@ def test_an_execution_can_be_changed_like_any_other() -> None:
     assert len(fewer.events) == 1
     assert len(numbers_of(fewer)) < len(numbers_of(run))
     assert difference(replace(run, events=run.events), run) == 0.0
+
+
+@pytest.mark.parametrize("rounding", range(-8, 9))
+def test_an_impact_within_rounding_of_the_end_is_no_start_of_an_arc(rounding: int) -> None:
+    # A ball from 1 m: the impact is at sqrt(2 / g), to a few spacings of the numbers there.
+    task = task_of(zo.load_problem("bouncing_ball"), until=1.0)
+    until = math.sqrt(2.0 / 9.81) + rounding * math.ulp(0.45)
+    found = looped(replace(task, until=until)).execution
+    expected = by_reference(replace(task, until=until))
+    assert found is not None
+    assert len(found.events) == len(expected.events)
+    assert found.end_time == expected.end_time == until
+    assert all(arc.end_time > arc.start_time for arc in found.arcs)

@@ -16,7 +16,7 @@ from tests.loop.refused import REFUSED
 from tests.loop.shaken import shaken
 from tests.support.cases import fast
 from zeno_orbits.errors import RunawayError, SimulationError, SimultaneousEventsError
-from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.integrators import Engine, Radau, RungeKutta
 from zeno_orbits.loop import LoopRun, binding
 from zeno_orbits.simulation import (
     Arc,
@@ -25,6 +25,7 @@ from zeno_orbits.simulation import (
     Impact,
     SimulationSettings,
     SimulationTask,
+    SwitchEvent,
     settings_of_stops,
     simulator,
 )
@@ -68,7 +69,6 @@ def both(
     for run in (simulator.by_graph_loop, simulator.by_graph):
         try:
             execution = run(task, graph)
-            assert execution is not None
             found.append((execution, None))
         except SimulationError as error:
             found.append((error.execution, error))
@@ -123,6 +123,33 @@ def require_agreement(
             assert one.flow_times.tolist() == other.flow_times.tolist()
             assert one.flow_states.tolist() == other.flow_states.tolist()
     return found
+
+
+@pytest.mark.parametrize("use", ["use", "never"])
+@pytest.mark.parametrize("engine", [RungeKutta(), Radau()], ids=["explicit", "implicit"])
+@pytest.mark.parametrize("half_periods", [2, 4, 5])
+@pytest.mark.parametrize("name", ["relay", "relay_soft"])
+def test_a_switch_at_the_end_of_the_time_does_not_count(
+    monkeypatch: pytest.MonkeyPatch, name: str, half_periods: int, engine: Engine, use: str
+) -> None:
+    # The voltage switches at every half period of 0.02 s, of `relay_soft` also at `t1` and `t2` of
+    # every period. The times of the switches are inexact, and fall on both sides of the end.
+    monkeypatch.setenv("ZENO_ORBITS_LOOP", use)
+    problem, settings = zo.load_problem(name), SimulationSettings(engine=engine)
+    further = 2 * ((half_periods + 1) // 2) if name == "relay_soft" else 0
+    until = 0.02 * half_periods
+    for end in (until, np.nextafter(until, 0.0), np.nextafter(until, 1.0)):
+        for run, error in both(problem, float(end), {}, settings):
+            assert error is None
+            if run is None:  # without the library
+                continue
+            assert sum(isinstance(one, SwitchEvent) for one in run.events) == (
+                half_periods - 1 + further
+            )
+            assert len(run.impacts) == (7 + (name == "relay_soft")) * half_periods + (
+                half_periods // 2 if name == "relay" else 0
+            )
+            assert run.end_time == end
 
 
 @pytest.mark.parametrize(

@@ -86,6 +86,7 @@ RULES: dict[str, float] = {
     "INSIDE": event_rules._INSIDE,
     "MAY_BEND": event_rules._MAY_BEND,
     "ROUNDING": event_rules.ROUNDING,
+    "LATE": event_rules.LATE,
     "N_NODES": zeno_limit.N_NODES,
     "NODE_RATIO": zeno_limit.NODE_RATIO,
     "FIRST_TRY": completion._FIRST_TRY,

@@ -51,6 +51,7 @@ class Segment:
         on_guard: Whether the start is a root of the guard that does not count.
         rounding: Rounding level of the guard. A guard that has not risen above this value cannot
             cross zero, and a guard below minus this value has crossed zero.
+        late: Time before the horizon in which a zero of the guard does not count.
         watch: Callback for progress. It may end a leg that takes too long or leaves its bounds.
         reach: Bounds of the moduli of the first state entries, ``(n,)``. Beyond a bound the watch
             function is called immediately. Otherwise many steps may pass between two calls.
@@ -62,6 +63,7 @@ class Segment:
     tolerance: Tolerance
     on_guard: bool
     rounding: float = 0.0
+    late: float = 0.0
     watch: Watch = unwatched
     reach: Vector | None = None
 

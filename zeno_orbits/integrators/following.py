@@ -26,7 +26,8 @@ def follow_steps(steps: Iterator[BoxedStep], leg: Segment) -> SegmentResult:
         after = flow.guard(step.after)
         fall = _fall(leg, step, before, after, on_guard=on_guard)
         end = step.size if fall is None else fall
-        if step.start + end >= leg.horizon:
+        is_late = fall is not None and step.start + fall >= leg.horizon - leg.late
+        if step.start + end >= leg.horizon or is_late:
             state = end_state(step, leg.horizon - step.start)
             return _passage(Termination.HORIZON, taken, leg.horizon, state)
         if fall is not None:

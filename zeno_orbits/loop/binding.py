@@ -199,7 +199,7 @@ def declared(library: Any) -> Any:
         "zl_follow": (_count, [*[pointer] * 4, _count, pointer]),
         "zl_course": (None, [*[pointer] * 4, _count, whole, *[pointer] * 4]),
         "zl_fault": (whole, [pointer]),
-        "zl_begin_leg": (whole, [*[pointer] * 5, whole, _number]),
+        "zl_begin_leg": (whole, [*[pointer] * 5, whole, _number, _number]),
         "zl_resume_leg": (whole, [pointer] * 3),
     }
     for name, (result, arguments) in functions.items():

@@ -332,6 +332,8 @@ static int launch(Graph *g) {
     graph->pace = run->pace;
     graph->found = -1;
     graph->limit = lesser(settings->until, run->start.time + graph->window);
+    if (!graph->retried && graph->limit >= settings->until - late_in(&g->m))
+        graph->limit = settings->until;
     run->in_hop = graph->kind == HOP_ARC;
     find_others(g);
     if (g->asks) return GO_ON;
@@ -525,6 +527,7 @@ static int conclude(Graph *g) {
 static int decide(Graph *g) {
     zl_run *run = g->m.run;
     Graphed *graph = &run->graph;
+    const double last = run->leg.horizon - run->leg.late;
     while (graph->next_guard < g->others.n) {
         const int k = (int)graph->next_guard++;
         const Watched *watched = &run->watched[k];
@@ -559,7 +562,7 @@ static int decide(Graph *g) {
             return tell(&g->m, ZL_LEFT, run->start.time + run->leg.unit * watched->at, watched->end,
                         0);
         }
-        if (watched->outcome == FELL && watched->at < graph->horizon) {
+        if (watched->outcome == FELL && watched->at < lesser(graph->horizon, last)) {
             graph->found = k;
             graph->horizon = watched->at;
         }
@@ -581,7 +584,8 @@ static int step_aside(Graph *g) {
     }
     if (outcome != LEG_FELL && outcome != LEG_AT_HORIZON) return step_failed_at(g, outcome);
     graph->in_side = 0;
-    if (outcome == LEG_FELL) {
+    if (outcome == LEG_FELL && run->leg.unit * run->leg.duration <
+                                   run->main.unit * (run->main.horizon - run->main.late)) {
         graph->found = k;
         graph->horizon = run->leg.duration * (run->watched[k].launched / run->main.unit);
         run->side = run->leg;

@@ -281,6 +281,7 @@ static int begin_leg(const Machine *m, int mode, double unit, const double *y, d
     if (mode == ZL_FLIGHT && m->p[m->problem->n_p] != unit) set_speed(m, unit);
     memcpy(leg->y, y, (size_t)leg->n_y * sizeof(double));
     leg->horizon = horizon;
+    leg->late = 0.0;
     leg->relative = relative;
     leg->absolute = absolute;
     /* A hop is far shorter than anything that its rates change over: explicit steps are enough. */
@@ -484,17 +485,18 @@ static int step_leg(const Machine *m) {
     fall = leg_fall(&step, before, guard);
     end = isnan(fall) ? size : fall;
     if (leg->time + end >= leg->horizon || !isnan(fall)) {
-        int over = leg->time + end >= leg->horizon;
+        const double last = leg->horizon - leg->late;
+        int over = leg->time + end >= leg->horizon || leg->time + fall >= last;
         leg_end(&step, over ? leg->horizon - leg->time : fall, leg->end);
         leg->duration = over ? leg->horizon : leg->time + fall;
         if (m->others) {
-            int other = look_beside(&step, leg->duration, 1);
+            int other = look_beside(&step, lesser(leg->duration, last), 1);
             if (other != LEG_GOES_ON) return other;
         }
         return over ? LEG_AT_HORIZON : LEG_FELL;
     }
     if (m->others) {
-        int other = look_beside(&step, INFINITY, 0);
+        int other = look_beside(&step, leg->horizon - leg->late, 0);
         if (other != LEG_GOES_ON) return other;
     }
     if (leg->on_guard) {

@@ -35,6 +35,7 @@ class LegSettings(NamedTuple):
         weights: Size of each state for the absolute error, or all 1 if it is empty.
         on_guard: Whether the start is a root of the guard that does not count.
         rounding: Rounding level of the guard.
+        late: Time before the horizon in which a zero of the guard does not count.
         begins_explicit: Whether the first steps are explicit.
         goes_implicit: Whether implicit steps are used when they pay.
         largest_explicit: Largest explicit step.
@@ -47,6 +48,7 @@ class LegSettings(NamedTuple):
     weights: tuple[float, ...]
     on_guard: bool
     rounding: float
+    late: float
     begins_explicit: bool
     goes_implicit: bool
     largest_explicit: float
@@ -133,7 +135,7 @@ class LegProgram(TapedProblem):
         room.fill(settings, p, y)
         begun: int = self.library.zl_begin_leg(
             *(self.address, room.run, room.settings_place, room.p_place, room.y_place),
-            *(settings.on_guard, settings.rounding),
+            *(settings.on_guard, settings.rounding, settings.late),
         )
         rows, polynomials = list[Vector](), list[Vector]()
         status = begun or c.FULL

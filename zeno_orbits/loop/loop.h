@@ -210,7 +210,8 @@ ZL_EXPORT int zl_flight(const zl_problem *problem, zl_run *run, const double *st
 ZL_EXPORT void zl_evaluate(const zl_problem *problem, zl_run *run, int tape, const double *varying,
                            double *outputs);
 ZL_EXPORT int zl_begin_leg(const zl_problem *problem, zl_run *run, const zl_settings *settings,
-                           const double *p, const double *y, int on_guard, double rounding);
+                           const double *p, const double *y, int on_guard, double rounding,
+                           double late);
 ZL_EXPORT int zl_resume_leg(const zl_problem *problem, zl_run *run, zl_records *records);
 ZL_EXPORT int zl_fault(const double *v);
 ZL_EXPORT long long zl_room(const zl_problem *problem);

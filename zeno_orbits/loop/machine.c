@@ -224,6 +224,13 @@ static int meet(const Machine *m, double time, const double *x, double rate) {
     return GO_ON;
 }
 
+/* The time before the end of a run in which no event counts: a leg from there would be shorter than
+   the rounding of times, or than the time by which two events are apart. */
+static double late_in(const Machine *m) {
+    const double late = LATE * spacing(m->run->settings.until);
+    return m->graph ? greater(late, APART * m->run->settings.time) : late;
+}
+
 /* Start a leg of a mode from where the next arc starts, up to a time. A flight is launched at a scaled
    gap rate of 1, or of 0 where its unit of time is no speed. */
 static int start_leg_at(const Machine *m, int mode, double unit, double launch, double rounding,
@@ -245,6 +252,7 @@ static int start_leg_at(const Machine *m, int mode, double unit, double launch, 
         run->leg.time = 0.0;
         return step_failed(run, ZL_NOT_FINITE);
     }
+    if (until == settings->until) run->leg.late = late_in(m) / unit;
     run->stage = IN_LEG;
     return GO_ON;
 }

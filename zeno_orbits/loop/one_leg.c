@@ -1,9 +1,9 @@
 /* A leg by itself: a flow from a state until its guard falls, with no event after it. */
 
 /* Prepare a leg of the mode off the stop over the time of the settings. After a start on the guard
-   itself, `on_guard`, the root there is no fall. */
+   itself, `on_guard`, the root there is no fall. Nor is one that is `late`: so near the end. */
 int zl_begin_leg(const zl_problem *problem, zl_run *run, const zl_settings *settings,
-                 const double *p, const double *y, int on_guard, double rounding) {
+                 const double *p, const double *y, int on_guard, double rounding, double late) {
     const int status = zl_begin(problem, run, settings, p, y);
     const Machine m = machine_of(problem, run, 0);
     if (status != ZL_DONE) return status;
@@ -14,6 +14,7 @@ int zl_begin_leg(const zl_problem *problem, zl_run *run, const zl_settings *sett
         run->leg.time = 0.0;
         return step_failed(run, ZL_NOT_FINITE);
     }
+    run->leg.late = late;
     run->stage = IN_LEG;
     return ZL_DONE;
 }

@@ -63,6 +63,7 @@
 #define INSIDE 1e-09
 #define MAY_BEND 0.1
 #define ROUNDING 8.881784197001252e-16
+#define LATE 4.0
 
 /* simulation/zeno_limit.py */
 #define N_NODES 5

@@ -21,7 +21,7 @@ from zeno_orbits.integrators import (
     fast_dataclass,
 )
 from zeno_orbits.model import ContactProjection, HybridDynamics
-from zeno_orbits.simulation.event_rules import ROUNDING
+from zeno_orbits.simulation.event_rules import ROUNDING, late_before
 from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode
 from zeno_orbits.simulation.interruptions import (
     grows_without_end,
@@ -111,6 +111,8 @@ class ArcFollower:
         engine: The integrator.
         tolerance: Its local error.
         until: When to stop [s].
+        window: When the present arc stops at the latest [s].
+        apart: Time by which two events differ at least [s].
         contact: Part of the problem's own sizes below which a guard counts as zero.
         far: A coordinate beyond this ends the execution with an error: one bound for all
             coordinates, or one for each.
@@ -124,6 +126,8 @@ class ArcFollower:
     contact: float
     far: float | tuple[float, ...]
     most_steps: int
+    window: float = math.inf
+    apart: float = 0.0
     _start: float = 0.0
     _unit: float = 1.0
     _n_steps: int = 0
@@ -138,6 +142,11 @@ class ArcFollower:
         if np.min(self.far) < math.inf:
             far = np.asarray(self.far, dtype=np.float64)
             self._reach = np.broadcast_to(far, (self.dynamics.n_q,))
+
+    @property
+    def late(self) -> float:
+        """Time before the end in which no event counts [s]."""
+        return late_before(self.until, self.apart)
 
     @property
     def pace(self) -> Pace:
@@ -201,13 +210,15 @@ class ArcFollower:
             launch, tolerance = hop.launch, replace(tolerance, absolute=hop.error)
         elif start.resting is not None and start.speed is not None:
             tolerance = self._over_rounding(start.resting.gap_acceleration, start.speed)
+        limit = min(self.until, self.window)
         leg = Segment(
             flow=flow,
             y=start.state if start.speed is None else launched(start.state, launch),
-            horizon=(self.until - start.time) / unit,
+            horizon=(limit - start.time) / unit,
             tolerance=tolerance,
             on_guard=on_guard,
             rounding=0.0 if hop else self.contact * size,
+            late=self.late / unit if limit == self.until else 0.0,
             watch=self._watch,
             reach=self._reach,
         )
@@ -220,7 +231,7 @@ class ArcFollower:
         arc = Arc(
             mode=start.mode,
             start_time=start.time,
-            end_time=self.until if over else time,
+            end_time=limit if over else time,
             start_state=start.state,
             end_state=passage.state[:n_x],
             ending=Ending.HORIZON if over else natural,
@@ -231,7 +242,14 @@ class ArcFollower:
         return arc, passage.state
 
     def beside(
-        self, flow: FlowWithEvent, y: Vector, *, horizon: float, on_guard: bool, rounding: float
+        self,
+        flow: FlowWithEvent,
+        y: Vector,
+        *,
+        horizon: float,
+        late: float,
+        on_guard: bool,
+        rounding: float,
     ) -> SegmentResult:
         """Follow another guard along an arc that has been followed.
 
@@ -239,6 +257,7 @@ class ArcFollower:
             flow: The flow of the arc, with the other guard.
             y: State of the flow at the start, ``(n_y,)``.
             horizon: Duration of the arc, in the flow's own time.
+            late: Part of it at its end in which a zero of the guard does not count.
             on_guard: Whether the start is a root of the guard that does not count.
             rounding: Rounding level of the guard.
         """
@@ -249,6 +268,7 @@ class ArcFollower:
             tolerance=self.tolerance,
             on_guard=on_guard,
             rounding=rounding,
+            late=late,
         )
         return self.engine.follow(leg)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from zeno_orbits.arrays import Vector
@@ -15,6 +16,20 @@ _MAY_BEND = 0.1
 ROUNDING = 4 * 2.0**-52
 """Rounding error of the gap relative to the largest coordinate, and of the gap acceleration
 relative to its size in the problem."""
+LATE = 4.0
+"""Spacings of the numbers at the end of the time, within which no event before it counts."""
+
+
+def late_before(until: float, apart: float = 0.0) -> float:
+    """Return the time before the end in which no event counts [s].
+
+    An arc from there would be shorter than the rounding of times.
+
+    Args:
+        until: The end [s].
+        apart: Time by which two events differ at least [s].
+    """
+    return max(LATE * math.ulp(until), apart)
 
 
 def stop_holds(

@@ -16,6 +16,7 @@ A stop whose impulse would be negative opens. `G` is positive definite, so there
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -296,10 +297,13 @@ class GraphRun(ReferenceRun):
         The event is first looked for within a few times the previous arc: the flow of a branch need
         not exist far beyond the zero of its kink.
         """
-        until, window, n_arcs = self.follower.until, self.window, len(self.arcs)
+        follower, window, n_arcs = self.follower, self.window, len(self.arcs)
+        last = follower.until - follower.late
         try:
             while True:
-                self.follower.until = min(until, start.time + window)
+                follower.window = start.time + window
+                if follower.window >= last:
+                    follower.window = follower.until
                 try:
                     arc, end = self._followed(start, flow, natural, on_guard=on_guard)
                 except StepSizeError as error:
@@ -309,18 +313,18 @@ class GraphRun(ReferenceRun):
                     if not 0.0 < reached <= window:
                         raise self._singular(error, start.time + reached) from error
                     window = reached * (1.0 - _BEFORE)
-                    self.follower.until = start.time + window
+                    follower.window = start.time + window
                     arc, end = self._followed(start, flow, natural, on_guard=on_guard)
                     if arc.ending is Ending.HORIZON and self.interruption is None:
                         raise self._singular(error, start.time + reached) from error
-                if self.follower.until == until or arc.ending is not Ending.HORIZON:
+                if follower.window >= follower.until or arc.ending is not Ending.HORIZON:
                     break
                 if self.interruption is not None and self.interruption.passage is None:
                     break
                 self.arcs.pop()
                 window *= _GROW
         finally:
-            self.follower.until = until
+            follower.window = math.inf
         self.window = max(_GROW * (arc.end_time - arc.start_time), _SHORTEST * self.own.time)
         return arc, end
 
@@ -503,6 +507,7 @@ class GraphRun(ReferenceRun):
         self.rest, self.focus = rest, focus
         self.dynamics = self.follower.dynamics = self._view(rest, focus)
         self.own = self.dynamics.own
+        self.follower.apart = _APART * self.own.time
         self.small_gap = self.settings.contact * self.own.gap
         self.small_rate = self.settings.contact * self.own.gap_rate
         self.stop_name = self.graph.stop_names[focus]
@@ -576,10 +581,12 @@ class GraphRun(ReferenceRun):
             PenetrationError: If a stop is left on the wrong side.
         """
         found: Interruption | None = None
-        duration = arc.duration
+        duration, late = arc.duration, 0.0
+        if arc.ending is Ending.HORIZON and arc.end_time == self.follower.until:
+            late = self.follower.late / arc.time_unit
         for guard in guards:
             unit = arc.time_unit if guard.launched is None else guard.launched
-            passage = self._passage(guard, arc, duration)
+            passage = self._passage(guard, arc, duration, late)
             if passage.outcome is Termination.LEFT:
                 if guard.kind is Kind.SWITCH:
                     return Interruption(kind=guard.kind, index=guard.index, passage=None)
@@ -592,13 +599,16 @@ class GraphRun(ReferenceRun):
                     passage=passage,
                     launched=guard.launched,
                 )
-                duration = passage.duration
+                duration, late = passage.duration, 0.0
                 if guard.launched is not None:
                     duration *= guard.launched / arc.time_unit
         return found
 
-    def _passage(self, guard: _Guard, arc: Arc, duration: float) -> SegmentResult:
-        """Return a guard along an arc, up to a duration in the arc's own time."""
+    def _passage(self, guard: _Guard, arc: Arc, duration: float, late: float) -> SegmentResult:
+        """Return a guard along an arc, up to a duration in the arc's own time.
+
+        A zero in the last part `late` of that duration does not count.
+        """
         way, n_x = arc.trajectory, arc.start_state.size
         if guard.launched is not None or not isinstance(way, SteppedTrajectory | LoopTrajectory):
             unit = 1.0 if guard.launched is None else guard.launched
@@ -606,6 +616,7 @@ class GraphRun(ReferenceRun):
                 guard.flow,
                 guard.y,
                 horizon=duration * arc.time_unit / unit,
+                late=late * arc.time_unit / unit,
                 on_guard=guard.on_guard,
                 rounding=guard.rounding,
             )
@@ -618,6 +629,7 @@ class GraphRun(ReferenceRun):
             tolerance=self.follower.tolerance,
             on_guard=guard.on_guard,
             rounding=guard.rounding,
+            late=late,
         )
         return follow_steps(iter(steps), leg)
 

@@ -93,6 +93,7 @@ class LegFollower:
             flow.weights,
             leg.on_guard,
             leg.rounding,
+            leg.late,
             steps.begins_explicit,
             steps.goes_implicit,
             steps.largest_explicit,
