@@ -88,6 +88,17 @@ def test_a_copy_goes_on_by_itself(name: str) -> None:
     _require_equal(_ended(other), whole, len(task.state))
 
 
+@pytest.mark.parametrize(
+    ("kind", "least"), [("steps", 1), ("polynomials", 1), ("arcs", 3), ("events", 3)]
+)
+def test_a_record_that_is_too_short_for_one_event_is_refused(kind: str, least: int) -> None:
+    run = _begun(_task("motor_pendulum"))
+    with pytest.raises(
+        ValueError, match=f"`{kind}` must be at least {least}, but it is {least - 1}"
+    ):
+        run.resume(**{kind: least - 1})
+
+
 def test_a_run_tells_where_it_is() -> None:
     task = _task("curved_surface")
     run = _begun(task)

@@ -12,6 +12,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.loop import binding as c
+from zeno_orbits.loop.graph_program import GraphProgram
 from zeno_orbits.loop.program import TapedProblem
 
 _STEPS, _POLYNOMIALS, _ARCS, _EVENTS = 1024, 256, 128, 128
@@ -242,11 +243,16 @@ class LoopRun:
             steps: Rows of the record of steps.
             polynomials: Rows of the record of polynomials.
             arcs: Rows of the record of arcs, at least 3.
-            events: Rows of the record of events, at least 3.
+            events: Rows of the record of events, at least 3. Of several stops or switches, 11: an
+                impact may open every stop.
 
         Returns:
             A status of `loop.h`. A request of memory for estimates is already handled.
+
+        Raises:
+            ValueError: If a record has too few rows: the run could not continue.
         """
+        self._require_rows(steps, polynomials, arcs, events)
         # The tables may grow while this run goes on: it takes them first, then memory for them.
         address = self._program.address
         self._grow()
@@ -269,6 +275,16 @@ class LoopRun:
                 self._estimates = more
         spare.append(buffers)
         return int(status)
+
+    def _require_rows(self, *rows: int) -> None:
+        """Reject records without space for one event. `has_room` in C has the same numbers."""
+        several = isinstance(self._program, GraphProgram)
+        first = self._settings[0] if several else self._settings
+        needed = (1, 1, 3) if first.records else (0, 0, 0)
+        least = (*needed, 3 + c.STOPS if several else 3)
+        for kind, given, fewest in zip(_KINDS, rows, least, strict=True):
+            if given < fewest:
+                raise ValueError(f"Argument `{kind}` must be at least {fewest}, but it is {given}.")
 
     def _grow(self) -> None:
         """Take more memory if the tables of the problem have grown."""
