@@ -351,6 +351,83 @@ def test_what_may_not_be_set_is_refused(
     assert message in unit.messages[-1]
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("restitution", 2.0, "restitution must lie in [0, 1), but it is 2"),
+        ("restitution", 1.0, "restitution must lie in [0, 1), but it is 1"),
+        ("restitution", -0.1, "restitution must lie in [0, 1), but it is -0.1"),
+        ("g", 0.0, "g must be greater than 0, but it is 0"),
+        ("m", math.inf, "A value must be finite"),
+    ],
+)
+def test_values_that_simulate_refuses_are_refused_and_change_nothing(
+    export: Export, name: str, value: float, message: str
+) -> None:
+    with pytest.raises(zo.InputError):
+        _execution("bouncing_ball", 1.0, **{name: value})
+    unit = Unit(export("bouncing_ball"))
+    before = unit.get(name)
+    assert unit.set(name, value) == ERROR
+    assert unit.messages == [message]
+    assert unit.get(name) == before
+    assert unit.initialize(1.0) == OK
+
+
+def test_the_description_has_the_largest_range_that_simulate_accepts(export: Export) -> None:
+    _, description = _unpacked(export("bouncing_ball"))
+    variables = description.find("ModelVariables")
+    assert variables is not None
+    problem, n_ends = zo.load_problem("bouncing_ball"), 0
+    for one in variables:
+        name = one.attrib["name"]
+        for end, beyond in (("min", -math.inf), ("max", math.inf)):
+            if end not in one.attrib:
+                continue
+            n_ends += 1
+            inside = float(one.attrib[end])
+            assert problem.values(numbers={name: inside}).parameters[name] == inside
+            # Next to zero the smallest normal number stands for the smallest number.
+            outside = 0.0 if 0.0 < inside < 1e-300 else math.nextafter(inside, beyond)
+            with pytest.raises(zo.InputError):
+                problem.values(numbers={name: outside})
+    assert n_ends == 4
+
+
+@pytest.mark.slow
+def test_a_clock_off_its_circle_is_refused(export: Export) -> None:
+    unit = Unit(export("relay", "--t-end", "0.09"))
+    assert unit.set("cosine", 0.6) == OK
+    assert unit.initialize(0.09) == ERROR
+    assert unit.messages == [
+        "cosine and sine must be on the unit circle, as a clock, but they are 0.6 and 0"
+    ]
+    assert unit.set("sine", 0.8) == OK
+    assert unit.call("ExitInitializationMode") == OK
+
+
+@pytest.mark.slow
+def test_a_parameter_is_not_set_without_those_that_are_derived_from_it(export: Export) -> None:
+    problem, unit = (
+        zo.load_problem("motor_pendulum"),
+        Unit(export("motor_pendulum", "--t-end", "20")),
+    )
+    values = problem.values(numbers={"m1": 0.35}).parameters
+    derived = ("J_rotor", "K_torque", "K_emf")
+    for n, missing in enumerate((*derived, "")):
+        assert unit.call("Reset") == OK
+        for name in ("m1", *derived[:n]):
+            assert unit.set(name, values[name]) == OK
+        assert unit.initialize(6.0) == (ERROR if missing else OK)
+        assert len(unit.messages) == min(n + 1, 3)
+        if missing:
+            expected = f"m1 was set, and {missing} is derived from it: set that as well"
+            assert unit.messages[-1] == expected
+    assert unit.step(0.0, 6.0) == OK
+    run = _execution("motor_pendulum", 6.0, m1=0.35)
+    assert unit.states(run.state_names) == pytest.approx(run.end_state.tolist(), abs=1e-9)
+
+
 def test_misuse_and_failures_end_in_a_status_with_a_message(export: Export) -> None:
     file = export("bouncing_ball")
     assert Unit(file, token="another").instance.value is None

@@ -33,4 +33,5 @@ from .tape import Tape as Tape
 from .tape import UnknownOperationError as UnknownOperationError
 from .tape import tape_of as tape_of
 from .unit import ExportedUnit as ExportedUnit
+from .unit import ParameterRange as ParameterRange
 from .unit import exported_unit as exported_unit

@@ -117,7 +117,7 @@ class _Arrays:
         )
         names = (
             self.name("zl_instruction", rows),
-            self.name("double", list(map(_number, tape.constants.tolist()))),
+            self.name("double", list(map(c_number, tape.constants.tolist()))),
             self.name("int", list(map(str, tape.outputs.tolist()))),
         )
         return "{" + ", ".join((*map(str, counts), *names)) + "}"
@@ -177,22 +177,22 @@ def _data(program: Program | GraphProgram, run: ExportedRun, stem: str) -> Itera
     yield f"const zl_problem {stem}_problem = {whole};\n"
     settings = ["{\n    " + _settings(one) + "\n}" for one in run.settings]
     yield f"const zl_settings {stem}_settings[] = {{{', '.join(settings)}}};\n"
-    yield _array(f"const double {stem}_parameters[]", map(_number, run.values.tolist()))
-    yield _array(f"const double {stem}_start[]", map(_number, run.state.tolist()))
+    yield c_array(f"const double {stem}_parameters[]", map(c_number, run.values.tolist()))
+    yield c_array(f"const double {stem}_start[]", map(c_number, run.state.tolist()))
     for name, words in (
         ("state", run.state_names),
         ("parameter", run.parameter_names),
         ("stop", run.stop_names),
         ("switch", run.switch_names or ("",)),
     ):
-        yield _array(f"const char *const {stem}_{name}_names[]", map(_text, words))
+        yield c_array(f"const char *const {stem}_{name}_names[]", map(c_text, words))
 
 
 def _scheme(place: c.SchemeType) -> Iterable[str]:
     for name in (entry[0] for entry in c.SchemeType._fields_):
         value = getattr(place, name)
         numbers = [value] if isinstance(value, float) else list(value)
-        shown = _folded(map(_number, numbers), 8)
+        shown = _folded(map(c_number, numbers), 8)
         yield shown if isinstance(value, float) else f"{{{shown}}}"
 
 
@@ -202,16 +202,20 @@ def _settings(settings: RunSettings) -> str:
     for name in (entry[0] for entry in c.SettingsType._fields_):
         value = getattr(filled, name)
         if isinstance(value, float):
-            entries.append(_number(value))
+            entries.append(c_number(value))
         elif isinstance(value, int):
             entries.append(str(value))
         else:
-            entries.append("{" + _folded(map(_number, list(value)), 4) + "}")
+            entries.append("{" + _folded(map(c_number, list(value)), 4) + "}")
     return ",\n    ".join(entries)
 
 
-def _number(value: float) -> str:
-    """Return a number of C that has every digit."""
+def c_number(value: float) -> str:
+    """Return a number as C has it, with every digit.
+
+    Args:
+        value: The number.
+    """
     if math.isnan(value):
         return "NAN"
     if math.isinf(value):
@@ -219,19 +223,33 @@ def _number(value: float) -> str:
     return repr(value)
 
 
-def _text(word: str) -> str:
+def c_text(word: str) -> str:
+    """Return a text as C has it.
+
+    Args:
+        word: The text.
+    """
     return '"' + word.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def _array(head: str, entries: Iterable[str]) -> str:
+def c_array(head: str, entries: Iterable[str]) -> str:
+    """Return the definition of an array as C has it.
+
+    Args:
+        head: Type and name.
+        entries: Its entries.
+    """
     return f"{head} = {{\n    {_folded(entries, 4)}\n}};\n"
 
 
 def _folded(entries: Iterable[str], indent: int) -> str:
     space = " " * indent
-    text = ", ".join(entries)
-    return "\n".join(
-        textwrap.wrap(
-            text, 96, subsequent_indent=space, break_long_words=False, drop_whitespace=True
-        )
+    # A line must not end inside of a text.
+    text = _QUOTED.sub(lambda found: found[0].replace(" ", "\0"), ", ".join(entries))
+    lines = textwrap.wrap(
+        text, 96, subsequent_indent=space, break_long_words=False, drop_whitespace=True
     )
+    return "\n".join(lines).replace("\0", " ")
+
+
+_QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"')

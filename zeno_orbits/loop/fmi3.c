@@ -127,6 +127,7 @@ int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double toler
 int fmi3ExitInitializationMode(void *instance) {
     Unit *unit = instance;
     if (unit->reached.stage != INITIALIZATION) return fail(unit, "The unit is not initialized");
+    if (require_clock(unit) != OK) return ERROR;
     unit->reached.stage = STEPS;
     return go_to(unit, unit->reached.time);
 }
@@ -203,6 +204,7 @@ int fmi3SetFloat64(void *instance, const uint32_t refs[], size_t n, const double
     const uint32_t n_x = (uint32_t)problem->n_x, n_p = (uint32_t)problem->n_p;
     size_t k;
     if (n != m) return fail(unit, "Every variable has one value");
+    /* A call that is refused changes nothing. */
     for (k = 0; k < n; k++) {
         const uint32_t ref = refs[k];
         const int is_parameter = ref > n_x && ref <= n_x + n_p;
@@ -211,12 +213,19 @@ int fmi3SetFloat64(void *instance, const uint32_t refs[], size_t n, const double
         if (!isfinite(values[k])) return fail(unit, "A value must be finite");
         if (reached->stage > INITIALIZATION && !(is_parameter && MAY_CHANGE[ref - 1 - n_x]))
             return fail(unit, "The variable cannot be set after initialization");
-        if (!is_parameter)
+        if (is_parameter && !is_in_range(ref - 1 - n_x, values[k]))
+            return fail_in_range(unit, ref - 1 - n_x, values[k]);
+    }
+    for (k = 0; k < n; k++) {
+        const uint32_t ref = refs[k], at = ref - 1 - n_x;
+        if (ref <= n_x) {
             reached->state[ref - 1] = values[k];
-        else if (unit->p[ref - 1 - n_x] != values[k]) {
-            unit->p[ref - 1 - n_x] = values[k];
-            reached->changed = 1;
+            continue;
         }
+        reached->given[at] = 1;
+        if (unit->p[at] == values[k]) continue;
+        unit->p[at] = values[k];
+        reached->changed = 1;
     }
     return OK;
 }

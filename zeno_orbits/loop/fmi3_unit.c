@@ -9,6 +9,8 @@ enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };
 enum { PENDING = 32, ROOM = 16, ESTIMATES = 64 };
 
+#define OFF_CIRCLE 1e-9 /* of a clock, as in simulation/admission.py */
+
 /* Value references: time, states, parameters, then these. With several stops the last three follow for
    every stop. */
 enum { MODE, IMPACTS, ZENO_POINTS, ZENO_TIME, OTHERS };
@@ -35,6 +37,7 @@ typedef struct {
     double origin, time, stop, relative, state[ZL_MOST], zeno_time;
     long long closed, impacts, zeno_points, stop_impacts[ZL_STOPS], stop_zeno_points[ZL_STOPS];
     double zeno_times[ZL_STOPS];
+    char given[sizeof MAY_CHANGE / sizeof MAY_CHANGE[0]]; /* parameters that were set */
     Happening pending[PENDING];
     Piece piece;
     /* Of the present arc with its steps: how many were passed, and steps and polynomials before it. */
@@ -135,6 +138,45 @@ static double slow_restitution(const Unit *unit, int stop) {
     return speed / -approach;
 }
 
+static int is_in_range(uint32_t k, double value) {
+    return LOWEST[k] <= value && value <= HIGHEST[k];
+}
+
+static int fail_in_range(const Unit *unit, uint32_t k, double value) {
+    char line[200];
+    sprintf(line, "%.60s must %.80s, but it is %.6g", PROBLEM_parameter_names[k], RANGES[k], value);
+    return fail(unit, line);
+}
+
+/* Refuse a start off the circle of the clock, as `simulate` does. */
+static int require_clock(const Unit *unit) {
+    const double *x = unit->reached.state;
+    char line[240];
+    double cosine, sine;
+    if (CLOCK[0] < 0) return OK;
+    cosine = x[CLOCK[0]];
+    sine = x[CLOCK[1]];
+    if (fabs(cosine * cosine + sine * sine - 1.0) / 2.0 <= OFF_CIRCLE) return OK;
+    sprintf(line, "%.60s and %.60s must be on the unit circle, as a clock, but they are %.6g and %.6g",
+            PROBLEM_state_names[CLOCK[0]], PROBLEM_state_names[CLOCK[1]], cosine, sine);
+    return fail(unit, line);
+}
+
+/* Refuse a parameter from which others are derived that were left as they are: `simulate` would
+   derive them again, and this would be another machine. */
+static int require_derived(const Unit *unit) {
+    char line[240];
+    int k;
+    for (k = 0; DERIVED[k][0] >= 0; k++) {
+        const int from = DERIVED[k][0], other = DERIVED[k][1];
+        if (unit->p[from] == PROBLEM_parameters[from] || unit->reached.given[other]) continue;
+        sprintf(line, "%.60s was set, and %.60s is derived from it: set that as well",
+                PROBLEM_parameter_names[from], PROBLEM_parameter_names[other]);
+        return fail(unit, line);
+    }
+    return OK;
+}
+
 /* Start the run from the state reached, with the parameters as they are. */
 static int begin(Unit *unit) {
     Reached *reached = &unit->reached;
@@ -142,6 +184,7 @@ static int begin(Unit *unit) {
     double gap[2];
     zl_settings settings[ZL_STOPS];
     int k;
+    if (require_derived(unit) != OK) return ERROR;
     for (k = 0; k < number_of_stops(); k++) {
         settings[k] = PROBLEM_settings[k];
         settings[k].records = 1;

@@ -8,19 +8,28 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import platform
 import sys
 import tempfile
 import zipfile
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 from zeno_orbits.errors import InputError, KernelError
 from zeno_orbits.loop.compiler import find_compiler
-from zeno_orbits.loop.export import ExportedRun, exported_files, stem_of
+from zeno_orbits.loop.export import (
+    ExportedRun,
+    c_array,
+    c_number,
+    c_text,
+    exported_files,
+    stem_of,
+)
 from zeno_orbits.loop.graph_program import GraphProgram
 from zeno_orbits.loop.program import Program
 from zeno_orbits.loop.source import FLAGS, LIBRARIES, whole_source
@@ -39,6 +48,20 @@ _DATE = (1980, 1, 1, 0, 0, 0)
 """Of the files in the zip: the same problem gives the same bytes."""
 
 
+class ParameterRange(NamedTuple):
+    """Values that a parameter may take.
+
+    Attributes:
+        lowest: Smallest value, or minus infinity.
+        highest: Largest value, or infinity.
+        words: The requirement, as in a message: ``lie in [0, 1)``.
+    """
+
+    lowest: float
+    highest: float
+    words: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportedUnit:
     """Contents of a co-simulation unit in addition to the code.
@@ -49,6 +72,10 @@ class ExportedUnit:
         meanings: One-line description of a gain or parameter, by name.
         tunable: Names that may change between steps.
         inputs: Names of gains or parameters that are inputs.
+        ranges: Range of a parameter, by name. Other values are refused.
+        derived: Names of the derived parameters that depend on a parameter, by its name. Whoever
+            sets the parameter has to set them as well.
+        clock: Indices of the cosine and sine of the clock in the state, or nothing.
         generator: Program and version that created the unit.
     """
 
@@ -57,6 +84,9 @@ class ExportedUnit:
     meanings: Mapping[str, str]
     tunable: Collection[str]
     inputs: Collection[str]
+    ranges: Mapping[str, ParameterRange]
+    derived: Mapping[str, Sequence[str]]
+    clock: Sequence[int]
     generator: str
 
     def require_inputs(self) -> None:
@@ -103,15 +133,41 @@ def exported_unit(program: Program | GraphProgram, unit: ExportedUnit) -> tuple[
 def _interface(unit: ExportedUnit) -> str:
     """Return the C code of the standard's functions. The token is inserted later."""
     stem = stem_of(unit.run.name)
-    code = whole_source("fmi3.c", {"PROBLEM.c": f'#include "{stem}.c"\n'}).replace("PROBLEM", stem)
-    changes = {*unit.tunable, *unit.inputs}
-    kinds = ", ".join(str(int(name in changes)) for name in unit.run.parameter_names) or "0"
-    own = (
-        f'#define INSTANTIATION_TOKEN "{{token}}"\n'
-        f"/* Parameters that may change between steps. */\n"
-        f"static const int MAY_CHANGE[] = {{{kinds}}};\n"
-    )
-    return code.replace("#include <stdbool.h>\n", f"{own}\n#include <stdbool.h>\n", 1)
+    # The tables of the unit follow those of the problem.
+    tables = f'#include "{stem}.c"\n\n{_tables(unit)}'
+    return whole_source("fmi3.c", {"PROBLEM.c": tables}).replace("PROBLEM", stem)
+
+
+def _tables(unit: ExportedUnit) -> str:
+    """Return what the code has to know of the variables, as C."""
+    names, changes = unit.run.parameter_names, {*unit.tunable, *unit.inputs}
+    ranges = [unit.ranges.get(name, _UNBOUNDED) for name in names] or [_UNBOUNDED]
+    pairs = [
+        f"{{{names.index(name)}, {names.index(other)}}}"
+        for name, others in unit.derived.items()
+        for other in others
+    ]
+    tables = {
+        "/* Parameters that may change between steps. */\nstatic const int MAY_CHANGE[]": [
+            str(int(name in changes)) for name in names
+        ]
+        or ["0"],
+        "/* Values that parameters may take. */\nstatic const double LOWEST[]": [
+            c_number(one.lowest) for one in ranges
+        ],
+        "static const double HIGHEST[]": [c_number(one.highest) for one in ranges],
+        "static const char *const RANGES[]": [c_text(one.words) for one in ranges],
+        "/* Pairs of parameters, the second of which is derived from the first. */\n"
+        "static const int DERIVED[][2]": [*pairs, "{-1, -1}"],
+        "/* Cosine and sine of the clock in the state, or -1. */\nstatic const int CLOCK[2]": [
+            *map(str, unit.clock or (-1, -1))
+        ],
+    }
+    lines = (c_array(head, entries) for head, entries in tables.items())
+    return "".join(('#define INSTANTIATION_TOKEN "{token}"\n', *lines))
+
+
+_UNBOUNDED = ParameterRange(-math.inf, math.inf, "")
 
 
 def _token(files: Mapping[str, str]) -> str:
@@ -253,13 +309,18 @@ def _attributes(
     unit: ExportedUnit, name: str, reference: int, value: float, kind: Mapping[str, str]
 ) -> dict[str, str]:
     found = {"name": name, "valueReference": str(reference)}
-    if unit.meanings.get(name):
-        found["description"] = unit.meanings[name]
+    words = [unit.meanings[name]] if unit.meanings.get(name) else []
+    if unit.derived.get(name):
+        words.append(f"whoever sets it must also set {', '.join(unit.derived[name])}")
+    if words:
+        found["description"] = "; ".join(words)
     found.update(kind)
     measured = unit.units.get(name, "1")
     if measured != "1":
         found["unit"] = measured
-    return {**found, "start": repr(value)}
+    lowest, highest, _ = unit.ranges.get(name, _UNBOUNDED)
+    ends = {"min": lowest, "max": highest, "start": value}
+    return {**found, **{key: repr(end) for key, end in ends.items() if math.isfinite(end)}}
 
 
 def _free_name(name: str, taken: Collection[str]) -> str:

@@ -6,6 +6,7 @@ All checks here concern the declaration alone. The model is checked in ``validat
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -92,12 +93,25 @@ class Quantity:
         """Return ``value`` if it is a finite number inside the range, else raise ``InputError``."""
         value = finite_number(self.name, value)
         if not self.lower <= value <= self.upper or value in self.excluded:
-            message = f"Argument `{self.name}` must {self._range()}, but it is {value:g}."
+            message = f"Argument `{self.name}` must {self.range_words()}, but it is {value:g}."
             helped = f"{message} {self.instead}" if value in self.excluded else message
             raise InputError(helped.rstrip())
         return value
 
-    def _range(self) -> str:
+    def closed_range(self) -> tuple[float, float]:
+        """Return the smallest and the largest allowed number: next to an end that is excluded.
+
+        Next to zero it is the smallest normal number, which every reader of a file accepts.
+        """
+        low, high, tiny = self.lower, self.upper, sys.float_info.min
+        if low in self.excluded:
+            low = tiny if low == 0.0 else math.nextafter(low, math.inf)
+        if high in self.excluded:
+            high = -tiny if high == 0.0 else math.nextafter(high, -math.inf)
+        return low, high
+
+    def range_words(self) -> str:
+        """Return the requirement on a value, as in a message: ``be greater than 0``."""
         below, above = math.isfinite(self.lower), math.isfinite(self.upper)
         if not below and not above:
             return f"differ from {', '.join(f'{value:g}' for value in self.excluded)}"

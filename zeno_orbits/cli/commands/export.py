@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -143,6 +145,34 @@ def _exported(
     return program, run
 
 
+def _derived(problem: Problem, numbers: Mapping[str, float]) -> dict[str, list[str]]:
+    """Return for each parameter the derived parameters that would change with it in `simulate`.
+
+    Args:
+        problem: The problem.
+        numbers: Values that were given, which are not derived.
+    """
+    derived = [
+        one.name for one in problem.parameters if one.default is None and one.name not in numbers
+    ]
+    found: dict[str, list[str]] = {}
+    usual = problem.values(numbers=numbers).parameters
+    for name, value in usual.items() if derived else ():
+        shifted = value * (1.0 + _SHIFT) + (_SHIFT if value == 0.0 else 0.0)
+        try:
+            others = problem.values(numbers={**numbers, name: shifted}).parameters
+        except InputError:
+            # No derived value belongs to it: all of them depend on it.
+            found[name] = [other for other in derived if other != name]
+            continue
+        found[name] = [one for one in derived if one != name and others[one] != usual[one]]
+    return found
+
+
+_SHIFT = 2.0**-20
+"""Relative change of a parameter that shows which parameters are derived from it."""
+
+
 def _unit(
     problem: Problem,
     program: Program | GraphProgram,
@@ -151,7 +181,7 @@ def _unit(
 ) -> tuple[dict[str, bytes], str]:
     """Return the co-simulation unit as file name to bytes, and the reason if it lacks a library."""
     from zeno_orbits import __version__
-    from zeno_orbits.loop import ExportedUnit, exported_unit
+    from zeno_orbits.loop import ExportedUnit, ParameterRange, exported_unit
 
     quantities = (*problem.gains, *problem.parameters)
     states = zip(problem.state_names, problem.state_units, strict=True)
@@ -161,6 +191,14 @@ def _unit(
         meanings={one.name: one.meaning for one in quantities},
         tunable=tuple(gain.name for gain in problem.gains),
         inputs=tuple(options.input),
+        # The range of a gain is the box of a search, and other values are valid.
+        ranges={
+            one.name: ParameterRange(*one.closed_range(), one.range_words())
+            for one in problem.parameters
+            if one.closed_range() != (-math.inf, math.inf)
+        },
+        derived=_derived(problem, options.set),
+        clock=problem.model(problem.symbols()).clock,
         generator=f"zeno_orbits {__version__}",
     )
     content, reason = exported_unit(program, unit)
