@@ -171,6 +171,20 @@ def test_arcs_that_all_end_on_their_stop_show_no_escape() -> None:
         assert found.fate is not AttractorClass.ESCAPE
 
 
+def test_a_limit_that_never_acts_leaves_the_attractor() -> None:
+    # Four impacts a period, after Zeno points whose impacts depend on the accuracy.
+    found = [
+        attractors_at(problem, [problem.values(parameters=numbers)])[0]
+        for problem, numbers in (
+            (load_problem("limited_pendulum"), {"U": 100.0, "restitution": 0.45}),
+            (load_problem("motor_pendulum"), {"restitution": 0.45}),
+        )
+    ]
+    assert [one.fate for one in found] == 2 * [AttractorClass.NO_ZENO]
+    assert found[0].period == pytest.approx(found[1].period, rel=1e-10)
+    assert found[0].multipliers[0] == pytest.approx(found[1].multipliers[0], abs=1e-5)
+
+
 def two_frequencies() -> zo.Problem:
     """Return a ball on a table that a clock and an oscillator of another frequency shake."""
 

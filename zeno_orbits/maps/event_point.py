@@ -30,10 +30,12 @@ from zeno_orbits.orbits import (
     multipliers_of_return,
     on_section,
     orbit_event_name,
+    phases_of_events,
     sequence_of,
 )
 from zeno_orbits.simulation import (
     AttractorKind,
+    Event,
     Execution,
     Impact,
     Motion,
@@ -137,10 +139,11 @@ class EventPoint:
         late = tuple(event for event in motion.events if event.time > motion.end_time / 2)
         if not late:
             return self._without_events(motion)
+        counted = _counted(motion.events)
         for section in _sections(event_sections(replace(motion, events=late), self._graph)):
             returns = [
                 SectionReturn(time=event.time, state=np.asarray(state_after(event)))
-                for event in motion.events
+                for event in counted
                 if orbit_event_name(event) == section
             ]
             settling = self._settling(returns)
@@ -343,6 +346,16 @@ class EventPoint:
 
     def _named(self, state: Vector) -> dict[str, float]:
         return dict(zip(self._graph.state_names, state.tolist(), strict=True))
+
+
+def _counted(events: Sequence[Event]) -> list[Event]:
+    """Return events without the impacts that accumulate, whose number depends on the accuracy."""
+    phases = phases_of_events([orbit_event_name(event) for event in events])
+    return [
+        events[k]
+        for phase in phases
+        for k in (phase[-1:] if isinstance(events[phase[-1]], ZenoPoint) else phase)
+    ]
 
 
 def _count(found: EventReturn, section: str) -> int:

@@ -25,6 +25,7 @@ from .events.event_orbit import EventOrbit as EventOrbit
 from .events.event_orbit import OrbitEvent as OrbitEvent
 from .events.event_orbit_file import holds_events as holds_events
 from .events.event_orbit import orbit_event_name as orbit_event_name
+from .events.event_orbit import phases_of_events as phases_of_events
 from .events.event_orbit_file import read_event_orbit as read_event_orbit
 from .events.event_orbit import sequence_of as sequence_of
 from .events.quantities import EventQuantities as EventQuantities
