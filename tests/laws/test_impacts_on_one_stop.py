@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,6 +29,7 @@ STATES = {"x": "m", "v": "m/s", "cosine": "1", "sine": "1"}
 
 
 def _problem(model: Model, states: Mapping[str, str], **defaults: float) -> zo.Problem:
+    first, second, *_ = states
     return zo.Problem(
         name="machine",
         title="machine of a test",
@@ -46,8 +46,8 @@ def _problem(model: Model, states: Mapping[str, str], **defaults: float) -> zo.P
         gains=(),
         model=model,
         starts=({"cosine": 1.0},),
-        portraits=((tuple(states)[0], tuple(states)[1]),),
-        amplitude_of=next(iter(states)),
+        portraits=((first, second),),
+        amplitude_of=first,
     )
 
 
@@ -86,8 +86,8 @@ def _orbit_of(machine: ImpactOscillator, near: tuple[float, float]) -> tuple[flo
 
 
 def _multipliers(machine: ImpactOscillator, time: float, velocity: float) -> list[complex]:
-    values: Any = np.linalg.eigvals(machine.monodromy(time, velocity))
-    return sorted(map(complex, values), key=lambda mu: (-abs(mu), -mu.imag))
+    found: list[complex] = np.linalg.eigvals(machine.monodromy(time, velocity)).tolist()
+    return sorted(map(complex, found), key=lambda mu: (-abs(mu), -mu.imag))
 
 
 def _case(case: tuple[float, ...]) -> tuple[ImpactOscillator, dict[str, float], dict[str, float]]:
