@@ -326,7 +326,9 @@ def plane_of(
         InputError: If the name or the range does not fit.
     """
     if first.parameter == second:
-        raise InputError(f"Argument `second` must differ from the first parameter, but both are `{second}`.")
+        raise InputError(
+            f"Argument `second` must differ from the first parameter, but both are `{second}`."
+        )
     _checked(problem, values, "second", second, box)
     names = (first.parameter, second)
     return ParameterPlane(

@@ -244,10 +244,11 @@ class _Watch:
         if piece.events:
             self._changed = piece.events[-1].time
         if len(self._unrated) < _RATED:
-            struck = [(one.state_minus, False) for one in piece.events if isinstance(one, Impact)]
+            rated = [(one.state_minus, False) for one in piece.events if isinstance(one, Impact)]
             if not piece.events:
-                struck = [(x, piece.locked) for x in piece.states[:: len(piece.states) // _SOME + 1]]
-            self._unrated += struck[: _RATED - len(self._unrated)]
+                every = len(piece.states) // _SOME + 1
+                rated = [(x, piece.locked) for x in piece.states[::every]]
+            self._unrated += rated[: _RATED - len(self._unrated)]
         if self._is_bounded and len(piece.states):
             beyond = np.max(np.abs(piece.states[:, n_q:]), axis=0) > self._bounds
             if beyond.any():
