@@ -6,7 +6,9 @@ it has to be the converted numbers. Only the rounding of these numbers differs.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -156,6 +158,26 @@ def test_a_simulation_is_the_same(name: str, units: Units) -> None:
 def test_steps_are_measured_in_the_size_of_each_state() -> None:
     # Velocities of 1e11 beside a clock of 1: one absolute error for all is rounding of velocities.
     require_same(simulated, "curved_surface", FAR[5])
+
+
+@pytest.mark.parametrize("time", [1e-12, 1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9])
+def test_a_ball_thrown_from_its_stop_lands_in_any_unit_of_time(time: float) -> None:
+    # It starts at height zero, so its speed alone tells its size.
+    ball = zo.load_problem("bouncing_ball")
+    ball = replace(ball, starts=({"speed": 1.0 / time},))
+    g = 9.81 / time**2
+    run = zo.simulate(ball, until=2.0 * time, parameters={"g": g, "restitution": 0.5})
+    flight = 2.0 / time / g
+    assert run.impacts[0].time == pytest.approx(flight, rel=1e-12)
+    assert run.zeno_points[0].time == pytest.approx(2.0 * flight, rel=1e-11)
+
+
+@pytest.mark.parametrize("omega", [1e-9, 1e-7, 1e-5])
+def test_a_ball_falls_to_a_table_that_moves_for_years(omega: float) -> None:
+    table = replace(zo.load_problem("vibrating_table"), starts=({"height": 1.0, "cosine": 1.0},))
+    run = zo.simulate(table, until=3.0, parameters={"A": 0.01, "omega": omega, "g": 9.81})
+    # The table moves by 1e-7 m at most.
+    assert run.impacts[0].time == pytest.approx(math.sqrt(2.0 / 9.81), rel=1e-6)
 
 
 @pytest.mark.parametrize("units", [MIXED, FAR[0], FAR[2], FAR[5], FAR[7]], ids=name_of)

@@ -5,9 +5,10 @@ Every threshold for zero and every local error is relative to one of these scale
 :math:`\sqrt{|q| / |a|}`, a coordinate has the scale :math:`s = \max(|q|, |v| T, |a| T^2)`, and the
 largest scale among coordinates with the same unit. The scale of an angle is 1. The scale of a
 velocity is :math:`s / T`, but at most :math:`\max(|v|, |a| T, \sqrt{|a| s})`, since a clock may be
-far faster than the mechanism. The scale of the gap is its change over such a displacement. Scales
-far from 1 are rounded to powers of a thousand, and all other scales to 1, so a mechanism of usual
-size has the scale 1 in SI units.
+far faster than the mechanism. If a clock is far slower, :math:`T` is ten times the time of the
+mechanism. The scale of the gap is its change over such a displacement. Scales far from 1 are
+rounded to powers of a thousand, and all other scales to 1, so a mechanism of usual size has the
+scale 1 in SI units.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -31,6 +33,8 @@ _BAND, _WIDE = 3, 5
 value."""
 _DECADES = 3
 """Other sizes are rounded to powers of ten with exponents that this divides."""
+_SLOWER = 10.0
+"""Largest time of a clock that sets the scales, in times of the mechanism."""
 _PHASES, _MANY_PHASES = 4, 64
 """Phases of the clock at which the scales are evaluated, of smooth formulas and with kinks."""
 _FIXED = ("rad", "1")
@@ -42,16 +46,15 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
 
     It is :math:`2 \pi / |\mu|` with the smallest oscillating eigenvalue :math:`\mu` of the free
     flow, which includes the eigenvalues of the clock. Without an oscillation it is
-    :math:`2 \pi \sqrt{|q| / |\ddot q|}`, or 1 s if the coordinates are zero or rounding.
+    :math:`2 \pi \sqrt{|q| / |\ddot q|}`, or :math:`2 \pi |\dot q| / |\ddot q|` if the coordinates
+    are zero or rounding, or 1 s if the velocities are also zero.
 
     Args:
         dynamics: The system.
         state: State of the linearisation, ``(n_x,)``.
     """
     n_q = dynamics.n_q
-    # At an empty vessel the slope of the root of the pressure is infinite, so its entries give no
-    # time scale.
-    slopes = np.nan_to_num(dynamics.free.jacobian(state), nan=0.0, posinf=0.0, neginf=0.0)
+    slopes = _slopes(dynamics, state)
     eigenvalues = np.linalg.eigvals(slopes)
     clock = list(dynamics.clock)
     if dynamics.holonomic(state).size > len(clock[:1]):
@@ -60,15 +63,30 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
         found = np.linalg.eigvals(np.delete(np.delete(slopes, clock, 0), clock, 1))
         found = found[np.abs(found) > _ROUNDED * np.max(np.abs(found), initial=0.0)]
         eigenvalues = np.append(found, np.linalg.eigvals(slopes[np.ix_(clock, clock)]))
-    turning = np.abs(eigenvalues[np.abs(eigenvalues.imag) > _DAMPED * np.abs(eigenvalues)])
-    if turning.size:
-        return float(2 * math.pi / np.min(turning))
+    slowest = _slowest_turn(eigenvalues)
+    if slowest:
+        return 2 * math.pi * slowest
     size = float(np.max(np.abs(state[:n_q])))
     pull = float(np.max(np.abs(dynamics.free.rate(state)[n_q : 2 * n_q])))
     # Coordinates at an impact are rounding, if they are zero.
     speed = float(np.max(np.abs(state[n_q : 2 * n_q])))
-    known = pull > 0.0 and size > _ROUNDED * speed**2 / pull
-    return 2 * math.pi * math.sqrt(size / pull) if known and size > 0.0 else 1.0
+    if pull > 0.0 and size > _ROUNDED * speed**2 / pull:
+        return 2 * math.pi * math.sqrt(size / pull)
+    return 2 * math.pi * speed / pull if pull > 0.0 and speed > 0.0 else 1.0
+
+
+def _slopes(dynamics: HybridDynamics, state: Vector) -> Vector:
+    """Return the Jacobian of the free flow, with zeros for entries that are not finite.
+
+    At an empty vessel the slope of the root of the pressure is infinite and gives no time scale.
+    """
+    return np.nan_to_num(dynamics.free.jacobian(state), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _slowest_turn(eigenvalues: NDArray[np.complex128]) -> float:
+    """Return the inverse of the smallest oscillating eigenvalue, or 0 without one."""
+    turning = np.abs(eigenvalues[np.abs(eigenvalues.imag) > _DAMPED * np.abs(eigenvalues)])
+    return float(1 / np.min(turning)) if turning.size else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,10 +209,13 @@ def reach_of(
     places = _alike(np.max(np.abs(states[:, :n_q]), axis=0), units)
     velocities = _alike(np.max(np.abs(rates[:, :n_q]), axis=0), units, fixed=0.0)
     accelerations = _alike(np.max(np.abs(rates[:, n_q : 2 * n_q]), axis=0), units, fixed=0.0)
+    swing = _swing(places, accelerations)
     if clock:
-        time = 1 / np.linalg.norm(rates[0, list(clock)])
+        turn = 1 / np.linalg.norm(rates[0, list(clock)])
+        swing = swing or _oscillation(dynamics, states[0])
+        time = min(turn, np.float64(_SLOWER * swing)) if swing else turn
     else:
-        time = np.float64(_swing(places, accelerations) or _slowest(dynamics, states[0]))
+        time = np.float64(swing or _slowest(dynamics, states[0]))
     largest = np.maximum(np.maximum(places, velocities * time), accelerations * time * time)
     largest = _alike(largest, units)
     gap = np.float64(max(_gap_reach(dynamics, x, largest) for x in states))
@@ -232,6 +253,16 @@ def _swing(places: Vector, accelerations: Vector) -> float:
     """Return the longest time in which a coordinate moves by its own size, or 0 without motion."""
     moves = (places > 0.0) & (accelerations > 0.0)
     return float(np.max(np.sqrt(places[moves] / accelerations[moves]), initial=0.0))
+
+
+def _oscillation(dynamics: HybridDynamics, x: Vector) -> float:
+    """Return the time of the slowest oscillation of the mechanism without its clock, or 0."""
+    slopes, clock = _slopes(dynamics, x), list(dynamics.clock)
+    try:
+        alone = np.linalg.eigvals(np.delete(np.delete(slopes, clock, 0), clock, 1))
+    except np.linalg.LinAlgError:
+        return 0.0
+    return _slowest_turn(alone)
 
 
 def _slowest(dynamics: HybridDynamics, x: Vector) -> float:
