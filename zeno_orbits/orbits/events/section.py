@@ -22,6 +22,7 @@ from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.section import (
     IMPACT_ROWS,
     RELEASE_ROWS,
+    conditions_gradient,
     project_to_section,
     section_around,
 )
@@ -184,7 +185,9 @@ class EventReturn:
         )
         chosen = self.differentiation.chosen
         chart = section_around(view, IMPACT_ROWS, self.start, scale, parameters=chosen)
-        onto = scale[:, None] * chart.tangent @ chart.tangent.T / scale
+        # Along the constraints. A motion drifts off those, as off the circle of its clock.
+        gap = conditions_gradient(view, (), IMPACT_ROWS, self.start)[0]
+        onto = np.eye(n_x) - np.outer(scale * chart.normal[:, 0], gap)
         moved = end[:, n_x:] + end[:, :n_x] @ chart.drift
         return np.concatenate([end[:, :n_x] @ onto, moved], axis=1)
 
