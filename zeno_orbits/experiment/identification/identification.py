@@ -67,6 +67,8 @@ _LATE = 5.0
 _EDGE = 1e-6
 _PART = 0.1
 """Part that a number has at least in a combination that hides it."""
+_SMALLEST = 1e-6
+"""Least size of a fitted value, in units of its start, of which a change is a part."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,9 +203,10 @@ def fit_parameters(
     remarks = [*whole.remarks, *_unsettled(answer, whole)]
     edges = _fitted_edges(whole, answer)
     additive = [label for label, mark in zip(labels, unknowns.additive, strict=True) if mark]
-    # A relative change of a negative value is negative where the value grows.
+    # Of changes relative to the fitted values, which are negative where a negative value grows.
     signs = np.where(unknowns.numbers(answer.x) < 0.0, -1.0, 1.0)
-    information = answer.spread.information * np.outer(signs, signs)
+    sizes = np.where(unknowns.additive, 1.0, np.maximum(np.abs(answer.x[:-1]), _SMALLEST))
+    information = answer.spread.information * np.outer(signs * sizes, signs * sizes)
     unseen = unseen_combinations(labels, information, answer.spread.inflation, additive)
     on_progress("computing the intervals", 0.97)
     fitted = _fitted(unknowns, sought, answer, unseen)
