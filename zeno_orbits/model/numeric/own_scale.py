@@ -63,7 +63,7 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
         found = np.linalg.eigvals(np.delete(np.delete(slopes, clock, 0), clock, 1))
         found = found[np.abs(found) > _ROUNDED * np.max(np.abs(found), initial=0.0)]
         eigenvalues = np.append(found, np.linalg.eigvals(slopes[np.ix_(clock, clock)]))
-    slowest = _slowest_turn(eigenvalues)
+    slowest = _slowest_turn(np.asarray(eigenvalues, dtype=np.complex128))
     if slowest:
         return 2 * math.pi * slowest
     size = float(np.max(np.abs(state[:n_q])))
@@ -262,7 +262,7 @@ def _oscillation(dynamics: HybridDynamics, x: Vector) -> float:
         alone = np.linalg.eigvals(np.delete(np.delete(slopes, clock, 0), clock, 1))
     except np.linalg.LinAlgError:
         return 0.0
-    return _slowest_turn(alone)
+    return _slowest_turn(np.asarray(alone, dtype=np.complex128))
 
 
 def _slowest(dynamics: HybridDynamics, x: Vector) -> float:

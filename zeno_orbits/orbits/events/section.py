@@ -187,7 +187,7 @@ class EventReturn:
         chart = section_around(view, IMPACT_ROWS, self.start, scale, parameters=chosen)
         # Along the constraints. A motion drifts off those, as off the circle of its clock.
         gap = conditions_gradient(view, (), IMPACT_ROWS, self.start)[0]
-        onto = np.eye(n_x) - np.outer(scale * chart.normal[:, 0], gap)
+        onto = np.eye(n_x) - (scale * chart.normal[:, 0])[:, None] * gap[None, :]
         moved = end[:, n_x:] + end[:, :n_x] @ chart.drift
         return np.concatenate([end[:, :n_x] @ onto, moved], axis=1)
 
