@@ -5,8 +5,8 @@ Every threshold for zero and every local error is relative to one of these scale
 :math:`\sqrt{|q| / |a|}`, a coordinate has the scale :math:`s = \max(|q|, |v| T, |a| T^2)`, and the
 largest scale among coordinates with the same unit. The scale of an angle is 1. The scale of a
 velocity is :math:`s / T`, but at most :math:`\max(|v|, |a| T, \sqrt{|a| s})`, since a clock may be
-far faster than the mechanism. If a clock is far slower, :math:`T` is ten times the time of the
-mechanism. The scale of the gap is its change over such a displacement. Scales far from 1 are
+far faster than the mechanism. If it is far slower, :math:`T` is ten times the time of the slowest
+oscillation. The scale of the gap is its change over such a displacement. Scales far from 1 are
 rounded to powers of a thousand, and all other scales to 1, so a mechanism of usual size has the
 scale 1 in SI units.
 """
@@ -34,7 +34,7 @@ value."""
 _DECADES = 3
 """Other sizes are rounded to powers of ten with exponents that this divides."""
 _SLOWER = 10.0
-"""Largest time of a clock that sets the scales, in times of the mechanism."""
+"""Largest time of a clock that sets the scales, in times of the slowest oscillation."""
 _PHASES, _MANY_PHASES = 4, 64
 """Phases of the clock at which the scales are evaluated, of smooth formulas and with kinks."""
 _FIXED = ("rad", "1")
@@ -209,13 +209,11 @@ def reach_of(
     places = _alike(np.max(np.abs(states[:, :n_q]), axis=0), units)
     velocities = _alike(np.max(np.abs(rates[:, :n_q]), axis=0), units, fixed=0.0)
     accelerations = _alike(np.max(np.abs(rates[:, n_q : 2 * n_q]), axis=0), units, fixed=0.0)
-    swing = _swing(places, accelerations)
     if clock:
-        turn = 1 / np.linalg.norm(rates[0, list(clock)])
-        swing = swing or _oscillation(dynamics, states[0])
-        time = min(turn, np.float64(_SLOWER * swing)) if swing else turn
+        turn, own = 1 / np.linalg.norm(rates[0, list(clock)]), _oscillation(dynamics, states[0])
+        time = min(turn, np.float64(_SLOWER * own)) if own else turn
     else:
-        time = np.float64(swing or _slowest(dynamics, states[0]))
+        time = np.float64(_swing(places, accelerations) or _slowest(dynamics, states[0]))
     largest = np.maximum(np.maximum(places, velocities * time), accelerations * time * time)
     largest = _alike(largest, units)
     gap = np.float64(max(_gap_reach(dynamics, x, largest) for x in states))
