@@ -174,6 +174,13 @@ class _Buffers:
         return tuple(array[:n].copy() for array, n in zip(self.arrays, counts, strict=True))
 
 
+def _least_rows(program: TapedProblem, settings: Any) -> tuple[int, ...]:
+    """Return the rows of records that one event needs. `has_room` in C has the same numbers."""
+    several = isinstance(program, GraphProgram)
+    records = (settings[0] if several else settings).records
+    return (*((1, 1, 3) if records else (0, 0, 0)), 3 + c.STOPS if several else 3)
+
+
 class LoopRun:
     """One execution in the library. It can be resumed after every status but an error."""
 
@@ -200,6 +207,7 @@ class LoopRun:
         self._parts = list[tuple[Vector, ...]]()
         self._spare = _spare.setdefault(program, {})
         self._settings, self._p = settings, np.ascontiguousarray(p, dtype=np.float64)
+        self._least = _least_rows(program, settings)
         self.restart(x)
 
     @property
@@ -252,11 +260,13 @@ class LoopRun:
         Raises:
             ValueError: If a record has too few rows: the run could not continue.
         """
-        self._require_rows(steps, polynomials, arcs, events)
+        most = (steps, polynomials, arcs, events)
+        for kind, given, fewest in zip(_KINDS, most, self._least, strict=True):
+            if given < fewest:
+                raise ValueError(f"Argument `{kind}` must be at least {fewest}, but it is {given}.")
         # The tables may grow while this run goes on: it takes them first, then memory for them.
         address = self._program.address
         self._grow()
-        most = (steps, polynomials, arcs, events)
         spare = self._spare.setdefault(most, [])
         try:
             buffers = spare.pop()
@@ -275,16 +285,6 @@ class LoopRun:
                 self._estimates = more
         spare.append(buffers)
         return int(status)
-
-    def _require_rows(self, *rows: int) -> None:
-        """Reject records without space for one event. `has_room` in C has the same numbers."""
-        several = isinstance(self._program, GraphProgram)
-        first = self._settings[0] if several else self._settings
-        needed = (1, 1, 3) if first.records else (0, 0, 0)
-        least = (*needed, 3 + c.STOPS if several else 3)
-        for kind, given, fewest in zip(_KINDS, rows, least, strict=True):
-            if given < fewest:
-                raise ValueError(f"Argument `{kind}` must be at least {fewest}, but it is {given}.")
 
     def _grow(self) -> None:
         """Take more memory if the tables of the problem have grown."""
@@ -369,6 +369,7 @@ class LoopRun:
         other._parts = list(self._parts)
         other._spare = self._spare
         other._settings, other._p = self._settings, self._p
+        other._least = self._least
         self._library.zl_copy(self._program.address, self._place, other._place)
         return other
 
