@@ -57,12 +57,10 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
     slopes = _slopes(dynamics, state)
     eigenvalues = np.linalg.eigvals(slopes)
     clock = list(dynamics.clock)
-    if dynamics.holonomic(state).size > len(clock[:1]):
-        # Along a constraint the double eigenvalue zero is rounded to a root of the rounding. The
-        # clock does not depend on the mechanism, and may be slow.
-        found = np.linalg.eigvals(np.delete(np.delete(slopes, clock, 0), clock, 1))
-        found = found[np.abs(found) > _ROUNDED * np.max(np.abs(found), initial=0.0)]
-        eigenvalues = np.append(found, np.linalg.eigvals(slopes[np.ix_(clock, clock)]))
+    if _is_constrained(dynamics, state):
+        # The clock does not depend on the mechanism, and may be slow.
+        alone = _values_without_clock(dynamics, state, slopes)
+        eigenvalues = np.append(alone, np.linalg.eigvals(slopes[np.ix_(clock, clock)]))
     slowest = _slowest_turn(np.asarray(eigenvalues, dtype=np.complex128))
     if slowest:
         return 2 * math.pi * slowest
@@ -81,6 +79,31 @@ def _slopes(dynamics: HybridDynamics, state: Vector) -> Vector:
     At an empty vessel the slope of the root of the pressure is infinite and gives no time scale.
     """
     return np.nan_to_num(dynamics.free.jacobian(state), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _is_constrained(dynamics: HybridDynamics, state: Vector) -> bool:
+    """Return True if the coordinates have constraints. The clock has one of its own."""
+    return dynamics.holonomic(state).size > len(dynamics.clock[:1])
+
+
+def _values_without_clock(
+    dynamics: HybridDynamics, state: Vector, slopes: Vector
+) -> NDArray[np.complex128]:
+    """Return the eigenvalues of the mechanism without its clock.
+
+    Along a constraint the double eigenvalue zero is rounded to a root of the rounding, and left
+    out.
+
+    Args:
+        dynamics: The system.
+        state: A state, ``(n_x,)``.
+        slopes: Jacobian of the free flow there, ``(n_x, n_x)``.
+    """
+    clock = list(dynamics.clock)
+    alone = np.linalg.eigvals(np.delete(np.delete(slopes, clock, 0), clock, 1))
+    if _is_constrained(dynamics, state):
+        alone = alone[np.abs(alone) > _ROUNDED * np.max(np.abs(alone), initial=0.0)]
+    return np.asarray(alone, dtype=np.complex128)
 
 
 def _slowest_turn(eigenvalues: NDArray[np.complex128]) -> float:
@@ -255,12 +278,10 @@ def _swing(places: Vector, accelerations: Vector) -> float:
 
 def _oscillation(dynamics: HybridDynamics, x: Vector) -> float:
     """Return the time of the slowest oscillation of the mechanism without its clock, or 0."""
-    slopes, clock = _slopes(dynamics, x), list(dynamics.clock)
     try:
-        alone = np.linalg.eigvals(np.delete(np.delete(slopes, clock, 0), clock, 1))
+        return _slowest_turn(_values_without_clock(dynamics, x, _slopes(dynamics, x)))
     except np.linalg.LinAlgError:
         return 0.0
-    return _slowest_turn(np.asarray(alone, dtype=np.complex128))
 
 
 def _slowest(dynamics: HybridDynamics, x: Vector) -> float:
