@@ -24,7 +24,7 @@ from zeno_orbits.orbits.section import (
     RELEASE_ROWS,
     conditions_gradient,
     project_to_section,
-    section_around,
+    section_of,
 )
 from zeno_orbits.simulation import (
     Arc,
@@ -183,12 +183,12 @@ class EventReturn:
         view = graph.view(
             graph.mode_of(first.closed, first.sides), graph.stop_names.index(first.stop)
         )
-        chosen = self.differentiation.chosen
-        chart = section_around(view, IMPACT_ROWS, self.start, scale, parameters=chosen)
+        slopes = conditions_gradient(view, self.differentiation.chosen, IMPACT_ROWS, self.start)
+        chart = section_of(slopes[:, :n_x] * scale, self.start, scale)
+        back = scale[:, None] * chart.normal
         # Along the constraints. A motion drifts off those, as off the circle of its clock.
-        gap = conditions_gradient(view, (), IMPACT_ROWS, self.start)[0]
-        onto = np.eye(n_x) - (scale * chart.normal[:, 0])[:, None] * gap[None, :]
-        moved = end[:, n_x:] + end[:, :n_x] @ chart.drift
+        onto = np.eye(n_x) - back[:, :1] * slopes[:1, :n_x]
+        moved = end[:, n_x:] - end[:, :n_x] @ back @ slopes[:, n_x:]
         return np.concatenate([end[:, :n_x] @ onto, moved], axis=1)
 
     @cached_property
