@@ -8,7 +8,7 @@ is a state, so the set of states just after an impact moves too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -19,36 +19,13 @@ from scipy.optimize import brentq, fsolve
 
 import zeno_orbits as zo
 from tests.reference.linear_impacts import ImpactOscillator
+from tests.support.mechanisms import machine_of
 from zeno_orbits.continuation import SpecialPointKind
 from zeno_orbits.maps import AttractorClass
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import EventReturn, SectionMode, closed_return, inverse_of_closing
 
-Model = Callable[[Mapping[str, ca.SX]], zo.CompletedSystem]
 STATES = {"x": "m", "v": "m/s", "cosine": "1", "sine": "1"}
-
-
-def _problem(model: Model, states: Mapping[str, str], **defaults: float) -> zo.Problem:
-    first, second, *_ = states
-    return zo.Problem(
-        name="machine",
-        title="machine of a test",
-        source="tests/laws/test_impacts_on_one_stop.py",
-        state_names=tuple(states),
-        state_units=tuple(states.values()),
-        parameters=(
-            zo.Quantity.restitution(0.6),
-            *(
-                zo.Quantity(name=name, unit="1", meaning=name, default=default)
-                for name, default in defaults.items()
-            ),
-        ),
-        gains=(),
-        model=model,
-        starts=({"cosine": 1.0},),
-        portraits=((first, second),),
-        amplitude_of=first,
-    )
 
 
 def _oscillator(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
@@ -67,7 +44,9 @@ def _oscillator(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
 
 
-OSCILLATOR = _problem(_oscillator, STATES, c=0.2, omega=1.5, d=0.2, A=1.0)
+OSCILLATOR = machine_of(
+    _oscillator, STATES, {"restitution": 0.6, "c": 0.2, "omega": 1.5, "d": 0.2, "A": 1.0}
+)
 CASES = (
     # omega, c, d, e, and the time and velocity just after an impact, to one digit.
     (1.6329, 0.3805, 0.3527, 0.3014, 0.8, -0.4),
@@ -230,8 +209,8 @@ def _duffing(p: Mapping[str, ca.SX], *, by_stops: bool) -> zo.CompletedSystem:
 
 @pytest.mark.parametrize("force", [0.95, 1.4, 2.0])
 def test_a_stop_and_a_gap_are_one_machine(force: float) -> None:
-    by_stops = _problem(partial(_duffing, by_stops=True), STATED, **DUFFING)
-    by_gap = _problem(partial(_duffing, by_stops=False), STATED, **DUFFING)
+    by_stops = machine_of(partial(_duffing, by_stops=True), STATED, {"restitution": 0.6, **DUFFING})
+    by_gap = machine_of(partial(_duffing, by_stops=False), STATED, {"restitution": 0.6, **DUFFING})
     one = zo.find_event_orbit(by_stops, parameters={"F": force})
     other = zo.find_orbit(by_gap, parameters={"F": force}).orbit
     assert other is not None
@@ -268,9 +247,9 @@ def _bead(p: Mapping[str, ca.SX], *, on_circle: bool) -> zo.CompletedSystem:
 
 def test_multipliers_do_not_depend_on_coordinates_with_a_constraint() -> None:
     own = {"A": 0.8, "c": 0.3, "omega": 1.5, "s": 0.1}
-    angle = _problem(partial(_bead, on_circle=False), STATED, **own)
+    angle = machine_of(partial(_bead, on_circle=False), STATED, {"restitution": 0.6, **own})
     places = {"x": "m", "y": "m", "vx": "m/s", "vy": "m/s", "cosine": "1", "sine": "1"}
-    circle = _problem(partial(_bead, on_circle=True), places, **own)
+    circle = machine_of(partial(_bead, on_circle=True), places, {"restitution": 0.6, **own})
     one = zo.find_event_orbit(angle)
     other = zo.find_event_orbit(circle, start={"y": -1.0, "cosine": 1.0})
     assert one.sequence == other.sequence == ("impact wall",)

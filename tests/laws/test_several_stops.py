@@ -7,7 +7,7 @@ execution of `tests/reference/event_loop.py`, which shares no code with the pack
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import casadi as ca
@@ -25,6 +25,7 @@ from tests.reference.several_stops import (
     impact_pair,
     two_sided,
 )
+from tests.support.mechanisms import machine_of
 from zeno_orbits.continuation import SecondParameter, SpecialPointKind
 from zeno_orbits.orbits import closed_return
 
@@ -32,34 +33,6 @@ G = 9.81
 SETS = 20
 LOCATED = 1e-10
 """Of times and states: a hundred times the tolerance of the integrator."""
-
-Model = Callable[[Mapping[str, ca.SX]], zo.CompletedSystem]
-
-
-def machine(
-    model: Model, states: Mapping[str, str], parameters: Mapping[str, float] | None = None
-) -> zo.Problem:
-    """Return a problem of states with their units, and of parameters without a unit."""
-    names = tuple(states)
-    return zo.Problem(
-        name="machine",
-        title="machine of a test",
-        source="tests/laws/test_several_stops.py",
-        state_names=names,
-        state_units=tuple(states.values()),
-        parameters=tuple(
-            zo.Quantity.restitution(default)
-            if name == "restitution"
-            else zo.Quantity(name=name, unit="1", meaning=name, default=default)
-            for name, default in (parameters or {}).items()
-        ),
-        gains=(),
-        model=model,
-        starts=({"cosine": 1.0} if "cosine" in states else {},),
-        portraits=((names[0], names[1]),),
-        amplitude_of=names[0],
-    )
-
 
 LINE = {"x": "m", "dx": "m/s"}
 FORCED = LINE | {"cosine": "1", "sine": "1"}
@@ -93,7 +66,7 @@ def oscillator(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
 
 
-OSCILLATOR = machine(
+OSCILLATOR = machine_of(
     oscillator, FORCED, {"c": 0.1, "omega": 1.0, "d": 1.0, "restitution": 0.5, "A": 1.0}
 )
 
@@ -171,7 +144,7 @@ def shaken_box(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
 
 
-BOX = machine(shaken_box, FORCED, {"A": 1.0, "restitution": 0.5, "d": 1.0})
+BOX = machine_of(shaken_box, FORCED, {"A": 1.0, "restitution": 0.5, "d": 1.0})
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -267,7 +240,7 @@ def hopper(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
 
 @pytest.mark.parametrize(("a", "s", "e"), [(25.0, 0.1, 0.6), (40.0, 0.03, 0.3), (15.0, 0.2, 0.8)])
 def test_a_hopper_has_its_speeds(a: float, s: float, e: float) -> None:
-    problem = machine(hopper, LINE, {"a": a, "s": s, "restitution": e})
+    problem = machine_of(hopper, LINE, {"a": a, "s": s, "restitution": e})
     found = zo.simulate(problem, until=6.0, start={"x": 0.5})
     speeds = [-impact.approach_rate for impact in found.impacts]
     assert len(speeds) > 3
@@ -279,7 +252,7 @@ def test_a_hopper_has_its_speeds(a: float, s: float, e: float) -> None:
 def test_a_hopper_repeats_its_hop() -> None:
     a, s, e = 25.0, 0.1, 0.6
     speed = math.sqrt(2 * a * s / (1 - e**2))
-    problem = machine(hopper, LINE, {"a": a, "s": s, "restitution": e})
+    problem = machine_of(hopper, LINE, {"a": a, "s": s, "restitution": e})
     found = zo.simulate(problem, until=4.0, start={"x": speed**2 / (2 * G)})
     assert len(found.impacts) > 3
     for impact in found.impacts:
@@ -349,7 +322,7 @@ LEGS = {
     "dthigh": "rad/s",
     "dshank": "rad/s",
 }
-WALKER = machine(walker, LEGS, {"restitution": 0.0})
+WALKER = machine_of(walker, LEGS, {"restitution": 0.0})
 
 
 def walking(e: float, until: float) -> zo.Execution:
@@ -416,7 +389,9 @@ def clipped(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(mechanism, zo.circuit_drive(mechanism, circuit))
 
 
-CLIPPED = machine(clipped, LINE | {"i": "A", "cosine": "1", "sine": "1"}, dict.fromkeys(MOTOR, 0.5))
+CLIPPED = machine_of(
+    clipped, LINE | {"i": "A", "cosine": "1", "sine": "1"}, dict.fromkeys(MOTOR, 0.5)
+)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -496,7 +471,7 @@ def relay(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
 
 def test_a_relay_bounces_at_both_stops_as_published() -> None:
     states = {"z": "m", "w": "m/s", "flux": "Wb", "cosine": "1", "sine": "1"}
-    problem = machine(relay, states, RELAY)
+    problem = machine_of(relay, states, RELAY)
     start = {"z": RELAY["d"], "flux": RELAY_FLUX, "cosine": 1.0, "sine": 0.0}
     found = zo.simulate(problem, until=0.0399, start=start)
     seen: list[tuple[str, str, float, float | None]] = []
@@ -542,7 +517,7 @@ def braked(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
 
 
 def test_sliding_is_refused() -> None:
-    problem = machine(braked, LINE, {"f": 1.5, "restitution": 0.5})
+    problem = machine_of(braked, LINE, {"f": 1.5, "restitution": 0.5})
     with pytest.raises(zo.SlidingError) as caught:
         zo.simulate(problem, until=5.0, start={"dx": 3.0})
     assert caught.value.time == pytest.approx(3.0 / 1.5, abs=LOCATED)
@@ -567,7 +542,7 @@ def two_floors(coupling: float) -> zo.Problem:
         return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
 
     states = {"left": "m", "right": "m", "dleft": "m/s", "dright": "m/s"}
-    return machine(model, states, {"restitution": 0.5})
+    return machine_of(model, states, {"restitution": 0.5})
 
 
 def test_impacts_on_two_stops_at_the_same_time_are_refused() -> None:
@@ -616,7 +591,7 @@ def dropped(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
 
 def test_a_reset_into_a_stop_is_refused() -> None:
     with pytest.raises(zo.SimulationError) as caught:
-        zo.simulate(machine(dropped, LINE, {"restitution": 0.5}), until=5.0, start={"x": 1.0})
+        zo.simulate(machine_of(dropped, LINE, {"restitution": 0.5}), until=5.0, start={"x": 1.0})
     assert type(caught.value).__name__ == "PenetrationError"
     assert caught.value.time == pytest.approx(math.sqrt(1 / G), abs=LOCATED)
 
@@ -658,7 +633,7 @@ def drag_ball_times(height: float, b: float, e: float) -> tuple[list[float], flo
 def test_a_ball_with_quadratic_drag_comes_to_rest_through_a_kink_in_every_flight() -> None:
     b, e = 0.3, 0.5
     times, limit = drag_ball_times(1.0, b, e)
-    problem = machine(drag_ball, LINE, {"b": b, "restitution": e})
+    problem = machine_of(drag_ball, LINE, {"b": b, "restitution": e})
     found = zo.simulate(problem, until=limit + 0.3, start={"x": 1.0})
     seen = [impact.time for impact in found.impacts]
     assert len(seen) > 4

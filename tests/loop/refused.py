@@ -8,7 +8,8 @@ from dataclasses import replace
 import casadi as ca
 
 import zeno_orbits as zo
-from tests.laws.test_several_stops import LINE, braked, dropped, machine, two_floors
+from tests.laws.test_several_stops import LINE, braked, dropped, two_floors
+from tests.support.mechanisms import machine_of
 
 Formula = Callable[[ca.SX, ca.SX], ca.SX]
 
@@ -42,7 +43,7 @@ def ball(
             )
         return zo.hybrid_system(mechanism, zo.no_drive(mechanism), switches=switches)
 
-    return machine(model, LINE, {"restitution": 0.5})
+    return machine_of(model, LINE, {"restitution": 0.5})
 
 
 def corner(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
@@ -80,7 +81,7 @@ REFUSED: dict[str, tuple[zo.Problem, str]] = {
         "not differentiable at its own kink `kink 1`",
     ),
     "impacts in a corner": (
-        _from(machine(corner, PLANE, {"restitution": 0.6}), x=0.2, y=1.0),
+        _from(machine_of(corner, PLANE, {"restitution": 0.6}), x=0.2, y=1.0),
         "Two events coincide to rounding: impact",
     ),
     "impacts at the same time": (
@@ -104,11 +105,11 @@ REFUSED: dict[str, tuple[zo.Problem, str]] = {
         "The switch `throw` is armed at its start",
     ),
     "a reset into a stop": (
-        _from(machine(dropped, LINE, {"restitution": 0.5}), x=1.0),
+        _from(machine_of(dropped, LINE, {"restitution": 0.5}), x=1.0),
         "The reset of the switch `drop` sends the state into the stop `floor`",
     ),
     "sliding": (
-        _from(machine(braked, LINE, {"f": 1.5, "restitution": 0.5}), dx=3.0),
+        _from(machine_of(braked, LINE, {"f": 1.5, "restitution": 0.5}), dx=3.0),
         "The motion slides along the switch `kink 1`",
     ),
 }

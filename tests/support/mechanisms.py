@@ -252,3 +252,31 @@ def oscillator(damping: float = 0.1, stiffness: float = 1.0, *, named: bool = Fa
         portraits=(("x", "dx"),),
         amplitude_of="x",
     )
+
+
+Model = Callable[[Mapping[str, ca.SX]], CompletedSystem]
+
+
+def machine_of(
+    model: Model, states: Mapping[str, str], parameters: Mapping[str, float] | None = None
+) -> Problem:
+    """Return a problem of states with their units, and of parameters without a unit."""
+    names = tuple(states)
+    return Problem(
+        name="machine",
+        title="machine of a test",
+        source="a test",
+        state_names=names,
+        state_units=tuple(states.values()),
+        parameters=tuple(
+            Quantity.restitution(default)
+            if name == "restitution"
+            else Quantity(name=name, unit="1", meaning=name, default=default)
+            for name, default in (parameters or {}).items()
+        ),
+        gains=(),
+        model=model,
+        starts=({"cosine": 1.0} if "cosine" in states else {},),
+        portraits=((names[0], names[1]),),
+        amplitude_of=names[0],
+    )
