@@ -257,6 +257,23 @@ def test_multipliers_do_not_depend_on_coordinates_with_a_constraint() -> None:
     assert one.floquet_multipliers == pytest.approx(other.floquet_multipliers, abs=1e-8)
 
 
+@pytest.mark.parametrize("omega", [1e-9, 1e-6, 1e-3])
+def test_a_constraint_leaves_the_own_time_of_an_oscillation_under_a_slow_clock(
+    omega: float,
+) -> None:
+    own = {"restitution": 0.6, "A": 0.01, "c": 0.0, "omega": omega, "s": 0.1}
+    places = {"x": "m", "y": "m", "vx": "m/s", "vy": "m/s", "cosine": "1", "sine": "1"}
+    start = {"x": math.sin(0.3), "y": -math.cos(0.3), "cosine": 1.0}
+    circle = replace(machine_of(partial(_bead, on_circle=True), places, own), starts=(start,))
+    angle = machine_of(partial(_bead, on_circle=False), STATED, own)
+    first = next(iter(STATED))
+    times = [
+        zo.simulate(problem, until=3.0, start=begin).impacts[0].time
+        for problem, begin in ((circle, start), (angle, {first: 0.3, "cosine": 1.0}))
+    ]
+    assert times[0] == pytest.approx(times[1], rel=1e-9)
+
+
 def test_zeno_points_of_the_transient_do_not_hide_an_orbit_of_impacts() -> None:
     numbers = {"restitution": 0.45}
     # The voltage never reaches this limit.
