@@ -14,6 +14,7 @@ import io
 import re
 import sys
 from collections.abc import Iterator
+from itertools import zip_longest
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -39,7 +40,15 @@ def executed(notebook: NotebookNode) -> NotebookNode:
     fresh = nbformat.from_dict(notebook)
     with TemporaryDirectory() as folder:
         where = {"metadata": {"path": folder}}
-        NotebookClient(fresh, timeout=600, kernel_name="python3", resources=where).execute()
+        NotebookClient(
+            fresh,
+            timeout=600,
+            # By default an output that is 4 s late is left out without an error.
+            iopub_timeout=60,
+            raise_on_iopub_timeout=True,
+            kernel_name="python3",
+            resources=where,
+        ).execute()
     return fresh
 
 
@@ -68,12 +77,13 @@ def differences(stored: NotebookNode, fresh: NotebookNode) -> Iterator[str]:
         return
     for k, (old, new) in enumerate(zip(stored.cells, fresh.cells, strict=True)):
         if old.cell_type == "code" and "varies" not in old.metadata.get("tags", ()):
-            pairs = zip(_printed(old), _printed(new), strict=False)
-            for before, after in pairs:
-                if not _same(before, after):
+            for before, after in zip_longest(_printed(old), _printed(new)):
+                if before is None:
+                    yield f"cell {k}: the line `{after}` is new"
+                elif after is None:
+                    yield f"cell {k}: the line `{before}` is missing"
+                elif not _same(before, after):
                     yield f"cell {k}: stored `{before}`, now `{after}`"
-            if len(_printed(old)) != len(_printed(new)):
-                yield f"cell {k}: it prints another number of lines"
 
 
 def _printed(cell: NotebookNode) -> list[str]:
