@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -418,17 +418,9 @@ def closed_return(
     """
     best, best_size, size = None, math.inf, math.inf
     inverse: Vector | None = None
+    returned = partial(event_return, graph, section=section, n_returns=n_returns, settings=settings)
     for _ in range(_MOST_ITERATIONS):
-        found = event_return(
-            graph,
-            x,
-            section=section,
-            n_returns=n_returns,
-            guess=guess,
-            settings=settings,
-            parameters=parameters,
-            mode=mode,
-        )
+        found = returned(x, guess=guess, parameters=parameters, mode=mode)
         if mode is None:
             mode = SectionMode.of(found.execution.arcs[0], section)
             x = on_section(graph, found.start, mode)
