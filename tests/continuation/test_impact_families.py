@@ -83,6 +83,45 @@ def test_the_family_in_the_amplitude_ends_by_grazing_at_one_tenth() -> None:
 
 
 @pytest.mark.slow
+def test_no_multiplier_is_stated_for_a_grazing_end_since_the_largest_has_no_limit() -> None:
+    (family,) = family_in_amplitude().families
+    (end,) = [one for one in (family.first, family.last) if one.kind is SpecialPointKind.GRAZING]
+    assert end.at.multiplier_error == math.inf
+    assert not end.stable
+    assert end.as_json()["multiplier_error"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("parameter", "box", "amplitude"), [("stop", (-0.2, 0.4), 1.0), ("omega", (0.7, 1.1), 0.5)]
+)
+def test_multipliers_and_margins_at_an_end_are_limits(
+    parameter: str, box: tuple[float, float], amplitude: float
+) -> None:
+    given = {"c": 0.1, "stop": 0.3, "restitution": 0.6, "A": amplitude}
+    start = OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0})
+    values = OSCILLATOR.values(parameters=given)
+    once = ContinuationSettings(doublings=0)
+    (family,) = family_of_impacts(OSCILLATOR, values, start, parameter, box, settings=once).families
+    end = family.first
+    assert end.kind is SpecialPointKind.EARLIER_GRAZING
+    at = {"omega": 1.0, **given, parameter: end.at.value}
+    truth = ImpactOscillator(
+        amplitude=amplitude, omega=at["omega"], damping=0.1, stop=at["stop"], restitution=0.6
+    )
+    state = end.at.state
+    phase, velocity = math.atan2(state["sine"], state["cosine"]), -state["speed"]
+    values_there = np.linalg.eigvals(truth.monodromy(phase / truth.omega, velocity))
+    missed = np.abs(np.sort_complex(values_there) - np.sort_complex(end.at.multipliers))
+    assert np.max(missed) < end.at.multiplier_error < 1e-7
+    before = truth.at_impact(phase / truth.omega, velocity)[1]
+    assert end.at.margins["speed of the first impact"] == pytest.approx(before, rel=1e-10)
+    # The last point of the family is not the end.
+    near = np.linalg.norm(np.sort_complex(family.points[0].multipliers) - values_there)
+    assert near > 10 * end.at.multiplier_error
+
+
+@pytest.mark.slow
 def test_its_fold_is_where_the_closed_form_has_a_multiplier_of_one() -> None:
     (family,) = family_in_amplitude().families
     (fold,) = [special for special in family.special if special.kind is SpecialPointKind.FOLD]

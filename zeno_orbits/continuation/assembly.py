@@ -126,11 +126,13 @@ class _Names:
     def special(self, located: Located, index: int) -> SpecialPoint:
         """Return a special point, after the point with an index in the family."""
         x, s = self.setup.metric.of_place(located.z)
+        point = self.point(located.point)
         at = replace(
-            self.point(located.point),
+            point,
             value=s,
             state=self._state(x),
             period=located.period,
+            multipliers=point.multipliers if located.multipliers is None else located.multipliers,
             multiplier_error=located.multiplier_error,
             margins=self._margins(located.margins),
         )

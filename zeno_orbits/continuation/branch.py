@@ -315,7 +315,8 @@ class _Follower:
             if not (surely if not passed else signs_kept_to((*points, *passed)[-_NODES:], end.z)):
                 stretch = end.z[-1] - (*points, *passed)[-1].z[-1]
                 self.doubt = max(self.doubt, float(abs(stretch)))
-            end = replace(end, point=last, multiplier_error=last.multiplier_error)
+            own = (_AMPLIFIED if passed else 1.0) * last.multiplier_error
+            end = replace(end, point=last, multiplier_error=end.multiplier_error + own)
             return PathStep(points=tuple(passed), end=_End(kind=end.kind, located=end))
         return None
 
@@ -423,5 +424,8 @@ LEAST_DOUBT = 1e-7
 """Scaled arclength below which a step is not subdivided."""
 _NODES = 4
 """Points from which test functions are extrapolated to an end."""
+_AMPLIFIED = 8.3
+"""Factor of the errors of points in an extrapolation by halves: the product of
+``(2**k + 1) / (2**k - 1)``."""
 _CERTAIN = 1e-6
 """Largest estimated error of an end, relative to the range. With a larger error it is rejected."""

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.lock_end import locate_cut
-from zeno_orbits.continuation.margins import ENDS, VanishingMargin, causes, stages
+from zeno_orbits.continuation.margins import ENDS, LEAST_POWER, VanishingMargin, causes, stages
 from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.continuation.special_points.subdivision import neville
@@ -83,14 +83,42 @@ def _better(
     return other if other.error < found.error else found
 
 
-def _limits(before: BranchPoint, last: BranchPoint, gone: Margin) -> dict[Margin, float]:
-    """Return the margins at an end by linear extrapolation to the zero of one of them."""
-    early, late = before.found.margins, last.found.margins
-    part = late[gone] / (early[gone] - late[gone])
-    return {
-        margin: max(0.0, value - part * (early.get(margin, value) - value))
-        for margin, value in late.items()
+def _limits(used: Sequence[BranchPoint], gone: Margin) -> dict[Margin, float]:
+    """Return the margins at an end by extrapolation to the zero of one of them."""
+    values = np.array([node.found.margins[gone] for node in used])
+    known = [margin for margin in used[-1].found.margins if margin != gone]
+    rows = np.array(
+        [[node.found.margins.get(margin, math.nan) for margin in known] for node in used]
+    )
+    limit, _ = neville(values, rows)
+    found = {
+        margin: max(0.0, float(value)) if math.isfinite(value) else used[-1].found.margins[margin]
+        for margin, value in zip(known, limit, strict=True)
     }
+    return {margin: found.get(margin, 0.0) for margin in used[-1].found.margins}
+
+
+def _multipliers(used: Sequence[BranchPoint], gone: Margin) -> tuple[tuple[complex, ...], float]:
+    """Return the multipliers at an end by extrapolation to the zero of a margin, and their change.
+
+    If the largest grows like a power of the margin, as where an impact grazes, it has no limit:
+    those of the last point are returned, with an infinite change.
+    """
+    values = np.array([node.found.margins[gone] for node in used])
+    before, last = used[-2:]
+    sizes = [max(map(abs, node.multipliers), default=0.0) for node in (before, last)]
+    if min(sizes) > 0.0 and sizes[1] / sizes[0] > (values[-2] / values[-1]) ** LEAST_POWER:
+        return last.multipliers, math.inf
+    rows = np.array([np.sort_complex(np.array(node.multipliers)) for node in used])
+    best, error = rows[-1], math.inf
+    for n in range(2, len(used) + 1):
+        limit, change = neville(values[-n:], rows[-n:])
+        largest = float(np.max(change, initial=0.0))
+        if largest < error:
+            best, error = limit, largest
+    # Without negative zeros, and a pair with its positive imaginary part first.
+    found = sorted((best[::-1] + 0.0).tolist(), key=abs, reverse=True)
+    return tuple(found), error
 
 
 _HALVINGS = 12
@@ -104,7 +132,7 @@ def _approach(
     """Return the limit of a sequence of points along which a margin is halved repeatedly."""
     nodes, unit = [before, last], last.found.time
     patience, stalls = metric.horizon / unit, margin.loss is MarginKind.FREQUENCY
-    best: tuple[float, Vector] | None = None
+    best: tuple[float, Vector, Sequence[BranchPoint]] | None = None
     for _ in range(_HALVINGS):
         metric = metric.waiting_for(nodes[-1].found.time, longer=patience)
         try:
@@ -122,22 +150,25 @@ def _approach(
         limit, change = neville(np.array(values), rows)
         error = float(np.max(change))
         if best is None or error < best[0]:
-            best = (error, limit)
+            best = (error, limit, used)
         elif error > 10 * best[0]:
             break
         if error < _GOOD:
             break
     if best is None:
         raise SimulationError("The end cannot be approached", time=0.0, state=())
-    error, limit = best
+    error, limit, used = best
     error += _noise(returns, metric, nodes, margin)
+    multipliers, change = _multipliers(used, margin)
     return Located(
         kind=ENDS[margin.loss],
         point=nodes[-1],
         z=limit[:-1],
         period=math.inf if stalls else float(limit[-1]) * unit,
         error=error * metric.unit,
-        margins=_limits(nodes[-2], nodes[-1], margin),
+        margins=_limits(used, margin),
+        multipliers=multipliers,
+        multiplier_error=change,
         place=margin.place,
         path=tuple(nodes[2:]),
     )

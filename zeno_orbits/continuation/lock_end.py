@@ -6,6 +6,7 @@ differentiable on both sides of the end. Theory (5.7).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -19,7 +20,7 @@ from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.special_points.special_points import Located
-from zeno_orbits.continuation.special_points.test_functions import with_course
+from zeno_orbits.continuation.special_points.test_functions import multiplier_change, with_course
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.orbits import Margin, MarginKind
 
@@ -150,6 +151,8 @@ def _cut_ever_later(
     slope = _slope(cut_after(returns, place, n), metric, here, cut, max(step, 1e-9))
     doubt = abs(loose.found.margins[cut] - here.found.margins[cut]) / abs(slope)
     here = with_course(cut_after(returns, place, n), metric, here, max(step, 1e-9))
+    # The cut that is followed by the others is a further approximation of the multipliers.
+    moved = multiplier_change(here, found[-2]) if len(found) > 1 else math.inf
     return Located(
         kind=SpecialPointKind.LOCK_VANISHES,
         point=here,
@@ -157,7 +160,7 @@ def _cut_ever_later(
         period=float(limits[-1][-1]),
         error=(error + doubt) * metric.unit,
         margins=here.found.margins,
-        multiplier_error=here.multiplier_error,
+        multiplier_error=moved,
         place=place,
     )
 

@@ -181,7 +181,7 @@ def causes(way: Sequence[Stage], gone: Margin) -> tuple[Margin, ...]:
     powers = {gone: 1.0}
     for margin in way[-1].margins:
         fallen = [_exponent(before, after, margin, gone) for before, after in pairwise(way[-3:])]
-        if min(fallen) > _LEAST_POWER and abs(fallen[1] / fallen[0] - 1) < _STEADY:
+        if min(fallen) > LEAST_POWER and abs(fallen[1] / fallen[0] - 1) < _STEADY:
             powers[margin] = fallen[-1]
     entailed = {
         margin
@@ -194,7 +194,7 @@ def causes(way: Sequence[Stage], gone: Margin) -> tuple[Margin, ...]:
     return tuple(sorted(left, key=lambda margin: (order.index(margin.loss), margin.place)))
 
 
-_LEAST_POWER, _STEADY, _POWER = 0.2, 0.1, 0.25
+LEAST_POWER, _STEADY, _POWER = 0.2, 0.1, 0.25
 """Least exponent of a margin that vanishes, its largest relative change between stages, and its
 largest relative deviation from an entailed power."""
 

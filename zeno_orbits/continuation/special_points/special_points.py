@@ -35,6 +35,7 @@ class Located:
         z: Its ambient coordinates, ``(n_x + 1,)``. At an end, they are the limit.
         period: Period [s].
         error: Estimated error of the parameter.
+        multipliers: Multipliers at an end, the largest first. ``None``: those of the point.
         multiplier_error: Estimated error of the multipliers.
         margins: Margins of the orbit. At an end, they are the limits.
         place: Index of the return that causes an end, from 0.
@@ -48,6 +49,7 @@ class Located:
     period: float
     error: float
     margins: Mapping[Margin, float]
+    multipliers: tuple[complex, ...] | None = None
     multiplier_error: float = math.inf
     place: int = 0
     path: tuple[BranchPoint, ...] = ()
