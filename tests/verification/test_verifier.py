@@ -289,6 +289,42 @@ def test_impacts_after_the_zeno_point_are_refused(check: Check, orbit: ZenoOrbit
     assert check(changed(orbit, impacts=impacts)).failed == ("impact_sequence",)
 
 
+@pytest.mark.parametrize("name", ["motor_pendulum", "vibrating_table", "solenoid"])
+def test_claimed_impacts_that_the_check_does_not_resolve_obey_the_law_of_the_tail(
+    name: str,
+) -> None:
+    machine = load_problem(name)
+    orbit = orbit_by_shooting(machine, machine.values()).unwrap()
+    finer = SimulationSettings(completion=ZenoExtrapolation(resolved=1e-10))
+    motion = simulate(
+        machine.dynamics(machine.values()),
+        machine.state_vector(orbit.release_state),
+        until=orbit.period,
+        settings=finer,
+    )
+    impacts = tuple(
+        OrbitImpact(
+            time=one.time,
+            state_minus=dict(zip(machine.state_names, one.state_minus.tolist(), strict=True)),
+        )
+        for one in motion.impacts
+    )
+    assert len(impacts) > len(orbit.impacts) + 2
+    more = changed(orbit, impacts=impacts)
+    assert verify(more, machine, settings=QUICK).passed
+    later = impacts[len(orbit.impacts) + 1]
+    before = dict(later.state_minus)
+    first = machine.state_names[0]
+    for false in (
+        replace(later, time=(later.time + orbit.zeno_time) / 2),
+        replace(later, state_minus={**before, first: before[first] + 1e-6}),
+        replace(later, state_minus=dict.fromkeys(before, 77.0)),
+    ):
+        wrong = tuple(false if one is later else one for one in impacts)
+        seen = verify(changed(orbit, impacts=wrong), machine, settings=QUICK)
+        assert seen.failed == ("impact_sequence",)
+
+
 # False laws.
 
 

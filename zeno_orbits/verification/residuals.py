@@ -6,12 +6,14 @@ Residuals are zero and margins are positive along an orbit.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics, Problem, constraint_sizes
-from zeno_orbits.simulation import Impact, Mode
+from zeno_orbits.orbits import Phase
+from zeno_orbits.simulation import Impact, Mode, ZenoPoint
 from zeno_orbits.verification.claim import Claim
 from zeno_orbits.verification.integration import FirstCycle, Observation, distance
 
@@ -36,7 +38,7 @@ def orbit_residuals(
     cycle, period = first.cycle, claim.period
     residuals = {
         start: _off_section(dynamics, claim, first),
-        **_hits(claim, first),
+        **_hits(dynamics, claim, first),
         "closure": distance(cycle.end.state, claim.start, first.scale),
         "period": abs(cycle.end.time - period) / period,
         "drift": max(distance(r.state, claim.start, first.scale) for r in seen.returns),
@@ -78,7 +80,7 @@ def escapes_of(problem: Problem, first: FirstCycle) -> dict[str, tuple[float, st
     return found
 
 
-def _hits(claim: Claim, first: FirstCycle) -> dict[str, float]:
+def _hits(dynamics: HybridDynamics, claim: Claim, first: FirstCycle) -> dict[str, float]:
     """Return the deviations of starts of phases, impacts and Zeno points from the claimed orbit."""
     period, cycle = claim.period, first.cycle
 
@@ -94,9 +96,8 @@ def _hits(claim: Claim, first: FirstCycle) -> dict[str, float]:
         ]
         zeno = phase.zeno
         if zeno is not None:
-            # Impacts that the integration does not resolve must be inside the tail.
             unseen = said.impacts[len(phase.impacts) :]
-            hits += [max(0.0, abs(t - zeno.time) - zeno.tail) / period for t, _ in unseen]
+            hits += _unseen(dynamics.restitution, phase, zeno, unseen, period, first.scale)
             zenos.append(math.inf if said.zeno is None else miss(zeno.time, zeno.state, said.zeno))
         earliest.append(hits[0])
         later += hits[1:]
@@ -106,6 +107,36 @@ def _hits(claim: Claim, first: FirstCycle) -> dict[str, float]:
     if len(claim.phases) > 1:
         found["phases"] = max(starts)
     return found
+
+
+def _unseen(
+    restitution: float,
+    phase: Phase,
+    zeno: ZenoPoint,
+    said: Sequence[tuple[float, Vector]],
+    period: float,
+    scale: Vector,
+) -> list[float]:
+    r"""Return the deviations of claimed impacts after the last that the integration resolves.
+
+    With :math:`z = (t / T, x)`, the impacts approach the Zeno point as
+    :math:`z_k - z_\infty = a e^k + b e^{2k} + \dots`. The last two resolved impacts give :math:`a`,
+    and the size of :math:`b`, up to twice which a claim may deviate.
+    """
+    ways = [
+        np.append((impact.time - zeno.time) / period, (impact.state_minus - zeno.state) / scale)
+        for impact in phase.impacts[-2:]
+    ]
+    last = ways[-1]
+    bend = np.abs(last)
+    if len(ways) > 1 and restitution > 0.0:
+        bend = np.abs(last - restitution * ways[0]) * restitution / (1 - restitution)
+    missed = list[float]()
+    for j, (time, x) in enumerate(said, 1):
+        way = np.append((time - zeno.time) / period, (x - zeno.state) / scale)
+        off = np.abs(way - restitution**j * last) - 2 * restitution**j * bend
+        missed.append(float(np.max(np.maximum(off, 0.0))))
+    return missed
 
 
 def margins_of(dynamics: HybridDynamics, first: FirstCycle | None) -> dict[str, float]:
