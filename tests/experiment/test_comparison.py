@@ -19,6 +19,7 @@ from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import (
     Comparison,
+    ComparisonVerdict,
     OrbitTable,
     RecordedSignal,
     Recording,
@@ -525,3 +526,39 @@ def test_a_period_of_few_samples_is_none_of_its_multiples(
     # A locked phase of a few samples is not resolved; that it is none of the orbit's, nobody knows.
     assert found.agrees, found.reasons
     assert found.metric("period").data == pytest.approx(orbit.period, rel=1e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("n_cycles", [20.0, 40.0])
+@pytest.mark.parametrize("samples", [3.3, 4.3, 5.3, 7.1, 7.9, 8.35, 9.4, 10.5, 11.75, 15.3, 20.6])
+@pytest.mark.parametrize("machine", ["shaken", "forced"])
+def test_an_orbit_with_few_samples_is_not_taken_for_another(
+    machine: str, samples: float, n_cycles: float, noise: float, request: pytest.FixtureRequest
+) -> None:
+    problem, orbit, table = request.getfixturevalue(machine)
+    rate = samples / orbit.period
+    found = compare_recording(
+        orbit, problem, recorded(table, problem, noise=noise, rate=rate, n_cycles=n_cycles)
+    )
+    possible = {ComparisonVerdict.THIS_ORBIT, ComparisonVerdict.UNDECIDED}
+    assert found.verdict in possible, (found.reasons, found.differences)
+    if samples > 6.0:
+        assert found.metric("period").data == pytest.approx(orbit.period, rel=2e-3)
+
+
+@pytest.mark.parametrize("steps", [20, 40, 200])
+def test_a_coarse_encoder_is_no_deviation(
+    steps: int, problem: Problem, orbit: ZenoOrbit, table: OrbitTable
+) -> None:
+    def rounded(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        step = np.ptp(values[:2], axis=1, keepdims=True) / steps
+        return time, np.concatenate([np.rint(values[:2] / step) * step, values[2:]])
+
+    copy = changed(recorded(table, problem, noise=1e-5, rate=431.7), rounded)
+    differing = [one.name for one in compare_recording(orbit, problem, copy).differences]
+    assert not [name for name in differing if "theta" in name]
+    stretched = changed(
+        recorded(table, problem, noise=1e-5, rate=431.7),
+        lambda time, values: (time, rounded(time, 1.2 * values)[1]),
+    )
+    assert compare_recording(orbit, problem, stretched).differences

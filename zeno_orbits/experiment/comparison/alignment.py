@@ -63,6 +63,8 @@ _SAME = 0.9
 """A signal in another unit correlates at least so with the orbit's."""
 _BACKWARD = 1e-3
 """Correlation by which a recording must be more like the orbit reversed in time."""
+_DIRECTED = 8
+"""Harmonics that a record resolves at least, if its direction in time is judged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +129,10 @@ def aligned(
     """
     grid = np.arange(_PHASES) / _PHASES
     data = found.average(grid)
-    model = table.at(grid)[:, : data.shape[1]]
+    # The orbit's harmonics that the record does not resolve are no difference.
+    waves = np.fft.rfft(table.at(grid)[:, : data.shape[1]], axis=0)
+    waves[found.template.shape[1] :] = 0.0
+    model = np.asarray(np.fft.irfft(waves, _PHASES, axis=0), dtype=np.float64)
     shift, signs, alike = _coarse(model, data)
     likeness = [
         _likeness(name, model[:, k], np.roll(data[:, k], shift), bool(signs[k] < 0))
@@ -152,7 +157,8 @@ def aligned(
         phase_error=(fine.error + half * fine.period_error) / fine.period,
         likeness=tuple(likeness),
         time_suspicion=_like_factor(ratio, _TIME_FACTORS),
-        backward=_coarse(model[::-1], data)[2] > alike + _BACKWARD,
+        backward=found.template.shape[1] > _DIRECTED
+        and _coarse(model[::-1], data)[2] > alike + _BACKWARD,
     )
 
 

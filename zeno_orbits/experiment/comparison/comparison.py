@@ -16,7 +16,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit, fit_contacts
-from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
+from zeno_orbits.experiment.comparison.deviations import N_BINS, Deviations, deviations
 from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
 from zeno_orbits.experiment.comparison.gap_samples import stop_level
@@ -46,6 +46,8 @@ __all__ = ["Comparison", "ComparisonVerdict", "Metric", "compare_recording"]
 
 
 _FEWEST_CYCLES = 6
+_FEWEST_SAMPLES = 6
+"""Samples in a period below which a multiple of it may be found."""
 _STRAY = 0.1
 """Part of the variance that may be nonperiodic without a remark: harmonics do not fit jumps."""
 _SETTLING = 3.0
@@ -131,7 +133,8 @@ class Comparison(TableRepr):
         """Verdict on the recording."""
         if self.reasons:
             return ComparisonVerdict.NO_ORBIT
-        if not self.differences and (self.contacts is None or not self.unresolved):
+        seen = self.overlay is not None and (self.contacts is None or not self.unresolved)
+        if seen and not self.differences:
             return ComparisonVerdict.THIS_ORBIT
         return ComparisonVerdict.UNDECIDED if self.unresolved else ComparisonVerdict.OTHER_VALUES
 
@@ -195,6 +198,12 @@ def compare_recording(orbit: ZenoOrbit, problem: Problem, recording: Recording) 
     seconds = [one.signals[1] for one in recorded_portraits_of(problem, names)]
     more = dict.fromkeys([*(name for name in seconds if name not in names), GAP])
     overlay = lay_over(orbit, problem, recording, names, tuple(more))
+    step = float(np.median(np.diff(recording.time)))
+    slow = overlay is not None and overlay.found.period > _FEWEST_SAMPLES**2 * step
+    if _FEWEST_SAMPLES * step > orbit.period and not slow:
+        # The period that is found may be a multiple of the true one.
+        few = f"samples are {step:.3g} s apart, and the orbit's period is {orbit.period:.4g} s"
+        return replace(begun, unresolved=(few,), remarks=tuple(remarks))
     if overlay is None:
         whole = recording.time[-1] - recording.time[0]
         reason = f"no period is seen in {whole:.4g} s, and the orbit's is {orbit.period:.4g} s"
@@ -217,7 +226,7 @@ def compare_recording(orbit: ZenoOrbit, problem: Problem, recording: Recording) 
         )
     deviation = deviations(overlay.table, recording.time, overlay.values, overlay.where)
     remarks += _settling(deviation, recording.time, overlay.where)
-    return replace(
+    whole = replace(
         begun,
         overlay=overlay,
         # Values of a contact fit without contacts would be meaningless.
@@ -227,6 +236,11 @@ def compare_recording(orbit: ZenoOrbit, problem: Problem, recording: Recording) 
         unresolved=seen.unresolved,
         remarks=tuple(remarks),
     )
+    if len(recording.time) < 2 * N_BINS and whole.differences and not whole.reasons:
+        # Nearly every bin of the phase has one sample.
+        few = f"{len(recording.time)} samples are too few to tell a deviation from noise"
+        whole = replace(whole, unresolved=(*whole.unresolved, few))
+    return whole
 
 
 def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> ContactFit | None:

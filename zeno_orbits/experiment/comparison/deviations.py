@@ -32,6 +32,8 @@ _MOST_GROUPS = 40
 _FEW_CYCLES = 4
 _WHOLE = 0.5
 """Part of its bins that a cycle shows at least, to be held against the others."""
+_EVEN = 1e-3
+"""Part of a step by which multiples of it may differ in a file."""
 _PIECE = 1 << 20
 """Samples that are folded at a time."""
 _INSIDE = 0.975
@@ -67,6 +69,7 @@ class Deviations:
         squares: Sums of the squared deviations, in the same shape.
         counts: Numbers of the deviations, in the same shape.
         by_cycles: Whether the groups are cycles, or samples of few cycles.
+        rounding: Largest rounding error of each signal, half its step, ``(n_s,)``.
     """
 
     table: OrbitTable
@@ -75,6 +78,7 @@ class Deviations:
     squares: Vector
     counts: Vector
     by_cycles: bool
+    rounding: Vector
 
     @property
     def phases(self) -> Vector:
@@ -239,7 +243,19 @@ def deviations(table: OrbitTable, time: Vector, values: Vector, where: Alignment
         squares=squares.reshape(shape),
         counts=counts.reshape(shape),
         by_cycles=by_cycles,
+        rounding=np.array([_step_of(row) / 2.0 for row in values]),
     )
+
+
+def _step_of(row: Vector) -> float:
+    """Return the step of a rounded signal, or 0 if its values are not multiples of a step."""
+    values = np.unique(row[np.isfinite(row)])
+    if len(values) < 2:
+        return 0.0
+    apart = np.diff(values)
+    step = float(np.min(apart))
+    numbers = apart / step
+    return step if np.max(np.abs(numbers - np.rint(numbers))) < _EVEN else 0.0
 
 
 def deviations_between(row: Vector) -> tuple[Vector, Vector]:

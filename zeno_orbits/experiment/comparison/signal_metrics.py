@@ -51,8 +51,11 @@ def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) ->
     }
     for k, name in enumerate(names):
         own, unit = found.fine[:, :, k], units[name]
-        yield metric(f"highest of {name}", unit, float(own.max()), apex(found, k, 1.0))
-        yield metric(f"lowest of {name}", unit, float(own.min()), apex(found, k, -1.0))
+        # Rounding is no noise: samples at one phase of all cycles may be rounded alike.
+        rounding = float(found.rounding[k])
+        highest, lowest = (_at_least(apex(found, k, sign), rounding) for sign in (1.0, -1.0))
+        yield metric(f"highest of {name}", unit, float(own.max()), highest)
+        yield metric(f"lowest of {name}", unit, float(own.min()), lowest)
         for part, chosen in parts.items():
             if chosen.any() and np.isfinite(found.average[chosen, k]).any():
                 size = root_mean_square(found, k, chosen)
@@ -110,10 +113,12 @@ def root_mean_square(found: Deviations, signal: int, chosen: NDArray[np.bool_]) 
         limit = math.sqrt(white * max(float(chdtri(n, _RARE)) / n - 1.0, 0.0))
 
     def size(average: Vector) -> float:
-        square = float(np.nanmean(average[chosen, signal] ** 2))
-        return math.sqrt(max(square - white, 0.0))
+        known = average[chosen & np.isfinite(average[:, signal]), signal]
+        if not len(known):
+            return math.nan
+        return math.sqrt(max(float(np.mean(known**2)) - white, 0.0))
 
-    one = found.estimate(size)
+    one = _at_least(found.estimate(size), float(found.rounding[signal]))
     return _at_least(one, limit / 2.0) if one.value < 2.0 * limit else one
 
 
@@ -127,7 +132,7 @@ def greatest(found: Deviations, signal: int) -> Estimate:
         return UNKNOWN
     at = int(np.argmax(np.where(seen, np.abs(found.average[:, signal]), -1.0)))
     one = found.estimate(lambda average: float(average[at, signal]))
-    return _at_least(one, _of_many(found.noises[seen, signal]))
+    return _at_least(one, max(_of_many(found.noises[seen, signal]), float(found.rounding[signal])))
 
 
 def _at_least(one: Estimate, error: float) -> Estimate:
@@ -387,8 +392,12 @@ def portrait_distance(found: Deviations, portrait: Portrait) -> tuple[Estimate, 
     if mean.value < 2.0 * limit:
         mean = _at_least(mean, limit / 2.0)
     across: Vector = found.noises[:, axes[0]] / size[0]
+    coarse = found.rounding[used] / size
     if rate_of is None:
         upwards: Vector = found.noises[:, axes[1]] / size[1]
     else:
         upwards = slope_noises(found.noises[:, rate_of], found.period / N_BINS) / size[1]
-    return mean, _at_least(largest, _of_many(np.maximum(across, upwards)))
+        coarse[1] *= N_BINS / found.period
+    rounding = float(np.max(coarse))
+    largest = _at_least(largest, max(_of_many(np.maximum(across, upwards)), rounding))
+    return _at_least(mean, rounding), largest

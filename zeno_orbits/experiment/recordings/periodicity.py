@@ -3,8 +3,9 @@ r"""Period and repeatability of recorded signals, from the signals alone.
 The first estimate of the period is the first large peak of the joint autocorrelation of all
 signals. Then harmonics :math:`y(t) \approx \sum_{k \le K} a_k \cos k\omega t + b_k \sin k\omega t`
 are fitted by least squares, with the period as an unknown. The fit is repeated over longer and
-longer stretches, so that no cycle is miscounted. The delay of each cycle against the average gives
-the standard error of the period (theory (6.7)).
+longer stretches, so that no cycle is miscounted. A period of few samples may be a multiple of the
+true one, so its parts are fitted too. The delay of each cycle against the average gives the
+standard error of the period (theory (6.7)).
 """
 
 from __future__ import annotations
@@ -29,6 +30,16 @@ _HARMONICS = 16
 _GROWTH = 2.5
 """Each stretch that a period is fitted over is longer by this factor."""
 _STEPS = 3
+_LEAST, _FEW = 4, 4 * _HARMONICS
+"""Samples in a period below which no period is seen, or its multiples may correlate better."""
+_EACH = 8
+"""Samples for each harmonic, at least."""
+_MOST_PARTS = 10
+"""Largest multiple of the true period that may be found first."""
+_COMPARED, _SLOWER = 4, 0.45
+"""Harmonics with which periods are compared, and their largest number per bin."""
+_AS_WELL = 1.02
+"""Ratio of what two periods leave of a record, below which the smaller one fits it as well."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,7 +98,30 @@ def periodicity(time: Vector, values: Vector) -> Periodicity | None:
         if stretch >= longest:
             break
         stretch *= _GROWTH
-    return _described(grid, period)
+    return _described(grid, _undivided(grid, period))
+
+
+def _undivided(grid: _Grid, period: float) -> float:
+    """Return the whole part of a period whose harmonics fit the record best.
+
+    The autocorrelation is known at shifts by whole bins. If a period is not a whole number of few
+    bins, a multiple that nearly is correlates better. Its first harmonics leave more of the record.
+    Harmonics faster than the bins are not fitted: they would be taken for slower ones.
+    """
+    found = [(period, _left(grid, period))]
+    for divisor in range(2, _MOST_PARTS + 1):
+        if _LEAST * divisor <= period / grid.step < _FEW * divisor:
+            part = _refined(grid, grid.times[-1], period / divisor)
+            if part is not None:
+                found.append((part, _left(grid, part)))
+    least = min(left for _, left in found)
+    return min(part for part, left in found if left <= _AS_WELL * least)
+
+
+def _left(grid: _Grid, period: float) -> float:
+    """Return the sum of squares that the first harmonics of a period leave of a record."""
+    n_harmonics = int(np.clip(_SLOWER * period / grid.step, 1, _COMPARED))
+    return sum(float(one.rest @ one.rest) for one in _fits(grid, period, n_harmonics, math.inf))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -241,6 +275,18 @@ def _harmonics(grid: _Grid, period: float) -> int:
     return int(np.clip(0.25 * period / grid.step, 1, _HARMONICS))
 
 
+def _resolved(grid: _Grid, period: float) -> int:
+    """Return the number of harmonics that the phases of all samples resolve.
+
+    Samples of many periods resolve more than those of one.
+    """
+    times = grid.times[np.any(grid.mask, axis=0)]
+    phases = np.sort(times / period % 1.0)
+    widest = float(np.max(np.diff(phases, append=phases[0] + 1.0)))
+    most = min(_HARMONICS, len(times) // _EACH)
+    return max(int(min(0.25 / widest, most)), _harmonics(grid, period))
+
+
 def _refined(grid: _Grid, length: float, period: float) -> float | None:
     """Return the period that fits the beginning of a record best, near a first value."""
     n_harmonics = _harmonics(grid, period)
@@ -262,7 +308,8 @@ def _refined(grid: _Grid, length: float, period: float) -> float | None:
 
 def _described(grid: _Grid, period: float) -> Periodicity:
     """Return the periodicity of a record with a given period."""
-    n_harmonics, n_s, length = _harmonics(grid, period), len(grid.values), float(grid.times[-1])
+    n_s, length = len(grid.values), float(grid.times[-1])
+    n_harmonics = _resolved(grid, period)
     fits = list(_fits(grid, period, n_harmonics, math.inf))
     amplitudes = np.array([one.amplitudes for one in fits])
     waves = amplitudes[:, 1 : n_harmonics + 1] - 1j * amplitudes[:, n_harmonics + 1 :]
@@ -272,7 +319,10 @@ def _described(grid: _Grid, period: float) -> Periodicity:
     times = np.concatenate([grid.times[one.mask] for one in fits])
     late = np.concatenate([-one.slope / period for one in fits])
     delays = delays_of(np.floor(times / period).astype(np.int64), late, rest)
-    odd, noise = np.sum([_alternation(one, n_harmonics) for one in fits], axis=0) / n_s
+    odd, noise = 0.0, math.inf
+    if period >= _FEW * grid.step:
+        # Otherwise cycles have other phases, whose differences look alike.
+        odd, noise = np.sum([_alternation(one, n_harmonics) for one in fits], axis=0) / n_s
     return Periodicity(
         period=period,
         error=period_error(delays, left / max(len(rest), 1)),
