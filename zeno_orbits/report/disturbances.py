@@ -79,7 +79,7 @@ def recovery_lines(found: Recovery) -> list[str]:
     share = f"at most {100 * found.lost_share:.2g} % of the ball leaves it"
     return [
         first,
-        f"Largest ball that maps into itself: radius {found.radius:.4g}.",
+        f"Ball that maps into itself: radius {found.radius:.4g}.",
         f"{found.settings.samples} samples return: with confidence "
         f"{100 * found.settings.confidence:g} %, {share}.",
     ]
