@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import stat
 import subprocess
@@ -16,7 +17,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.cases import fast
-from tests.support.commands import NO, YES, ask
+from tests.support.commands import MISUSE, NO, YES, ask
 from tests.support.processes import workers_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,6 +58,19 @@ def wait_for(condition: Callable[[], object]) -> None:
 def left_in(folder: Path) -> list[str]:
     """Return what a command has left of its temporary files; loky's own files do not count."""
     return [path.name for path in (folder / "temporary").glob("zeno-orbits*")]
+
+
+def test_a_deleted_current_folder_is_named(tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    words = [sys.executable, "-m", "zeno_orbits", "simulate", "bouncing_ball", "-o", "x.csv"]
+    command = f"cd {gone} && rmdir {gone} && exec {shlex.join(words)}"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    run = subprocess.run(
+        ["sh", "-c", command], capture_output=True, text=True, env=environment, check=False
+    )
+    assert run.returncode == MISUSE
+    assert run.stderr.strip().endswith("The current folder was deleted. Change to another one.")
 
 
 @pytest.mark.slow

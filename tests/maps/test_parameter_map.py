@@ -156,6 +156,7 @@ def test_a_plane_that_makes_no_sense_is_refused(changes: Mapping[str, Any], told
         ("--x m=1 --y restitution=0:0.5", "--x: must be NAME=LOW:HIGH"),
         ("--x m=1:2 --x g=1:2 --y restitution=0:0.5", "--x: must be given once"),
         ("--x m=1:2 --y restitution=0:0.5 --grid 3", "must be NxM"),
+        ("--x m=1:2 --y restitution=0:0.5 --grid ②x②", "must be NxM"),
         ("--x m=1:2 --y restitution=0:0.5 --grid 0x3", "positive whole number"),
         (
             "--x m=1:2 --y restitution=0:0.5 --max-time -1",

@@ -47,6 +47,12 @@ def test_an_orbit_with_one_impact_a_turn_is_proved(impact: Certificate) -> None:
         assert any(abs(complex(x, y) - known) < r for x, y, r in discs)
 
 
+def test_the_problem_of_a_certificate_may_be_a_name(impact: Certificate) -> None:
+    assert check_proof(impact, problem=impact["problem"]).ok
+    with pytest.raises(InputError, match="must be about"):
+        check_proof(impact, problem="bouncing_ball")
+
+
 def test_what_is_proved_reads_from_a_file(tmp_path: Path, impact: Certificate) -> None:
     path = tmp_path / "proof.json"
     path.write_text(json.dumps(impact))

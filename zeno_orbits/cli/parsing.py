@@ -92,7 +92,7 @@ def read_share(text: str) -> float:
 
 def _is_whole(text: str) -> bool:
     """Return True for a whole number of at most 18 digits, the limit of compiled code."""
-    return text.isdigit() and len(text) < 19
+    return text.isascii() and text.isdigit() and len(text) < 19
 
 
 def read_count(text: str) -> int:
@@ -114,7 +114,7 @@ def read_seed(text: str) -> int:
 def read_grid(text: str) -> tuple[int, int]:
     """Return two positive whole numbers from ``NxM``."""
     first, sign, second = text.partition("x")
-    if not sign:
+    if not (sign and _is_whole(first) and _is_whole(second)):
         raise argparse.ArgumentTypeError(f"must be NxM, 50x50 for instance, but it is `{text}`")
     return read_count(first), read_count(second)
 

@@ -102,6 +102,9 @@ def _answer(options: argparse.Namespace) -> int:
             text = (
                 f"internal error, please report it ({type(error).__name__}: {error}). See --debug"
             )
+            if isinstance(error, FileNotFoundError) and error.filename is None:
+                # The system cannot name the folder to which paths are relative.
+                text = "The current folder was deleted. Change to another one."
             return _end(error, MISUSE, options, text)
         finally:
             _tell_of_loop(options)

@@ -62,22 +62,24 @@ _CHUNK = 300
 
 
 def check_proof(
-    certificate: str | Path | Mapping[str, Any], problem: Problem | None = None
+    certificate: str | Path | Mapping[str, Any], problem: Problem | str | Path | None = None
 ) -> ProofVerdict:
     """Check a certificate, claim by claim, on all cores.
 
     Args:
         certificate: The path of a certificate, or its content. It is plain data without code.
-        problem: The certificate's problem. The default is the bundled problem of its name.
+        problem: The certificate's problem, its name or its file. The default is the bundled problem
+            of its name.
 
     Raises:
         InputError: If the input is not a certificate, or has other formulas, or if the hardware
             numbers of this machine do not round as the bounds assume.
     """
     require_rounding()
+    given = load_problem(problem) if isinstance(problem, (str, Path)) else problem
     with fitting_together():
         data = _read(certificate)
-        problem = _problem(data["problem"], problem)
+        problem = _problem(data["problem"], given)
         system, over, theorem = read_system(data, problem)
         section = ContactSection.of(system, data["section"])
         passages, verdicts, boxes = list[Passage | str](), list[ClaimVerdict](), list[Box]()
