@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from mpmath import mp
 
+import zeno_orbits as zo
 from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD
 from tests.reference.shaken_truth import DIGITS, Table, throw
@@ -37,6 +38,7 @@ from zeno_orbits.verification import (
     OrbitCertificate,
     VerificationSettings,
     verify,
+    verify_events,
     with_certificate,
 )
 
@@ -323,6 +325,25 @@ def test_claimed_impacts_that_the_check_does_not_resolve_obey_the_law_of_the_tai
         wrong = tuple(false if one is later else one for one in impacts)
         seen = verify(changed(orbit, impacts=wrong), machine, settings=QUICK)
         assert seen.failed == ("impact_sequence",)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_times_that_are_not_finite_are_refused(check: Check, orbit: ZenoOrbit, bad: float) -> None:
+    late = replace(orbit.impacts[3], time=bad)
+    impacts = (*orbit.impacts[:3], late, *orbit.impacts[4:])
+    for wrong in (
+        changed(orbit, impacts=impacts),
+        changed(orbit, impacts=(*orbit.impacts, late)),
+        changed(orbit, zeno_time=bad),
+        replace(orbit, period=bad),
+    ):
+        with pytest.raises(InputError, match="finite times"):
+            check(wrong)
+    machine = load_problem("hopper")
+    events = zo.find_event_orbit(machine)
+    moved = (replace(events.events[0], time=bad), *events.events[1:])
+    with pytest.raises(InputError, match="finite times"):
+        verify_events(replace(events, events=moved), machine, settings=QUICK)
 
 
 # False laws.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -54,13 +55,17 @@ def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
     """Return an orbit's data as vectors.
 
     Raises:
-        InputError: If the orbit belongs to another problem, or its names differ from the problem's.
+        InputError: If the orbit belongs to another problem, its names differ from the problem's, or
+            a time is not finite.
     """
     if orbit.problem != problem.name:
         message = (
             f"Argument `orbit` must be of problem `{problem.name}`, but it is of `{orbit.problem}`."
         )
         raise InputError(message)
+    times = [time for phase in orbit.phases for time in (phase.start_time, phase.zeno_time or 0.0)]
+    hits = [impact.time for phase in orbit.phases for impact in phase.impacts]
+    require_finite_times([orbit.period, *times, *hits])
     for k, phase in enumerate(orbit.phases):
         _require_impacts(phase, "" if len(orbit.phases) == 1 else f" in phase {k + 1}")
     for name, values, known in (
@@ -89,6 +94,17 @@ def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
             for phase in orbit.phases
         ),
     )
+
+
+def require_finite_times(times: Iterable[float]) -> None:
+    """Reject times that are not finite: a comparison with NaN finds no deviation.
+
+    Raises:
+        InputError: If a time is not finite.
+    """
+    for time in times:
+        if not math.isfinite(time):
+            raise InputError(f"Argument `orbit` must have finite times, but one is {time:g}.")
 
 
 def _require_same(names: Iterable[str], known: Iterable[str], wanted: str) -> None:

@@ -45,6 +45,7 @@ from zeno_orbits.simulation import (
     state_before,
 )
 from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.verification.claim import require_finite_times
 from zeno_orbits.verification.cross_checks import imbalance
 from zeno_orbits.verification.event_energies import event_energies, is_balanced
 from zeno_orbits.verification.event_margins import event_margins
@@ -97,9 +98,10 @@ def verify_events(
         on_progress: Called with the name of each stage as it begins.
 
     Raises:
-        InputError: If the orbit does not fit the problem.
+        InputError: If the orbit does not fit the problem, or a time is not finite.
     """
     settings = settings or VerificationSettings()
+    require_finite_times([orbit.period, *(event.time for event in orbit.events)])
     graph = problem.graph_dynamics(orbit.values(problem))
     start = np.array(problem.state_vector(orbit.start_state))
     on_progress("integrating the orbit", None)
