@@ -549,6 +549,23 @@ def test_an_orbit_with_few_samples_is_not_taken_for_another(
         assert found.metric("period").data == pytest.approx(orbit.period, rel=2e-3)
 
 
+@pytest.mark.parametrize(("samples", "n_cycles"), [(11.76, 40.0), (30.3, 12.0), (45.7, 12.0)])
+def test_cycles_that_differ_in_turn_are_seen_with_few_samples(
+    samples: float, n_cycles: float, shaken: tuple[Problem, ZenoOrbit, OrbitTable]
+) -> None:
+    problem, orbit, table = shaken
+
+    def doubled(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        size = 0.3 * np.std(values, axis=1, keepdims=True)
+        return time, values + size * np.cos(np.pi * time / orbit.period + [[0.0], [1.0]])
+
+    copy = recorded(table, problem, noise=1e-3, rate=samples / orbit.period, n_cycles=n_cycles)
+    found = compare_recording(orbit, problem, changed(copy, doubled))
+    assert found.verdict in {ComparisonVerdict.NO_ORBIT, ComparisonVerdict.UNDECIDED}
+    said = " ".join((*found.reasons, *found.unresolved))
+    assert "every other cycle differs by 21 %" in said
+
+
 @pytest.mark.parametrize("steps", [20, 40, 200])
 def test_a_coarse_encoder_is_no_deviation(
     steps: int, problem: Problem, orbit: ZenoOrbit, table: OrbitTable

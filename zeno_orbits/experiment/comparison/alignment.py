@@ -131,7 +131,7 @@ def aligned(
     data = found.average(grid)
     # The orbit's harmonics that the record does not resolve are no difference.
     waves = np.fft.rfft(table.at(grid)[:, : data.shape[1]], axis=0)
-    waves[found.template.shape[1] :] = 0.0
+    waves[found.n_harmonics + 1 :] = 0.0
     model = np.asarray(np.fft.irfft(waves, _PHASES, axis=0), dtype=np.float64)
     shift, signs, alike = _coarse(model, data)
     likeness = [
@@ -157,7 +157,7 @@ def aligned(
         phase_error=(fine.error + half * fine.period_error) / fine.period,
         likeness=tuple(likeness),
         time_suspicion=_like_factor(ratio, _TIME_FACTORS),
-        backward=found.template.shape[1] > _DIRECTED
+        backward=found.n_harmonics >= _DIRECTED
         and _coarse(model[::-1], data)[2] > alike + _BACKWARD,
     )
 

@@ -6,7 +6,7 @@ Source: theory (6.7) to (6.10).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -133,8 +133,8 @@ class Comparison(TableRepr):
         """Verdict on the recording."""
         if self.reasons:
             return ComparisonVerdict.NO_ORBIT
-        seen = self.overlay is not None and (self.contacts is None or not self.unresolved)
-        if seen and not self.differences:
+        seen = self.overlay is not None and not self.overlay.may_alternate
+        if seen and not self.differences and (self.contacts is None or not self.unresolved):
             return ComparisonVerdict.THIS_ORBIT
         return ComparisonVerdict.UNDECIDED if self.unresolved else ComparisonVerdict.OTHER_VALUES
 
@@ -199,9 +199,9 @@ def compare_recording(orbit: ZenoOrbit, problem: Problem, recording: Recording) 
     more = dict.fromkeys([*(name for name in seconds if name not in names), GAP])
     overlay = lay_over(orbit, problem, recording, names, tuple(more))
     step = float(np.median(np.diff(recording.time)))
+    # The samples of a much slower motion are not few, whatever the orbit's period.
     slow = overlay is not None and overlay.found.period > _FEWEST_SAMPLES**2 * step
     if _FEWEST_SAMPLES * step > orbit.period and not slow:
-        # The period that is found may be a multiple of the true one.
         few = f"samples are {step:.3g} s apart, and the orbit's period is {orbit.period:.4g} s"
         return replace(begun, unresolved=(few,), remarks=tuple(remarks))
     if overlay is None:
@@ -226,7 +226,7 @@ def compare_recording(orbit: ZenoOrbit, problem: Problem, recording: Recording) 
         )
     deviation = deviations(overlay.table, recording.time, overlay.values, overlay.where)
     remarks += _settling(deviation, recording.time, overlay.where)
-    whole = replace(
+    compared = replace(
         begun,
         overlay=overlay,
         # Values of a contact fit without contacts would be meaningless.
@@ -236,11 +236,19 @@ def compare_recording(orbit: ZenoOrbit, problem: Problem, recording: Recording) 
         unresolved=seen.unresolved,
         remarks=tuple(remarks),
     )
-    if len(recording.time) < 2 * N_BINS and whole.differences and not whole.reasons:
+    few = tuple(_few_samples(compared, overlay))
+    return replace(compared, unresolved=(*seen.unresolved, *few)) if few else compared
+
+
+def _few_samples(compared: Comparison, overlay: Overlay) -> Iterator[str]:
+    """Yield what a recording of few samples cannot decide."""
+    if overlay.may_alternate:
+        part = f"{100 * overlay.found.alternation:.2g} % of the signals"
+        yield f"every other cycle differs by {part}, or is sampled at other phases"
+    n = len(compared.recording.time)
+    if n < 2 * N_BINS and compared.differences:
         # Nearly every bin of the phase has one sample.
-        few = f"{len(recording.time)} samples are too few to tell a deviation from noise"
-        whole = replace(whole, unresolved=(*whole.unresolved, few))
-    return whole
+        yield f"{n} samples are too few to separate a deviation from noise"
 
 
 def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> ContactFit | None:

@@ -61,6 +61,17 @@ class Overlay:
         mistaken = any(one.suspicion for one in self.where.likeness)
         return self.found.repeats >= _REPEATS and not (self.where.time_suspicion or mistaken)
 
+    @property
+    def alternates(self) -> bool:
+        """True if the samples of every other period differ."""
+        size, noise = self.found.alternation, self.found.alternation_noise
+        return size > _ALTERNATES and size > _SURE * noise
+
+    @property
+    def may_alternate(self) -> bool:
+        """True if every other period differs, or is sampled at other phases."""
+        return self.alternates and not self.found.paired
+
     def reasons(self, *, alike: float = _LIKE) -> list[str]:
         """Return the reasons why the recording shows no such orbit, most serious first.
 
@@ -93,7 +104,7 @@ class Overlay:
         """Return why the motion is one of several of the orbit's periods, if it is."""
         found = self.found
         reasons: list[str] = []
-        if found.alternation > _ALTERNATES and found.alternation > _SURE * found.alternation_noise:
+        if self.alternates and found.paired:
             reasons.append(
                 f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: the "
                 f"period is doubled, {2 * found.period:.6g} s"

@@ -39,7 +39,7 @@ _MOST_PARTS = 10
 _COMPARED, _SLOWER = 4, 0.45
 """Harmonics with which periods are compared, and their largest number per bin."""
 _AS_WELL = 1.02
-"""Ratio of what two periods leave of a record, below which the smaller one fits it as well."""
+"""Ratio of what two periods leave of a record, below which the smaller period fits it as well."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,6 +55,8 @@ class Periodicity:
         alternation: Size of the component with twice the period, in standard deviations of the
             signals.
         alternation_noise: The size of this component from noise alone.
+        paired: True if the samples of every other period resolve all harmonics. Otherwise unlike
+            phases of the samples may look like this component.
         template: Complex amplitudes of the harmonics of each signal, ``(n_s, K + 1)``, in phases
             that count from the first time of the record.
     """
@@ -65,7 +67,13 @@ class Periodicity:
     repeats: float
     alternation: float
     alternation_noise: float
+    paired: bool
     template: NDArray[np.complex128]
+
+    @property
+    def n_harmonics(self) -> int:
+        """Number of harmonics in the template."""
+        return self.template.shape[1] - 1
 
     def average(self, phases: Vector) -> Vector:
         """Return the periodic part of the signals, ``(n, n_s)``.
@@ -276,15 +284,18 @@ def _harmonics(grid: _Grid, period: float) -> int:
 
 
 def _resolved(grid: _Grid, period: float) -> int:
-    """Return the number of harmonics that the phases of all samples resolve.
+    """Return the number of harmonics that all samples resolve, by their phases.
 
-    Samples of many periods resolve more than those of one.
+    Samples of many periods resolve more harmonics than samples of one period.
     """
-    times = grid.times[np.any(grid.mask, axis=0)]
-    phases = np.sort(times / period % 1.0)
-    widest = float(np.max(np.diff(phases, append=phases[0] + 1.0)))
-    most = min(_HARMONICS, len(times) // _EACH)
-    return max(int(min(0.25 / widest, most)), _harmonics(grid, period))
+    most = min(_HARMONICS, int(np.count_nonzero(np.any(grid.mask, axis=0))) // _EACH)
+    return max(int(min(0.25 / _widest(grid, period), most)), _harmonics(grid, period))
+
+
+def _widest(grid: _Grid, period: float) -> float:
+    """Return the largest distance of neighbouring phases of the samples, in periods."""
+    phases = np.sort(grid.times[np.any(grid.mask, axis=0)] / period % 1.0)
+    return float(np.max(np.diff(phases, append=phases[0] + 1.0)))
 
 
 def _refined(grid: _Grid, length: float, period: float) -> float | None:
@@ -319,10 +330,8 @@ def _described(grid: _Grid, period: float) -> Periodicity:
     times = np.concatenate([grid.times[one.mask] for one in fits])
     late = np.concatenate([-one.slope / period for one in fits])
     delays = delays_of(np.floor(times / period).astype(np.int64), late, rest)
-    odd, noise = 0.0, math.inf
-    if period >= _FEW * grid.step:
-        # Otherwise cycles have other phases, whose differences look alike.
-        odd, noise = np.sum([_alternation(one, n_harmonics) for one in fits], axis=0) / n_s
+    n_slow = _harmonics(grid, period)
+    odd, noise = np.sum([_alternation(one, n_slow) for one in fits], axis=0) / n_s
     return Periodicity(
         period=period,
         error=period_error(delays, left / max(len(rest), 1)),
@@ -330,6 +339,7 @@ def _described(grid: _Grid, period: float) -> Periodicity:
         repeats=1.0 - left / total if total > 0.0 else 0.0,
         alternation=math.sqrt(max(odd, 0.0)),
         alternation_noise=math.sqrt(max(noise, 0.0)),
+        paired=_widest(grid, 2.0 * period) <= 0.25 / (2 * _HARMONICS),
         template=np.column_stack([constant, grid.scale[:, None] * waves]).astype(np.complex128),
     )
 
