@@ -126,13 +126,12 @@ class _Names:
     def special(self, located: Located, index: int) -> SpecialPoint:
         """Return a special point, after the point with an index in the family."""
         x, s = self.setup.metric.of_place(located.z)
-        point = self.point(located.point)
         at = replace(
-            point,
+            self.point(located.point),
             value=s,
             state=self._state(x),
             period=located.period,
-            multipliers=point.multipliers if located.multipliers is None else located.multipliers,
+            multipliers=located.multipliers,
             multiplier_error=located.multiplier_error,
             margins=self._margins(located.margins),
         )

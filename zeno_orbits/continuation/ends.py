@@ -85,24 +85,19 @@ def _better(
 
 def _limits(used: Sequence[BranchPoint], gone: Margin) -> dict[Margin, float]:
     """Return the margins at an end by extrapolation to the zero of one of them."""
-    values = np.array([node.found.margins[gone] for node in used])
-    known = [margin for margin in used[-1].found.margins if margin != gone]
-    rows = np.array(
-        [[node.found.margins.get(margin, math.nan) for margin in known] for node in used]
-    )
-    limit, _ = neville(values, rows)
-    found = {
-        margin: max(0.0, float(value)) if math.isfinite(value) else used[-1].found.margins[margin]
-        for margin, value in zip(known, limit, strict=True)
-    }
-    return {margin: found.get(margin, 0.0) for margin in used[-1].found.margins}
+    before, last = [node.found.margins for node in used[:-1]], used[-1].found.margins
+    known = [margin for margin in last if all(margin in one for one in before)]
+    rows = np.array([[one[margin] for margin in known] for one in (*before, last)])
+    limit, _ = neville(rows[:, known.index(gone)], rows)
+    limits = {margin: max(0.0, float(value)) for margin, value in zip(known, limit, strict=True)}
+    return {**last, **limits, gone: 0.0}
 
 
 def _multipliers(used: Sequence[BranchPoint], gone: Margin) -> tuple[tuple[complex, ...], float]:
     """Return the multipliers at an end by extrapolation to the zero of a margin, and their change.
 
-    If the largest grows like a power of the margin, as where an impact grazes, it has no limit:
-    those of the last point are returned, with an infinite change.
+    If the largest multiplier grows like a power of the margin, as at a grazing impact, it has no
+    limit. The multipliers of the last point are then returned, with an infinite change.
     """
     values = np.array([node.found.margins[gone] for node in used])
     before, last = used[-2:]

@@ -6,7 +6,6 @@ differentiable on both sides of the end. Theory (5.7).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -151,8 +150,8 @@ def _cut_ever_later(
     slope = _slope(cut_after(returns, place, n), metric, here, cut, max(step, 1e-9))
     doubt = abs(loose.found.margins[cut] - here.found.margins[cut]) / abs(slope)
     here = with_course(cut_after(returns, place, n), metric, here, max(step, 1e-9))
-    # The cut that is followed by the others is a further approximation of the multipliers.
-    moved = multiplier_change(here, found[-2]) if len(found) > 1 else math.inf
+    # A shorter truncation approximates the multipliers less well.
+    moved = multiplier_change(here, found[-2])
     return Located(
         kind=SpecialPointKind.LOCK_VANISHES,
         point=here,
@@ -160,6 +159,7 @@ def _cut_ever_later(
         period=float(limits[-1][-1]),
         error=(error + doubt) * metric.unit,
         margins=here.found.margins,
+        multipliers=here.multipliers,
         multiplier_error=moved,
         place=place,
     )

@@ -35,7 +35,7 @@ class Located:
         z: Its ambient coordinates, ``(n_x + 1,)``. At an end, they are the limit.
         period: Period [s].
         error: Estimated error of the parameter.
-        multipliers: Multipliers at an end, the largest first. ``None``: those of the point.
+        multipliers: Multipliers of the orbit, the largest first. At an end, they are the limits.
         multiplier_error: Estimated error of the multipliers.
         margins: Margins of the orbit. At an end, they are the limits.
         place: Index of the return that causes an end, from 0.
@@ -49,7 +49,7 @@ class Located:
     period: float
     error: float
     margins: Mapping[Margin, float]
-    multipliers: tuple[complex, ...] | None = None
+    multipliers: tuple[complex, ...]
     multiplier_error: float = math.inf
     place: int = 0
     path: tuple[BranchPoint, ...] = ()
@@ -128,6 +128,7 @@ def _located(kind: SpecialPointKind, root: Root, metric: FamilyMetric) -> Locate
         z=point.z,
         period=point.found.time,
         error=root.error * metric.unit,
+        multipliers=point.multipliers,
         multiplier_error=root.multiplier_error,
         margins=point.found.margins,
     )
