@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, finite_number
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventSequence, OrbitPhase, PhaseKind, ZenoOrbit
+from zeno_orbits.orbits import EventSequence, OrbitImpact, OrbitPhase, PhaseKind, ZenoOrbit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,9 +62,6 @@ def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
             f"Argument `orbit` must be of problem `{problem.name}`, but it is of `{orbit.problem}`."
         )
         raise InputError(message)
-    times = [time for phase in orbit.phases for time in (phase.start_time, phase.zeno_time or 0.0)]
-    hits = [impact.time for phase in orbit.phases for impact in phase.impacts]
-    require_finite_times([orbit.period, *times, *hits])
     for k, phase in enumerate(orbit.phases):
         _require_impacts(phase, "" if len(orbit.phases) == 1 else f" in phase {k + 1}")
     for name, values, known in (
@@ -78,33 +74,28 @@ def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
         _require_same(named, problem.state_names, f"must have all states in `{where}`")
         return np.array(problem.state_vector(named))
 
+    def hit(impact: OrbitImpact) -> tuple[float, Vector]:
+        return finite_number("time", impact.time), vector(impact.state_minus, "impacts")
+
     one = orbit.shape.has_one_release
     return Claim(
         shape=orbit.shape,
-        period=orbit.period,
+        period=finite_number("period", orbit.period),
         phases=tuple(
             ClaimedPhase(
-                start_time=phase.start_time,
+                start_time=finite_number("start_time", phase.start_time),
                 start=vector(phase.start_state, "release_state" if one else "start_state"),
-                impacts=tuple((i.time, vector(i.state_minus, "impacts")) for i in phase.impacts),
+                impacts=tuple(map(hit, phase.impacts)),
                 zeno=None
                 if phase.zeno_time is None or phase.zeno_state is None
-                else (phase.zeno_time, vector(phase.zeno_state, "zeno_state")),
+                else (
+                    finite_number("zeno_time", phase.zeno_time),
+                    vector(phase.zeno_state, "zeno_state"),
+                ),
             )
             for phase in orbit.phases
         ),
     )
-
-
-def require_finite_times(times: Iterable[float]) -> None:
-    """Reject times that are not finite: a comparison with NaN finds no deviation.
-
-    Raises:
-        InputError: If a time is not finite.
-    """
-    for time in times:
-        if not math.isfinite(time):
-            raise InputError(f"Argument `orbit` must have finite times, but one is {time:g}.")
 
 
 def _require_same(names: Iterable[str], known: Iterable[str], wanted: str) -> None:
