@@ -70,7 +70,9 @@ def test_a_deleted_current_folder_is_named(tmp_path: Path) -> None:
         ["sh", "-c", command], capture_output=True, text=True, env=environment, check=False
     )
     assert run.returncode == MISUSE
-    assert run.stderr.strip().endswith("The current folder was deleted. Change to another one.")
+    assert run.stderr.strip().endswith(
+        "The current folder was deleted. Change to an existing folder."
+    )
 
 
 @pytest.mark.slow

@@ -99,15 +99,17 @@ def _answer(options: argparse.Namespace) -> int:
             # The last line of defence against a raw traceback.
             if options.debug:
                 raise
-            text = (
-                f"internal error, please report it ({type(error).__name__}: {error}). See --debug"
-            )
-            if isinstance(error, FileNotFoundError) and error.filename is None:
-                # The system cannot name the folder to which paths are relative.
-                text = "The current folder was deleted. Change to another one."
-            return _end(error, MISUSE, options, text)
+            return _end(error, MISUSE, options, _about_unexpected(error))
         finally:
             _tell_of_loop(options)
+
+
+def _about_unexpected(error: Exception) -> str:
+    """Return the message about an exception that no part of the package raises on purpose."""
+    if isinstance(error, FileNotFoundError) and error.filename is None:
+        # The system cannot name the folder to which paths are relative.
+        return "The current folder was deleted. Change to an existing folder."
+    return f"internal error, please report it ({type(error).__name__}: {error}). See --debug"
 
 
 def _tell_of_loop(options: argparse.Namespace) -> None:

@@ -94,7 +94,7 @@ def _bundled(path: Path) -> Problem:
 def _declared(path: Path) -> Problem:
     file = path / "model.py" if path.is_dir() else path
     if not _is_there(file):
-        raise ProblemFileError(path, "its folder has no `model.py`")
+        raise ProblemFileError(path, "its folder lacks `model.py`")
     problem = getattr(_execute(file), "PROBLEM", None)
     if not isinstance(problem, Problem):
         raise ProblemFileError(file, "it lacks a `PROBLEM` of type `Problem`")
