@@ -329,8 +329,14 @@ def shown(value: Any) -> str:
     if isinstance(value, float):
         return str(value)
     try:
-        text = " ".join(repr(value).split())
+        text = repr(value)
     except ValueError:
         # Python refuses to print integers of thousands of digits.
         text = f"a whole number of {value.bit_length()} bits"
-    return f"`{text}`" if len(text) <= _MOST_SHOWN else f"`{text[:_MOST_SHOWN]}...`"
+    return f"`{shortened(text)}`"
+
+
+def shortened(text: str) -> str:
+    """Return a text for a message: on one line, and cut if it is long."""
+    text = " ".join(text.split())
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."

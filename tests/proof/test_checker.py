@@ -49,7 +49,7 @@ def test_an_orbit_with_one_impact_a_turn_is_proved(impact: Certificate) -> None:
 
 def test_the_problem_of_a_certificate_may_be_a_name(impact: Certificate) -> None:
     assert check_proof(impact, problem=impact["problem"]).ok
-    with pytest.raises(InputError, match="must be about"):
+    with pytest.raises(InputError, match="must be the problem"):
         check_proof(impact, problem="bouncing_ball")
 
 

@@ -16,7 +16,7 @@ from zeno_orbits.api.inputs import (
     problem_of,
 )
 from zeno_orbits.errors import InputError, finite_number, named_numbers, positive_number
-from zeno_orbits.model import Problem, load_problem
+from zeno_orbits.model import Problem, recorded_problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Progress, silent
 
@@ -167,9 +167,9 @@ def check_certificate(
 
     known = None if problem is None else known_problem(problem)
     verdict = check_proof(certificate, known)
-    # The check has already refused names of problems that are not bundled.
     data = json.loads(Path(certificate).read_text(encoding="utf-8"))
-    return verdict, replay_proof(data, known or load_problem(data["problem"]))
+    known = recorded_problem(data["problem"], known, result="certificate")
+    return verdict, replay_proof(data, known)
 
 
 @front_door

@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from zeno_orbits.errors import InputError, number_range, shown
-from zeno_orbits.model import (
-    Problem,
-    ProblemFile,
-    bundled_problems,
-    load_problem,
-    locate_problem,
-    split_fidelity,
-)
+from zeno_orbits.model import Problem, ProblemFile, locate_problem, recorded_problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit, holds_events, read_event_orbit, read_orbit
 from zeno_orbits.work import ExecutionPlan, Workers, checked
 
@@ -100,19 +93,7 @@ def problem_of(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> P
         InputError: If the given problem is not the orbit's, or no problem is given and the orbit's
             is not bundled.
     """
-    name, fidelity = split_fidelity(orbit.problem)
-    if problem is None:
-        if name not in bundled_problems():
-            remedy = "If it is yours, pass its file with --problem FILE.py (`problem=` in Python)."
-            raise InputError(f"Unknown problem `{name}`. {remedy}")
-        return load_problem(orbit.problem)
-    known = known_problem(problem)
-    if fidelity is not None and known.name == name:
-        known = known.at_fidelity(fidelity)
-    if known.name != orbit.problem:
-        wanted = f"must be the problem `{orbit.problem}` of the orbit"
-        raise InputError(f"Argument `problem` {wanted}, but it is `{known.name}`.")
-    return known
+    return recorded_problem(orbit.problem, None if problem is None else known_problem(problem))
 
 
 def as_axis(argument: str, axis: Any) -> MapAxis:

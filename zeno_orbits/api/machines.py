@@ -18,7 +18,7 @@ from zeno_orbits.api.inputs import (
     problem_of,
 )
 from zeno_orbits.errors import InputError, number_range
-from zeno_orbits.model import ParameterValues, Problem, Rig
+from zeno_orbits.model import ParameterValues, Problem, Rig, recorded_problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Progress, silent
 
@@ -386,7 +386,8 @@ def rig_recording(
     """
     from zeno_orbits.experiment import recording_of
 
-    known = known_problem(run.problem if problem is None else problem)
+    given = None if problem is None else known_problem(problem)
+    known = recorded_problem(run.problem, given, result="run")
     return recording_of(run, known, {"seed": str(seed)}, noise=noise, seed=seed)
 
 

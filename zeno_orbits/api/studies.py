@@ -78,9 +78,9 @@ def continue_orbit(
     ):
         wanted = "must have one Zeno point per period, or impacts without a contact phase"
         raise InputError(f"Argument `orbit` {wanted}, but its shape is `{orbit.shape.text}`.")
-    source = problem or orbit.problem
-    with _crew(source, plan_of(workers, plan), on_progress) as crew:
-        known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
+    known = problem_of(orbit, problem)
+    with _crew(known, plan_of(workers, plan), on_progress) as crew:
+        known = known if crew is None else crew.problem_file.load()
         return continuation.family_of_orbit(
             known,
             orbit,

@@ -28,7 +28,7 @@ from .library import bundled_problems as bundled_problems
 from .library import load_problem as load_problem
 from .library import load_reference as load_reference
 from .library import locate_problem as locate_problem
-from .library import split_fidelity as split_fidelity
+from .library import recorded_problem as recorded_problem
 from .drives.motors import MotorBank as MotorBank
 from .numeric.calls import Call as Call
 from .numeric.columns import Columns as Columns

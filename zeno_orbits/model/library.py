@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from zeno_orbits.errors import InputError, ProblemFileError
+from zeno_orbits.errors import InputError, ProblemFileError, shortened
 from zeno_orbits.model.origin import with_origin
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.quantities import unknown
@@ -63,6 +63,36 @@ def load_problem(name_or_path: str | Path) -> Problem:
         problem = _declared(path)
         _require_sound(path, problem)
     return problem.at_fidelity(fidelity) if fidelity is not None else problem
+
+
+def recorded_problem(word: str, given: Problem | None = None, *, result: str = "orbit") -> Problem:
+    """Return the problem of a result, whose file is data and never runs code.
+
+    The text that a result records is compared with names and is not used as a path. So a file of
+    results can load a bundled problem only. Every other problem comes from the caller.
+
+    Args:
+        word: The name in the result.
+        given: The problem that the caller gives, or None.
+        result: Noun for the result, for the message.
+
+    Raises:
+        InputError: If the given problem has another name, or no problem is given and the name is
+            not the name of a bundled problem.
+    """
+    name, at, fidelity = str(word).partition("@")
+    said = f"`{shortened(str(word))}`"
+    if given is None:
+        if name not in bundled_problems():
+            remedy = "If it is yours, pass its file with --problem FILE.py (`problem=` in Python)."
+            raise InputError(f"Unknown problem {said}. {remedy}")
+        given = _bundled(bundled_problems()[name])
+    if at and given.name == name:
+        given = given.at_fidelity(fidelity)
+    if given.name != word:
+        wanted = f"must be the problem {said} of the {result}"
+        raise InputError(f"Argument `problem` {wanted}, but it is `{given.name}`.")
+    return given
 
 
 def _is_there(path: Path) -> bool:

@@ -12,8 +12,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from zeno_orbits.errors import InputError
-from zeno_orbits.model import Problem, bundled_problems, load_problem
+from zeno_orbits.errors import InputError, shown
+from zeno_orbits.model import Problem, load_problem, recorded_problem
 from zeno_orbits.proof.checker.balls import (
     Array,
     Ball,
@@ -79,7 +79,7 @@ def check_proof(
     given = load_problem(problem) if isinstance(problem, (str, Path)) else problem
     with fitting_together():
         data = _read(certificate)
-        problem = _problem(data["problem"], given)
+        problem = recorded_problem(data["problem"], given, result="certificate")
         system, over, theorem = read_system(data, problem)
         section = ContactSection.of(system, data["section"])
         passages, verdicts, boxes = list[Passage | str](), list[ClaimVerdict](), list[Box]()
@@ -130,6 +130,9 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
     if kind != (2, "zeno_orbits proof") or type(bits) is not int or bits not in _BITS:
         known = "The certificate must be of format 2 and of 64 to 1024 bits"
         raise InputError(f"{known}. Prove the orbit again with `zeno-orbits prove`.")
+    if not isinstance(data["problem"], str):
+        told = f"must be a text, but it is {shown(data['problem'])}"
+        raise InputError(f"The certificate's `problem` {told}.")
     return data
 
 
@@ -147,19 +150,6 @@ def _listed(data: Any, name: str) -> list[Any]:
     if not isinstance(found, list) or len(cast("list[Any]", found)) > _MOST[name]:
         raise InputError(f"The certificate's `{name}` must be a list of at most {_MOST[name]}.")
     return cast("list[Any]", found)
-
-
-def _problem(name: Any, problem: Problem | None) -> Problem:
-    """Return the problem of a certificate. A name in it can only load a bundled file."""
-    if problem is not None:
-        if name != problem.name:
-            told = f"must be about `{problem.name}`, but it names {str(name)[:60]!r}"
-            raise InputError(f"The certificate {told}.")
-        return problem
-    if not isinstance(name, str) or name.partition("@")[0] not in bundled_problems():
-        told = f"must name a bundled problem, but it names {str(name)[:60]!r}"
-        raise InputError(f"The certificate {told}. Give its file with `--problem FILE.py`.")
-    return load_problem(name)
 
 
 def read_system(

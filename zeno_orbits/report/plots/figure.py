@@ -13,7 +13,7 @@ from zeno_orbits.continuation import Continuation, Family
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import Comparison
 from zeno_orbits.maps import ParameterMap
-from zeno_orbits.model import Problem, load_problem
+from zeno_orbits.model import Problem, recorded_problem
 from zeno_orbits.orbits import EventOrbit, Multipliers, ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.motion import orbit_motion
@@ -88,7 +88,7 @@ def figure_of(
 def _of_orbit(
     orbit: ZenoOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
-    problem = problem or load_problem(orbit.problem)
+    problem = recorded_problem(orbit.problem, problem)
     execution = orbit_motion(orbit, problem, problem_dynamics(orbit, problem))
     return plot_portraits(problem, execution, width=width, axes=axes)
 
@@ -96,7 +96,7 @@ def _of_orbit(
 def _of_events(
     orbit: EventOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
-    problem = problem or load_problem(orbit.problem)
+    problem = recorded_problem(orbit.problem, problem)
     execution = orbit_motion(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
     return plot_portraits(problem, execution, width=width, axes=axes)
 
@@ -112,7 +112,7 @@ def _of_execution(
 def _of_continuation(
     found: Continuation, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
-    problem = problem or load_problem(found.families[0].problem)
+    problem = recorded_problem(found.families[0].problem, problem, result="continuation")
     draw = plot_boundaries if found.boundaries else plot_families
     return draw(found, problem, width=width, axes=axes)
 

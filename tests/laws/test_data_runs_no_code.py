@@ -1,0 +1,234 @@
+"""Files of results are data: a path in one of them is not run, whatever reads the file."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import zeno_orbits as zo
+from tests.support.commands import ask
+from tests.support.data_files import contents_by_kind, reading_commands, write_files
+from zeno_orbits import api
+from zeno_orbits.maps import read_boundaries, read_map, read_pushes, read_recovery
+from zeno_orbits.precision import read_work_precision
+
+MARK = "it ran"
+
+PROBLEM = """
+from pathlib import Path
+
+Path({mark!r}).touch()
+import casadi as ca
+from zeno_orbits import HybridLagrangian, Problem, Quantity, hybrid_system, no_drive
+
+
+def model(p):
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    ball = HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=p["m"] * v**2 / 2, potential=p["m"] * 9.81 * q, gap=q
+    )
+    return hybrid_system(ball, no_drive(ball), 0.5)
+
+
+PROBLEM = Problem(
+    name={name!r},
+    title="a ball",
+    model=model,
+    parameters=(Quantity.positive("m", 1.0, "kg", "mass"),),
+    state_names=("q", "v"),
+    state_units=("m", "m/s"),
+    gap_unit="m",
+    time_unit="s",
+)
+"""
+
+NAMES = (
+    "{folder}/evil.py",
+    *(
+        pytest.param(name, marks=pytest.mark.slow)
+        for name in (
+            *("evil.py", "./evil.py", "evil.py@bouncing_ball", "bouncing_ball@evil.py"),
+            *("bouncing_ball@x.py", "bouncing_ball@x.py@y", "evil"),
+        )
+    ),
+)
+"""Texts of the entry `problem` that lead to a program, by a careless reader."""
+
+
+def _write_program(folder: Path, name: str) -> None:
+    """Write programs that leave a mark, to which the text of an entry may lead."""
+    program = PROBLEM.format(mark=str(folder / MARK), name=name)
+    for file in ("evil.py", "evil.py@bouncing_ball", "bouncing_ball@x.py", "evil/model.py"):
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_text(program, encoding="utf-8")
+
+
+@pytest.fixture(name="hostile", params=NAMES)
+def _hostile(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> list[Path]:
+    """Files of every kind that name a program, in the current folder beside the program."""
+    monkeypatch.chdir(tmp_path)
+    name = request.param.format(folder=tmp_path)
+    _write_program(tmp_path, name)
+    return write_files(tmp_path, contents_by_kind(name))
+
+
+def test_files_of_every_kind_are_sound_but_for_the_problem(tmp_path: Path) -> None:
+    """Otherwise the checks below would end at another entry."""
+    files = write_files(tmp_path, contents_by_kind("forced_oscillator"))
+    readers = _readers()
+    for file in files:
+        assert any(_reads(reader, file) for reader in readers[:-1]), file
+
+
+def _reads(reader: Callable[[Path], Any], file: Path) -> bool:
+    with suppress(zo.InputError):
+        reader(file)
+        return True
+    return False
+
+
+def _readers() -> tuple[Callable[[Path], Any], ...]:
+    """Return the functions that read a file of results."""
+    return (
+        *(zo.read_orbit, zo.read_event_orbit, zo.read_recording, read_map, read_pushes),
+        *(read_recovery, read_work_precision, api.any_orbit),
+        lambda path: zo.check_proof(path, "forced_oscillator"),
+        lambda path: read_boundaries(path, "m", "g"),
+        lambda path: json.loads(path.read_text()),
+    )
+
+
+def _read(files: list[Path]) -> Iterator[Any]:
+    """Yield paths of files, as both kinds, and everything that can be read from them."""
+    for file in files:
+        yield file
+        for reader in _readers():
+            with suppress(Exception):
+                yield reader(file)
+
+
+def _public_functions() -> dict[str, Callable[..., Any]]:
+    """Return the public functions, and those on which commands rest."""
+    doors = [(module, name) for module in (zo, api) for name in module.__all__]
+    found = {name: getattr(module, name) for module, name in doors}
+    return {name: one for name, one in found.items() if inspect.isfunction(one)}
+
+
+PLAIN: dict[str, Any] = {
+    "parameter": "m",
+    "box": (0.5, 2.0),
+    "plan": zo.ExecutionPlan(place=zo.Workers(count=2)),
+    "x": ("m", 1.0, 2.0, 2),
+    "y": ("m", 1.0, 2.0, 2),
+    "fit": ["m"],
+    "accuracy": 1e-3,
+    "workers": 2,
+}
+"""Sound values of arguments that need one."""
+
+
+def _calls(function: Callable[..., Any], data: Any) -> Iterator[dict[str, Any]]:
+    """Yield arguments of a function, with the data at each place for a result or a file in turn."""
+    known = inspect.signature(function).parameters
+    needed = {name for name, one in known.items() if one.default is one.empty}
+    several = {"workers": 2} if "workers" in known else {}
+    for name, one in known.items():
+        if any(word in str(one.annotation) for word in ("Path", "Orbit", "Any", "object", "Run")):
+            if name == "problem":
+                continue
+            given = {other: PLAIN.get(other, data) for other in needed}
+            yield {**given, **several, name: data}
+
+
+def test_no_function_runs_a_program_that_a_file_of_results_names(
+    hostile: list[Path], tmp_path: Path
+) -> None:
+    calls = 0
+    for data in _read(hostile):
+        for name, function in _public_functions().items():
+            for arguments in _calls(function, data):
+                writes = "path" in arguments and name.startswith("write")
+                if "problem" in arguments or writes:
+                    continue
+                calls += 1
+                with suppress(Exception):
+                    function(**arguments)
+    assert calls > 500
+    assert not (tmp_path / MARK).exists()
+
+
+def test_no_command_runs_a_program_that_a_file_of_results_names(
+    hostile: list[Path], tmp_path: Path
+) -> None:
+    asked = 0
+    for file in hostile:
+        for words in reading_commands(file, output=tmp_path / "out.html"):
+            answer = ask(*words)
+            assert "Traceback" not in answer.err
+            assert "internal error" not in answer.err, (words, answer.err)
+            asked += 1
+    assert asked > 200
+    assert not (tmp_path / MARK).exists()
+
+
+def test_a_checkpoint_runs_no_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    _write_program(tmp_path, "evil.py")
+    words = ("map", "bouncing_ball", "--x", "g=5:10", "--y", "m=1:2", "--grid", "2x2")
+    kept = ("--workers", "1", "--checkpoint", "kept")
+    assert ask(*words, *kept).err == ""
+    assert (tmp_path / "kept" / "identity.json").exists()
+    for file in (tmp_path / "kept").rglob("*.json"):
+        text = file.read_text()
+        for one in ("bouncing_ball", "zeno", str(tmp_path)):
+            text = text.replace(f'"{one}"', f'"{tmp_path}/evil.py"')
+        file.write_text(text)
+    ask(*words, *kept)
+    assert not (tmp_path / MARK).exists()
+
+
+def test_a_problem_that_the_caller_names_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The check of the checks above: the program leaves its mark when it runs."""
+    monkeypatch.chdir(tmp_path)
+    _write_program(tmp_path, "ball")
+    write_files(tmp_path, contents_by_kind("ball"))
+    ask("verify", "orbit_1.json")
+    with suppress(zo.ZenoOrbitsError):
+        zo.verify("orbit_1.json")
+    assert not (tmp_path / MARK).exists()
+    ask("verify", "orbit_1.json", "--problem", "evil.py")
+    assert (tmp_path / MARK).exists()
+    (tmp_path / MARK).unlink()
+    with suppress(zo.ZenoOrbitsError):
+        zo.plot(zo.read_orbit("orbit_1.json"), problem="evil")
+    assert (tmp_path / MARK).exists()
+
+
+@pytest.mark.parametrize("kind", ["orbit_1.json", "orbit_3.json"])
+def test_a_name_that_is_not_bundled_asks_for_the_file(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _write_program(tmp_path, "evil.py")
+    write_files(tmp_path, contents_by_kind("evil.py"))
+    told = r"Unknown problem `evil\.py`\. If it is yours, pass its file with --problem"
+    read = zo.read_event_orbit if kind == "orbit_3.json" else zo.read_orbit
+    for call in (
+        lambda: zo.verify(kind),
+        lambda: zo.plot(read(kind)),
+        lambda: zo.continue_orbit(kind, "m", (0.5, 2.0), workers=2),
+        lambda: zo.largest_push(kind, workers=2),
+    ):
+        with pytest.raises(zo.InputError, match=told):
+            call()
+    assert not (tmp_path / MARK).exists()
