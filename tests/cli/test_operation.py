@@ -190,7 +190,7 @@ def test_two_runs_with_one_output_do_not_disturb_each_other(tmp_path: Path) -> N
     output = tmp_path / "map.json"
     words = (*SMALL, "--grid", "90x90", "--workers", "1", "-o", output)
     with started(tmp_path, *words) as first:
-        lock = tmp_path / "map.json.checkpoint" / ".lock"
+        lock = tmp_path / "map.json.checkpoint" / ".owner"
         wait_for(lambda: lock.exists() and lock.read_text())
         second = ask(*words)
         assert second.code == 2
@@ -204,7 +204,8 @@ def test_two_runs_with_one_output_do_not_disturb_each_other(tmp_path: Path) -> N
     small = (*SMALL, "--grid", "2x2", "--workers", "1", "-o", tmp_path / "other.json")
     folder = tmp_path / "other.json.checkpoint"
     folder.mkdir()
-    (folder / ".lock").write_text(f"process {first.pid} on here")
+    (folder / ".lock").touch()
+    (folder / ".owner").write_text(f"process {first.pid} on here")
     assert ask(*small).code == YES
     assert not folder.exists()
 
@@ -226,7 +227,7 @@ def test_a_second_run_with_one_checkpoint_is_refused_and_a_terminated_one_goes_o
     words = (*words, "--workers", "1", "--checkpoint", "kept")
     with started(tmp_path, *words) as first:
         # A run in several stages has a folder for each.
-        wait_for(lambda: any(one.stat().st_size for one in (tmp_path / "kept").rglob(".lock")))
+        wait_for(lambda: any(one.stat().st_size for one in (tmp_path / "kept").rglob(".owner")))
         second = ask(*words)
         assert second.code == 2
         assert f"process {first.pid} on " in second.err

@@ -23,6 +23,8 @@ _ORBIT = {
     "certificate": {},
     "versions": {"numpy": "1.2"},
 }
+_PUSH = {"phase": 0.0, "direction": {"q": 1.0}, "mode": "free", "largest": 0.2, "error": 0.001}
+_PUSH |= {"beyond": "rest", "searched": 0.5, "unit": "N s"}
 
 
 @cache
@@ -56,12 +58,22 @@ def contents_by_kind(problem: str) -> dict[str, Any]:
         | {"format": 3, "problem": problem, "sequence": ["impact stop"], "start_state": _STATE}
         | {"events": [{"name": "impact stop", "time": 2.0, "state": _STATE}]},
         "proof.json": forced_oscillator(load_problem("forced_oscillator")) | {"problem": problem},
-        "pushes.json": {"pushes": [], "problem": problem, "gains": {}, "parameters": {"m": 1.0}}
+        "pushes.json": {
+            "pushes": [_PUSH],
+            "problem": problem,
+            "gains": {},
+            "parameters": {"m": 1.0},
+        }
         | {"period": 2.0, "spectral_radius": 0.5, "phases": 1, "steps": 1, "reach": 1.0}
         | {"error": 0.01, "until": 10.0, "least": None, "versions": {}},
         "recovery.json": {"norm": [[1.0]], "problem": problem, "gains": {}, "parameters": {}}
         | {"period": 2.0, "spectral_radius": 0.5, "contraction": 0.5, "part": 0.1, "periods": 1}
-        | {"time": 2.0, "directions": [[1.0], [0.0]], "radius": 0.1, "extents": {"q": 0.1}}
+        | {
+            "time": 2.0,
+            "directions": [[1.0], [0.0]],
+            "radius": 0.1,
+            "extents": {"q": 0.1, "v": 0.1},
+        }
         | {"units": {"q": "m", "v": "m/s"}, "tests": 1, "samples": 10, "confidence": 0.9}
         | {"lost_share": 0.2, "error": 0.01, "seed": 0, "versions": {}},
         "trade.json": {"problem": problem, "work": "until 1 s", "truth": "closed form"}

@@ -6,6 +6,7 @@ import argparse
 import re
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 
 from zeno_orbits.cli.old_forms import OPTIONS
 
@@ -43,13 +44,30 @@ def as_typed(message: str, words: Sequence[str], options: argparse.Namespace) ->
         known, name, near = found.groups()
         kind = _KINDS.get(re.split(r"[ =]", typed)[0], "name")
         return f"{typed}: unknown {kind} `{name}`.{near or ''} Known: {known}."
+    folder = f"Checkpoint `{getattr(options, 'checkpoint', None)}` "
+    if message.startswith(folder):
+        return f"{_typed({'--checkpoint'}, words)}: {message.removeprefix(folder)}"
     about = _ARGUMENT.fullmatch(message)
     if about is None:
         return message
     if about[1].startswith("--"):
         return f"{about[1]}: {about[2]}"
-    label = _option_of(about[1], words, options) or _option_of_name(about[1], words)
+    label = (
+        _option_of_path(about[2], words, options)
+        or _option_of(about[1], words, options)
+        or _option_of_name(about[1], words)
+    )
     return f"{label}: {about[2]}" if label else message
+
+
+def _option_of_path(clause: str, words: Sequence[str], options: argparse.Namespace) -> str:
+    """Return the option that gave the one path in a clause, as it was typed, or no text."""
+    named = [
+        action
+        for action in options.parser.actions()
+        if action.type is Path and f"`{getattr(options, action.dest, None)}`" in clause
+    ]
+    return _typed({*named[0].option_strings}, words) if len(named) == 1 else ""
 
 
 def _option_of(argument: str, words: Sequence[str], options: argparse.Namespace) -> str:
@@ -57,6 +75,11 @@ def _option_of(argument: str, words: Sequence[str], options: argparse.Namespace)
     strings = _strings(argument, options)
     if argument in ("problem", "orbit", "target") and not strings & set(words):
         return ""
+    return _typed(strings, words)
+
+
+def _typed(strings: set[str], words: Sequence[str]) -> str:
+    """Return one of some options and its value as they were typed, or no text."""
     for k in reversed(range(len(words))):
         option, sign, _ = words[k].partition("=")
         if option in strings:

@@ -7,7 +7,7 @@ reference. A test compares both, event by event. `source` and `library` find or 
 Offers: `program_of` a problem's functions. A `LoopRun` with `RunSettings` returns a `Record`.
 `loop_account` and `refusals` describe the library in use.
 
-Imports: model, integrators, arrays, errors.
+Imports: model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

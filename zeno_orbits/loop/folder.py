@@ -11,11 +11,12 @@ import hashlib
 import os
 import sys
 from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from zeno_orbits.errors import KernelError
+from zeno_orbits.work import file_lock
 
 _SUFFIX = ".kernels"
 _OF_EARLIER_RELEASES = (".failed", ".job")
@@ -60,10 +61,11 @@ class LibraryFolder:
             # Windows: the folder is in the user's profile, which the system guards.
             return
         try:
-            stat = path.stat()
+            # Who owns a link chooses its target.
+            owners, mode = {path.lstat().st_uid, path.stat().st_uid}, path.stat().st_mode
         except OSError as error:
             raise KernelError(f"`{path}` cannot be read ({error.strerror})") from error
-        if stat.st_uid not in {os.geteuid(), 0} or stat.st_mode & _OTHERS_MAY_WRITE:
+        if not owners <= {os.geteuid(), 0} or mode & _OTHERS_MAY_WRITE:
             raise KernelError(f"other users can write to `{path}`")
 
     def find(self, key: str) -> Path | None:
@@ -105,14 +107,16 @@ class LibraryFolder:
         """Hold the lock of the folder: one process compiles, and the others find its library.
 
         The operating system releases the lock if the process ends.
-        """
-        if sys.platform == "win32":
-            yield
-            return
-        import fcntl
 
-        with self.lock.open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        Raises:
+            KernelError: If the folder cannot be locked.
+        """
+        with ExitStack() as lock:
+            try:
+                lock.enter_context(file_lock(self.lock, patience=-1.0))
+            except OSError as error:
+                reason = f"`{self.lock}` cannot be locked ({error.strerror})"
+                raise KernelError(reason) from error
             yield
 
     @property
@@ -129,8 +133,14 @@ class LibraryFolder:
         return sum(file.stat().st_size for file in self.libraries())
 
     def clear(self) -> int:
-        """Remove everything that was made, and return how many libraries there were."""
+        """Remove everything that was made, and return how many libraries there were.
+
+        Raises:
+            KernelError: If others may write to the folder.
+        """
         libraries = self.libraries()
+        if self.path.exists():
+            self.require_private(self.path)
         kinds = (_SUFFIX, *_OF_EARLIER_RELEASES)
         for file in (file for kind in kinds for file in self.path.glob(f"*{kind}")):
             # A folder of that name is not ours.

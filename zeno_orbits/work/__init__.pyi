@@ -17,6 +17,7 @@ from .files import require_writable as require_writable
 from .files import write_all as write_all
 from .files import utf8 as utf8
 from .files import write_whole as write_whole
+from .locks import file_lock as file_lock
 from .kinds import Checked as Checked
 from .kinds import checked as checked
 from .kinds import require_kinds as require_kinds

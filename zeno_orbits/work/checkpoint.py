@@ -6,20 +6,17 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import socket
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
-from typing import IO, Any, cast
+from typing import Any, cast
 
 from zeno_orbits.errors import CheckpointError
-from zeno_orbits.work.files import UNFINISHED, read_object, write_whole
+from zeno_orbits.work.files import UNFINISHED, read_object, replace_file, utf8
+from zeno_orbits.work.locks import file_lock, is_regular
 from zeno_orbits.work.plan import FailedPoint
-
-fcntl: ModuleType | None = None
-with contextlib.suppress(ImportError):
-    import fcntl
 
 FORMAT = 1
 """Version of the files in the folder."""
@@ -28,7 +25,7 @@ _SHOWN = 70
 """Largest number of characters of a value in a message."""
 
 
-_LOCK = ".lock"
+_LOCK, _OWNER = ".lock", ".owner"
 
 
 @contextlib.contextmanager
@@ -36,7 +33,7 @@ def folder_lock(folder: Path) -> Generator[None]:
     """Lock a folder against other processes within a context.
 
     The operating system frees the lock when its process ends. This process may lock its folder
-    again. If the operating system does not support such locks, the folder is not locked.
+    again.
 
     Args:
         folder: The folder. A missing folder is created.
@@ -44,64 +41,40 @@ def folder_lock(folder: Path) -> Generator[None]:
     Raises:
         CheckpointError: If another process has locked the folder.
     """
-    if fcntl is None or folder.resolve() in _held:
+    _require_folder(folder)
+    place = folder.resolve()
+    if place in _held:
         yield
         return
-    file = _locked(folder)
-    _held.add(folder.resolve())
-    try:
+    with contextlib.ExitStack() as lock:
+        try:
+            folder.mkdir(exist_ok=True)
+            lock.enter_context(file_lock(folder / _LOCK))
+            owner = f"process {os.getpid()} on {socket.gethostname()}"
+            replace_file(folder / _OWNER, (utf8(owner),))
+        except TimeoutError as error:
+            help_ = "Wait until it ends, or choose another output or checkpoint"
+            raise CheckpointError(folder, f"{_owner(folder)} is working on it. {help_}") from error
+        except OSError as error:
+            raise CheckpointError(folder, f"it cannot be written ({error.strerror})") from error
+        lock.callback((folder / _OWNER).unlink, missing_ok=True)
+        _held.add(place)
+        lock.callback(_held.discard, place)
         yield
-    finally:
-        _held.discard(folder.resolve())
-        (folder / _LOCK).unlink(missing_ok=True)
-        file.close()
 
 
 _held: set[Path] = set()
 """Folders that this process has locked."""
 
 
-def _locked(folder: Path) -> IO[str]:
-    """Return the locked file of a folder."""
-    assert fcntl is not None
-    _require_folder(folder)
-    path = folder / _LOCK
-    while True:
-        try:
-            folder.mkdir(exist_ok=True)
-            file = path.open("a+", encoding="utf-8")
-        except OSError as error:
-            raise CheckpointError(folder, f"it cannot be written ({error.strerror})") from error
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            file.seek(0)
-            owner = file.read(40).strip() or "another process"
-            file.close()
-            help_ = "Wait until it ends, or choose another output or checkpoint"
-            raise CheckpointError(folder, f"{owner} is working on it. {help_}") from error
-        # The last owner may have removed the file in the meantime.
-        with contextlib.suppress(FileNotFoundError):
-            if os.fstat(file.fileno()).st_ino == path.stat().st_ino:
-                return _signed(file, folder)
-        file.close()
-
-
-def _signed(file: IO[str], folder: Path) -> IO[str]:
-    """Return the file of a lock with the name of its owner in it.
-
-    Raises:
-        CheckpointError: If the disk is full.
-    """
+def _owner(folder: Path) -> str:
+    """Return the name of the process that has locked a folder."""
+    path = folder / _OWNER
     try:
-        file.truncate(0)
-        file.write(f"process {os.getpid()} on {socket.gethostname()}")
-        file.flush()
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            file.close()
-        raise CheckpointError(folder, f"it cannot be written ({error.strerror})") from error
-    return file
+        text = path.read_text(encoding="utf-8") if is_regular(path) else ""
+    except (OSError, ValueError):
+        text = ""
+    return text[:_SHOWN].strip() or "another process"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,13 +99,13 @@ class Checkpoint:
             results: One result per point.
 
         Raises:
-            InputError: If the folder cannot be written.
+            CheckpointError: If the folder cannot be written.
         """
         lost = [k for k, result in enumerate(results) if isinstance(result, FailedPoint)]
         kept = [None if isinstance(result, FailedPoint) else result for result in results]
         body = {"chunk": chunk, "lost": lost, "results": kept}
         entries = {"format": FORMAT, "work": self.work, "checksum": _digest(body)} | body
-        write_whole(self._file(chunk), json.dumps(entries, allow_nan=False) + "\n")
+        _write(self._file(chunk), json.dumps(entries, allow_nan=False) + "\n")
 
     def finished(self) -> dict[int, list[Any]]:
         """Return the results of every stored chunk.
@@ -175,6 +148,7 @@ def open_checkpoint(folder: Path, identity: Mapping[str, Any], sizes: Sequence[i
     # Convert through JSON, since the stored identity has been through JSON as well.
     wanted = json.loads(json.dumps({"format": FORMAT, **identity}, allow_nan=False))
     path = folder / _IDENTITY
+    _require_own(folder)
     if path.exists():
         found = _object(path)
         if found != wanted:
@@ -182,19 +156,37 @@ def open_checkpoint(folder: Path, identity: Mapping[str, Any], sizes: Sequence[i
     else:
         _require_empty(folder)
         folder.mkdir(exist_ok=True)
-        write_whole(path, json.dumps(wanted, indent=2) + "\n")
+        _write(path, json.dumps(wanted, indent=2) + "\n")
     return Checkpoint(folder=folder, work=_digest(wanted), sizes=tuple(sizes))
 
 
 def remove_checkpoint(folder: Path) -> None:
-    """Delete the checkpoint of finished work. Other files stay, and so does their folder."""
-    for stage in folder.glob(f"*/{_IDENTITY}"):
-        remove_checkpoint(stage.parent)
-    kept = (*folder.glob("chunk-*.json"), *folder.glob(f"{UNFINISHED}*"), folder / _IDENTITY)
-    for file in kept:
-        file.unlink(missing_ok=True)
+    """Delete the checkpoint of finished work. Other files and links stay, and so do their folders.
+
+    Args:
+        folder: The folder, which may be missing.
+    """
+    for path in _entries(folder):
+        if _is_folder(path) and is_regular(path / _IDENTITY):
+            remove_checkpoint(path)
+        elif is_regular(path) and _OWN.fullmatch(path.name):
+            path.unlink(missing_ok=True)
     with contextlib.suppress(OSError):
         folder.rmdir()
+
+
+_OWN = re.compile(rf"chunk-.*\.json|{re.escape(UNFINISHED)}.*|{re.escape(_IDENTITY)}")
+"""Names of the files of a checkpoint."""
+
+
+def _entries(folder: Path) -> list[Path]:
+    """Return the paths in a folder, none for a link or a missing folder."""
+    return sorted(folder.iterdir()) if _is_folder(folder) else []
+
+
+def _is_folder(path: Path) -> bool:
+    """Return True if a path is a folder, and not a link to one."""
+    return path.is_dir() and not path.is_symlink()
 
 
 def keeps_nothing(folder: Path) -> bool:
@@ -203,16 +195,33 @@ def keeps_nothing(folder: Path) -> bool:
 
 
 def _require_folder(folder: Path) -> None:
+    if folder.is_symlink():
+        raise CheckpointError(folder, "it is a link. Name the folder itself")
     if not folder.parent.is_dir() or (folder.exists() and not folder.is_dir()):
         raise CheckpointError(folder, "it is not a folder and cannot become one")
 
 
-def _require_empty(folder: Path) -> None:
+def _require_own(folder: Path) -> None:
+    """Refuse a folder that leads to files elsewhere."""
     _require_folder(folder)
+    for path in _entries(folder):
+        if not (is_regular(path) or _is_folder(path)):
+            raise CheckpointError(folder, f"`{path.name}` in it is a link, or not a file")
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        replace_file(path, (utf8(text),))
+    except OSError as error:
+        reason = f"`{path.name}` in it cannot be written ({error.strerror})"
+        raise CheckpointError(path.parent, reason) from error
+
+
+def _require_empty(folder: Path) -> None:
     # A process that ends while it writes leaves a file whose name begins with a dot.
-    strange = [] if not folder.exists() else [p.name for p in folder.iterdir() if p.name[0] != "."]
+    strange = [path.name for path in _entries(folder) if path.name[0] != "."]
     if strange:
-        raise CheckpointError(folder, f"it is not a checkpoint: it holds `{sorted(strange)[0]}`")
+        raise CheckpointError(folder, f"it is not a checkpoint: it holds `{strange[0]}`")
 
 
 def _object(path: Path) -> dict[str, Any]:

@@ -238,22 +238,35 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
         _write_through(path, pieces)
         return
     target = _target(path)
-    # The temporary name is short, since the name of the file may have the largest allowed length.
-    temporary = target.with_name(f"{UNFINISHED}{secrets.token_hex(8)}")
     try:
-        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        replace_file(target, pieces)
     except OSError as error:
-        message = f"Argument `output` must be in a writable folder, but `{path}` is not"
+        folder = target.parent
+        writable = folder.is_dir() and os.access(folder, os.W_OK)
+        kind = "a file that can be written" if writable else "in a writable folder"
+        message = f"Argument `output` must be {kind}, but `{path}` is not"
         raise InputError(f"{message} ({error.strerror}).") from error
+
+
+def replace_file(path: Path, pieces: Iterable[bytes]) -> None:
+    """Write a file through a temporary file in the same folder. A link at its path is replaced.
+
+    Args:
+        path: The file. An existing file is replaced and keeps its permissions.
+        pieces: Content of the file, in order.
+
+    Raises:
+        OSError: If the folder does not exist or cannot be written.
+    """
+    # The temporary name is short, since the name of the file may have the largest allowed length.
+    temporary = path.with_name(f"{UNFINISHED}{secrets.token_hex(8)}")
+    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     try:
         with os.fdopen(handle, "wb") as file:
             for piece in pieces:
                 file.write(piece)
-        _keep_mode(target, temporary)
-        temporary.replace(target)
-    except OSError as error:
-        message = f"Argument `output` must be a file that can be written, but `{path}` is not"
-        raise InputError(f"{message} ({error.strerror}).") from error
+        _keep_mode(path, temporary)
+        temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
