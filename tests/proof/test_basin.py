@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 import random
+import re
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -17,9 +19,11 @@ from tests.support.certificates import mutants
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
 from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.proof import basin as searched
 from zeno_orbits.proof import check_proof
 from zeno_orbits.proof.checker import basin as judged
 from zeno_orbits.proof.checker import certificate as first_box
+from zeno_orbits.report.terminal import print_basin
 
 pytest.importorskip("flint")
 pytestmark = pytest.mark.slow
@@ -55,7 +59,8 @@ def test_an_orbit_whose_section_is_a_single_point_is_proved_without_a_set(
     path = tmp_path / "orbit.json"
     zo.write_orbit(zo.find_orbit_by_shooting("forced_oscillator").unwrap(), path)
     assert main(["prove", str(path), "--basin"]) == 0
-    assert "The section of the orbit is a single point." in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "No set of initial states is proved beyond box 1: the section is a single point." in told
 
 
 @pytest.fixture
@@ -93,6 +98,60 @@ def test_a_set_is_at_least_one_percent_of_the_sampled_ball_and_attracts(
         assert proof.basin[name].low == middle - radius
         assert proof.basin[name].high == middle + radius
     assert "Every execution from the set converges to the periodic orbit." in verdict.lines()
+
+
+def test_a_printed_set_excludes_the_release_at_the_opposite_current(
+    proof: zo.Proof, certificate: Certificate, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # A release needs current^2 = 2 push / (L0 slope): two sheets over the same sines.
+    current = math.sqrt(2 * 4.0 / (0.5 * 500.0))
+    assert proof.basin_box is not None
+    verdict = check_proof(certificate)
+    told = [proof.basin_box.lying(), proof.basin_box.contained(), verdict.theorem.basin_others]
+    told.append(proof.as_json()["basin_others"])
+    for texts in told:
+        middle, radius = map(float, texts["current"].split(" +- "))
+        assert abs(current - middle) <= radius + 1e-15
+        assert abs(-current - middle) > 0.3
+        assert set(texts) >= {"current", "cosine"}
+    page = "\n".join(proof.lines())
+    (line,) = (one for one in page.splitlines() if one.startswith("The set of initial states con"))
+    assert f"current = {proof.basin_box.contained()['current']}" in line
+    half = Fraction(re.findall(r"sine = \S+ \+- ([^,]+)", line)[0])
+    # The table repeats the interval of this line, whose half-width is not rounded up.
+    one = proof.basin["sine"]
+    assert half <= (one.high - one.low) / 2
+    assert Fraction(repr(proof.initial_states["sine"])) <= (one.high - one.low) / 2
+    print_basin(proof, zo.recovery(zo.find_orbit_by_shooting("solenoid").unwrap()))
+    assert proof.basin_box.contained()["sine"] in capsys.readouterr().out
+
+
+def test_a_plastic_stop_has_a_set_of_initial_states() -> None:
+    plastic = zo.find_orbit_by_shooting("solenoid", parameters={"restitution": 0.0}).unwrap()
+    proof = zo.prove(plastic, basin=True)
+    assert proof.no_basin == ""
+    assert proof.attracted
+    (half,) = proof.initial_states.values()
+    # The whole printed set returns into itself: simulations of its ends.
+    middle = plastic.start_state["sine"]
+    current = plastic.start_state["current"]
+    for sine in (middle - half, middle + half):
+        start = {"current": current, "sine": sine, "cosine": -math.sqrt(1 - sine**2)}
+        run = zo.simulate("solenoid", start=start, parameters={"restitution": 0.0}, until=0.108)
+        (end,) = [one.state for one in run.releases if one.time > 0.05]
+        assert abs(end[list(plastic.start_state).index("sine")] - middle) < half
+
+
+def test_a_search_for_a_set_without_a_result_states_the_reason(
+    orbit: ZenoOrbit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A box that fills the largest trial set leaves nothing to search.
+    monkeypatch.setattr(searched, "_LARGEST", 1e-9)
+    proof = zo.prove(orbit, basin=True)
+    assert not proof.basin
+    assert proof.as_json()["no_basin"] == proof.no_basin != ""
+    (line,) = (one for one in proof.lines() if one.startswith("No set of initial states is"))
+    assert "box 1 is already larger than the largest trial set" in line
 
 
 def test_simulated_returns_lie_within_the_proved_remainder_of_the_polynomials(

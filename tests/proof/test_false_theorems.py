@@ -218,6 +218,23 @@ def test_a_verdict_states_all_that_the_theorem_depends_on(zeno: Certificate) -> 
     assert (plain["impacts_one_by_one"], plain["zeno_points"], plain["releases"]) == (35, 1, 1)
 
 
+@pytest.mark.parametrize("record", [0, 7, -1])
+def test_a_motion_that_is_refused_has_no_numbers_of_events(
+    zeno: Certificate, record: int, tmp_path: Path
+) -> None:
+    false = copy.deepcopy(zeno)
+    false["passes"][0]["records"][record]["set"]["m"][1] = text_of(0.125)
+    verdict = check_proof(false)
+    assert not verdict.ok
+    path = tmp_path / "proof.json"
+    path.write_text(json.dumps(false))
+    for told in ("\n".join(verdict.lines()), ask("prove", "--check", path).out):
+        assert "In a period" not in told
+        assert "0 impacts" not in told
+    plain = verdict.as_json()
+    assert not {"kind", "releases", "impacts_one_by_one", "zeno_points", "plastic"} & plain.keys()
+
+
 def test_an_orbit_without_zeno_point_is_called_so(impact: Certificate) -> None:
     assert "periodic orbit without a Zeno point" in check_proof(impact).verdict()
 

@@ -18,9 +18,11 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
-from tests.support import hard_to_prove
+from tests.support import hard_to_prove, sheets
+from tests.support.cases import fast
 from tests.support.pages import ROOT
 from zeno_orbits.proof import Proof, check_proof
+from zeno_orbits.proof.theorem import ProvedInterval, SectionBox, double_below
 
 pytest.importorskip("flint")
 
@@ -87,6 +89,170 @@ def exact(text: str) -> Fraction:
     """Return a number of a certificate."""
     mantissa, _, exponent = text.partition("p")
     return int(mantissa, 16) * Fraction(2) ** int(exponent)
+
+
+def _of_the_table(p: dict[str, Any]) -> tuple[Any, int]:
+    return p["g"] / (p["A"] * p["omega"] ** 2), 1
+
+
+def _of_the_oscillator(p: dict[str, Any]) -> tuple[Any, int]:
+    return mp.sqrt(1 - (p["k"] * p["stop"] / p["A"]) ** 2), -1
+
+
+CLOSED_FORMS = {"vibrating_table": _of_the_table, "forced_oscillator": _of_the_oscillator}
+"""Sine of the clock at the release and the sign of the cosine, from the parameters' doubles."""
+
+
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+def test_the_point_of_a_section_without_coordinates_is_printed_with_its_states(
+    proofs: dict[str, Proof], name: str
+) -> None:
+    proof = proofs[name]
+    problem = zo.load_problem(name)
+    with mp.workdps(120):
+        numbers = {one.name: mp.mpf(one.default or 0.0) for one in problem.parameters}
+        sine, sense = CLOSED_FORMS[name](numbers)
+        truth = {"sine": sine, "cosine": sense * mp.sqrt(1 - sine**2)}
+        exactly_ = {state: Fraction(mp.nstr(x, 110)) for state, x in truth.items()}
+    data, verdict = proof.as_json()["boxes"][0], check_proof(dict(proof.certificate))
+    told = [data["others"], data["others_contain"], verdict.as_json()["other_states"][0]]
+    page = "\n".join([*proof.lines(), *verdict.lines()])
+    for texts in told:
+        for state, x in exactly_.items():
+            low, high = read(texts[state])
+            assert low <= x <= high
+            assert high - low < Fraction(1, 10**15)
+            assert f"{state} = {texts[state]}" in page
+            # The mirrored point, on the other sheet, is excluded.
+            assert not low <= -x <= high
+    at_rest = {state: text for state, text in data["others"].items() if state not in truth}
+    assert len(at_rest) == 2
+    assert set(at_rest.values()) == {"0 +- 0"}
+
+
+SHEETS = [(name, rest) for name, one in sheets.MACHINES.items() for rest in one.rest]
+
+
+@pytest.mark.parametrize(("name", "rest"), fast(3, SHEETS))
+def test_orbits_over_the_same_coordinates_have_theorems_that_name_their_sheet(
+    name: str, rest: float
+) -> None:
+    problem, others = sheets.problem_of(name, rest), sheets.MACHINES[name].rest
+    proof = zo.prove(zo.find_orbit_by_shooting(problem).unwrap(), problem=problem)
+    verdict = check_proof(dict(proof.certificate), problem)
+    assert verdict.ok
+    data, checked = proof.as_json(), verdict.as_json()
+    assert set(data["boxes"][0]["coordinates"]) == set(data["box"]) == set(checked["box"])
+    for number, box in enumerate(data["boxes"]):
+        lying = box["coordinates"] | box["others"]
+        assert set(lying) == set(problem.state_names)
+        told = [lying, box["contains"] | box["others_contain"]]
+        ends = [checked["box"], *checked["smaller_boxes"]][number]
+        shown = {state: f"{_decimal(m)} +- {_decimal(r)}" for state, (m, r) in ends.items()}
+        assert set(shown | checked["other_states"][number]) == set(problem.state_names)
+        told.append(shown | checked["other_states"][number])
+        for texts in told:
+            low, high = read(texts["y"])
+            assert low <= Fraction(rest) <= high
+            assert not any(low <= Fraction(other) <= high for other in others if other != rest)
+            # The release of the mass: cos(t) = -0.8, sin(t) = 0.6, but for the rounding of 0.8.
+            for state, x in (("cosine", -0.8), ("sine", 0.6)):
+                low, high = read(texts[state])
+                assert float(low) - 1e-15 <= x <= float(high) + 1e-15
+        page = "\n".join(proof.lines())
+        for texts in told[:2]:
+            assert all(f"{state} = {text}" in page for state, text in texts.items())
+
+
+def _decimal(text: str) -> str:
+    """Return an exact number of the checker, which may be hexadecimal, as a fraction's text."""
+    return str(exact(text) if "p" in text else Fraction(text))
+
+
+PROVED = (
+    *("solenoid", "motor_valve", "forced_oscillator", "vibrating_table", "two_tone_table"),
+    *("relief_valve", "curved_surface", "torque_pendulum", "motor_cart"),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PROVED)
+def test_every_printed_interval_of_a_set_is_on_the_right_side_of_the_proved_one(name: str) -> None:
+    problem = zo.load_problem(name)
+    proof = zo.prove(zo.find_orbit_by_shooting(problem).unwrap())
+    verdict = check_proof(dict(proof.certificate))
+    assert verdict.ok
+    places = proof.certificate["section"]["places"]
+    parts = zip(proof.certificate["passes"], proof.as_json()["boxes"], strict=True)
+    for number, (part, told) in enumerate(parts):
+        box = part["box"]
+        _require_sides(box, [problem.state_names[k] for k in places], told)
+        # Other states that the printed set names lie in the box of the certificate.
+        others = [k for k in range(len(problem.state_names)) if k not in places]
+        names = [
+            problem.state_names[k]
+            for k in others
+            if problem.state_names[k] in told["others_contain"]
+        ]
+        centres, radii = box["others"]["centre"], box["others"]["radius"]
+        for state, centre, radius in zip(names, centres, radii, strict=True):
+            for text in (
+                told["others_contain"][state],
+                verdict.theorem.others[number][state],
+            ):
+                low, high = read(text)
+                assert exact(centre) - exact(radius) <= low <= high
+                assert high <= exact(centre) + exact(radius)
+    assert proof.bounds is not None
+    claims = {one["name"]: one for one in proof.certificate["claims"]}
+    low, high = read(proof.as_json()["period"])
+    assert low <= exact(claims["period"]["low"]) <= exact(claims["period"]["high"]) <= high
+    ends = zip(claims["start_state"]["low"], claims["start_state"]["high"], strict=True)
+    for text, (least, most) in zip(proof.as_json()["start_state"].values(), ends, strict=True):
+        low, high = read(text)
+        assert low <= exact(least) <= exact(most) <= high
+
+
+def _require_sides(box: Any, names: list[str], told: Any) -> None:
+    """Check that a set contains its "contains" and lies in its "lies in"."""
+    for state, centre, radius in zip(names, box["centre"], box["radius"], strict=True):
+        least, most = exact(centre) - exact(radius), exact(centre) + exact(radius)
+        low, high = read(told["coordinates"][state])
+        assert low <= least <= most <= high
+        low, high = read(told["contains"][state])
+        assert least <= low <= high <= most
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [
+        (Fraction(1, 3), Fraction(1, 2)),
+        (Fraction(1, 3) - Fraction(1, 10**30), Fraction(1, 3)),
+        (Fraction(99949, 10**5), Fraction(100051, 10**5)),
+        (-Fraction(5, 10**7), Fraction(5, 10**7)),
+        (Fraction(3157, 10**5) - 1, Fraction(3157, 10**5) + 1),
+        (Fraction(2**70 + 1, 2**70), Fraction(2**70 + 3, 2**70)),
+        (Fraction(123456), Fraction(123457)),
+    ],
+)
+def test_a_set_is_printed_with_a_set_inside_and_a_set_outside(
+    low: Fraction, high: Fraction
+) -> None:
+    one = ProvedInterval(low=low, high=high)
+    wide = ProvedInterval(low=low - (high - low) / 50, high=high + (high - low) / 50)
+    box = SectionBox(coordinates={"u": one}, others={"v": one}, around={"v": wide})
+    lying, contained = box.lying(), box.contained()
+    for state in ("u", "v"):
+        a, b = read(lying[state])
+        assert a <= low <= high <= b
+    a, b = read(contained["u"])
+    assert low <= a <= b <= high
+    a, b = read(contained["v"])
+    assert wide.low <= a <= low <= high <= b <= wide.high
+    half = double_below((high - low) / 2)
+    assert (
+        Fraction(repr(half)) <= (high - low) / 2 < Fraction(repr(half)) * (1 + Fraction(1, 10**15))
+    )
 
 
 def test_the_page_and_the_data_give_the_period_of_the_clock(proofs: dict[str, Proof]) -> None:

@@ -14,12 +14,12 @@ import numpy as np
 from flint import arb
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import ProofError
+from zeno_orbits.errors import ProofError, counted
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, matrix
 from zeno_orbits.proof.arithmetic.polynomials import Basis, Polynomial
 from zeno_orbits.proof.fixed_point import JudgedBox
-from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.integration.orbit_walk import LEAST_SIZE
 from zeno_orbits.proof.integration.polynomial_walk import (
     PhaseDuration,
@@ -52,38 +52,48 @@ def large_sets(
     """Return a large set around a box with the sets that lead from its image to the box.
 
     Trial sets shrink by a constant factor until the image of a set lies in its interior. The list
-    contains only this set if the images are not proved to reach the box. It is empty without a
-    set that is larger than the box, and if the section is a single point.
+    contains only this set if the images are not proved to reach the box.
 
     Args:
         orbit: The orbit.
         system: Its problem in balls.
         found: A box that the return map contracts.
         on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        ProofError: If no set is larger than the box, or the section is a single point.
     """
     d = len(found.start.places)
     if not d:
-        return []
+        raise ProofError("basin", "the section is a single point")
     box = np.array([float(one.rad()) for one in found.start.at.U])
     sizes = [max(abs(float(found.start.at.m[k].mid())), LEAST_SIZE) for k in found.start.places]
     factor = _LARGEST / float(np.max(box[:d] / np.array(sizes)))
     sets: list[PolynomialPass] = []
-    while factor > 1.0:
+    count, reason = 0, "box 1 is already larger than the largest trial set"
+    while factor > 1.0 and not sets:
         radii = np.concatenate([factor * box[:d], box[d:]])
-        tried = _pass(orbit, system, found, radii, on_progress)
-        if tried is not None and bool(np.all(_image(tried)[:d] < _WITHIN * radii[:d])):
+        count += 1
+        try:
+            tried = _pass(orbit, system, found, radii, on_progress)
+            inside = bool(np.all(_image(tried)[:d] < _WITHIN * radii[:d]))
+            require_proved(inside, "basin", "the image of the set is not inside the set")
             sets.append(tried)
-            break
-        factor *= _SMALLER
-    while sets and len(sets) < _MOST_SETS:
+        except ProofError as error:
+            reason = f"none of {counted(count, 'trial set')} succeeds. The smallest is"
+            reason += f" {factor:.3g} times as large as box 1: {error.reason}"
+            factor *= _SMALLER
+    if not sets:
+        raise ProofError("basin", reason)
+    while len(sets) < _MOST_SETS:
         image = _image(sets[-1])
         if bool(np.all(image[:d] < _WITHIN * box[:d])):
             return sets
         radii = np.concatenate([np.maximum(image[:d] / _WITHIN**2, box[:d] / 2), box[d:]])
-        tried = _pass(orbit, system, found, radii, on_progress)
-        if tried is None:
+        try:
+            sets.append(_pass(orbit, system, found, radii, on_progress))
+        except ProofError:
             break
-        sets.append(tried)
     return sets[:1]
 
 
@@ -100,26 +110,26 @@ def _pass(
     found: JudgedBox,
     radii: Vector,
     on_progress: Progress,
-) -> PolynomialPass | None:
-    """Return the enclosure of one period from a box with given radii, or None."""
+) -> PolynomialPass:
+    """Return the enclosure of one period from a box with given radii.
+
+    Raises:
+        ProofError: If a condition is not proved.
+    """
     what = f"follow a set of radius {max(radii):.0e}"
 
     def tell(doing: str, time: float) -> None:
         on_progress(f"{what}, {doing}", min(time / orbit.period, 1.0))
 
     old = found.start
-    try:
-        start = start_on_section(system, old.at.m, old.places, old.others, list(radii))
-        first = _first(system, start)
-        phases = _phases(found.passage, [float(one.rad()) for one in start.at.U])
-        walk = PolynomialWalk(system, first, phases, _LONGEST * orbit.period, tell)
-        walk.follow(orbit.shape.n_releases)
-    except ProofError:
-        return None
+    start = start_on_section(system, old.at.m, old.places, old.others, list(radii))
+    first = _first(system, start)
+    phases = _phases(found.passage, [float(one.rad()) for one in start.at.U])
+    walk = PolynomialWalk(system, first, phases, _LONGEST * orbit.period, tell)
+    walk.follow(orbit.shape.n_releases)
     last = walk.set.box
     back = all(bool(a.contains(last[k])) for k, a in zip(start.others, start.around, strict=True))
-    if not back:
-        return None
+    require_proved(back, "basin", "the set does not return to its part of the section")
     return PolynomialPass(start=start, first=first, records=tuple(walk.records))
 
 

@@ -19,6 +19,7 @@ from zeno_orbits.proof.theorem import (
     MultiplierDisc,
     ProvedBox,
     ProvedInterval,
+    SectionBox,
     double_above,
 )
 
@@ -84,36 +85,50 @@ def _claimed(x: Ball, bits: int) -> ProvedInterval:
     return ProvedInterval(low=low * unit, high=high * unit)
 
 
-def coordinates_of(
-    problem: Problem, units: Sequence[float], start: SectionStart
-) -> dict[str, ProvedInterval]:
-    """Return the coordinates of a box in the states of the problem, keyed by state.
+def section_box(problem: Problem, system: BallSystem, start: SectionStart) -> SectionBox:
+    """Return the points of a start on the section, in the states of the problem.
 
     Args:
         problem: The problem.
-        units: Units of the prover's states.
+        system: The problem in balls.
         start: The start over the box.
     """
-    coordinates: dict[str, ProvedInterval] = {}
-    for k, centre, offset in zip(start.places, start.centre, start.at.U, strict=False):
-        middle, radius = exact_fraction(centre), exact_fraction(offset.rad())
-        unit = Fraction(units[k])
-        coordinates[problem.state_names[k]] = ProvedInterval(
-            low=unit * (middle - radius), high=unit * (middle + radius)
-        )
-    return coordinates
+    names, units = problem.state_names, [Fraction(unit) for unit in system.units]
+
+    def interval(k: int, middle: Ball, radius: Ball) -> ProvedInterval:
+        m, r = exact_fraction(middle), exact_fraction(radius)
+        return ProvedInterval(low=units[k] * (m - r), high=units[k] * (m + r))
+
+    own = zip(start.places, start.centre, start.at.U, strict=False)
+    others = list(zip(start.others, start.reached, start.around, strict=True))
+    stopped = own_state(system, start.at.middle_box)
+    on_stop = set(range(len(names))).difference(start.places, start.others)
+    return SectionBox(
+        coordinates={names[k]: interval(k, centre, u.rad()) for k, centre, u in own},
+        others={names[k]: interval(k, x.mid(), x.rad()) for k, x, _ in others}
+        | {names[k]: _ends_of(stopped[k]) for k in sorted(on_stop)},
+        around={names[k]: interval(k, x.mid(), x.rad()) for k, _, x in others},
+    )
 
 
-def proved_box(problem: Problem, units: Sequence[float], found: JudgedBox) -> ProvedBox:
+def _ends_of(x: Ball) -> ProvedInterval:
+    m, r = exact_fraction(x.mid()), exact_fraction(x.rad())
+    return ProvedInterval(low=m - r, high=m + r)
+
+
+def proved_box(problem: Problem, system: BallSystem, found: JudgedBox) -> ProvedBox:
     """Return a box in the states of the problem.
 
     Args:
         problem: The problem.
-        units: Units of the prover's states.
+        system: The problem in balls.
         found: The evaluated box.
     """
+    box = section_box(problem, system, found.start)
     return ProvedBox(
-        coordinates=coordinates_of(problem, units, found.start),
+        coordinates=box.coordinates,
+        others=box.others,
+        around=box.around,
         included=found.returned.included,
         norm=double_above(exact_fraction(found.discs.norm.upper().mid())),
     )

@@ -20,10 +20,10 @@ from zeno_orbits.proof.checker.certificate import check_proof
 from zeno_orbits.proof.claims import (
     CLOSE,
     claims_of,
-    coordinates_of,
     proof_bounds,
     proved_box,
     require_numbers,
+    section_box,
 )
 from zeno_orbits.proof.fixed_point import JudgedBox, judge
 from zeno_orbits.proof.integration.ball_system import BallSystem
@@ -111,14 +111,18 @@ def prove_orbit(
             system = BallSystem(problem, values, over, orbit.period)
             require_hypotheses(problem, values, over, system)
             found = _found(orbit, problem, system, over, settings, on_progress)
-            sets: list[PolynomialPass] = []
+            sets, no_basin = list[PolynomialPass](), ""
             if settings.basin:
                 found = _enlarged(orbit, system, found, settings, on_progress)
-                sets = large_sets(orbit, system, found, on_progress)
+                try:
+                    sets = large_sets(orbit, system, found, on_progress)
+                except ProofError as error:
+                    no_basin = error.reason
             passes = [found]
             if found.by_krawczyk and found.start.places and not over and settings.radius is None:
                 passes += _refined(orbit, system, found, settings, on_progress)
             proof = _proof(orbit, problem, values, over, system, passes, sets)
+            proof = replace(proof, no_basin=no_basin)
         if sets:
             on_progress("check the set of initial states", 0.0)
             proof = _with_basin(proof, problem, system, sets[0])
@@ -239,14 +243,15 @@ def _with_basin(proof: Proof, problem: Problem, system: BallSystem, first: Polyn
     kept = dict(proof.certificate)
     # The other box and its claims do not concern the set.
     asked: dict[str, Any] = kept | {"passes": kept["passes"][:1], "claims": []}
-    claims = {claim.name: claim.ok for claim in check_proof(asked, problem).claims}
-    if not claims.get("basin"):
+    claims = {claim.name: claim for claim in check_proof(asked, problem).claims}
+    if not claims["basin"].ok:
         del kept["basin"]
-        return replace(proof, certificate=kept)
-    attracted = claims.get("attraction", False)
+        reason = f"the checker refuses the set: {claims['basin'].evidence}"
+        return replace(proof, certificate=kept, no_basin=reason)
+    attracted = "attraction" in claims and claims["attraction"].ok
     kept["basin"] = kept["basin"] if attracted else kept["basin"][:1]
-    shown = coordinates_of(problem, system.units, first.start)
-    return replace(proof, certificate=kept, basin=shown, attracted=attracted)
+    shown = section_box(problem, system, first.start)
+    return replace(proof, certificate=kept, basin_box=shown, attracted=attracted)
 
 
 def _refined(
@@ -296,7 +301,7 @@ def _proof(
     ways = [(one.start, one.passage) for one in passes]
     return Proof(
         problem=problem.name,
-        boxes=tuple(proved_box(problem, system.units, one) for one in passes),
+        boxes=tuple(proved_box(problem, system, one) for one in passes),
         values=dict(zip(problem.names, numbers, strict=True)),
         over={n: (values.number(n), radius) for n, radius in over.items()},
         held=tuple(problem.derived_from(over, values.parameters)) if over else (),

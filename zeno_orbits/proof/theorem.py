@@ -10,11 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from zeno_orbits.work import decimal_above, enclosed_decimal, enclosing_decimal, enclosing_disc
+from zeno_orbits.work import (
+    decimal_above,
+    decimal_between,
+    enclosed_decimal,
+    enclosing_decimal,
+    enclosing_disc,
+)
 
 _NORM_DIGITS = 6
 
@@ -101,18 +107,74 @@ class Bounds:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ProvedBox:
-    """A box of the release section with exactly one fixed point of the return map.
+class SectionBox:
+    """A set of releases: one full state for each value of the coordinates of the section.
+
+    Over the same coordinates the section may have further states, which do not belong to the set.
+    The intervals of the other states exclude these.
 
     Attributes:
         coordinates: Coordinate of the section to the interval of the box, empty if the section is a
             single point.
+        others: Every other state to an interval that contains its values in the set.
+        around: Other state to a larger interval: the set contains each release with its coordinates
+            in the box and its other states in these intervals. States that every release shares are
+            missing.
+    """
+
+    coordinates: Mapping[str, ProvedInterval]
+    others: Mapping[str, ProvedInterval]
+    around: Mapping[str, ProvedInterval]
+
+    def lying(self) -> dict[str, str]:
+        """Return for each state an interval that contains its values in the set, as text."""
+        return {name: one.text for name, one in {**self.coordinates, **self.others}.items()}
+
+    def contained(self) -> dict[str, str]:
+        """Return intervals as text. The set contains each release whose states lie in them."""
+        others = {
+            name: decimal_between(one.low, one.high, self.around[name].low, self.around[name].high)
+            for name, one in self.others.items()
+            if name in self.around
+        }
+        return {name: one.inner_text for name, one in self.coordinates.items()} | others
+
+    def lines(self, name: str) -> list[str]:
+        """Return the set as sentences.
+
+        Args:
+            name: Name of the set.
+        """
+        point = [] if self.coordinates else [f"{name} is a single point of the section."]
+        around, within = (_listed(one) for one in (self.lying(), self.contained()))
+        contains = f"{name} contains each release with {within}." if within else ""
+        return [*point, f"{name} lies in {around}.", *filter(None, [contains])]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the set as plain data."""
+        lying, contained = self.lying(), self.contained()
+        return {
+            "coordinates": {name: lying[name] for name in self.coordinates},
+            "contains": {name: contained[name] for name in self.coordinates},
+            "others": {name: lying[name] for name in self.others},
+            "others_contain": {name: contained[name] for name in self.around},
+        }
+
+
+def _listed(values: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} = {text}" for name, text in values.items())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProvedBox(SectionBox):
+    """A box of the release section with exactly one fixed point of the return map.
+
+    Attributes:
         included: True if the return map maps the box into its interior, and so contracts it.
         norm: Bound of the norm of the return map's derivative on the box, in the basis of the
             certificate.
     """
 
-    coordinates: Mapping[str, ProvedInterval]
     included: bool
     norm: float
 
@@ -127,8 +189,10 @@ class Proof:
         reason: Reason of the failure.
         boxes: The box of the theorem, then optionally a smaller box in it, from which enclosures
             and stability are taken.
-        basin: Set of initial states that the return map maps into its interior, as intervals of the
-            coordinates. Empty unless `--basin` was given and the checker accepted the set.
+        basin_box: Set of initial states that the return map maps into its interior. None unless
+            `--basin` was given and the checker accepted the set.
+        no_basin: Reason why `--basin` proved no set of initial states that is larger than box 1, or
+            an empty text.
         attracted: True if every execution from this set is proved to converge to the orbit.
         values: Gain or parameter to value.
         over: Gain or parameter to the middle and radius of its interval.
@@ -147,7 +211,8 @@ class Proof:
     claim: str = ""
     reason: str = ""
     boxes: tuple[ProvedBox, ...] = ()
-    basin: Mapping[str, ProvedInterval] = field(default_factory=dict[str, ProvedInterval])
+    basin_box: SectionBox | None = None
+    no_basin: str = ""
     attracted: bool = False
     values: Mapping[str, float]
     over: Mapping[str, tuple[float, float]]
@@ -171,6 +236,11 @@ class Proof:
         return not self.claim
 
     @property
+    def basin(self) -> Mapping[str, ProvedInterval]:
+        """Intervals of the coordinates of the set of initial states, empty without a set."""
+        return self.basin_box.coordinates if self.basin_box else {}
+
+    @property
     def box(self) -> dict[str, tuple[float, float]]:
         """Coordinate of the section to middle and radius of an interval that contains the box."""
         return {
@@ -183,10 +253,16 @@ class Proof:
     def initial_states(self) -> dict[str, float]:
         """Coordinate to the half-width of the largest set that the return map maps into itself.
 
-        It is `basin`, or box 1 if the return map maps it into its interior.
+        It is `basin`, or box 1 if the return map maps it into its interior. Half-widths are rounded
+        down.
         """
-        shown = self.boxes[0].coordinates if self.inside and not self.basin else self.basin
-        return {name: float((one.high - one.low) / 2) for name, one in shown.items()}
+        pairs = self.initial_box.coordinates.items() if self.initial_box else ()
+        return {name: double_below((one.high - one.low) / 2) for name, one in pairs}
+
+    @property
+    def initial_box(self) -> SectionBox | None:
+        """The largest set that the return map maps into itself, or None if no set is proved."""
+        return self.basin_box or (self.boxes[0] if self.inside else None)
 
     @property
     def inside(self) -> bool:
@@ -218,22 +294,21 @@ class Proof:
         if self.bounds is None:
             return found
         bounds = self.bounds
+        basin: dict[str, Any] = self.basin_box.as_json() if self.basin_box else {}
         return found | {
             "statements": self.statements(),
             "box": {name: list(ends) for name, ends in self.box.items()},
             "boxes": [
-                {
-                    "coordinates": {name: x.text for name, x in box.coordinates.items()},
-                    "contains": {name: x.inner_text for name, x in box.coordinates.items()},
-                    "inclusion": box.included,
-                    "norm": double_above(box.norm),
-                }
+                box.as_json() | {"inclusion": box.included, "norm": double_above(box.norm)}
                 for box in self.boxes
             ],
             "parameters": dict(self.values),
             "over": {name: list(ends) for name, ends in self.over.items()},
-            "basin": {name: one.text for name, one in self.basin.items()},
-            "basin_contains": {name: one.inner_text for name, one in self.basin.items()},
+            "basin": basin.get("coordinates", {}),
+            "basin_contains": basin.get("contains", {}),
+            "basin_others": basin.get("others", {}),
+            "basin_others_contain": basin.get("others_contain", {}),
+            "no_basin": self.no_basin,
             "attracted": self.attracted,
             "inside": self.inside,
             "stable": self.stable,
@@ -257,6 +332,8 @@ class Proof:
         ]
         lines += self._hypotheses()
         lines += self.statements()
+        if self.no_basin:
+            lines.append(f"No set of initial states is proved beyond box 1: {self.no_basin}.")
         lines += ["", "Enclosures, for the fixed point of P:"]
         lines.append(f"  period      {self.bounds.period.text} s")
         lines += [f"  Zeno point  {one.text} s" for one in self.bounds.zeno_times]
@@ -267,7 +344,7 @@ class Proof:
             )
         lines += [f"  disc        {disc.text}" for disc in self.bounds.multipliers]
         known = ", ".join(f"{name} {version}" for name, version in self.versions.items())
-        widest = "the set of initial states" if self.basin else "box 1"
+        widest = "the set of initial states" if self.basin_box else "box 1"
         lines += [
             "",
             f"Proof: {self.n_records} inclusions in ball arithmetic, found in"
@@ -300,7 +377,7 @@ class Proof:
         elif self.repelling:
             where = "one multiplier lies outside the unit circle"
             found.append(f"(5) The fixed point of P is unstable ({where}).")
-        if self.basin:
+        if self.basin_box:
             to = " Every execution from it converges to the periodic orbit."
             found.append(
                 "(6) P maps the set of initial states into its interior."
@@ -322,19 +399,9 @@ class Proof:
             if self.held:
                 lines.append(f"Held fixed, though derived by default: {', '.join(self.held)}.")
         for number, box in enumerate(self.boxes, start=1):
-            pairs = box.coordinates.items()
-            around = ", ".join(f"{name} = {one.text}" for name, one in pairs)
-            within = ", ".join(f"{name} = {one.inner_text}" for name, one in pairs)
-            if box.coordinates:
-                lines.append(f"Box {number} lies in {around}.")
-                lines.append(f"Box {number} contains {within}.")
-            else:
-                lines.append(f"Box {number} is a single point of the section.")
-        if self.basin:
-            around = ", ".join(f"{name} = {one.text}" for name, one in self.basin.items())
-            within = ", ".join(f"{name} = {one.inner_text}" for name, one in self.basin.items())
-            lines.append(f"The set of initial states lies in {around}.")
-            lines.append(f"The set of initial states contains {within}.")
+            lines += box.lines(f"Box {number}")
+        if self.basin_box:
+            lines += self.basin_box.lines("The set of initial states")
         return lines
 
     def _contraction(self) -> str:
@@ -366,6 +433,11 @@ def double_above(x: Fraction | float) -> float:
     while math.isfinite(found) and Fraction(repr(found)) < x:
         found = math.nextafter(found, math.inf)
     return found
+
+
+def double_below(x: Fraction | float) -> float:
+    """Return a double whose printed decimal is a lower bound of a number."""
+    return -double_above(-Fraction(x))
 
 
 def _middle_and_radius(low: Fraction, high: Fraction) -> tuple[float, float]:

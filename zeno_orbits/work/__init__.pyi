@@ -2,6 +2,7 @@ from .checkpoint import keeps_nothing as keeps_nothing
 from .checkpoint import remove_checkpoint as remove_checkpoint
 from .decimals import decimal_above as decimal_above
 from .decimals import decimal_below as decimal_below
+from .decimals import decimal_between as decimal_between
 from .decimals import enclosed_decimal as enclosed_decimal
 from .decimals import enclosing_decimal as enclosing_decimal
 from .decimals import enclosing_disc as enclosing_disc

@@ -57,6 +57,31 @@ def enclosed_decimal(low: Fraction, high: Fraction) -> str:
     return f"{_text(m, place)} +- {_text(r, place)}"
 
 
+def decimal_between(low: Fraction, high: Fraction, lowest: Fraction, highest: Fraction) -> str:
+    """Return an interval as ``midpoint +- radius`` that contains one interval inside another.
+
+    It has as few digits as the space between both intervals allows, and at least two.
+
+    Args:
+        low: Lower end of the inner interval.
+        high: Its upper end, not below the lower end.
+        lowest: Lower end of the outer interval, below `low`.
+        highest: Its upper end, above `high`.
+    """
+    if not lowest < low <= high < highest:
+        raise ValueError("Argument `lowest` and `highest` must contain the inner interval.")
+    place = _place(low, high)
+    if place is None:
+        return f"{_exact_text(low)} +- 0"
+    while True:
+        unit = _power(place)
+        m = round((low + high) / 2 / unit)
+        r = _ceiling(max(high - m * unit, m * unit - low) / unit)
+        if lowest <= (m - r) * unit and (m + r) * unit <= highest:
+            return f"{_text(m, place)} +- {_text(r, place)}"
+        place -= 1
+
+
 def enclosing_ends(low: Fraction, high: Fraction) -> tuple[str, str]:
     """Return two decimals between which an interval lies, to two digits of its width.
 

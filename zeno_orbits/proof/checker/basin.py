@@ -48,7 +48,7 @@ from zeno_orbits.proof.checker.polynomials import (
     poly_series,
     poly_values,
 )
-from zeno_orbits.proof.checker.section import Box, ContactSection, newton_of
+from zeno_orbits.proof.checker.section import Box, ContactSection, newton_of, reached_others
 from zeno_orbits.proof.checker.system import System
 from zeno_orbits.work import ExecutionPlan, parallel_map
 
@@ -351,7 +351,13 @@ def poly_struck(system: System, old: PolySet) -> PolyImage:
     speed = ((e + one) * x[row : row + 1]).scaled(unit)
     P = old.P.copy()
     P[:n_x] = (x[:n_x] - along * speed).balls(bits)
-    P[row] = (-(e * x[row : row + 1])).balls(bits)[0]
+    plastic = system.value("law", old.hull)[0].size == 0
+    # A product of polynomials is rounded outward, also a product with zero.
+    P[row] = (
+        _constant(system, old, Ball(0, 0, bits))
+        if plastic
+        else (-(e * x[row : row + 1])).balls(bits)[0]
+    )
     P[system.gap_row] = _constant(system, old, system.stop)
     return PolyImage(P, slope)
 
@@ -385,10 +391,7 @@ def require_poly_start(system: System, section: ContactSection, box: Box, start:
     require(section.settled, "the section is not of releases")
     bits, of, n = system.bits, start.of, len(system.z)
     newton, state = newton_of(system, section, box)
-    found, _ = newton(box.others, box.others_spread, box.spread)
-    for k, x, y in zip(section.others, found, box.others_spread, strict=True):
-        if x.size >= y.r:
-            raise NotProved(f"state {k} of the section is not found: {x.shown()}")
+    reached_others(section, box, newton)
     inner = [*section.places, *system.inner[system.n_x :]]
     P = exactly(np.zeros((n, of.n), dtype=int), bits)
     P[system.gap_row, 0] = system.stop

@@ -38,7 +38,7 @@ from zeno_orbits.proof.checker.motion import (
     stepped,
     struck,
 )
-from zeno_orbits.proof.checker.section import Box, ContactSection, require_start
+from zeno_orbits.proof.checker.section import Box, ContactSection, require_start, shown_others
 from zeno_orbits.proof.checker.system import System, bound_system
 from zeno_orbits.proof.checker.verdict import ClaimVerdict, ProofVerdict, Theorem
 from zeno_orbits.work import ExecutionPlan, parallel_map
@@ -101,7 +101,8 @@ def check_proof(
         verdicts += [_claimed(passages, claim) for claim in claims]
         if not boxes:
             raise InputError("The certificate must have a pass.")
-        theorem = _about(theorem, section, boxes, passages, problem.state_names)
+        names = problem.state_names
+        theorem = _about(theorem, system, section, boxes, passages, names)
         if "basin" in data:
             parts = _listed(data, "basin")
             sets = [Box.of(system, section, part["box"], over) for part in parts]
@@ -109,7 +110,8 @@ def check_proof(
             verdicts += found
             theorem = replace(
                 theorem,
-                basin=_coordinates(section, sets[0], problem.state_names),
+                basin=_coordinates(section, sets[0], names),
+                basin_others=_others(system, section, sets[0], names),
                 attracted=len(found) > 1 and found[1].ok,
             )
     return ProofVerdict(theorem=theorem, claims=tuple(verdicts))
@@ -287,6 +289,7 @@ def _stations(
 
 def _about(
     theorem: Theorem,
+    system: System,
     section: ContactSection,
     boxes: Sequence[Box],
     passages: Sequence[Passage | str],
@@ -294,13 +297,15 @@ def _about(
 ) -> Theorem:
     """Return the theorem with its section, its boxes and the numbers of events per period."""
     outer, *inner = (_coordinates(section, box, names) for box in boxes)
-    theorem = replace(theorem, section=section.text, box=outer, smaller=tuple(inner))
+    others = tuple(_others(system, section, box, names) for box in boxes)
+    theorem = replace(theorem, section=section.text, box=outer, smaller=tuple(inner), others=others)
     first = passages[0]
     if isinstance(first, str):
         return theorem
     impacts, points, plastic = first.events
     return replace(
         theorem,
+        followed=True,
         releases=first.word[0],
         impacts=impacts,
         zeno_points=points,
@@ -316,6 +321,13 @@ def _coordinates(
     pairs = zip(box.centre, box.spread, strict=True)
     exact = [(centre.ends()[0], spread.ends()[1]) for centre, spread in pairs]
     return dict(zip((names[k] for k in section.places), exact, strict=False))
+
+
+def _others(
+    system: System, section: ContactSection, box: Box, names: Sequence[str]
+) -> dict[str, str]:
+    """Return the states of a box that are not its coordinates, as decimal intervals."""
+    return {names[k]: text for k, text in shown_others(system, section, box).items()}
 
 
 def _basin(

@@ -22,6 +22,7 @@ from zeno_orbits.proof.checker.balls import (
 )
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
 from zeno_orbits.proof.checker.system import System
+from zeno_orbits.work import decimal_between, enclosing_decimal
 
 _SWEEPS = 4
 """Number of times that an enclosure of the other states is narrowed."""
@@ -160,6 +161,52 @@ def newton_of(system: System, section: ContactSection, box: Box) -> tuple[Any, A
     return newton, state
 
 
+def reached_others(section: ContactSection, box: Box, newton: Any) -> Array:
+    """Return the other states of all points of the section over a box, minus those of its centre.
+
+    Args:
+        section: The section.
+        box: The box.
+        newton: Newton's operator on the conditions of the section.
+
+    Raises:
+        NotProved: If the operator does not lead into the interior of the box of the other states.
+    """
+    found, _ = newton(box.others, box.others_spread, box.spread)
+    for k, x, y in zip(section.others, found, box.others_spread, strict=True):
+        if x.size >= y.r:
+            raise NotProved(f"state {k} of the section is not found: {x.shown()}")
+    return found
+
+
+def shown_others(system: System, section: ContactSection, box: Box) -> dict[int, str]:
+    """Return the states of a box that are not its coordinates, as decimal intervals.
+
+    The intervals contain the values at all points of the box, and lie in the box of the other
+    states. So the box is the set of the section's states in these intervals. If its points are not
+    found, the box of the other states is returned, rounded outward.
+
+    Args:
+        system: The system of the certificate.
+        section: Its section.
+        box: The box.
+    """
+    fixed = {row for row in (system.gap_row, system.rate_row) if row < system.n_x}
+    fixed -= {*section.places, *section.others}
+    values = {system.gap_row: system.stop, system.rate_row: Ball(0, 0, system.bits)}
+    texts = {k: values[k].shown() for k in sorted(fixed)}
+    parts = zip(section.others, box.others, box.others_spread, strict=True)
+    around = {k: (middle + reach).ends() for k, middle, reach in parts}
+    try:
+        newton, _ = newton_of(system, section, box)
+        found = box.others + reached_others(section, box, newton)
+        reached = dict(zip(section.others, (x.ends() for x in found), strict=True))
+        shown = {k: decimal_between(*reached[k], *around[k]) for k in section.others}
+    except NotProved:
+        shown = {k: enclosing_decimal(*ends) for k, ends in around.items()}
+    return shown | texts
+
+
 def require_start(system: System, section: ContactSection, box: Box, start: Enclosure) -> None:
     """Check that a set contains every point of the section whose coordinates are in a box.
 
@@ -183,10 +230,7 @@ def require_start(system: System, section: ContactSection, box: Box, start: Encl
             left, slope = newton(middle, reach, spread)
         return middle + left, slope
 
-    found, _ = newton(box.others, box.others_spread, box.spread)
-    for k, x, y in zip(section.others, found, box.others_spread, strict=True):
-        if x.size >= y.r:
-            raise NotProved(f"state {k} of the section is not found: {x.shown()}")
+    reached_others(section, box, newton)
     others, by_u = narrowed(box.spread)
     everywhere = state(box.centre + box.spread, others)
     slope = exactly(np.zeros((len(system.z), D), dtype=int), system.bits)

@@ -35,6 +35,10 @@ class Theorem:
         section: Section at which the period starts.
         box: First box, to which the theorem refers: coordinate of the section to middle and radius.
         smaller: The other boxes, which lie in the first box.
+        others: For each box, every other state to a decimal interval. The box is the set of all
+            states of the section with their coordinates in the box and their other states in these
+            intervals.
+        followed: True if the motion from the first box is proved.
         releases: Number of releases per period.
         impacts: Number of individually proved impacts per period.
         zeno_points: Number of Zeno points per period.
@@ -42,6 +46,7 @@ class Theorem:
         inside: True if the return map takes the first box into its interior, by the mean value
             form. Then it contracts the box (see `ProofVerdict.conclusions`).
         basin: Set of initial states of the section, empty without one.
+        basin_others: The other states of this set, as in `others`.
         attracted: True if the return map takes this set into the first box, which it contracts.
     """
 
@@ -57,7 +62,10 @@ class Theorem:
     zeno_points: int = 0
     plastic: bool = False
     inside: bool = False
+    others: tuple[Mapping[str, str], ...] = ()
+    followed: bool = False
     basin: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict[str, Any])
+    basin_others: Mapping[str, str] = field(default_factory=dict[str, str])
     attracted: bool = False
 
     @property
@@ -76,49 +84,58 @@ class Theorem:
         ]
         held = "plastic contact" if self.plastic else "Zeno point"
         impacts = f"{_counted(self.impacts, 'impact')} proved one by one"
-        basin = f"Set of initial states in the section: {_shown(self.basin)}."
+        points = _counted(self.zeno_points, held)
+        events = f"{impacts}, {points}, {_counted(self.releases, 'release')}"
+        basin = "Set of initial states in the section"
+        boxes = zip((self.box, *self.smaller), self.others, strict=True)
         return [
             f"Problem `{self.problem}`, formulas {self.digest}.",
             f"Parameters, the doubles nearest to: {numbers}.",
             *([f"Parameters that vary: {', '.join(ranges)}."] if ranges else []),
             f"Section: {self.section}.",
-            *(
-                f"Box {k} of the section: {_shown(box)}."
-                for k, box in enumerate((self.box, *self.smaller), 1)
-            ),
-            *([basin] if self.basin else []),
-            f"In a period: {impacts}, {_counted(self.zeno_points, held)}, "
-            f"{_counted(self.releases, 'release')}.",
+            *(f"Box {k} of the section: {_shown(*box)}." for k, box in enumerate(boxes, start=1)),
+            *([f"{basin}: {_shown(self.basin, self.basin_others)}."] if self.basin else []),
+            *([f"In a period: {events}."] if self.followed else []),
         ]
 
     def as_json(self) -> dict[str, Any]:
         """Return it as plain data."""
-        return {
-            "problem": self.problem,
-            "digest": self.digest,
-            "parameters": dict(self.parameters),
-            "over": {name: _exact(radius) for name, radius in self.over.items()},
-            "section": self.section,
-            "box": {name: [_exact(m), _exact(r)] for name, (m, r) in self.box.items()},
-            "smaller_boxes": [
-                {name: [_exact(m), _exact(r)] for name, (m, r) in box.items()}
-                for box in self.smaller
-            ],
+        motion: dict[str, Any] = {
             "kind": self.kind,
             "releases": self.releases,
             "impacts_one_by_one": self.impacts,
             "zeno_points": self.zeno_points,
             "plastic": self.plastic,
         }
+        return {
+            "problem": self.problem,
+            "digest": self.digest,
+            "parameters": dict(self.parameters),
+            "over": {name: _exact(radius) for name, radius in self.over.items()},
+            "section": self.section,
+            "box": _ends(self.box),
+            "smaller_boxes": [_ends(box) for box in self.smaller],
+            "other_states": [dict(one) for one in self.others],
+            "basin": _ends(self.basin),
+            "basin_other_states": dict(self.basin_others),
+            "attracted": self.attracted,
+            **(motion if self.followed else {}),
+        }
 
 
-def _shown(box: Mapping[str, tuple[Fraction, Fraction]]) -> str:
-    """Return a box as exact numbers, and decimals that contain it."""
+def _ends(box: Mapping[str, tuple[Fraction, Fraction]]) -> dict[str, list[str]]:
+    """Return middle and radius of each coordinate of a box, exactly."""
+    return {name: [_exact(m), _exact(r)] for name, (m, r) in box.items()}
+
+
+def _shown(box: Mapping[str, tuple[Fraction, Fraction]], others: Mapping[str, str]) -> str:
+    """Return a box as exact numbers, and decimals that contain it, with its other states."""
     shown = [
         f"{name} = {_exact(m)} +- {_exact(r)} (within {enclosing_decimal(m - r, m + r)})"
         for name, (m, r) in box.items()
     ]
-    return ", ".join(shown) or "a single point"
+    beside = ", ".join(f"{name} = {text}" for name, text in others.items())
+    return f"{', '.join(shown) or 'a single point'}; other states: {beside or 'none'}"
 
 
 _LONGEST = 40

@@ -34,6 +34,7 @@ class SectionStart:
         centre: Coordinates of the middle, exact, ``(d,)``.
         around: Box around the other states, as balls. For each value of the coordinates, the
             section has one point with its other states in this box.
+        reached: Boxes inside `around` that contain the other states of these points, as balls.
         at: Set of the section's points over the box of coordinates and carried parameters.
     """
 
@@ -41,6 +42,7 @@ class SectionStart:
     others: list[int]
     centre: list[Ball]
     around: list[Ball]
+    reached: list[Ball]
     at: BallSet
 
 
@@ -128,6 +130,7 @@ def start_on_section(
         others=others,
         centre=[middle[k] for k in places],
         around=around,
+        reached=found,
         at=start_set(thin, matrix(derivative, len(inputs)), deviations, others),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
@@ -24,6 +25,7 @@ from zeno_orbits.report.table import (
     text_column,
 )
 from zeno_orbits.report.terminal.console import print_lines, print_table
+from zeno_orbits.work import decimal_below
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
@@ -175,19 +177,25 @@ def print_basin(proof: Proof, sampled: Recovery | None) -> None:
         proof: The proof.
         sampled: The ball, or ``None`` if the section is a single point.
     """
-    if sampled is None:
-        print_lines(["", "The section of the orbit is a single point."])
+    box = proof.initial_box
+    if sampled is None or box is None:
         return
-    name = "the set of initial states" if proof.basin else "box 1"
-    print_lines(["", f"P maps {name} into its interior. Half-widths, beside the sampled ball:"])
-    columns: list[Column[tuple[str, float]]] = [
-        text_column("state", lambda row: row[0]),
-        number_column("proved", lambda row: f"{row[1]:.3g}"),
-        number_column("ball", lambda row: f"{sampled.extents[row[0]]:.3g}"),
-        number_column("ratio", lambda row: f"{row[1] / sampled.extents[row[0]]:.2g}"),
-        text_column("unit", lambda row: sampled.units[row[0]]),
+    name = "The set of initial states" if proof.basin_box else "Box 1"
+    print_lines(["", f"{name} beside the sampled ball, whose half-widths are estimates:"])
+    contained, halves = box.contained(), proof.initial_states
+    columns: list[Column[str]] = [
+        text_column("state", lambda row: row),
+        text_column("contained in the set", lambda row: contained[row]),
+        number_column("ball", lambda row: f"+- {sampled.extents[row]:.3g}"),
+        number_column("ratio", lambda row: _below(halves[row] / sampled.extents[row])),
+        text_column("unit", lambda row: sampled.units[row]),
     ]
-    print_table(columns, list(proof.initial_states.items()))
+    print_table(columns, list(box.coordinates))
+
+
+def _below(x: float) -> str:
+    """Return a number rounded down to two digits."""
+    return decimal_below(Fraction(x))
 
 
 def _range(values: Sequence[float]) -> str:
