@@ -12,7 +12,7 @@ and the guards are sampled between the events.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -45,7 +45,7 @@ from zeno_orbits.simulation import (
     state_before,
 )
 from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.cross_checks import imbalance
+from zeno_orbits.verification.cross_checks import PeriodEnergies
 from zeno_orbits.verification.event_energies import event_energies, is_balanced
 from zeno_orbits.verification.event_margins import event_margins
 from zeno_orbits.verification.integration import error_by_repetition
@@ -54,8 +54,8 @@ from zeno_orbits.work import Progress, silent
 
 _SAMPLES = 24
 """Samples of every arc, in addition to the steps of the integrator."""
-_BEYOND = 1e-9
-"""Part of a period by which the integration goes on, so that the last event is inside."""
+_BEYOND = 1e-3
+"""Part of a period by which the integration goes on. The last guard falls by more than rounding."""
 _NO_SWEEP = math.nan
 _SHORTER_TAIL = 1e-2
 """Factor on the speed to which impacts are resolved. The work in the tail is then as exact as the
@@ -109,7 +109,7 @@ def verify_events(
     residuals: dict[str, float] = dict.fromkeys(("events", "closure", "period"), math.inf)
     margins: dict[str, float] = {}
     quantities: dict[str, tuple[float, float]] = {}
-    energies: dict[str, float] = {}
+    energies: Mapping[str, float] = {}
     integration_error = math.inf
     if periods:
         first, scale = periods[0], largest_states(periods[0].arcs, graph)
@@ -125,9 +125,10 @@ def verify_events(
         margins = event_margins(graph, start, first.events, first.arcs, first.end - first.start)
         quantities = _quantities(graph, first, start)
         on_progress("integrating the powers", None)
-        energies = _energies(graph, orbit, start, settings.simulation)
+        found = _energies(graph, orbit, start, settings.simulation)
+        energies = found.values if found else {}
         if is_balanced(graph):
-            residuals["energy_balance"] = imbalance(energies) if energies else math.inf
+            residuals["energy_balance"] = found.imbalance if found else math.inf
         on_progress("integrating at a looser tolerance", None)
 
         def difference(looser: SimulationSettings) -> float:
@@ -188,8 +189,8 @@ def _periods(
 
 def _energies(
     graph: GraphDynamics, orbit: EventOrbit, start: Vector, settings: SimulationSettings
-) -> dict[str, float]:
-    """Return the energies of one period, empty if it is not finished.
+) -> PeriodEnergies | None:
+    """Return the energies of one period, ``None`` if it is not finished.
 
     The powers inside a tail are interpolated. So impacts are resolved to a lower speed.
     """
@@ -197,7 +198,7 @@ def _energies(
     finer = replace(settings, completion=replace(rule, resolved=_SHORTER_TAIL * rule.resolved))
     periods, _ = _periods(graph, orbit, start, finer, 1)
     if not periods:
-        return {}
+        return None
     one = periods[0]
     return event_energies(graph, one.arcs, one.events, start, one.state)
 

@@ -99,7 +99,7 @@ def _number(
     if name == "period":
         value = cycle.end.time
     elif name == "energy":
-        value = energies_of(orbit, problem, claim, cycle, simulation)["input_work"]
+        value = energies_of(orbit, problem, claim, cycle, simulation).values["input_work"]
     elif name == "margin":
         value = measured_smallest_share(dynamics, cycle)
     elif name == "spectral_radius":

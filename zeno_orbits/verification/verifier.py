@@ -33,7 +33,6 @@ from zeno_orbits.verification.cross_checks import (
     cut_order,
     delta_sweep,
     energies_of,
-    imbalance,
     second_model,
 )
 from zeno_orbits.verification.integration import FirstCycle, Observation, observe
@@ -158,7 +157,7 @@ class _CrossChecks:
     """Results of the integrations that repeat the first period in another way."""
 
     residuals: dict[str, float] = field(default_factory=dict[str, float])
-    energies: dict[str, float] = field(default_factory=dict[str, float])
+    energies: Mapping[str, float] = field(default_factory=dict[str, float])
     sweep: tuple[DeltaCut, ...] = ()
 
 
@@ -179,11 +178,12 @@ def _cross_checks(
     if sweep:
         residuals["delta_sweep"] = sweep[-1].error
     on_progress("balancing the energy", None)
-    energies: dict[str, float] = {}
+    energies: Mapping[str, float] = {}
     try:
-        energies = energies_of(orbit, problem, claim, first.cycle, simulation)
+        found = energies_of(orbit, problem, claim, first.cycle, simulation)
+        energies = found.values
         if problem.is_balanced:
-            residuals["energy_balance"] = imbalance(energies)
+            residuals["energy_balance"] = found.imbalance
     except ZenoOrbitsError:
         residuals["energy_balance"] = math.inf
     if problem.reference is not None:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -631,7 +632,8 @@ def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:
 def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
     """Return the events that may serve as a section, the best first.
 
-    A switch that is armed on its guard after its reset would occur again at the start.
+    A switch that is armed on its guard after its reset would occur again at the start. An impact
+    that opens another stop comes last: the release follows at once, in the next period.
 
     Args:
         execution: The execution.
@@ -649,4 +651,10 @@ def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
     zenos = [name for name in names if name.startswith("zeno ")]
     impacts = [name for name in names if name.startswith("impact ") and not _limit_of(name, names)]
     others = [name for name in names if name.startswith("switch ")]
-    return list(dict.fromkeys([*switches, *zenos, *impacts, *others]))
+    opening = {
+        orbit_event_name(event)
+        for event, following in pairwise(execution.events)
+        if isinstance(following, Release) and following.time == event.time
+    }
+    whole = [name for name in (*zenos, *impacts) if name not in opening]
+    return list(dict.fromkeys([*switches, *whole, *zenos, *impacts, *others]))
