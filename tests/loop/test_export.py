@@ -42,9 +42,9 @@ def _events_of(name: str, *options: str, level: str = "-O1") -> list[tuple[str, 
     return [(" ".join(row[:-n]), [float(number) for number in row[-n:]]) for row in rows]
 
 
-def _expected(name: str, until: float) -> list[tuple[str, list[float]]]:
+def _expected(name: str, until: float, **numbers: float) -> list[tuple[str, list[float]]]:
     problem = zo.load_problem(name)
-    values = problem.values()
+    values = problem.values(numbers=numbers)
     run = simulate(
         problem.graph_dynamics(values) if problem.has_graph else problem.dynamics(values),
         problem.state_vector(problem.starts[0]),
@@ -70,6 +70,14 @@ def test_an_exported_problem_gives_the_same_to_the_last_digit(name: str) -> None
     found = _events_of(name, "--t-end", "3")
     assert found
     assert found == _expected(name, 3.0)
+
+
+def test_a_sequence_of_many_impacts_runs_to_its_end() -> None:
+    # The valve bounces once a turn of its limit cycle, so its impacts never accumulate.
+    options = ("--set", "q=2", "--set", "restitution=0.8", "--t-end", "24000")
+    found = _events_of("relief_valve", *options)
+    assert len(found) > 3 * 4096
+    assert found == _expected("relief_valve", 24000.0, q=2.0, restitution=0.8)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@
 
 #include "PROBLEM.h"
 
-enum { EVENTS = 64, ESTIMATES = 4096 };
+enum { EVENTS = 64, ESTIMATES = 64 };
 
 /* The kind of an event, and the name of its stop or switch. */
 static void print_name(const double *row) {
@@ -37,6 +37,16 @@ static void print_events(const zl_records *records, long long n_x) {
     }
 }
 
+/* Take more memory for the estimates of a long sequence of impacts; 0 if there is none. */
+static int take_more(zl_records *records, size_t bytes) {
+    const long long more = 4 * records->most_estimates;
+    double *estimates = realloc(records->estimates, bytes * (size_t)more);
+    if (!estimates) return 0;
+    records->estimates = estimates;
+    records->most_estimates = more;
+    return 1;
+}
+
 int main(void) {
     const zl_problem *problem = &PROBLEM_problem;
     const long long n_x = problem->n_x;
@@ -44,32 +54,33 @@ int main(void) {
     zl_settings settings[ZL_STOPS];
     zl_run *run = malloc((size_t)zl_size(problem));
     double *events = malloc(sizeof(double) * EVENTS * (size_t)(ZL_EVENT_WIDTH + 2 * n_x));
-    double *estimates = malloc(sizeof(double) * ESTIMATES * (size_t)(ZL_ESTIMATE_WIDTH + 2 * n_x));
+    const size_t bytes = sizeof(double) * (size_t)(ZL_ESTIMATE_WIDTH + 2 * n_x);
     zl_records records = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
     int status, k;
-    if (!run || !events || !estimates) return 2;
     records.events = events;
     records.most_events = EVENTS;
-    records.estimates = estimates;
+    records.estimates = malloc(bytes * ESTIMATES);
     records.most_estimates = ESTIMATES;
+    if (!run || !events || !records.estimates) return 2;
     for (k = 0; k < n_stops; k++) {
         settings[k] = PROBLEM_settings[k];
         settings[k].records = 0; /* of steps and arcs: only events are wanted */
     }
     status = zl_begin(problem, run, settings, PROBLEM_parameters, PROBLEM_start);
-    while (status == ZL_DONE || status == ZL_FULL || status == ZL_CURVE) {
+    while (status == ZL_DONE || status == ZL_FULL || status == ZL_CURVE || status == ZL_ESTIMATES) {
         status = zl_resume(problem, run, &records);
         print_events(&records, n_x);
         if (status == ZL_DONE) break;
         /* Impacts are followed one by one. */
         if (status == ZL_CURVE) zl_answer(run, 0, 0.0, 0.0, settings[0].sizes);
+        if (status == ZL_ESTIMATES && !take_more(&records, bytes)) break;
     }
     if (status != ZL_DONE) {
         zl_detail detail;
         zl_tell(run, &detail);
         fprintf(stderr, "status %d at %.17g s\n", status, detail.time);
     }
-    free(estimates);
+    free(records.estimates);
     free(events);
     free(run);
     return status == ZL_DONE ? 0 : 1;
