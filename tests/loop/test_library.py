@@ -30,6 +30,7 @@ from zeno_orbits.loop.source import FLAGS, HERE, LIBRARIES
 from zeno_orbits.model.numeric import graph_dynamics
 from zeno_orbits.simulation import (
     accumulations,
+    admission,
     arc_follower,
     event_rules,
     graph_run,
@@ -101,7 +102,7 @@ RULES: dict[str, float] = {
     "MOST_CORRECTIONS": rescaled_flight._MOST_CORRECTIONS,
     "CLOSE": rescaled_flight._CLOSE,
     "SWITCH_ZERO": graph_dynamics._ZERO,
-    "WAS_CLOSED": graph_run._WAS_CLOSED,
+    "OFF": admission.OFF,
     "APART": graph_run._APART,
     "CONTINUOUS": graph_run._CONTINUOUS,
     "GROW": graph_run._GROW,

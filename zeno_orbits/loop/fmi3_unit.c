@@ -180,7 +180,7 @@ static int require_derived(const Unit *unit) {
 /* Start the run from the state reached, with the parameters as they are. */
 static int begin(Unit *unit) {
     Reached *reached = &unit->reached;
-    const long long closed = reached->begun ? reached->closed : 0;
+    const zl_settings *own = &PROBLEM_settings[0];
     double gap[2];
     zl_settings settings[ZL_STOPS];
     int k;
@@ -197,7 +197,6 @@ static int begin(Unit *unit) {
         for (k = 0; k < number_of_stops(); k++)
             (problem->graph ? settings_at(unit->run) + k : &unit->run->settings)->restitution =
                 slow_restitution(unit, k);
-    unit->run->graph.was_closed = closed;
     reached->origin = reached->time;
     reached->piece.way = NOWHERE;
     reached->piece.end = 0.0;
@@ -207,7 +206,7 @@ static int begin(Unit *unit) {
     reached->arc[8] = 0.0;
     if (problem->graph) return OK;
     zl_evaluate(problem, unit->run, ZL_GAP, reached->state, gap);
-    if (gap[0] >= -PROBLEM_settings[0].contact * PROBLEM_settings[0].gap) return OK;
+    if (gap[0] >= -greater(OFF, own->contact) * own->gap) return OK;
     return fail_at(unit, "The state is inside of the stop", reached->time);
 }
 

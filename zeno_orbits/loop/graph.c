@@ -913,7 +913,8 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
     memcpy(x, state, bytes);
     for (k = 0; k < n; k++) {
         const zl_settings *settings = settings_of(g, k);
-        const double small = was_closed & BIT(k) ? WAS_CLOSED : settings->contact;
+        const double contact = settings->contact;
+        const double small = was_closed & BIT(k) ? greater(OFF, contact) : contact;
         if (k == flying) continue;
         gap_of(g, k, x, gap);
         if (gap[0] > small * settings->gap) continue;
@@ -1115,7 +1116,6 @@ static int are_in_order(const Graph *g) {
 static int admit_to_graph(Graph *g) {
     zl_run *run = g->m.run;
     const zl_graph *table = g->whole->graph;
-    const long long was_closed = run->graph.was_closed;
     double x[ZL_MOST], gap[2];
     int k;
     memcpy(x, run->start.state, sizeof x);
@@ -1130,12 +1130,13 @@ static int admit_to_graph(Graph *g) {
     for (k = 0; k < table->n_stops; k++) {
         const zl_settings *settings = settings_of(g, k);
         gap_of(g, k, x, gap);
-        if (gap[0] < -(was_closed & BIT(k) ? WAS_CLOSED : settings->contact) * settings->gap) {
+        if (gap[0] < -greater(OFF, settings->contact) * settings->gap) {
             run->detail.number = gap[0];
             return tell(&g->m, ZL_INSIDE, 0.0, x, k);
         }
     }
-    return placed(g, 0.0, x, was_closed, -1, -1);
+    /* The state may be one of another run, whose stops were closed. */
+    return placed(g, 0.0, x, BIT(table->n_stops) - 1, -1, -1);
 }
 
 /* Do the next thing: a step, an event, the start of an arc. */

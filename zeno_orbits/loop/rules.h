@@ -89,8 +89,10 @@
 /* model/numeric/graph_dynamics.py */
 #define SWITCH_ZERO 1e-12
 
+/* simulation/admission.py */
+#define OFF 1e-09
+
 /* simulation/graph_run.py */
-#define WAS_CLOSED 1e-09
 #define APART 1e-11
 #define CONTINUOUS 1e-06
 #define GROW 4.0

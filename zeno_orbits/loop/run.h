@@ -35,7 +35,6 @@ typedef struct {
    stops and switches are bits. */
 typedef struct {
     long long view, rest, focus, sides, above;
-    long long was_closed; /* stops that were closed before the first state */
     /* The sequence of impacts that a kink may have split, and the kinks that split its flights. */
     long long has_current, current_rest, current_focus, split_before, split_present;
     long long flipped, n_switches, last_kind, last_index;

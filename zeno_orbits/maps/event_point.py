@@ -28,10 +28,10 @@ from zeno_orbits.orbits import (
     event_sections,
     largest_states,
     multipliers_of_return,
-    on_section,
     orbit_event_name,
     phases_of_events,
     sequence_of,
+    shortest_return,
 )
 from zeno_orbits.simulation import (
     AttractorKind,
@@ -174,9 +174,10 @@ class EventPoint:
         arc = next((arc for arc in motion.arcs if arc.start_time >= now.time), None)
         if arc is None:
             return None
-        start = on_section(self._graph, now.state, SectionMode.of(arc, section))
+        mode = SectionMode.of(arc, section)
         try:
-            found = self._shortest(self._near(section, start, n, now.time - before.time), section)
+            found = self._near(section, now.state, n, now.time - before.time, mode)
+            found = shortest_return(self._graph, found, SimulationSettings())
             multipliers = multipliers_of_return(self._graph, found)
             scale = largest_states(found.execution.arcs, self._graph)
             jacobian = found.by_state * scale[None, :] / scale[:, None]
@@ -192,8 +193,10 @@ class EventPoint:
         self._note_way(returns, n * on_the_way)
         return self._orbit(self._standard(found, section), multipliers)
 
-    def _near(self, section: str, start: Vector, n: int, guess: float) -> EventReturn:
-        """Return the orbit of `n` returns near a state, by Newton's method."""
+    def _near(
+        self, section: str, start: Vector, n: int, guess: float, mode: SectionMode | None
+    ) -> EventReturn:
+        """Return the orbit of `n` returns near a state in a mode, by Newton's method."""
         return closed_return(
             self._graph,
             start,
@@ -201,27 +204,9 @@ class EventPoint:
             n_returns=n,
             guess=guess,
             settings=SimulationSettings(),
+            mode=mode,
             is_near=True,
         )
-
-    def _shortest(self, found: EventReturn, section: str) -> EventReturn:
-        """Return an orbit over its shortest period.
-
-        A return near the start is not sufficient: the orbit of fewer returns must have this start.
-        """
-        scale = largest_states(found.execution.arcs, self._graph)
-        marks = [event for event in found.events if orbit_event_name(event) == section]
-        for k, event in enumerate(marks[:-1], start=1):
-            away = np.max(np.abs(state_after(event) - found.start) / scale)
-            if len(marks) % k or not away < self._accuracy.near:
-                continue
-            try:
-                shorter = self._near(section, found.start, k, event.time)
-            except SimulationError:
-                continue
-            if np.max(np.abs(shorter.start - found.start) / scale) < self._accuracy.exact:
-                return shorter
-        return found
 
     def _repeated(self, returns: Sequence[SectionReturn], n: int) -> Attractor | None:
         """Return the orbit of returns that repeat to the accuracy, without its multipliers."""
@@ -251,7 +236,9 @@ class EventPoint:
             return found
         last = next(one for one in reversed(found.events) if orbit_event_name(one) == usual)
         try:
-            return self._near(usual, state_after(last), _count(found, usual), found.period)
+            mode = SectionMode.after(found.execution, last)
+            n = _count(found, usual)
+            return self._near(usual, state_after(last), n, found.period, mode)
         except SimulationError:
             return found
 

@@ -42,6 +42,7 @@ from .events.section import kept_directions as kept_directions
 from .events.section import fall_at as fall_at
 from .events.section import largest_states as largest_states
 from .events.section import on_section as on_section
+from .events.section import shortest_return as shortest_return
 from .events.section import closed_return as closed_return
 from .events.section import inverse_of_closing as inverse_of_closing
 from .events.section import event_return as event_return

@@ -8,17 +8,19 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import HybridDynamics, constraint_sizes
 
-_OFF = 1e-9
-"""Part of a constraint's size by which an admissible state may miss it."""
+OFF = 1e-9
+"""Part of the size of a constraint, a gap or a gap rate by which a first state may miss zero.
+
+A state at an event of another run carries the error of that run.
+"""
 
 
-def require_admissible(dynamics: HybridDynamics, x: Vector, small_gap: float) -> float:
-    """Return the gap of a state, and reject a state that is not admissible.
+def require_admissible(dynamics: HybridDynamics, x: Vector) -> None:
+    """Reject a state of a wrong shape, that is not finite, or that is off its constraints.
 
     Args:
         dynamics: The system.
         x: The state.
-        small_gap: A gap of this size counts as zero.
 
     Raises:
         InputError: If the state is not admissible. The message contains the reason.
@@ -30,10 +32,34 @@ def require_admissible(dynamics: HybridDynamics, x: Vector, small_gap: float) ->
     if not np.all(np.isfinite(x)):
         raise InputError("Argument `state` must be finite, but it holds NaN or infinity.")
     _require_constraints(dynamics, x)
+
+
+def require_outside(dynamics: HybridDynamics, x: Vector, contact: float, stop: str = "") -> None:
+    """Reject a state inside of a stop, beyond the error of another run.
+
+    Args:
+        dynamics: The system.
+        x: The state.
+        contact: Relative threshold below which a gap counts as zero.
+        stop: Name of the stop, empty for a machine with one stop.
+
+    Raises:
+        InputError: If the gap is below zero.
+    """
     gap = dynamics.gap(x)
-    if gap < -small_gap:
-        raise InputError(f"Argument `state` must have a gap >= 0, but it is {gap:.6g}.")
-    return gap
+    if gap < -max(OFF, contact) * dynamics.own.gap:
+        raise inside_stop(gap, stop)
+
+
+def inside_stop(gap: float, stop: str = "") -> InputError:
+    """Return the error of a first state inside of a stop.
+
+    Args:
+        gap: The gap.
+        stop: Name of the stop, empty for a machine with one stop.
+    """
+    where = f" at the stop `{stop}`" if stop else ""
+    return InputError(f"Argument `state` must have a gap >= 0{where}, but it is {gap:.6g}.")
 
 
 def _require_constraints(dynamics: HybridDynamics, x: Vector) -> None:
@@ -43,11 +69,11 @@ def _require_constraints(dynamics: HybridDynamics, x: Vector) -> None:
         InputError: If the state violates its constraints. The message contains the deviation.
     """
     off = np.abs(dynamics.holonomic(x))
-    if dynamics.own.least == 1.0 and not np.any(off > _OFF):
+    if dynamics.own.least == 1.0 and not np.any(off > OFF):
         return
-    if not np.any(off > _OFF * constraint_sizes(dynamics, x)):
+    if not np.any(off > OFF * constraint_sizes(dynamics, x)):
         return
-    if dynamics.clock and off[-1] > _OFF:
+    if dynamics.clock and off[-1] > OFF:
         names = " and ".join(f"`{dynamics.state_names[k]}`" for k in dynamics.clock)
         seen = " and ".join(f"{x[k]:g}" for k in dynamics.clock)
         message = f"must have {names} on the unit circle, as a clock, but they are {seen}"

@@ -26,7 +26,7 @@ from typing import cast
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, PenetrationError, SimulationError, StepSizeError
+from zeno_orbits.errors import PenetrationError, SimulationError, StepSizeError
 from zeno_orbits.integrators import (
     BoxedStep,
     FlowWithEvent,
@@ -38,7 +38,7 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.simulation.accumulations import Accumulations
-from zeno_orbits.simulation.admission import require_admissible
+from zeno_orbits.simulation.admission import OFF, require_admissible, require_outside
 from zeno_orbits.simulation.arc_follower import ArcStart, launched
 from zeno_orbits.simulation.event_rules import stop_holds
 from zeno_orbits.simulation.execution import (
@@ -68,8 +68,6 @@ from zeno_orbits.simulation.reference_run import ImpactSequence, ReferenceRun, i
 from zeno_orbits.simulation.zeno.completion import ZenoExtrapolation
 from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit
 
-_WAS_CLOSED = 1e-9
-"""Relative threshold below which a stop that was closed still has zero gap and gap rate."""
 _APART = 1e-11
 """Times of two events differ at least by this part of the problem's time."""
 _CONTINUOUS = 1e-6
@@ -222,19 +220,14 @@ class GraphRun(ReferenceRun):
             InputError: If the state is not admissible. The message contains the reason.
         """
         if checked:
-            require_admissible(self.graph.first, x, np.inf)
+            require_admissible(self.graph.first, x)
         self.sides = (True,) * (len(self.graph.switch_names) - self.graph.n_declared)
         self._take_sides(x)
         self._look((), 0)
         for k, name in enumerate(self.graph.stop_names):
-            view = self._view((), k)
-            gap = view.gap(x)
-            if gap < -self.settings.contact * view.own.gap:
-                raise InputError(
-                    f"Argument `state` must have a gap >= 0 at the stop `{name}`, but it is "
-                    f"{gap:.6g}."
-                )
-        return self._placed(0.0, x, ())
+            require_outside(self._view((), k), x, self.settings.contact, name)
+        # The state may be one of another run, whose stops were closed.
+        return self._placed(0.0, x, tuple(range(len(self.graph.stop_names))))
 
     # What the reference asks of a run that has more than one stop.
 
@@ -812,7 +805,7 @@ class GraphRun(ReferenceRun):
         Args:
             time: When [s].
             x: The state, ``(n_x,)``.
-            was_closed: The stops that were closed.
+            was_closed: The stops that were, or may have been closed.
             switch: Name of the switch whose reset led to the state, if there is one.
             flying: The stop that the run looked at in a flight, if it was in one.
 
@@ -823,11 +816,12 @@ class GraphRun(ReferenceRun):
         still: list[int] = []
         opening: list[int] = []
         struck: list[int] = []
+        contact = self.settings.contact
         for k, name in enumerate(self.graph.stop_names):
             if k == flying:
                 continue
             view = self._view((), k)
-            small = _WAS_CLOSED if k in was_closed else self.settings.contact
+            small = max(OFF, contact) if k in was_closed else contact
             gap, rate = view.gap(x), view.gap_rate(x)
             if gap > small * view.own.gap:
                 continue

@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import PenetrationError
 from zeno_orbits.integrators import FlowWithEvent, SteppedTrajectory, Trajectory
 from zeno_orbits.model import CharacteristicScales, HybridDynamics
-from zeno_orbits.simulation.admission import require_admissible
+from zeno_orbits.simulation.admission import require_admissible, require_outside
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
 from zeno_orbits.simulation.execution import (
@@ -156,9 +156,11 @@ class ReferenceRun:
             InputError: If the state is not admissible. The message contains the reason.
         """
         dynamics, small, small_rate = self.dynamics, self.small_gap, self.small_rate
-        gap = require_admissible(dynamics, x, small) if checked else dynamics.gap(x)
+        if checked:
+            require_admissible(dynamics, x)
+            require_outside(dynamics, x, self.settings.contact)
         rate = dynamics.gap_rate(x)
-        if gap > small:
+        if dynamics.gap(x) > small:
             return ArcStart(mode=Mode.FREE, time=0.0, state=x)
         if rate > small_rate:
             return ArcStart(mode=Mode.FREE, time=0.0, state=x, speed=rate)

@@ -30,7 +30,13 @@ from zeno_orbits.experiment.orbit_table import (
     signal_nodes,
 )
 from zeno_orbits.model import GraphDynamics, Problem
-from zeno_orbits.orbits import EventReturn, closed_return, inverse_of_closing, orbit_event_name
+from zeno_orbits.orbits import (
+    EventReturn,
+    SectionMode,
+    closed_return,
+    inverse_of_closing,
+    orbit_event_name,
+)
 from zeno_orbits.simulation import SimulationSettings
 
 _MORE, _EVENTS = 6, 120
@@ -102,6 +108,7 @@ class EventPredictions(OrbitPredictions[EventPeriod]):
             guess=near.period,
             settings=self._settings,
             parameters=self.unknowns.places,
+            mode=SectionMode.of(near.execution.arcs[0], section),
         )
         if len(found.events) > self._most:
             raise SimulationError("Too many events per period", time=0.0, state=())

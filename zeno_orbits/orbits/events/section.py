@@ -58,7 +58,12 @@ _SHRINKS = 0.1
 """Largest ratio of successive corrections with which a derivative serves again."""
 _NEAR = 0.05
 """Relative distance of two states after events, below which a motion nearly repeats."""
-_MOST_RETURNS = 12
+_MOST_RETURNS = 200
+_NEARER, _SETTLED = 10.0, 1e-6
+"""A motion repeats after the fewest returns whose distance is at most this many times the smallest,
+or this distance."""
+_ONE_START = 2e-6
+"""Relative distance of the starts of an orbit that was closed over fewer returns."""
 _RANK = 1e-9
 """Relative singular value of a return's derivative that counts as zero."""
 
@@ -88,8 +93,21 @@ class SectionMode:
             section: Name of the event at which it starts.
         """
         kind, _, name = section.partition(" ")
-        released = name if kind == "release" and name not in first.closed else ""
-        return cls(closed=first.closed, sides=first.sides, stop=first.stop, released=released)
+        left = "" if name in first.closed else name
+        stop = first.stop or (left if kind == "impact" else "")
+        released = left if kind == "release" else ""
+        return cls(closed=first.closed, sides=first.sides, stop=stop, released=released)
+
+    @classmethod
+    def after(cls, execution: Execution, event: Event) -> SectionMode | None:
+        """Return the mode just after an event, ``None`` if the execution ends there.
+
+        Args:
+            execution: The execution.
+            event: One of its events.
+        """
+        first = next((arc for arc in execution.arcs if arc.start_time >= event.time), None)
+        return first and cls.of(first, orbit_event_name(event))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -333,22 +351,15 @@ def section_of_family(found: EventReturn) -> tuple[EventSection, Vector]:
         found: The return of the orbit.
     """
     names = [orbit_event_name(event) for event in found.events]
-    name, sequence, first, x = names[-1], sequence_of(names), 0, found.start
+    name, sequence, x = names[-1], sequence_of(names), found.start
+    mode = SectionMode.of(found.execution.arcs[0], name)
     n_returns = names.count(name)
     release = found.events[0]
     if isinstance(release, Release) and name == f"zeno {release.stop}":
         name, sequence = sequence[0], (*sequence[1:], sequence[0])
         n_returns = sequence.count(name)
-        arcs = found.execution.arcs
-        first = next(k for k, arc in enumerate(arcs) if arc.start_time >= release.time)
-        x = np.asarray(release.state)
-    section = EventSection(
-        name=name,
-        n_returns=n_returns,
-        sequence=sequence,
-        mode=SectionMode.of(found.execution.arcs[first], name),
-    )
-    return section, x
+        mode, x = SectionMode.after(found.execution, release) or mode, np.asarray(release.state)
+    return EventSection(name=name, n_returns=n_returns, sequence=sequence, mode=mode), x
 
 
 def largest_states(arcs: Sequence[Arc], graph: GraphDynamics) -> Vector:
@@ -454,6 +465,44 @@ def closed_return(
     return best
 
 
+def shortest_return(
+    graph: GraphDynamics, found: EventReturn, settings: SimulationSettings
+) -> EventReturn:
+    """Return a periodic orbit over its shortest period.
+
+    A return near the start is not sufficient: the orbit of fewer returns must have this start.
+
+    Args:
+        graph: The graph of modes.
+        found: The orbit, over any number of its periods.
+        settings: Accuracy.
+    """
+    section = orbit_event_name(found.events[-1])
+    scale = largest_states(found.execution.arcs, graph)
+    marks = [event for event in found.events if orbit_event_name(event) == section]
+    for k, event in enumerate(marks[:-1], start=1):
+        away = np.max(np.abs(state_after(event) - found.start) / scale)
+        if len(marks) % k or not away < _NEAR:
+            continue
+        try:
+            shorter = closed_return(
+                graph,
+                found.start,
+                section=section,
+                n_returns=k,
+                guess=event.time,
+                settings=settings,
+                parameters=found.differentiation.chosen,
+                mode=SectionMode.of(found.execution.arcs[0], section),
+                is_near=True,
+            )
+        except SimulationError:
+            continue
+        if np.max(np.abs(shorter.start - found.start) / scale) < _ONE_START:
+            return shorter
+    return found
+
+
 def at_section(
     graph: GraphDynamics, found: EventReturn, section: str, settings: SimulationSettings
 ) -> EventReturn:
@@ -477,13 +526,15 @@ def at_section(
             time=found.period,
             state=tuple(found.start.tolist()),
         )
+    event = found.events[names.index(section)]
     return closed_return(
         graph,
-        state_after(found.events[names.index(section)]),
+        state_after(event),
         section=section,
         n_returns=names.count(section),
         guess=found.period,
         settings=settings,
+        mode=SectionMode.after(found.execution, event),
     )
 
 
@@ -549,12 +600,14 @@ class NearReturn:
 
     Attributes:
         state: The state, ``(n_x,)``.
+        mode: The mode just after the event, if the motion goes on.
         section: Name of the event.
         n_returns: Number of such events until the motion nearly returns.
         period: Time until then [s].
     """
 
     state: Vector
+    mode: SectionMode | None
     section: str
     n_returns: int
     period: float
@@ -599,14 +652,22 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     settled = replace(execution, events=lasting)
     for chosen in event_sections(settled, graph) if section is None else [section]:
         marks = [
-            (event.time, state_after(event))
-            for event, name in zip(execution.events, names, strict=True)
-            if name == chosen
+            event for event, name in zip(execution.events, names, strict=True) if name == chosen
         ]
-        for n in range(1, min(_MOST_RETURNS, len(marks) - 1) + 1):
-            (t0, x0), (t1, x1) = marks[-1 - n], marks[-1]
-            if float(np.max(np.abs(x1 - x0) / scale)) < _NEAR and t1 > t0:
-                return NearReturn(state=x1, section=chosen, n_returns=n, period=t1 - t0)
+        *earlier, last = marks[-1 - _MOST_RETURNS :]
+        earlier = [one for one in reversed(earlier) if one.time < last.time]
+        states = np.array([state_after(one) for one in earlier]).reshape(-1, len(scale))
+        away = np.max(np.abs(states - state_after(last)) / scale, axis=1)
+        if not np.min(away, initial=np.inf) < _NEAR:
+            continue
+        n = int(np.argmax(away <= max(_NEARER * np.min(away), _SETTLED)))
+        return NearReturn(
+            state=state_after(last),
+            mode=SectionMode.after(execution, last),
+            section=chosen,
+            n_returns=n + 1,
+            period=last.time - earlier[n].time,
+        )
     raise SimulationError(
         "The motion does not nearly repeat: simulate for longer (`until`, --max-time), or start "
         "nearer to an orbit",

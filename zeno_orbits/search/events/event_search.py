@@ -24,6 +24,7 @@ from zeno_orbits.orbits import (
     multipliers_of_return,
     near_return,
     orbit_event_name,
+    shortest_return,
 )
 from zeno_orbits.search.homotopy.line import LinePoint, follow_line, values_on_line
 from zeno_orbits.search.shooting.closing import named
@@ -248,14 +249,16 @@ def _closed(
 ) -> EventReturn:
     """Return the periodic return near the end of a motion."""
     near = near_return(motion, graph, section)
-    return closed_return(
+    found = closed_return(
         graph,
         near.state,
         section=near.section,
         n_returns=near.n_returns,
         guess=near.period,
         settings=settings,
+        mode=near.mode,
     )
+    return shortest_return(graph, found, settings)
 
 
 def event_orbit_of(problem: Problem, values: ParameterValues, found: EventReturn) -> EventOrbit:

@@ -13,8 +13,6 @@ from itertools import chain, combinations, product
 from typing import Any
 from weakref import WeakKeyDictionary
 
-import numpy as np
-
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, StepSizeError
 from zeno_orbits.integrators import Step, Tolerance
@@ -34,7 +32,7 @@ from zeno_orbits.loop import (
     program_or_reason,
 )
 from zeno_orbits.model import CharacteristicScales, CompiledGraph, GraphDynamics, ModeFunctions
-from zeno_orbits.simulation.admission import require_admissible
+from zeno_orbits.simulation.admission import inside_stop, require_admissible
 from zeno_orbits.simulation.compiled.executions import (
     COMPLETIONS,
     curve_limit,
@@ -221,10 +219,7 @@ class _Followed:
             return accumulate_together(stops[about[0]], what, time, state)
 
         made: dict[int, Callable[[], SimulationError | InputError]] = {
-            binding.INSIDE: lambda: InputError(
-                f"Argument `state` must have a gap >= 0 at the stop `{stops[told.index]}`, but it "
-                f"is {told.number:.6g}."
-            ),
+            binding.INSIDE: lambda: inside_stop(told.number, stops[told.index]),
             binding.SLIDES: lambda: slides(switches[told.index], time, state),
             binding.COINCIDE: lambda: coincide(event(*about[:2]), event(*about[2:]), time, state),
             binding.SPLITS: lambda: together(f"the switch `{switches[about[1]]}` changes"),
@@ -267,7 +262,7 @@ def looped(task: SimulationTask, rules: GraphRun) -> RecordedExecution | None:
     program = graph_program(graph.compiled)
     if isinstance(program, str) or not _serves(task):
         return None
-    require_admissible(graph.first, task.state, np.inf)
+    require_admissible(graph.first, task.state)
     run = LoopRun(program, _settings(task, rules), graph.p, task.state)
     followed = _Followed(task=task, rules=rules, program=program, run=run)
     try:
