@@ -273,6 +273,31 @@ def test_a_map_file_holds_every_bit_of_the_map(found: ParameterMap, tmp_path: Pa
     assert json.loads((tmp_path / "map.json").read_text()) == odd.as_json()
 
 
+@pytest.mark.slow
+def test_a_map_file_is_read_in_time_linear_in_its_points(
+    found: ParameterMap, tmp_path: Path
+) -> None:
+    point = Attractor(
+        fate=AttractorClass.ZENO,
+        returns=1,
+        period=0.1,
+        multipliers=(0.1 + 0.2j, 0.1 - 0.2j),
+        margins={f"margin {k}": 0.1 * k for k in range(6)},
+        state={f"state {k}": 0.1 * k for k in range(4)},
+        sequence=("impact stop", "zeno stop", "release stop") * 4,
+    )
+
+    def seconds(side: int) -> float:
+        x, y = (replace(axis, count=side) for axis in (found.x, found.y))
+        whole = replace(found, x=x, y=y, attractors=(point,) * side**2)
+        write_map(whole, tmp_path / "map.json")
+        begin = time.process_time()
+        assert len(read_map(tmp_path / "map.json").attractors) == side**2
+        return time.process_time() - begin
+
+    assert min(seconds(160) for _ in range(3)) < 6 * min(seconds(80) for _ in range(3))
+
+
 def test_the_arrays_of_a_map_have_a_row_for_every_y(found: ParameterMap) -> None:
     assert found.shape == (2, 3)
     assert found.numbers("returns").shape == (2, 3)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, fields, is_dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
-from functools import cache
+from functools import cache, partial
+from itertools import repeat
 from types import NoneType, UnionType
-from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, NoReturn, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -94,6 +95,10 @@ class EntryError(ValueError):
         super().__init__(f"`{name}` must be {wanted}, but it is {found}")
         self.name, self.wanted, self.found = name, wanted, found
 
+    def inside(self, place: str) -> EntryError:
+        """Return it for the value that has this entry at a place, such as ``[2]``."""
+        return EntryError(f"{place}{self.name}", self.wanted, self.found)
+
 
 def from_plain(kind: type[T], data: object, name: str = "data", *, finite: bool = False) -> T:
     """Return the value of a declared type from plain data: the inverse of `to_plain`.
@@ -109,103 +114,198 @@ def from_plain(kind: type[T], data: object, name: str = "data", *, finite: bool 
     Raises:
         EntryError: If an entry is missing or has a wrong type. The error names the entry.
     """
-    return cast("T", _Reader(finite).value(kind, data, name))
+    try:
+        return cast("T", _converter(kind, finite)(data))
+    except EntryError as error:
+        # The fields of the outermost dataclass have no name before theirs.
+        outer = "" if name == "data" and error.name.startswith(".") else name
+        whole = f"{outer}{error.name}".removeprefix("" if outer else ".")
+        raise EntryError(whole, error.wanted, error.found) from None
 
 
-class _Reader:
-    """Converter from plain data to values, with the name of an invalid entry in its errors."""
+_Converter = Callable[[Any], Any]
+"""Function from plain data to a value. Its errors name the entry relative to the value."""
 
-    def __init__(self, finite: bool) -> None:
-        self._finite = finite
 
-    def value(self, kind: Any, data: Any, name: str) -> Any:
-        """Return the value of a declared type."""
-        origin, arguments = get_origin(kind), get_args(kind)
-        if origin in (Union, UnionType):
-            return self._union(arguments, data, name)
-        if origin is tuple:
-            return self._tuple(arguments, data, name)
-        if origin is np.ndarray:
-            return self._array(data, name)
-        if isinstance(origin, type) and issubclass(origin, Mapping):
-            return self._mapping(arguments, data, name)
-        if isinstance(kind, type):
-            return self._plain_type(kind, data, name)
+@cache
+def _converter(kind: Any, finite: bool) -> _Converter:
+    """Return the conversion of plain data to a declared type, made once for all data."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        return _of_union(arguments, finite)
+    if origin is tuple:
+        return _of_tuple(arguments, finite)
+    if origin is np.ndarray:
+        return partial(_array, finite=finite)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return _of_mapping(arguments, finite)
+    if not isinstance(kind, type):
+        return _unchanged
+    if is_dataclass(kind):
+        return _of_dataclass(kind, finite)
+    if issubclass(kind, Enum):
+        return _of_members(kind)
+    if kind is float:
+        return partial(_number, finite=finite)
+    if kind is complex:
+        return partial(_complex, finite=finite)
+    return _of_builtin(kind) if kind in _BUILTIN else _unchanged
+
+
+_BUILTIN = {bool: "true or false", str: "a text", int: "a whole number"}
+
+
+def _unchanged(data: Any) -> Any:
+    return data
+
+
+def _of_builtin(kind: type) -> _Converter:
+    def read(data: Any) -> Any:
+        if type(data) is not kind:
+            raise EntryError("", _BUILTIN[kind], _shown(data))
         return data
 
-    def _plain_type(self, kind: type, data: Any, name: str) -> Any:
-        if is_dataclass(kind):
-            return self._dataclass(kind, data, name)
-        if issubclass(kind, Enum):
-            known = {member.name: member for member in kind}
-            return _of(data if isinstance(data, str) else None, known, name)
-        if kind is float:
-            return self._number(data, name)
-        if kind is complex:
-            real, imaginary = _listed(data, name, 2)
-            return complex(self._number(real, name), self._number(imaginary, name))
-        if kind in (bool, str, int) and type(data) is not kind:
-            wanted = {bool: "true or false", str: "a text", int: "a whole number"}[kind]
-            raise EntryError(name, wanted, _shown(data))
-        return data
+    return read
 
-    def _union(self, arguments: tuple[Any, ...], data: Any, name: str) -> Any:
-        if data is None and NoneType in arguments:
-            return None
-        kinds = [kind for kind in arguments if kind is not NoneType]
-        said = cast("Any", data).get("kind") if isinstance(data, dict) else None
-        for kind in kinds:
-            if len(kinds) == 1 or (isinstance(kind, type) and said == _name(kind)):
-                return self.value(kind, data, name)
-        raise EntryError(name, "of a known kind", _shown(said))
 
-    def _tuple(self, arguments: tuple[Any, ...], data: Any, name: str) -> tuple[Any, ...]:
-        if len(arguments) == 2 and arguments[1] is Ellipsis:
-            entries = _listed(data, name)
-            kinds: Sequence[Any] = [arguments[0]] * len(entries)
-        else:
-            entries, kinds = _listed(data, name, len(arguments)), arguments
-        pairs = enumerate(zip(kinds, entries, strict=True))
-        return tuple(self.value(kind, entry, f"{name}[{k}]") for k, (kind, entry) in pairs)
+def _of_members(kind: type[Enum]) -> _Converter:
+    known = {member.name: member for member in kind}
 
-    def _mapping(self, arguments: tuple[Any, ...], data: Any, name: str) -> dict[Any, Any]:
-        key, kind = arguments
-        if key is not str:
-            pairs = [_listed(pair, name, 2) for pair in _listed(data, name)]
-            return {self.value(key, k, name): self.value(kind, v, name) for k, v in pairs}
-        entries = _named(data, name)
-        return {word: self.value(kind, entry, f"{name}.{word}") for word, entry in entries.items()}
-
-    def _array(self, data: Any, name: str) -> Any:
-        if isinstance(data, dict):
-            return np.zeros(_named(data, name)["shape"])
-        try:
-            found = np.array(data, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise EntryError(name, "a list of numbers", _shown(data)) from error
-        if self._finite and not np.all(np.isfinite(found)):
-            raise EntryError(name, "a list of finite numbers", _shown(data))
+    def read(data: Any) -> Any:
+        found = known.get(data) if isinstance(data, str) else None
+        if found is None:
+            word = data if isinstance(data, str) else None
+            raise EntryError("", f"one of {', '.join(known)}", _shown(word))
         return found
 
-    def _number(self, data: Any, name: str) -> float:
-        number = _as_float(data)
-        if number is None:
-            raise EntryError(name, "a number", _shown(data))
-        if self._finite and not math.isfinite(number):
-            raise EntryError(name, "a finite number", _shown(data))
-        return number
+    return read
 
-    def _dataclass(self, kind: type, data: Any, name: str) -> Any:
-        entries = _named(data, name)
+
+def _of_union(arguments: tuple[Any, ...], finite: bool) -> _Converter:
+    kinds = [kind for kind in arguments if kind is not NoneType]
+    named = {_name(kind): kind for kind in kinds if isinstance(kind, type)}
+
+    def read(data: Any) -> Any:
+        if data is None and NoneType in arguments:
+            return None
+        said = cast("Any", data).get("kind") if isinstance(data, dict) else None
+        kind = kinds[0] if len(kinds) == 1 else named.get(said) if isinstance(said, str) else None
+        if kind is None:
+            raise EntryError("", "of a known kind", _shown(said))
+        return _converter(kind, finite)(data)
+
+    return read
+
+
+def _of_tuple(arguments: tuple[Any, ...], finite: bool) -> _Converter:
+    if len(arguments) == 2 and arguments[1] is Ellipsis:
+        kind, own = arguments[0], _converter(arguments[0], finite)
+
+        def read_all(data: Any) -> Any:
+            entries = _listed(data)
+            if kind in _BUILTIN and all(type(entry) is kind for entry in entries):
+                return tuple(entries)
+            return _entries(zip(repeat(own), entries))
+
+        return read_all
+    each = [_converter(kind, finite) for kind in arguments]
+
+    def read(data: Any) -> Any:
+        return _entries(zip(each, _listed(data, len(each)), strict=True))
+
+    return read
+
+
+def _entries(pairs: Iterable[tuple[_Converter, Any]]) -> tuple[Any, ...]:
+    """Return the values of a list, and name an entry only if it is invalid."""
+    found: list[Any] = []
+    try:
+        found.extend(own(entry) for own, entry in pairs)
+    except EntryError as error:
+        raise error.inside(f"[{len(found)}]") from None
+    return tuple(found)
+
+
+def _of_mapping(arguments: tuple[Any, ...], finite: bool) -> _Converter:
+    key, value = (_converter(kind, finite) for kind in arguments)
+
+    def read(data: Any) -> Any:
         found: dict[str, Any] = {}
-        within = "" if name == "data" else f"{name}."
-        for field, declared in _declared(kind):
-            if field.name in entries:
-                place = f"{within}{field.name}"
-                found[field.name] = self.value(declared, entries[field.name], place)
-            elif field.default is MISSING and field.default_factory is MISSING:
-                raise EntryError(f"{within}{field.name}", "there", "missing")
+        entries, word = _named(data), ""
+        try:
+            for word, entry in entries.items():
+                found[word] = value(entry)
+        except EntryError as error:
+            raise error.inside(f".{word}") from None
+        return found
+
+    def read_pairs(data: Any) -> Any:
+        pairs = [_listed(pair, 2) for pair in _listed(data)]
+        return {key(k): value(entry) for k, entry in pairs}
+
+    return read if arguments[0] is str else read_pairs
+
+
+def _of_dataclass(kind: Any, finite: bool) -> _Converter:
+    def read(data: Any) -> Any:
+        found: dict[str, Any] = {}
+        entries, name = _named(data), ""
+        try:
+            for name, own, required in _read_fields(kind, finite):
+                if name in entries:
+                    found[name] = own(entries[name])
+                elif required:
+                    _refuse_absence()
+        except EntryError as error:
+            raise error.inside(f".{name}") from None
         return kind(**found)
+
+    return read
+
+
+def _refuse_absence() -> NoReturn:
+    raise EntryError("", "there", "missing")
+
+
+@cache
+def _read_fields(kind: type, finite: bool) -> tuple[tuple[str, _Converter, bool], ...]:
+    """Return name and conversion of each field of a dataclass, and whether it has no default."""
+    hints = get_type_hints(kind)
+    return tuple(
+        (
+            field.name,
+            _converter(hints[field.name], finite),
+            field.default is MISSING and field.default_factory is MISSING,
+        )
+        for field in fields(kind)
+        if field.init
+    )
+
+
+def _array(data: Any, *, finite: bool) -> Any:
+    if isinstance(data, dict):
+        return np.zeros(_named(data)["shape"])
+    try:
+        found = np.array(data, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise EntryError("", "a list of numbers", _shown(data)) from error
+    if finite and not np.all(np.isfinite(found)):
+        raise EntryError("", "a list of finite numbers", _shown(data))
+    return found
+
+
+def _number(data: Any, *, finite: bool) -> float:
+    number = data if type(data) is float else _as_float(data)
+    if number is None:
+        raise EntryError("", "a number", _shown(data))
+    if finite and not math.isfinite(number):
+        raise EntryError("", "a finite number", _shown(data))
+    return number
+
+
+def _complex(data: Any, *, finite: bool) -> complex:
+    real, imaginary = _listed(data, 2)
+    return complex(_number(real, finite=finite), _number(imaginary, finite=finite))
 
 
 _NOT_FINITE = ("inf", "-inf", "nan")
@@ -223,30 +323,18 @@ def _as_float(data: Any) -> float | None:
         return math.inf if data > 0 else -math.inf
 
 
-@cache
-def _declared(kind: type) -> tuple[tuple[Field[Any], Any], ...]:
-    hints = get_type_hints(kind)
-    return tuple((field, hints[field.name]) for field in fields(kind) if field.init)
-
-
-def _named(data: Any, name: str) -> dict[str, Any]:
+def _named(data: Any) -> dict[str, Any]:
     if not isinstance(data, dict):
-        raise EntryError(name, "an object with names", _shown(data))
+        raise EntryError("", "an object with names", _shown(data))
     return cast("dict[str, Any]", data)
 
 
-def _listed(data: Any, name: str, count: int | None = None) -> list[Any]:
+def _listed(data: Any, count: int | None = None) -> list[Any]:
     found = cast("list[Any]", data) if isinstance(data, list) else None
     if found is None or (count is not None and len(found) != count):
         wanted = "a list" if count is None else f"a list of {count}"
-        raise EntryError(name, wanted, _shown(data))
+        raise EntryError("", wanted, _shown(data))
     return found
-
-
-def _of(word: str | None, known: Mapping[str, Any], name: str) -> Any:
-    if word is None or word not in known:
-        raise EntryError(name, f"one of {', '.join(known)}", _shown(word))
-    return known[word]
 
 
 _MOST_SHOWN = 40

@@ -174,18 +174,41 @@ def period_of_edges(series: Sequence[Sequence[Edge]], cycles: Sequence[Sequence[
     """
     low, high = -math.inf, math.inf
     for edges, numbers in zip(series, cycles, strict=True):
-        a, b = np.array([one.low for one in edges]), np.array([one.high for one in edges])
         n = np.array(numbers, dtype=np.float64)
-        apart = n[None, :] - n[:, None]
-        later = apart > 0.0
-        if not later.any():
-            continue
-        least, most = a[None, :] - b[:, None], b[None, :] - a[:, None]
-        low = max(low, float(np.max(least[later] / apart[later])))
-        high = min(high, float(np.min(most[later] / apart[later])))
-    if math.isfinite(low) and low < high:
+        # Lines through all intervals are bounded by their hulls alone.
+        least = _upper_hull(n, np.array([one.low for one in edges]))
+        most = _upper_hull(n, -np.array([one.high for one in edges])) * (1.0, -1.0)
+        apart = least[None, :, 0] - most[:, None, 0]
+        rise = least[None, :, 1] - most[:, None, 1]
+        later, earlier = apart > 0.0, apart < 0.0
+        low = max(low, float(np.max(rise[later] / apart[later], initial=-math.inf)))
+        high = min(high, float(np.min(rise[earlier] / apart[earlier], initial=math.inf)))
+    if math.isfinite(low) and math.isfinite(high) and low < high:
         return Estimate(value=(low + high) / 2, error=(high - low) / math.sqrt(12))
     return _slope(series, cycles)
+
+
+def _upper_hull(x: Vector, y: Vector) -> Vector:
+    """Return the corners of the upper hull of points, ``(m, 2)``.
+
+    Args:
+        x: Abscissas in any order, ``(n,)``.
+        y: Ordinates, ``(n,)``.
+    """
+    hull: list[tuple[float, float]] = []
+    for k in np.lexsort((y, x)):
+        at, height = float(x[k]), float(y[k])
+        while hull and (
+            hull[-1][0] == at
+            or (
+                len(hull) > 1
+                and (hull[-1][1] - hull[-2][1]) * (at - hull[-2][0])
+                <= (height - hull[-2][1]) * (hull[-1][0] - hull[-2][0])
+            )
+        ):
+            hull.pop()
+        hull.append((at, height))
+    return np.array(hull).reshape(-1, 2)
 
 
 def _slope(series: Sequence[Sequence[Edge]], cycles: Sequence[Sequence[int]]) -> Estimate:
