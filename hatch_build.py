@@ -6,6 +6,7 @@ if there is a compiler by then, and the plain Python simulator runs elsewhere.
 
 from __future__ import annotations
 
+import atexit
 import importlib.util
 import os
 import shlex
@@ -38,6 +39,8 @@ class LoopLibraryHook(BuildHookInterface):
             return
         source = _module(Path(self.root) / "zeno_orbits" / "loop" / "source.py")
         folder = Path(tempfile.mkdtemp(prefix="zeno_orbits_loop_"))
+        # The wheel is written after this call, by the same process.
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
         library = folder / source.library_name()
         reason = _compiled(source, library)
         if reason:

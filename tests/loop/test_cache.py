@@ -13,24 +13,42 @@ from pathlib import Path
 import pytest
 
 from tests.loop.agreement import needs_compiler
+from tests.support.source_trees import unbuilt_tree
 from zeno_orbits.cli import main
-from zeno_orbits.loop import library_folder
+from zeno_orbits.loop import library_folder, loop_library
 
-ROOT = Path(__file__).resolve().parents[2]
 SIMULATE = ("simulate", "bouncing_ball", "--t-end", "9", "--json")
 NOTE = "zeno-orbits: note: executions run in Python, as accurate and slower: "
 
 
 def ask(cache: Path, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
     """Run a command in a process of its own, which knows of no library yet."""
+    tree = str(unbuilt_tree())
     return subprocess.run(
         [sys.executable, "-m", "zeno_orbits", *words],
-        env={**os.environ, "PYTHONPATH": str(ROOT), "ZENO_ORBITS_CACHE": str(cache), **variables},
+        env={**os.environ, "PYTHONPATH": tree, "ZENO_ORBITS_CACHE": str(cache), **variables},
+        cwd=tree,
         capture_output=True,
         text=True,
         check=False,
         timeout=300,
     )
+
+
+def python_says(cache: Path, code: str, own: str) -> str:
+    """Return the output and the errors of a program, in a process that knows of no library yet."""
+    tree = str(unbuilt_tree())
+    own_variables = {"PYTHONPATH": tree, "ZENO_ORBITS_CACHE": str(cache), "CC": own}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, **own_variables},
+        cwd=tree,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=300,
+    )
+    return done.stdout + done.stderr
 
 
 def notes(done: subprocess.CompletedProcess[str]) -> list[str]:
@@ -112,6 +130,34 @@ def test_a_broken_compiler_is_one_line_and_leaves_nothing_behind(
 ) -> None:
     assert told in noted(tmp_path, CC=compiler(tmp_path, script))
     assert {path.name for path in (tmp_path / "kernels").iterdir()} <= {".loop-lock"}
+
+
+@needs_compiler
+def test_a_compilation_is_announced_and_its_time_left_told(tmp_path: Path) -> None:
+    # A library from elsewhere stands for a compiler that takes a while.
+    made = loop_library()._name
+    own = compiler(tmp_path, f'while [ "$1" != -o ]; do shift; done; sleep 1.5; cp {made} "$2"')
+    done = ask(tmp_path, *SIMULATE, CC=own)
+    assert done.returncode == 0
+    line, *_ = done.stderr.splitlines()
+    assert re.fullmatch(r" *1\.\d s  compiling the simulator once, about 15 s +\d+ %", line)
+    plain = python_says(tmp_path / "python", "import zeno_orbits.loop as l; l.loop_library()", own)
+    assert plain == "zeno_orbits: compiling the simulator once, about 15 s\n"
+    assert ask(tmp_path, *SIMULATE, CC=own).stderr == ""
+
+
+@needs_compiler
+def test_a_source_tree_uses_the_library_of_an_installed_package(tmp_path: Path) -> None:
+    tree = unbuilt_tree()
+    code = "from zeno_orbits.loop.source import library_name; print(library_name())"
+    name = python_says(tmp_path, code, "cc").strip()
+    installed = tmp_path / "site" / "zeno_orbits" / "loop" / name
+    installed.parent.mkdir(parents=True)
+    installed.write_bytes(Path(loop_library()._name).read_bytes())
+    both = f"{tree}{os.pathsep}{tmp_path / 'site'}"
+    done = ask(tmp_path / "cache", *SIMULATE, "--verbose", CC="no-such", PYTHONPATH=both)
+    assert "executions run in compiled code" in done.stderr
+    assert not (tmp_path / "cache").exists()
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ import pytest
 
 from tests.loop.agreement import needs_compiler
 from tests.support.commands import YES, ask
+from tests.support.source_trees import unbuilt_tree
 from zeno_orbits.integrators import (
     automatic,
     dop853,
@@ -161,10 +162,11 @@ def test_the_code_compiles_without_a_warning(tmp_path: Path, level: str) -> None
 
 def _python(code: str, folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "ZENO_ORBITS_CACHE": str(folder), **variables}
-    environment["PYTHONPATH"] = str(ROOT)
+    environment["PYTHONPATH"] = str(unbuilt_tree())
     return subprocess.run(
         [sys.executable, "-c", code],
         env=environment,
+        cwd=unbuilt_tree(),
         capture_output=True,
         text=True,
         check=False,
@@ -184,12 +186,11 @@ print(type(run).__name__, repr(run.zeno_points[0].time))
 
 @pytest.mark.slow
 def test_two_processes_that_need_the_library_at_once_both_get_it(tmp_path: Path) -> None:
-    environment = {**os.environ, "ZENO_ORBITS_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    tree = str(unbuilt_tree())
+    environment = {**os.environ, "ZENO_ORBITS_CACHE": str(tmp_path), "PYTHONPATH": tree}
+    words, pipe = [sys.executable, "-c", ACCOUNT], subprocess.PIPE
     processes = [
-        subprocess.Popen(
-            [sys.executable, "-c", ACCOUNT], env=environment, stdout=subprocess.PIPE, text=True
-        )
-        for _ in range(3)
+        subprocess.Popen(words, env=environment, cwd=tree, stdout=pipe, text=True) for _ in range(3)
     ]
     said = [process.communicate(timeout=300)[0] for process in processes]
     assert said == ["executions run in compiled code\n"] * 3

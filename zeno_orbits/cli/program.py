@@ -31,6 +31,7 @@ from zeno_orbits.cli.process import Interrupts, patient_streams
 from zeno_orbits.cli.typed import as_typed
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.report import terminal as report
+from zeno_orbits.work import BUILD_WATCH
 
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
@@ -79,6 +80,7 @@ def _answer(options: argparse.Namespace) -> int:
     # A second interrupt must not end the report of the first.
     with Interrupts() as interrupts:
         options.interrupts = interrupts
+        BUILD_WATCH.set(lambda: report.ProgressLine(interrupts.check))
         try:
             code: int = options.run(options)
             # A disk may turn out to be full as late as here.

@@ -9,7 +9,8 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,6 +23,8 @@ _ZIG_FLAGS = ("-mcpu=baseline", "-fno-sanitize=undefined")
 both."""
 _LONGEST = 600.0
 """Longest time that a compiler may take [s]."""
+_PAUSE = 0.25
+"""Time between two reports of progress [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +58,7 @@ class Compiler:
         *,
         flags: Sequence[str],
         libraries: Sequence[str],
+        on_wait: Callable[[float], object],
     ) -> None:
         """Compile a source into a shared library.
 
@@ -63,28 +67,44 @@ class Compiler:
             target: The library.
             flags: Flags of the compiler.
             libraries: Flags that follow the source.
+            on_wait: Called with the elapsed time [s] at the start and again and again until the
+                end. An exception that it raises ends the compiler.
 
         Raises:
             KernelError: If the compilation fails. The message contains the reason.
         """
         words = [*self.command, *flags, str(source), "-o", str(target), *libraries]
         try:
-            done = subprocess.run(
-                words,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=_LONGEST,
-                check=False,
-            )
+            code, said = _watched(words, on_wait)
         except (OSError, subprocess.SubprocessError) as error:
             raise KernelError(f"`{self.command[0]}` could not be run ({error})") from error
-        if done.returncode != 0 or not target.is_file():
-            said = (done.stderr or done.stdout).strip().splitlines()
-            first = next((line for line in said if "error" in line.lower()), "".join(said[:1]))
-            reason = first[:200] or f"exit code {done.returncode}"
+        if code != 0 or not target.is_file():
+            lines = said.strip().splitlines()
+            first = next((line for line in lines if "error" in line.lower()), "".join(lines[:1]))
+            reason = first[:200] or f"exit code {code}"
             raise KernelError(f"`{' '.join(self.command[:3])}` failed: {reason}")
+
+
+def _watched(words: Sequence[str], on_wait: Callable[[float], object]) -> tuple[int, str]:
+    """Run a command, and return its exit code and its errors, or else its output."""
+    started, elapsed, pipe = time.monotonic(), 0.0, subprocess.PIPE
+    with subprocess.Popen(
+        words, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True, errors="replace"
+    ) as process:
+        try:
+            while True:
+                on_wait(elapsed)
+                try:
+                    out, err = process.communicate(timeout=_PAUSE)
+                except subprocess.TimeoutExpired:
+                    elapsed = time.monotonic() - started
+                    if elapsed > _LONGEST:
+                        raise
+                else:
+                    return process.returncode, err or out
+        except BaseException:
+            process.kill()
+            raise
 
 
 def find_compiler() -> Compiler | None:

@@ -1,6 +1,7 @@
-"""The library of the loop: next to this module, or built once into the user's cache.
+"""The library of the loop: of an installed package, or built once into the user's cache.
 
-A single library serves all problems. A second library may contain the compiled formulas of a single
+A single library serves all problems. A source tree, which holds no library, takes the library of an
+installed package of the same digest. A second library may contain the compiled formulas of a single
 problem, which is faster and gives the same digits. A process that builds a library holds a lock,
 and the library is created by renaming, so two processes that start at once do not conflict. Without
 a compiler the library is missing, and the plain Python simulator is used.
@@ -15,6 +16,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from enum import Enum
 from functools import cache
 from pathlib import Path
@@ -31,6 +33,7 @@ from zeno_orbits.loop.source import (
     source_digest,
     whole_source,
 )
+from zeno_orbits.work import BUILD_WATCH, silent
 
 VARIABLE = "ZENO_ORBITS_LOOP"
 _CHOICES = ("use", "tape", "never")
@@ -41,6 +44,10 @@ _LIBRARY = "ZENO_ORBITS_LOOP_LIBRARY"
 """A custom library, built from the same code with other flags to detect faults."""
 
 _KEY = "loop"
+
+_NOTICE = "compiling the simulator once, about 15 s"
+_USUAL = 15.0
+"""Usual time of this compilation on a busy machine [s]."""
 
 COMPILE = "ZENO_ORBITS_COMPILE"
 
@@ -149,12 +156,22 @@ def loop_account() -> str:
 def _found() -> tuple[Any, str]:
     """Return the library, and the reason if it is missing."""
     try:
-        path = Path(os.environ.get(_LIBRARY, "") or Path(__file__).with_name(library_name()))
-        if not path.is_file():
-            path = _built()
+        chosen = os.environ.get(_LIBRARY, "")
+        path = Path(chosen) if chosen else _installed() or _built()
         return declared(ctypes.CDLL(str(path))), ""
     except (KernelError, OSError) as error:
         return None, str(error)
+
+
+def _installed() -> Path | None:
+    """Return the library that was built with this package, or with an installed one of one digest.
+
+    Python runs code of every folder on its path, so their libraries need no other trust.
+    """
+    name = library_name()
+    folders = (Path(entry) / "zeno_orbits" / "loop" for entry in sys.path)
+    paths = (folder / name for folder in (Path(__file__).parent, *folders))
+    return next((path for path in paths if path.is_file()), None)
 
 
 def _built() -> Path:
@@ -166,7 +183,7 @@ def _built() -> Path:
     """
     compiler = _any_compiler()
     key = f"{_KEY}_{source_digest()}_{compiler.digest}"
-    return _kept(key, whole_source, compiler, FLAGS)
+    return _kept(key, whole_source, compiler, FLAGS, _NOTICE)
 
 
 def _any_compiler() -> Compiler:
@@ -177,8 +194,14 @@ def _any_compiler() -> Compiler:
     return compiler
 
 
-def _kept(key: str, source: Callable[[], str], compiler: Compiler, flags: Sequence[str]) -> Path:
-    """Return a library from the cache, built if it is not there."""
+def _kept(
+    key: str,
+    source: Callable[[], str],
+    compiler: Compiler,
+    flags: Sequence[str],
+    notice: str = "",
+) -> Path:
+    """Return a library from the cache, built if it is not there, with progress if it is named."""
     folder = library_folder()
     folder.make()
     found = folder.find(key)
@@ -187,16 +210,29 @@ def _kept(key: str, source: Callable[[], str], compiler: Compiler, flags: Sequen
     if may_compile() is When.NEVER:
         raise KernelError(f"{COMPILE}=never forbids the compiler")
     with folder.held():
-        return folder.find(key) or _compiled(folder, key, source(), compiler, flags)
+        return folder.find(key) or _compiled(folder, key, source(), compiler, flags, notice)
 
 
 def _compiled(
-    folder: LibraryFolder, key: str, source: str, compiler: Compiler, flags: Sequence[str]
+    folder: LibraryFolder,
+    key: str,
+    source: str,
+    compiler: Compiler,
+    flags: Sequence[str],
+    notice: str,
 ) -> Path:
-    with tempfile.TemporaryDirectory(dir=folder.path, prefix=".unfinished.") as name:
+    watch = BUILD_WATCH.get()() if notice else nullcontext(silent)
+    with (
+        tempfile.TemporaryDirectory(dir=folder.path, prefix=".unfinished.") as name,
+        watch as on_progress,
+    ):
         code, library = Path(name) / "loop.c", Path(name) / "loop.so"
         code.write_text(source, encoding="utf-8")
-        compiler.compile(code, library, flags=flags, libraries=LIBRARIES)
+
+        def wait(seconds: float) -> None:
+            on_progress(notice, min(seconds / _USUAL, 0.99))
+
+        compiler.compile(code, library, flags=flags, libraries=LIBRARIES, on_wait=wait)
         _require_exact(library)
         return folder.store(key, library)
 

@@ -188,7 +188,10 @@ def _library(files: Mapping[str, str]) -> tuple[bytes, str]:
             (Path(name) / file).write_text(text, encoding="utf-8")
         target = Path(name) / "unit.so"
         try:
-            compiler.compile(Path(name) / "fmi3.c", target, flags=FLAGS, libraries=LIBRARIES)
+            source = Path(name) / "fmi3.c"
+            compiler.compile(
+                source, target, flags=FLAGS, libraries=LIBRARIES, on_wait=lambda _seconds: None
+            )
         except KernelError as error:
             return b"", str(error)
         return target.read_bytes(), ""

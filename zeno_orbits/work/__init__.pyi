@@ -29,6 +29,7 @@ from .plan import ExecutionPlan as ExecutionPlan
 from .plan import Workers as Workers
 from .pools import Pool as Pool
 from .pools import open_pool as open_pool
+from .progress import BUILD_WATCH as BUILD_WATCH
 from .progress import Progress as Progress
 from .progress import portion as portion
 from .progress import silent as silent

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from contextvars import ContextVar
 from typing import Protocol
 
 
@@ -38,3 +41,17 @@ def portion(on_progress: Progress, low: float, high: float) -> Progress:
 
 def silent(_stage: str, _part: float | None, /) -> None:
     """Ignore a report: the default of every ``on_progress``."""
+
+
+def _logged(stage: str, part: float | None, /) -> None:
+    """Log the beginning of a stage, as one line on standard error unless a program handles it."""
+    if not part:
+        import logging
+
+        logging.getLogger("zeno_orbits").warning("zeno_orbits: %s", stage)
+
+
+BUILD_WATCH: ContextVar[Callable[[], AbstractContextManager[Progress]]] = ContextVar(
+    "BUILD_WATCH", default=lambda: nullcontext(_logged)
+)
+"""Opens the progress of a compilation, which any call that simulates may begin."""
