@@ -13,14 +13,10 @@ The rooms, top first. Each imports from the rooms below it:
 
 import ast
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 __version__ = "0.2.0"
-
-_EXTRAS = {"Proof": ("flint", "python-flint", "proof")}
-"""Names that need an extra: the module, its package and the extra."""
 
 
 def _places() -> dict[str, tuple[str, str]]:
@@ -37,12 +33,7 @@ def _places() -> dict[str, tuple[str, str]]:
 _PLACES = _places()
 
 
-def _is_there(name: str) -> bool:
-    """Return True if a name can be used with the extras that are installed."""
-    return name not in _EXTRAS or find_spec(_EXTRAS[name][0]) is not None
-
-
-__all__ = ["__version__", *filter(_is_there, _PLACES)]  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = ["__version__", *_PLACES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
@@ -50,15 +41,8 @@ def __getattr__(name: str) -> Any:
 
     Raises:
         AttributeError: If the name is unknown.
-        InputError: If the name needs an extra that is not installed.
     """
     if name in _PLACES:
-        if not _is_there(name):
-            from zeno_orbits.errors import InputError
-
-            _, package, extra = _EXTRAS[name]
-            command = f"pip install 'zeno_orbits[{extra}]'"
-            raise InputError(f"`zeno_orbits.{name}` needs {package}: run `{command}`.")
         module, original = _PLACES[name]
         found = getattr(import_module(f"{__name__}.{module}"), original)
         globals()[name] = found

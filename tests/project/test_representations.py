@@ -125,7 +125,6 @@ def test_runs_and_recordings_show_their_span_and_their_size(orbit: zo.ZenoOrbit)
 
 @pytest.mark.slow
 def test_proofs_and_fits_show_their_verdicts() -> None:
-    pytest.importorskip("flint", reason="needs the extra `proof`")
     orbit = zo.find_orbit_by_shooting("vibrating_table").unwrap()
     assert shown(zo.prove(orbit)).startswith(
         "<Proof of vibrating_table: Proved by inclusions: the return map"

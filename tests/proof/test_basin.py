@@ -25,7 +25,6 @@ from zeno_orbits.proof.checker import basin as judged
 from zeno_orbits.proof.checker import certificate as first_box
 from zeno_orbits.report.terminal import print_basin
 
-pytest.importorskip("flint")
 pytestmark = pytest.mark.slow
 
 Certificate = dict[str, Any]

@@ -16,8 +16,6 @@ from tests.support.cases import fast
 from zeno_orbits.errors import TranslationError
 from zeno_orbits.proof import Proof, check_proof
 
-pytest.importorskip("flint")
-
 ZENO = mp.mpf("5.06454057578434876") - mp.acos(mp.mpf(-0.8))
 """Zeno point of the forced oscillator from its release, published to eighteen digits."""
 OBSERVED = Path(__file__).parents[1] / "support" / "machines" / "observed_valve.py"

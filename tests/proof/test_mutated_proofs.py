@@ -17,7 +17,6 @@ from zeno_orbits.model import load_problem
 from zeno_orbits.proof import check_proof
 from zeno_orbits.proof.checker import certificate as judged
 
-pytest.importorskip("flint")
 pytestmark = pytest.mark.slow
 
 Certificate = dict[str, Any]

@@ -21,10 +21,8 @@ from scipy.optimize import brentq
 import zeno_orbits as zo
 from tests.support import hard_to_prove, magnet_spot
 from tests.support.cases import fast
-from tests.support.commands import MISUSE, NO, YES, ask
+from tests.support.commands import NO, YES, ask
 from zeno_orbits.orbits import OrbitPhase, PhaseKind
-
-pytest.importorskip("flint")
 
 CLOSE = 1e-10
 """Orbits are searched to about 1e-12 per size; hundredfold for sensitive impacts."""
@@ -398,14 +396,3 @@ def test_the_command_fails_with_the_reason(table: zo.ZenoOrbit, file: Path) -> N
     answer = ask("verify", file, "--rigorous")
     assert answer.code == NO
     assert "Rigorous: not enclosed: `impact_time`: impact 1 of phase 1 is enclosed" in answer.out
-
-
-def test_the_command_names_the_extra_where_it_is_missing(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("zeno_orbits.proof.extra.find_spec", lambda _: None)
-    answer = ask("verify", file, "--rigorous")
-    assert answer.code == MISUSE
-    assert answer.err.count("\n") == 1
-    assert "pip install 'zeno_orbits[proof]'" in answer.err
-    assert ask("verify", file).code == YES

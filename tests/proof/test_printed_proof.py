@@ -24,8 +24,6 @@ from tests.support.pages import ROOT
 from zeno_orbits.proof import Proof, check_proof
 from zeno_orbits.proof.theorem import ProvedInterval, SectionBox, double_below
 
-pytest.importorskip("flint")
-
 EXACT = {
     "forced_oscillator": mp.mpf(1),
     "vibrating_table": mp.mpf(30),

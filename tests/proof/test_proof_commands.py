@@ -15,8 +15,6 @@ from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.errors import InputError
 from zeno_orbits.proof import check_proof_of
 
-pytest.importorskip("flint")
-
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
@@ -139,7 +137,6 @@ def test_a_certificate_of_another_problem_is_refused(files: tuple[Path, Path]) -
 
 @pytest.mark.slow
 def test_the_report_shows_what_is_proved_and_only_that(files: tuple[Path, Path]) -> None:
-    pytest.importorskip("jinja2")
     orbit, proof = files
     page = orbit.with_name("report.html")
     assert ask("report", orbit, "--proof", proof, "-o", page).code == YES

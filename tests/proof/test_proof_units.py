@@ -10,8 +10,6 @@ import zeno_orbits as zo
 from tests.support.units import Units, in_units
 from zeno_orbits.proof import Proof, check_proof
 
-pytest.importorskip("flint")
-
 GRAMS = Units(mass=1e3, length=1e3, time=1e3)
 """Gram, millimetre, millisecond."""
 FAR = (Units(length=1e6, time=1e-6), Units(length=1e-6, time=1e6))

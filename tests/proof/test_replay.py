@@ -16,8 +16,6 @@ from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof import replay_proof
 
-pytest.importorskip("flint")
-
 HAND_WRITTEN = '''
 """The shaken table by hand: a ball of the gap h = z - A sin(omega t), clock and ball by formula."""
 

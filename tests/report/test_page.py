@@ -8,7 +8,6 @@ import json
 import math
 import os
 import re
-import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -33,9 +32,6 @@ from zeno_orbits.precision import TimedSetting, WorkPrecision, read_work_precisi
 from zeno_orbits.report.page import Subject, load_bundle, page_of, words
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate, problem_dynamics, verify
-
-if not os.environ.get(browsers.REQUIRED):
-    pytest.importorskip("plotly", reason="the extra `report` is not installed")
 
 YES, NO, MISUSE = 0, 1, 2
 ONE = ("--periods", "1")
@@ -475,19 +471,6 @@ def test_misuse_is_one_line_and_writes_nothing(
     assert said in err
     assert err.count("\n") == 1
     assert {path.name: path.read_bytes() for path in orbit_file.parent.iterdir()} == before
-
-
-@pytest.mark.parametrize("library", ["plotly", "jinja2"])
-def test_without_a_library_one_line_says_what_to_install(
-    orbit_file: Path, monkeypatch: pytest.MonkeyPatch, library: str
-) -> None:
-    load_bundle.cache_clear()
-    monkeypatch.setitem(sys.modules, library, None)
-    code, _, err = ask("report", orbit_file, "-o", "report.html", *ONE)
-    assert code == MISUSE
-    assert "pip install 'zeno_orbits[report]'" in err
-    assert err.count("\n") == 1
-    assert not Path("report.html").exists()
 
 
 def test_a_trade_file_reads_back(tmp_path: Path) -> None:

@@ -21,8 +21,6 @@ from zeno_orbits.model import HybridDynamics
 from zeno_orbits.report import Subject, load_bundle, page_of
 from zeno_orbits.report.plots import plot_pushes
 
-pytest.importorskip("plotly", reason="the extra `report` is not installed")
-
 ONE = ("--periods", "1")
 EVIL = "</script><script>window.taken = 1</script><img src=x>\"'&"
 

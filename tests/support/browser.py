@@ -39,7 +39,7 @@ def reason_to_skip() -> str:
     try:
         import selenium  # noqa: F401
     except ImportError:
-        return "selenium is not installed (extra `test`)"
+        return "selenium is not installed (extra `benchmarks`)"
     return ""
 
 

@@ -84,13 +84,10 @@ def prove(
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
-        InputError: If python-flint is missing (the extra `proof`), the orbit's problem is not
-            known, or a value or name does not fit the problem.
+        InputError: If the orbit's problem is not known, or a value or name does not fit the
+            problem.
         TranslationError: If the problem's equations are not analytic.
     """
-    from zeno_orbits.proof import require_flint
-
-    require_flint("Proofs")
     from zeno_orbits.proof import ProofSettings
     from zeno_orbits.proof import prove_orbit as proved
 
@@ -126,12 +123,8 @@ def enclose_period(
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
-        InputError: If python-flint is missing (the extra `proof`), the orbit's problem is not
-            known, or a value does not fit the problem.
+        InputError: If the orbit's problem is not known, or a value does not fit the problem.
     """
-    from zeno_orbits.proof import require_flint
-
-    require_flint("Enclosures")
     from zeno_orbits.proof import EnclosureSettings
     from zeno_orbits.proof import enclose_one_period as enclosed
 
@@ -201,20 +194,6 @@ def check_certificate_of(
     from zeno_orbits.proof import check_proof_of
 
     return check_proof_of(orbit, problem_of(orbit, problem), Path(certificate))
-
-
-def require_proof_extra(what: str) -> None:
-    """Raise an error for work that needs python-flint if it is not installed.
-
-    Args:
-        what: Name of the work in the message.
-
-    Raises:
-        InputError: If python-flint is missing.
-    """
-    from zeno_orbits.proof import require_flint
-
-    require_flint(what)
 
 
 @overload

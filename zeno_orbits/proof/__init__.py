@@ -10,11 +10,11 @@ one period without a fixed point. `basin` searches large sets of initial states.
 with the problem's hand-written model.
 
 Offers: `prove_orbit`, `Proof`, `ProofSettings`; `enclose_one_period`, `EnclosureSettings`,
-`PeriodEnclosure`; `require_flint`, the refusal without the extra; `check_proof`, `check_proof_of`,
+`PeriodEnclosure`; `check_proof`, `check_proof_of`,
 `ProofVerdict`; `replay_proof`, `Replay`; `equilibrium_report`, Theorem 1 at a state, with an
 `EquilibriumReport` and a `ZenoNeighbourhood`.
 
-Imports: orbits, model, work, arrays, errors. Balls are python-flint's (the extra `proof`). Never
+Imports: orbits, model, work, arrays, errors. Balls are python-flint's. Never
 search, continuation, maps, experiment or precision; `checker` imports model, work and errors alone.
 """
 

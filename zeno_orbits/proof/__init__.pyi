@@ -2,7 +2,6 @@ from .checker.verdict import ProofVerdict as ProofVerdict
 from .checker.certificate import check_proof as check_proof
 from .enclosure import EnclosureSettings as EnclosureSettings
 from .enclosure import enclose_one_period as enclose_one_period
-from .extra import require_flint as require_flint
 from .period_enclosure import PeriodEnclosure as PeriodEnclosure
 from .arithmetic.program import BallProgram as BallProgram
 from .replay import check_proof_of as check_proof_of

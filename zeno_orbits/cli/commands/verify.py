@@ -75,8 +75,6 @@ def add_verify(commands: Any) -> None:
 def _run_verify(options: argparse.Namespace) -> int:
     if api.holds_events(options.orbit):
         return run_verify_events(options)
-    if options.rigorous:
-        api.require_proof_extra("Enclosures (`--rigorous`)")
     orbit, problem = orbit_and_problem(options)
     settings = api.verification_settings(
         accuracy=options.accuracy,

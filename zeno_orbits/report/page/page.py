@@ -10,7 +10,6 @@ import shlex
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from zeno_orbits.errors import InputError
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.report.disturbances import least_push_line, recovery_lines, scan_line
 from zeno_orbits.report.page import words
@@ -138,16 +137,9 @@ def commands_of(subject: Subject) -> tuple[tuple[str, ...], ...]:
 
 
 def template_environment() -> Environment:
-    """Return the environment that renders the template and escapes every value.
+    """Return the environment that renders the template and escapes every value."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
 
-    Raises:
-        InputError: If jinja2 is not installed.
-    """
-    try:
-        from jinja2 import Environment, FunctionLoader, StrictUndefined
-    except ImportError as error:
-        message = "A report needs jinja2: run `pip install 'zeno_orbits[report]'`"
-        raise InputError(f"{message} ({error}).") from error
     environment = Environment(
         loader=FunctionLoader(_text),
         autoescape=True,

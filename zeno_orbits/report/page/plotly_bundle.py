@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from zeno_orbits.errors import InputError
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bundle:
@@ -27,17 +25,9 @@ class Bundle:
 
 @cache
 def load_bundle() -> Bundle:
-    """Return plotly's own script.
-
-    Raises:
-        InputError: If plotly is not installed.
-    """
-    try:
-        plotly: Any = importlib.import_module("plotly")
-        offline: Any = importlib.import_module("plotly.offline")
-    except ImportError as error:
-        message = "A report needs plotly: run `pip install 'zeno_orbits[report]'`"
-        raise InputError(f"{message} ({error}).") from error
+    """Return plotly's own script."""
+    plotly: Any = importlib.import_module("plotly")
+    offline: Any = importlib.import_module("plotly.offline")
     script: str = offline.get_plotlyjs()
     # No time stamp in the header: the same page is the same bytes.
     packed = gzip.compress(script.encode(), compresslevel=9, mtime=0)
