@@ -354,7 +354,7 @@ def test_a_table_of_the_orbit_is_the_orbit(
     assert whole.at(phases) == pytest.approx(true, abs=2e-7)
     assert gap_coordinates(problem) == ("theta2",)
     assert problem.gap_unit == "rad"
-    assert load_problem("curved_surface").gap_unit == "SI"
+    assert load_problem("curved_surface").gap_unit == "m"
 
 
 @pytest.mark.parametrize("n_cycles", [2.2, 3.7, 5.3, 7.27, 9.9])

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
+import casadi as ca
 import pytest
 
 import zeno_orbits as zo
 from tests.support.units import Units, in_units
-from zeno_orbits.model import (
-    powers_of,
-)
+from zeno_orbits.model import powers_of, unit_quotient
+from zeno_orbits.model.formula_units import unit_of
 from zeno_orbits.model.units import energy_unit, in_si, is_rate_of, require_coherent
 
 TABLE = zo.load_problem("vibrating_table")
@@ -134,3 +135,60 @@ def test_units_multiply_out() -> None:
 
 
 # Matrices in place of energies.
+
+
+X, ANGLE, LENGTH, SPEED, RATIO = (ca.SX.sym(name) for name in "xalvr")
+SYMBOLS = ((X, "m"), (ANGLE, "rad"), (LENGTH, "m"), (SPEED, "m/s"), (RATIO, "1"))
+
+
+@pytest.mark.parametrize(
+    ("formula", "unit"),
+    [
+        (X, "m"),
+        (0.05 - 2 * X, "m"),
+        (LENGTH * ca.cos(ANGLE) - X, "m"),
+        (LENGTH * ANGLE - X, "m"),
+        (ANGLE - 0.1, "rad"),
+        (RATIO * ANGLE, "rad"),
+        (ca.atan2(X, LENGTH), "rad"),
+        (ca.sqrt(X**2 + LENGTH**2) - LENGTH, "m"),
+        (ca.sqrt(X), "1"),
+        (X**2 - LENGTH * X, "m^2"),
+        (X / LENGTH - 1, "1"),
+        (SPEED / X, "1/s"),
+        (SPEED**2 / LENGTH, "m/s^2"),
+        (ca.fmax(0.0, X), "m"),
+        (ca.if_else(X > 0, X, 2 * LENGTH), "m"),
+        (0.3 + 0.5 * X - 0.1 * X**2, "m"),
+        (X**3 / LENGTH**2, "m"),
+        (ca.SX(1.0), "1"),
+    ],
+)
+def test_the_unit_of_a_gap_follows_from_the_units_of_its_symbols(formula: ca.SX, unit: str) -> None:
+    assert unit_of(formula, SYMBOLS) == unit
+
+
+@pytest.mark.parametrize(
+    ("unit", "by", "quotient"),
+    [("m", "s", "m/s"), ("m/s", "s", "m/s^2"), ("J", "rad", "J/rad"), ("J", "1", "J")],
+)
+def test_a_quotient_of_units_has_one_slash(unit: str, by: str, quotient: str) -> None:
+    assert unit_quotient(unit, by) == quotient
+    powers_of(quotient)
+
+
+def test_a_stop_may_declare_its_unit() -> None:
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        x, v = ca.SX.sym("x"), ca.SX.sym("v")
+        floor = zo.Stop(name="floor", gap=x, restitution=p["restitution"], unit="mm")
+        curve = zo.Stop(name="curve", gap=4 - x**2, restitution=p["restitution"])
+        mass = zo.HybridLagrangian.from_energies(
+            q=x, v=v, kinetic=v**2 / 2, potential=x, stops=(floor, curve)
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass))
+
+    ball = zo.load_problem("bouncing_ball")
+    problem = replace(ball, model=model)
+    assert problem.gap_units == {"floor": "mm", "curve": "m^2"}
+    with pytest.raises(ValueError, match="must be one for `floor`, but `metre`"):
+        zo.Stop(name="floor", gap=X, restitution=0.5, unit="metre")

@@ -70,3 +70,4 @@ from .rig_parts import without_parts as without_parts
 from .scale import CharacteristicScales as CharacteristicScales
 from .scale import UNIT_SCALES as UNIT_SCALES
 from .units import powers_of as powers_of
+from .units import unit_quotient as unit_quotient

@@ -19,6 +19,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, any_number, finite_number, named_numbers
 from zeno_orbits.model.drawing import DrawingFunction, lines_of
+from zeno_orbits.model.formula_units import unit_of
 from zeno_orbits.model.graph import graph_of_one_stop
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate
 from zeno_orbits.model.origin import Declared, Origin
@@ -35,6 +36,7 @@ from zeno_orbits.model.quantities import (
     unknown,
 )
 from zeno_orbits.model.rig_parts import Rig
+from zeno_orbits.model.stops import Stop
 from zeno_orbits.model.units import energy_unit, require_coherent
 from zeno_orbits.model.validation import (
     built,
@@ -315,6 +317,7 @@ class Problem(Declared):
                 kind = "gains" if name in values.gains else "parameters"
                 wanted = "must appear in the model or an output"
                 raise InputError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
+        require_coherent(self.units | {f"gap of {name}": u for name, u in self.gap_units.items()})
         starts = [self.state_vector(start) for start in self.starts]
         units = self.state_units
         dynamics = self.dynamics(values) if system.graph is None else self._first_stop(values)
@@ -528,15 +531,18 @@ class Problem(Declared):
 
     @property
     def gap_unit(self) -> str:
-        """Unit of the gap: of the coordinates whose sum or difference it is, else only ``SI``."""
-        system = self.model(self.symbols())
-        slopes = ca.jacobian(system.gap, system.state)
-        units = set[str]()
-        for k, unit in enumerate(self.state_units):
-            if not slopes[k].is_zero():
-                plain = slopes[k].is_constant() and abs(float(ca.DM(slopes[k]))) == 1.0
-                units.add(unit if plain else "SI")
-        return units.pop() if len(units) == 1 else "SI"
+        """Unit of the gap of the first stop, by `gap_units`."""
+        return next(iter(self.gap_units.values()))
+
+    @property
+    def gap_units(self) -> dict[str, str]:
+        """Unit of the gap of each stop, declared by the stop or inferred from its formula."""
+        system, symbols = _built(self)
+        one = Stop(name="stop", gap=system.gap, restitution=system.restitution)
+        stops = (one,) if system.graph is None else system.graph.stops
+        states = zip(ca.vertsplit(system.state), self.state_units, strict=True)
+        units = [*states, *((symbols[name], self.units[name]) for name in self.names)]
+        return {stop.name: stop.unit or unit_of(stop.gap, units) for stop in stops}
 
     def state_vector(self, named: Mapping[str, float]) -> tuple[float, ...]:
         """Return the state with the named entries, the others zero, ``(n_x,)``.

@@ -45,7 +45,7 @@ class Quantity:
         """Reject a name that cannot be typed, an invalid unit and an empty range."""
         require_kinds(self)
         _require_name("name", self.name)
-        _require_unit(self.name, self.unit)
+        require_unit(self.name, self.unit)
         if not self.lower < self.upper:
             wanted = f"must have a range with lower < upper for `{self.name}`"
             raise InputError(f"Argument `lower` {wanted}, but it is {self.lower:g}:{self.upper:g}.")
@@ -145,7 +145,7 @@ class Output:
 
     def __post_init__(self) -> None:
         """Reject an invalid unit."""
-        _require_unit(self.name, self.unit)
+        require_unit(self.name, self.unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,7 +188,16 @@ def _require_name(argument: str, name: str) -> None:
         raise InputError(f"Argument `{argument}` {wanted}, but it is `{name}`.")
 
 
-def _require_unit(name: str, unit: str) -> None:
+def require_unit(name: str, unit: str) -> None:
+    """Refuse a text that is not a unit.
+
+    Args:
+        name: Name of the quantity in the message.
+        unit: The text.
+
+    Raises:
+        InputError: If the text is not a unit. The message names the invalid part.
+    """
     try:
         powers_of(unit)
     except ValueError as error:
@@ -240,7 +249,7 @@ def require_names(
         raise InputError(f"Argument `state_units` must be one for every state, {count}.")
     for name, unit in zip(states, state_units, strict=True):
         _require_name("state_names", name)
-        _require_unit(name, unit)
+        require_unit(name, unit)
 
 
 def require_ranges(

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from zeno_orbits.model.quantities import require_unit
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stop:
@@ -15,11 +17,18 @@ class Stop:
         name: Name of the stop in events, tables and messages.
         gap: :math:`h(q)`, scalar.
         restitution: Coefficient of restitution :math:`e` in [0, 1), a symbol or a number.
+        unit: Unit of the gap. By default it follows from the units of the formula's symbols.
     """
 
     name: str
     gap: ca.SX
     restitution: ca.SX | float
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse a text that is not a unit."""
+        if self.unit:
+            require_unit(self.name, self.unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

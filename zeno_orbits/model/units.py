@@ -57,6 +57,30 @@ def powers_of(text: str) -> dict[str, int]:
     return {base: power for base, power in total.items() if power}
 
 
+def text_of(powers: Powers) -> str:
+    """Return the text of a unit by the powers of its base units, such as ``kg m/s^2``."""
+    above, below = (
+        " ".join(
+            base if abs(n) == 1 else f"{base}^{abs(n)}"
+            for base, n in powers.items()
+            if n * sign > 0
+        )
+        for sign in (1, -1)
+    )
+    return f"{above or '1'}/{below}" if below else above or "1"
+
+
+def unit_quotient(unit: str, by: str) -> str:
+    """Return the text of a quotient of two units, with one slash: ``m/s`` by ``s`` is ``m/s^2``."""
+    above, below = powers_of(unit), powers_of(by)
+    if not below:
+        return unit
+    if "/" not in unit + by:
+        return f"{unit}/{by}"
+    bases = (*above, *(base for base in below if base not in above))
+    return text_of({base: above.get(base, 0) - below.get(base, 0) for base in bases})
+
+
 def require_coherent(units: Mapping[str, str]) -> None:
     """Refuse units of which two measure the same: a problem has one of mass, and one of length.
 

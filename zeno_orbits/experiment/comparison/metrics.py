@@ -12,6 +12,7 @@ from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit
 from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.orbit_table import OrbitTable
+from zeno_orbits.model import unit_quotient
 from zeno_orbits.work import Columns
 
 
@@ -95,7 +96,7 @@ def contact_metrics(
     first, zeno, period = table.first_impact, table.zeno_time, table.period
     own_speed, e = table.cycle.impacts[0].approach_rate, _restitution(table)
     yield metric("first impact time", "s", first, found.landing.unsure(where.error))
-    yield metric("first impact speed", f"{unit}/s", own_speed, found.speed)
+    yield metric("first impact speed", unit_quotient(unit, "s"), own_speed, found.speed)
     yield metric("restitution seen", "1", e, found.restitution.unsure(found.rebound_doubt))
     yield metric("end of chatter", "s", zeno, found.chatter_end.unsure(where.error))
     yield metric("chatter duration", "s", zeno - first, found.chatter)

@@ -13,7 +13,7 @@ from zeno_orbits.experiment.polyline import line_distances
 from zeno_orbits.experiment.rig.cycles import RigCycle, SettledRig
 from zeno_orbits.experiment.rig.default_stop import DEEP
 from zeno_orbits.experiment.rig.run import RigRun
-from zeno_orbits.model import Problem
+from zeno_orbits.model import Problem, unit_quotient
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.simulation import simulate
 
@@ -176,7 +176,7 @@ def compare_cycles(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> R
         portrait_at=float((part.times[farthest] - last.release) / last.period),
         units={
             **dict.fromkeys(("impact_time", "lock_time", "period"), "s"),
-            "impact_rate": f"{problem.gap_unit}/s",
+            "impact_rate": unit_quotient(problem.gap_unit, "s"),
             "lock_angle": angle,
         },
         penetration=float(max(-np.min(settled.run.gap), 0.0)),

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from zeno_orbits.maps import Push, Pushes, Recovery
-from zeno_orbits.model import Problem, Quantity
+from zeno_orbits.model import Problem, Quantity, unit_quotient
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.disturbances import PUSHES, extent_columns, extents_of, least_pushes
@@ -148,7 +148,7 @@ def events_table(execution: Execution, unit: str) -> Table[Any]:
     columns: list[Column[Event]] = [
         number_column("time [s]", lambda event: shown_number(event.time, 12)),
         text_column("event", _event_name),
-        number_column(f"speed of the impact [{unit}/s]", _hit_speed),
+        number_column(f"speed of the impact [{unit_quotient(unit, 's')}]", _hit_speed),
     ]
     table = table_of("Events of one period, times since its start", columns, execution.events)
     if len(table.rows) <= _MOST_EVENTS:
@@ -210,13 +210,20 @@ def margins_table(certificate: OrbitCertificate, unit: str, energy: str) -> Tabl
         unit: Unit of the gap.
         energy: Unit of energies.
     """
-    force = _FORCES.get((energy, unit), f"{energy}/{unit}")
+    speed = unit_quotient(unit, "s")
+    units = {
+        "speed": speed,
+        "acceleration": unit_quotient(speed, "s"),
+        "force_rate": unit_quotient(
+            _FORCES.get((energy, unit)) or unit_quotient(energy, unit), "s"
+        ),
+    }
     columns: list[Column[str]] = [
         text_column("name", lambda name: name),
         number_column("value", lambda name: shown_number(certificate.margins[name], 6)),
         text_column(
             "unit",
-            lambda name: words.MARGINS[name][1].format(gap=unit, force=force),
+            lambda name: words.MARGINS[name][1].format(**units),
         ),
         text_column("meaning", lambda name: words.MARGINS[name][0]),
     ]

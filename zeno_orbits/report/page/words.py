@@ -40,27 +40,26 @@ MARGINS: Mapping[str, tuple[str, str]] = {
     "gap_acceleration": (
         "how hard the moving part is drawn to the stop where the impacts accumulate. At zero it "
         "would lift off there",
-        "{gap}/s^2",
+        "{acceleration}",
     ),
     "first_impact_speed": (
         "how fast the first impact is. At zero the part would only graze the stop",
-        "{gap}/s",
+        "{speed}",
     ),
     "release_transversality": (
         "how fast the contact force falls at the release. At zero the release is not transversal",
-        "{force}/s",
+        "{force_rate}",
     ),
     "switch_transversality": (
-        "how fast the guard of a switch falls at the switch, in the units of the guard. At zero "
-        "the switch is only touched",
-        "SI/s",
+        "how fast the guard of a switch falls at the switch. At zero the switch is only touched",
+        "of the guard, per s",
     ),
-    "lets_go": ("how fast the part leaves a stop that does not hold it", "{gap}/s^2"),
+    "lets_go": ("how fast the part leaves a stop that does not hold it", "{acceleration}"),
     "phases_apart": ("how much the flights of a period differ. At zero the period is shorter", "1"),
     "locked_time": ("how long the part rests on its stop. At zero it would never rest", "s"),
 }
-"""Meaning and unit of each margin by name. In the unit, ``{gap}`` stands for the unit of the gap
-and ``{force}`` for the unit of its force."""
+"""Meaning and unit of each margin by name. In the unit, ``{speed}`` and ``{acceleration}`` stand
+for the units of the gap's derivatives, and ``{force_rate}`` for that of its force's derivative."""
 
 ENERGIES: Mapping[str, str] = {
     "input_work": "put in by the source",

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model import HybridDynamics, Problem, unit_quotient
 from zeno_orbits.report.paths import paths_of
 from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import BLUES, FULL_WIDTH, LOOKS, ZENO, mark_completion
@@ -60,7 +60,9 @@ def plot_zeno_set(
     up = 2 * n_q if len(problem.state_names) > 2 * n_q else n_q + (across or 0)
     panels = panels_of(width, 1, height=0.6 * width, axes=axes)
     (ax,) = panels
-    acceleration = rf"$\ddot h$ [{problem.gap_unit}/s$^2$]"
+    speed_unit = unit_quotient(problem.gap_unit, "s")
+    acceleration_unit = unit_quotient(speed_unit, "s").replace("^2", "$^2$")
+    acceleration = rf"$\ddot h$ [{acceleration_unit}]"
     reach = _reach(problem, execution, up)
     if across is None:
         _draw_curve(ax, dynamics, base, up, reach)

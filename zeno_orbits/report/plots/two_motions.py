@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import MatchedRun
-from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model import HybridDynamics, Problem, unit_quotient
 from zeno_orbits.report.paths import drawn_phases_of, paths_of
 from zeno_orbits.report.plots.panels import Panels, panels_of, portraits_of
 from zeno_orbits.report.plots.style import ARCS, COLUMN_WIDTH, JUMP, TEXT, TINTS, ZENO
@@ -149,7 +149,7 @@ def plot_beside_zeno_point(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> F
         high = 0.1 * max(float(np.max(zoom.gaps(arc)[1])) for arc in zoom.arcs)
         fast = -zoom.impacts[0].approach_rate
     ax.set(xlim=(-0.25 * high, 1.15 * high), ylim=(-1.6 * fast, 1.25 * fast))
-    ax.set(xlabel=f"gap $h$ [{unit}]", ylabel=rf"gap rate $\dot h$ [{unit}/s]")
+    ax.set(xlabel=f"gap $h$ [{unit}]", ylabel=rf"gap rate $\dot h$ [{unit_quotient(unit, 's')}]")
     return panels.finished()
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, unit_quotient
 from zeno_orbits.report.plots.looks import UNNAMED
 from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import (
@@ -104,7 +104,7 @@ def _draw_speeds(ax: Axes, zoom: CloseUp, unit: str) -> None:
     e = zoom.dynamics.restitution
     ax.text(0.95, 0.92, f"$e$ = {e:g}", transform=ax.transAxes, ha="right", va="top", size=TEXT)
     _logarithmic(ax)
-    ax.set(xlabel=_REMAINING, ylabel=rf"impact speed $|\dot h|$ [{unit}/s]")
+    ax.set(xlabel=_REMAINING, ylabel=rf"impact speed $|\dot h|$ [{unit_quotient(unit, 's')}]")
 
 
 def _draw_closing(ax: Axes, zoom: CloseUp, unit: str) -> None:
@@ -115,7 +115,7 @@ def _draw_closing(ax: Axes, zoom: CloseUp, unit: str) -> None:
     ax.plot([0.0, 0.0], [impact.approach_rate, 0.0], **JUMP)
     ax.plot(0.0, impact.approach_rate, **BEFORE)
     ax.plot(0.0, 0.0, label="Zeno point", **ZENO)
-    ax.set(xlabel=_gap_label(zoom, unit), ylabel=rf"gap rate $\dot h$ [{unit}/s]")
+    ax.set(xlabel=_gap_label(zoom, unit), ylabel=rf"gap rate $\dot h$ [{unit_quotient(unit, 's')}]")
 
 
 def _gap_label(zoom: CloseUp, unit: str) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
+from zeno_orbits.model import unit_quotient
 from zeno_orbits.report.table import (
     Column,
     name_column,
@@ -122,7 +123,9 @@ def print_contacts(
         stops: Stop of each contact, for a machine with several stops.
     """
     unit, size = prefixed("s", *(one["end"] for one in contacts))
-    rate, speed = prefixed(f"{gap_unit}/s", *(one["approach_rate"] for one in contacts))
+    rate, speed = prefixed(
+        unit_quotient(gap_unit, "s"), *(one["approach_rate"] for one in contacts)
+    )
     named: Column[tuple[str, Mapping[str, float]]] = Column(
         heading="stop", cell=lambda one: one[0], is_whole=True
     )
