@@ -324,7 +324,10 @@ def test_times_of_the_state_are_refused() -> None:
         oscillator(lambda clock, _: zo.piecewise(clock, (1, 0), (clock.sine,)), {}).checked()
 
 
-def test_a_piecewise_input_needs_switches() -> None:
-    pulse = oscillator(switched(1), gains_of((1.0, 0.0), (1.0,)), switches=None)
-    with pytest.raises(ValueError, match="`switches` must be given, even if it is empty"):
-        pulse.checked()
+def test_a_piecewise_input_needs_no_switches() -> None:
+    gains = gains_of((1.0, 0.0), (1.0,))
+    ends = [
+        zo.simulate(oscillator(switched(1), gains, switches=given), until=5.0).end_state
+        for given in (None, ())
+    ]
+    assert np.array_equal(*ends)

@@ -106,6 +106,7 @@ RULES: dict[str, float] = {
     "OFF": admission.OFF,
     "APART": graph_run._APART,
     "CONTINUOUS": graph_run._CONTINUOUS,
+    "ONE_SURFACE": graph_run._ONE_SURFACE,
     "GROW": graph_run._GROW,
     "SHORTEST": graph_run._SHORTEST,
     "SPENT": graph_run._SPENT,

@@ -49,11 +49,42 @@ def test_one_condition_in_two_operations_is_one_kink() -> None:
 
 
 @pytest.mark.parametrize(
-    "operation", [ca.floor, ca.ceil, lambda x: ca.fmod(x, 2), lambda x: x == 1]
+    ("operation", "name"),
+    [
+        (ca.floor, "`floor`"),
+        (ca.ceil, "`ceil`"),
+        (lambda x: ca.fmod(x, 2), "`fmod`"),
+        (lambda x: ca.remainder(x, 2), "`remainder`"),
+        (lambda x: x == 1, "`eq`"),
+        (lambda x: x != 1, "`ne`"),
+        (lambda x: ca.if_else(x, 1, 2), "a number of the states as a condition"),
+        (ca.logic_not, "a number of the states as a condition"),
+        (lambda x: ca.tanh(1 / x), "`tanh` of a quotient"),
+        (lambda x: ca.erf(X[1] / x), "`erf` of a quotient"),
+        (lambda x: ca.atan(ca.tan(x)), "`atan` of a quotient"),
+        (lambda x: ca.atan(1 + 1 / x), "`atan` of a quotient"),
+    ],
 )
-def test_jumps_without_a_condition_are_refused(operation: Any) -> None:
-    with pytest.raises(ValueError, match="jumps without a guard"):
+def test_jumps_without_a_condition_are_refused(operation: Any, name: str) -> None:
+    with pytest.raises(ValueError, match="jumps") as caught:
         branched([operation(X[0])], X)
+    assert name in str(caught.value)
+    # The same operation of parameters alone does not jump.
+    p = ca.SX.sym("p")
+    assert branched([operation(p) * X[1]], ca.vertcat(X[1])).conditions == ()
+
+
+@pytest.mark.parametrize(
+    "operation",
+    [
+        lambda x: ca.tanh(x / (1 + X[1] ** 2)),
+        lambda x: ca.atan(1 / ca.cosh(x)),
+        lambda x: ca.erf(x * ca.exp(X[1])),
+        lambda x: ca.atan2(x, 2),
+    ],
+)
+def test_quotients_with_a_positive_denominator_are_smooth(operation: Any) -> None:
+    assert branched([operation(X[0])], X).conditions == ()
 
 
 def _mechanism(**options: Any) -> zo.HybridLagrangian:
@@ -208,9 +239,14 @@ def test_every_other_use_of_such_a_problem_is_refused_in_one_line() -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_without_switches_a_kink_stays_in_a_formula() -> None:
+def test_a_kink_of_the_state_gives_a_machine_modes_without_switches() -> None:
     def model(p: Any) -> zo.CompletedSystem:
         ball = _mechanism(passive_force=lambda _, v: -0.1 * ca.fabs(v) * v)
         return zo.hybrid_system(ball, zo.no_drive(ball), p["restitution"])
 
-    assert not _problem(model).checked().has_graph
+    def of_parameters(p: Any) -> zo.CompletedSystem:
+        ball = _mechanism(passive_force=lambda _, v: -ca.fmax(p["restitution"], 0.1) * v)
+        return zo.hybrid_system(ball, zo.no_drive(ball), p["restitution"])
+
+    assert _problem(model).checked().has_graph
+    assert not _problem(of_parameters).checked().has_graph

@@ -402,10 +402,10 @@ class Verified:
 
 
 def _with_one_stop(problem: Problem) -> Problem:
-    """Refuse a machine with several stops or switches, and return the problem."""
+    """Refuse a machine with several stops, switches or kinks, and return the problem."""
     if problem.has_graph:
         raise InputError(
-            f"Argument `problem`: `{problem.name}` has several stops or switches: use "
+            f"Argument `problem`: `{problem.name}` has {problem.modes_reason}: use "
             "`find_event_orbit` or `search_event_gains`."
         )
     return problem

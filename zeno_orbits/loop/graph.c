@@ -88,18 +88,21 @@ static void shared(const Graph *g, const zl_tape *tape, long long place, const d
     tape_run(tape, numbers_at(g->whole, g->m.run) + place, given, told);
 }
 
-/* The formulas of all switches at a state, their rounding levels, and `armed`. */
+/* The formulas of all switches at a state on the present sides of the kinks, their rounding levels,
+   and `armed`. */
 static void switches_at(const Graph *g, const double *x, double *formulas, double *levels,
                         double *armed) {
     const zl_graph *graph = g->whole->graph;
     const long long n_x = g->whole->n_x, n = graph->n_switches;
-    double given[2 * ZL_MOST], told[3 * ZL_GUARDS];
+    double given[2 * ZL_MOST + ZL_GUARDS], told[3 * ZL_GUARDS];
     long long k;
     if (!n) return;
     for (k = 0; k < n_x; k++) {
         given[k] = x[k];
         given[n_x + k] = settings_of(g, 0)->sizes[k] + fabs(x[k]);
     }
+    for (k = 0; k < n - graph->n_declared; k++)
+        given[2 * n_x + k] = (double)(g->m.run->graph.sides >> k & 1);
     shared(g, &graph->switches, graph->switches_place, given, told);
     for (k = 0; k < n; k++) {
         formulas[k] = told[k];
@@ -143,26 +146,46 @@ static int is_above(const Graph *g, int k) {
     return (int)((k < n ? graph->above >> k : graph->sides >> (k - n)) & 1);
 }
 
-static void change_side(Graph *g, int k) {
+/* Take the side of every kink anew, each on the sides of the kinks before it. A zero keeps the side,
+   and so does the kink that has just been crossed, if there is one. */
+static void take_kinks(Graph *g, const double *x, int crossed) {
+    const int n = (int)g->whole->graph->n_switches;
+    int first = (int)g->whole->graph->n_declared, k;
+    do {
+        double formulas[ZL_GUARDS], levels[ZL_GUARDS];
+        switches_at(g, x, formulas, levels, 0);
+        for (k = first; k < n; k++)
+            if (k != crossed && fabs(formulas[k]) > levels[k] &&
+                (formulas[k] > 0.0) != is_above(g, k))
+                break;
+        /* Later conditions may depend on this one. */
+        if (k < n) g->m.run->graph.sides ^= BIT(k - g->whole->graph->n_declared);
+        first = k + 1;
+    } while (first < n);
+}
+
+/* Go to the other side of a switch. Conditions that depend on a kink may change as well. */
+static void change_side(Graph *g, int k, const double *x) {
     Graphed *graph = &g->m.run->graph;
     const int n = (int)g->whole->graph->n_declared;
-    if (k < n)
+    if (k < n) {
         graph->above ^= BIT(k);
-    else
-        graph->sides ^= BIT(k - n);
+        return;
+    }
+    graph->sides ^= BIT(k - n);
+    take_kinks(g, x, k);
 }
 
 /* Take the side of every switch at a state. A zero keeps the side of a kink, and is above. */
 static void take_sides(Graph *g, const double *x) {
-    const int n = (int)g->whole->graph->n_switches, first = (int)g->whole->graph->n_declared;
+    const int n = (int)g->whole->graph->n_declared;
     double formulas[ZL_GUARDS], levels[ZL_GUARDS];
     int k;
     switches_at(g, x, formulas, levels, 0);
-    for (k = 0; k < n; k++) {
-        const int is_clear = fabs(formulas[k]) > levels[k];
-        const int is_positive = is_clear ? formulas[k] > 0.0 : k < first || is_above(g, k);
-        if (is_positive != is_above(g, k)) change_side(g, k);
-    }
+    g->m.run->graph.above = 0;
+    for (k = 0; k < n; k++)
+        if (!(formulas[k] < -levels[k])) g->m.run->graph.above |= BIT(k);
+    take_kinks(g, x, -1);
 }
 
 /* Guards beside the stop. */
@@ -404,6 +427,35 @@ static int is_zero(const Graph *g, const double *pair, double rounding) {
     return pair[1] < 0.0 && pair[0] <= greater(rounding, -pair[1] * APART * g->m.run->settings.time);
 }
 
+/* Whether two guards are zero on one surface in the mode of the arc: one is a multiple of the other at
+   its start, and their rates are at a state of its end. */
+static int is_one_surface(const Graph *g, const Other *one, const Other *other, const double *x) {
+    const double *start = g->m.run->start.state;
+    double a[2], b[2], a_end[2], b_end[2];
+    int k;
+    tape_run(one->value, one->registers, start, a);
+    tape_run(other->value, other->registers, start, b);
+    tape_run(one->value, one->registers, x, a_end);
+    tape_run(other->value, other->registers, x, b_end);
+    for (k = 0; k < 2; k++) {
+        const double first = a[k] * b_end[1], second = b[k] * a_end[1];
+        if (!(fabs(first - second) <= ONE_SURFACE * (fabs(first) + fabs(second)))) return 0;
+    }
+    return 1;
+}
+
+static int is_kink(const Graph *g, const Other *other) {
+    return other->kind == ZL_SWITCH && other->index >= g->whole->graph->n_declared;
+}
+
+/* The first kink with the surface of a kink that fell: both are crossed by one event. */
+static const Other *first_of_surface(const Graph *g, const Other *fell, const double *x) {
+    const Other *other = g->others.list;
+    if (!is_kink(g, fell)) return fell;
+    while (!(is_kink(g, other) && (other == fell || is_one_surface(g, other, fell, x)))) other++;
+    return other;
+}
+
 /* Refuse a second event at the end of an arc. */
 static int require_alone(Graph *g, int main, int kind, long long index, double time,
                          const double *x) {
@@ -415,6 +467,9 @@ static int require_alone(Graph *g, int main, int kind, long long index, double t
         const Other *other = &g->others.list[k];
         const Watched *watched = &run->watched[k];
         if (k == found || (watched->began_on_guard && other->kind != ZL_IMPACT)) continue;
+        if (found >= 0 && is_kink(g, other) && is_kink(g, &g->others.list[found]) &&
+            is_one_surface(g, other, &g->others.list[found], x))
+            continue;
         if (other->kind == ZL_IMPACT)
             gap_of(g, other->index, x, pair);
         else
@@ -471,6 +526,7 @@ static int conclude(Graph *g) {
     if (other) {
         const Watched *watched = &run->watched[found];
         const int launches = watched->launched > 0.0;
+        if (!launches) other = first_of_surface(g, other, watched->end);
         kind = other->kind;
         index = other->index;
         if (launches) {
@@ -629,9 +685,9 @@ static int on_other_side(Graph *g, int k) {
     const double *x = start->state;
     const int is_armed = k < g->whole->graph->n_declared && is_above(g, k);
     double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS];
-    if (graph->flipped == k && graph->flipped_time == start->time)
-        return tell(&g->m, ZL_SLIDES, start->time, x, k);
-    graph->flipped = k;
+    if (graph->flipped_time != start->time) graph->flipped = 0;
+    if (graph->flipped & BIT(k)) return tell(&g->m, ZL_SLIDES, start->time, x, k);
+    graph->flipped |= BIT(k);
     graph->flipped_time = start->time;
     if (is_armed) {
         const int has_fallen = graph->last_kind == ZL_SWITCH && graph->last_index == k &&
@@ -647,7 +703,7 @@ static int on_other_side(Graph *g, int k) {
         /* The guard rose by less than its rounding and fell again. */
         if (pair[1] > 0.0) return tell(&g->m, ZL_ACCUMULATE, start->time, x, k);
     }
-    change_side(g, k);
+    change_side(g, k, x);
     look(g, graph->rest, focus_of(g));
     run->stage = AT_START;
     if (start->has_impact) {
@@ -712,7 +768,7 @@ static int switched(Graph *g, double time, const double *x, int k) {
             return placed(g, time, after, closed, k, -1);
         }
     }
-    change_side(g, k);
+    change_side(g, k, x);
     if (is_kink) {
         Other other;
         double pair[2];
@@ -1122,7 +1178,8 @@ static int admit_to_graph(Graph *g) {
     if (!are_in_order(g)) return tell(&g->m, ZL_UNORDERED, 0.0, x, 0);
     run->graph.sides = BIT(table->n_switches - table->n_declared) - 1;
     run->graph.above = run->graph.rest = run->graph.focus = 0;
-    run->graph.flipped = -1;
+    run->graph.flipped = 0;
+    run->graph.flipped_time = NAN;
     run->graph.last_kind = ZL_HORIZON;
     take_sides(g, x);
     look(g, 0, 0);

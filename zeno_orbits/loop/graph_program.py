@@ -70,7 +70,8 @@ class GraphFormulas:
         n_stops: Number of stops.
         n_declared: Number of declared switches.
         n_switches: Number of declared switches and kinks.
-        switches: ``(x, p, sizes) -> (formulas of all switches, their sizes, formulas `armed`)``.
+        switches: ``(x, p, sizes, sides) -> (formulas of all switches, their sizes, formulas
+            `armed`)``.
         delassus: ``(x, p) -> J W J^T`` of all stops.
         resets: ``(x, p) -> x`` after each declared switch.
         orders: ``p -> (lower times, upper times)`` of piecewise inputs.

@@ -79,7 +79,8 @@ struct zl_graph {
     long long n_stops, n_declared, n_switches, n_views, n_sides;
     long long n_numbers;                      /* of a run, apart from its settings and parameters */
     long long switches_place, delassus_place, orders_place;
-    zl_tape switches; /* of a state and the sizes of its entries: formulas, their sizes, `armed` */
+    /* Of a state, the sizes of its entries and the sides of kinks: formulas, their sizes, `armed`. */
+    zl_tape switches;
     zl_tape delassus; /* J W J' of all stops */
     zl_tape orders;   /* of switching times: all that must be below, then all that must be above */
     const zl_tape *resets;                    /* the state after each declared switch */

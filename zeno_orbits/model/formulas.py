@@ -12,6 +12,7 @@ import casadi as ca
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.operations import operation_name
 from zeno_orbits.model.problem import ParameterValues, Problem
 
 sympy: Any = importlib.import_module("sympy")
@@ -114,11 +115,10 @@ def to_sympy(expression: ca.SX, names: Mapping[str, str]) -> Any:
             return sympy.Integer(int(number)) if number.is_integer() else sympy.Float(number, 17)
         operation = _OPERATIONS.get(node.op())
         if operation is None:
-            codes = (name for name in dir(ca) if name.startswith("OP_"))
-            name = next(name for name in codes if getattr(ca, name) == node.op())
-            wanted = "must be made of operations that have a name in formulas"
-            held = f"but it holds `{name[3:].lower()}`"
-            raise InputError(f"The gap acceleration of a problem {wanted}, {held}.")
+            raise InputError(
+                "Argument `problem`: its gap acceleration holds the operation "
+                f"`{operation_name(node.op())}`, which has no name in formulas."
+            )
         return operation(*(convert(node.dep(k)) for k in range(node.n_dep())))
 
     return convert(expression)
@@ -131,7 +131,12 @@ def acceleration_formula(problem: Problem) -> Any:
     the formula is valid on the whole stop (theory (2.1)).
     """
     symbols = problem.symbols()
-    system = problem.one_stop_model(symbols)
+    system = problem.model(symbols)
+    if system.graph is not None and len(system.graph.stops) > 1:
+        raise InputError(
+            f"Argument `problem`: `{problem.name}` has several stops, each with a condition of its "
+            "own, which is not available in this version."
+        )
     at_rest = _resting(system)
     states = dict(
         zip((s.name() for s in ca.symvar(system.state)), problem.state_names, strict=True)

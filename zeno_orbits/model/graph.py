@@ -22,7 +22,7 @@ from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
 from zeno_orbits.model.kinks import branched
 from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.modes import GraphMode, ModeGraph, formulas_of
+from zeno_orbits.model.modes import GraphMode, ModeGraph, conditions_of, formulas_of
 from zeno_orbits.model.stops import Stop, Switch, require_event_names
 from zeno_orbits.model.waveforms import TimeOrder, time_orders
 
@@ -47,18 +47,19 @@ def hybrid_system(
         drive: Drive or additional states, or a tuple of several. Their states follow in order.
         restitution: Coefficient of restitution :math:`e` of the one gap, a symbol or a number in
             [0, 1). The ``stops`` of a mechanism have their own.
-        switches: Switches of the machine. A tuple, even an empty one, makes every kink of a formula
-            (``fmin``, ``fmax``, ``fabs``, ``sign``, ``if_else``) a switch without a reset.
+        switches: Declared switches of the machine. Every kink of a formula (``fmin``, ``fmax``,
+            ``fabs``, ``sign``, ``if_else``, ``atan2``) is a further switch, without a reset.
 
     Returns:
-        The completed system. With ``stops`` or ``switches`` it is the first stop's, and its
+        The completed system. With ``stops``, ``switches`` or a kink it is the first stop's, and its
         ``graph`` holds all modes.
 
     Raises:
         ValueError: If the restitution is missing or given twice, if a corrected drive would make it
             depend on the state, if drives share a state, if an impact with zero speed would change
-            additional states, if a stop or switch is invalid, or if a piecewise input has switching
-            times of the state or no `switches`.
+            additional states, if a stop or switch is invalid, if a piecewise input has switching
+            times of the state, or if a formula jumps without a condition or holds an unknown
+            operation.
 
     Source: [Moreau1988]_ for the impact law, theory (1.6)-(2.1), and (20) for a corrected drive.
     """
@@ -66,12 +67,7 @@ def hybrid_system(
         if restitution is None:
             raise ValueError("Argument `restitution` is missing.")
         one = completed(lagrangian, drive, ca.SX(restitution))
-        if switches is None:
-            if _time_orders(one):
-                raise ValueError(
-                    "Argument `switches` must be given, even if it is empty, to a machine with a "
-                    "piecewise input."
-                )
+        if switches is None and not conditions_of(one.mechanism, one.drive, one.state):
             return one
         return replace(one, graph=graph_of_one_stop(one, switches or ()))
     if restitution is not None:
@@ -143,8 +139,8 @@ def _graph(
         )
     if drive.added_inertia.nnz():
         raise ValueError(
-            "Argument `drive` must not be a corrected drive in a machine with several stops or "
-            "switches: use `full_drive`."
+            "Argument `drive` must not be a corrected drive in a machine with several stops, "
+            "switches or kinks of the state: use `full_drive`."
         )
     gaps = ca.vertcat(*(stop.gap for stop in stops))
     _require_smooth(
@@ -152,13 +148,12 @@ def _graph(
     )
     normals = ca.jacobian(gaps, mechanism.q)
     inverse_mass, _ = accelerate(mechanism, ca.SX.zeros(one.n_q))
-    formulas = [*formulas_of(mechanism).values(), *formulas_of(drive).values()]
     bare = ModeGraph(
         mechanism=mechanism,
         drive=drive,
         stops=stops,
         switches=switches,
-        conditions=branched(formulas, one.state).conditions,
+        conditions=conditions_of(mechanism, drive, one.state),
         time_orders=_time_orders(one),
         delassus=ca.mtimes([normals, inverse_mass, normals.T]),
         resets=tuple(_reset(one, switch) for switch in switches),

@@ -1,109 +1,381 @@
-r"""Kinks of formulas as switches: ``fmin``, ``fmax``, ``fabs``, ``sign``, ``if_else``.
+r"""Kinks of formulas as switches: ``fmin``, ``fmax``, ``fabs``, ``sign``, ``if_else``, ``atan2``.
 
 Each of these operations has a condition :math:`c`, a formula whose sign selects the branch. On one
-side of :math:`c = 0` the formula is smooth. Its zero is an event without a reset.
+side of :math:`c = 0` the formula is smooth. Its zero is an event without a reset. Operations that
+jump without a condition are refused, and so are operations that are unknown here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import chain
 from typing import Any
 
 import casadi as ca
+import numpy as np
+
+from zeno_orbits.model.operations import operation_name, symbols_in
 
 _DEPTH = 32
 """Depth to which two conditions are compared."""
+_POINTS, _SAME = 4, 1e-13
+"""Random points at which two formulas are compared, and the relative rounding there."""
 
-_REFUSED = {
-    ca.OP_FLOOR: "floor",
-    ca.OP_CEIL: "ceil",
-    ca.OP_FMOD: "fmod",
-    ca.OP_COPYSIGN: "copysign",
-    ca.OP_EQ: "==",
-    ca.OP_NE: "!=",
-}
+_SMOOTH = frozenset(
+    {
+        *(ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_INV),
+        *(ca.OP_SQ, ca.OP_TWICE, ca.OP_SQRT, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_EXP, ca.OP_EXPM1),
+        *(ca.OP_LOG, ca.OP_LOG1P, ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_ASIN, ca.OP_ACOS),
+        *(ca.OP_ATAN, ca.OP_SINH, ca.OP_COSH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH),
+        *(ca.OP_ERF, ca.OP_ERFINV, ca.OP_HYPOT, ca.OP_LIFT, ca.OP_PRINTME),
+    }
+)
+"""Operations that are smooth where they are finite."""
+_BOUNDED = frozenset({ca.OP_ATAN, ca.OP_TANH, ca.OP_ERF})
+"""Smooth operations that jump where their argument has a pole."""
+_LOGIC = frozenset({ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO})
+_JUMPS = frozenset(
+    {ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_EQ, ca.OP_NE, *_LOGIC}
+)
 """Operations that jump without a condition that could be an event."""
+_COMPARISONS = frozenset({ca.OP_LT, ca.OP_LE})
+_LARGEST = frozenset({ca.OP_FMIN, ca.OP_FMAX})
+_SIGNED = frozenset({ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN})
+_KINKS = frozenset({*_COMPARISONS, *_LARGEST, *_SIGNED, ca.OP_ATAN2})
+"""Operations with a condition."""
 
-_COMPARISONS = (ca.OP_LT, ca.OP_LE)
-_CHOICES = (ca.OP_FABS, ca.OP_SIGN, ca.OP_FMIN, ca.OP_FMAX)
+
+@dataclass(frozen=True, slots=True)
+class _Value:
+    """The result of an operation in two versions, as written and on a branch.
+
+    Attributes:
+        written: As written.
+        smooth: On the branch.
+        slopes: Derivatives of the version on the branch with respect to the states, ``(1, n_x)``,
+            empty if they are not asked for.
+        varies: Whether the value depends on the states on some branch. A value that depends on
+            nothing but the sides of kinks does not vary.
+        quotient: Numerator and denominator of a quotient, else empty.
+    """
+
+    written: ca.SX
+    smooth: ca.SX
+    slopes: ca.SX
+    varies: bool = False
+    quotient: tuple[_Value, ...] = ()
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Walk:
-    """A walk through the operations of formulas, in two versions: as written and on a branch.
+    """A walk through the operations of formulas.
 
     Attributes:
         states: The states. Conditions of parameters alone are left in the formulas.
-        sides: The side of every condition, True where it is positive. Further conditions take True.
-        conditions: Conditions so far, as written.
-        smooth: The same conditions on the branch.
+        sides: The side of every condition, 1 where it is positive, as a number or a symbol. Further
+            conditions take 1.
+        has_slopes: Whether derivatives with respect to the states are carried along.
+        gaps: Formulas that are not negative on admissible states.
+        conditions: The conditions so far.
+        at_zero: For each of them, the side where it is zero on a whole branch.
     """
 
     states: ca.SX
-    sides: Sequence[bool]
-    conditions: list[ca.SX] = field(default_factory=list[ca.SX])
-    smooth: list[ca.SX] = field(default_factory=list[ca.SX])
+    sides: Sequence[ca.SX]
+    has_slopes: bool
+    gaps: Sequence[ca.SX]
+    conditions: list[_Value] = field(default_factory=list[_Value])
+    at_zero: list[bool] = field(default_factory=list[bool])
 
-    def side(self, written: ca.SX, smooth: ca.SX) -> bool:
-        """Return the side of a condition, and append a new condition."""
+    def number(self, value: float) -> _Value:
+        """Return a number."""
+        return _Value(ca.SX(value), ca.SX(value), self._no_slopes())
+
+    def symbol(self, symbol: ca.SX) -> _Value:
+        """Return a state or a parameter."""
+        if not ca.depends_on(symbol, self.states):
+            return _Value(symbol, symbol, self._no_slopes())
+        slopes = ca.jacobian(symbol, self.states) if self.has_slopes else self._no_slopes()
+        return _Value(symbol, symbol, slopes, varies=True)
+
+    def _no_slopes(self) -> ca.SX:
+        return ca.SX(1, self.states.numel() if self.has_slopes else 0)
+
+    def made(self, operation: int, parts: Sequence[_Value]) -> _Value:
+        """Return the result of a smooth operation."""
+        slopes = self._no_slopes()
+        if self.has_slopes and any(one.slopes.nnz() for one in parts):
+            factors = _partials(operation, len(parts)).call([one.smooth for one in parts])
+            for factor, one in zip(factors, parts, strict=True):
+                if one.slopes.nnz():
+                    slopes = slopes + factor * one.slopes
+        quotient = tuple(parts) if operation == ca.OP_DIV else ()
+        return _Value(
+            _result(operation, [one.written for one in parts]),
+            _result(operation, [one.smooth for one in parts]),
+            slopes,
+            varies=any(one.varies for one in parts),
+            quotient=(self.number(1.0), *parts) if operation == ca.OP_INV else quotient,
+        )
+
+    def side(self, condition: _Value, at_zero: bool = True) -> ca.SX:
+        """Return the side of a condition, 1 where it is positive, and keep a new condition."""
+        if condition.written.is_constant():
+            value = float(condition.written)
+            return ca.SX(int(value > 0.0 or (value == 0.0 and at_zero)))
         for k, known in enumerate(self.conditions):
-            if ca.is_equal(known, written, _DEPTH):
+            if ca.is_equal(known.written, condition.written, _DEPTH):
                 return self._side_of(k)
-            if ca.is_equal(known, -written, _DEPTH):
-                return not self._side_of(k)
-        self.conditions.append(written)
-        self.smooth.append(smooth)
+            if ca.is_equal(known.written, -condition.written, _DEPTH):
+                return 1 - self._side_of(k)
+        for gap in self.gaps:
+            factor = _factor(condition.written, gap)
+            if factor != 0.0:
+                return ca.SX(int(factor > 0.0))
+        self.conditions.append(condition)
+        self.at_zero.append(at_zero)
         return self._side_of(len(self.conditions) - 1)
 
-    def _side_of(self, k: int) -> bool:
-        return self.sides[k] if k < len(self.sides) else True
+    def _side_of(self, k: int) -> ca.SX:
+        return self.sides[k] if k < len(self.sides) else ca.SX(1)
 
-    def on_branch(self, operation: int, written: Sequence[ca.SX], smooth: Sequence[ca.SX]) -> ca.SX:
+    def chosen(
+        self,
+        condition: _Value,
+        written: ca.SX,
+        first: _Value,
+        last: _Value,
+        *,
+        at_zero: bool = True,
+    ) -> _Value:
+        """Return the first value where a condition is positive, and else the last one."""
+        side = self.side(condition, at_zero)
+        return _Value(
+            written,
+            _picked(side, first.smooth, last.smooth),
+            _picked(side, first.slopes, last.slopes) if self.has_slopes else self._no_slopes(),
+            varies=first.varies or last.varies,
+        )
+
+    def on_branch(self, operation: int, parts: Sequence[_Value]) -> _Value:
         """Return the result of an operation on the branch.
 
         Raises:
-            ValueError: If the operation jumps without a condition.
+            ValueError: If the operation jumps without a condition, or is unknown.
         """
-        if operation in _REFUSED and self._varies(*written):
+        varies = any(one.varies for one in parts)
+        if operation not in _SMOOTH | _JUMPS | _KINKS:
             raise ValueError(
-                f"Argument `switches`: a formula holds `{_REFUSED[operation]}` of the states, "
-                "which jumps without a guard: declare a switch instead."
+                f"Argument `model`: a formula holds the operation `{operation_name(operation)}`, "
+                "which is unknown here: write it in other `casadi.SX` operations."
             )
-        if operation in (*_COMPARISONS, *_CHOICES) and self._varies(*written):
-            return self._chosen(operation, written, smooth)
-        return _result(operation, smooth)
+        if operation in _JUMPS and varies:
+            self._require_decided(operation, parts)
+        if operation in _BOUNDED and varies:
+            return self._bounded(operation, parts[0])
+        if operation == ca.OP_HYPOT and varies:
+            return self._length(*parts)
+        if operation in _KINKS and varies:
+            return self._kinked(operation, parts)
+        return self.made(operation, parts)
 
-    def _chosen(self, operation: int, written: Sequence[ca.SX], smooth: Sequence[ca.SX]) -> ca.SX:
-        first, last = smooth[0], smooth[-1]
-        if operation in (ca.OP_FABS, ca.OP_SIGN):
-            side = self.side(written[0], first)
-            if operation == ca.OP_SIGN:
-                return ca.SX(1.0 if side else -1.0)
-            return first if side else -first
-        difference = (written[0] - written[1], first - last)
+    def _require_decided(self, operation: int, parts: Sequence[_Value]) -> None:
+        """Refuse an operation that jumps with the states, other than by a comparison.
+
+        Raises:
+            ValueError: If it does.
+        """
+        decided = parts[:1] if operation == ca.OP_IF_ELSE_ZERO else parts
+        if operation in _LOGIC:
+            if any(one.varies for one in decided):
+                raise ValueError(
+                    "Argument `model`: a formula uses a number of the states as a condition, which "
+                    "jumps without an event: write a comparison with `<` or `>`."
+                )
+        else:
+            raise ValueError(
+                f"Argument `model`: a formula holds `{operation_name(operation)}` of the states, "
+                "which jumps without an event: declare a switch instead, or `atan2` for an angle."
+            )
+
+    def _kinked(self, operation: int, parts: Sequence[_Value]) -> _Value:
+        first, last = parts[0], parts[-1]
+        written = _result(operation, [one.written for one in parts])
+        one, minus_one, zero = map(self.number, (1.0, -1.0, 0.0))
+        if operation == ca.OP_ATAN2:
+            return self._angle(first, last, written)
+        if operation == ca.OP_SIGN:
+            return self.chosen(first, written, one, minus_one)
+        if operation == ca.OP_COPYSIGN:
+            size = self.on_branch(ca.OP_FABS, [first])
+            if not last.varies:
+                return self.made(ca.OP_MUL, [size, self.made(ca.OP_COPYSIGN, [one, last])])
+            return self.chosen(last, written, size, self.made(ca.OP_NEG, [size]))
+        if operation == ca.OP_FABS:
+            return self.chosen(first, written, first, self.made(ca.OP_NEG, [first]))
+        difference = self.made(ca.OP_SUB, parts)
         if operation in _COMPARISONS:
-            return ca.SX(0.0 if self.side(*difference) else 1.0)
-        is_larger = self.side(*difference)
-        return first if is_larger == (operation == ca.OP_FMAX) else last
+            is_strict = operation == ca.OP_LT
+            return self.chosen(difference, written, zero, one, at_zero=is_strict)
+        if operation == ca.OP_FMAX:
+            return self.chosen(difference, written, first, last)
+        return self.chosen(difference, written, last, first)
 
-    def _varies(self, *formulas: ca.SX) -> bool:
-        return any(ca.depends_on(formula, self.states) for formula in formulas)
+    def _angle(self, y: _Value, x: _Value, written: ca.SX) -> _Value:
+        r"""Return ``atan2(y, x)`` on one side of its branch cut.
+
+        The condition :math:`x + y + \sqrt{x^2 + y^2}` is below zero in the third quadrant alone.
+        One of the borders is the branch cut. At the other border the angle is -pi/2 on both sides.
+        On each side, the angle is smooth beyond both borders.
+        """
+        if _is_positive(x.written):
+            return self.made(ca.OP_ATAN, [self.made(ca.OP_DIV, [y, x])])
+        total = self.made(ca.OP_ADD, [x, y])
+        length = self.made(ca.OP_HYPOT, [x, y])
+        inside = self._turned(self.made(ca.OP_SUB, [y, x]), total, math.pi / 4)
+        outside = self._turned(
+            self.made(ca.OP_SUB, [x, y]), self.made(ca.OP_NEG, [total]), -3 * math.pi / 4
+        )
+        return self.chosen(self.made(ca.OP_ADD, [total, length]), written, inside, outside)
+
+    def _length(self, one: _Value, other: _Value) -> _Value:
+        """Return a length, which has a kink where one side is zero on a whole branch."""
+        if one.varies and other.varies:
+            return self.made(ca.OP_HYPOT, [one, other])
+        leg, held = (one, other) if one.varies else (other, one)
+        if held.written.is_zero():
+            return self.on_branch(ca.OP_FABS, [leg])
+        length = self.made(ca.OP_HYPOT, [one, other])
+        if not ca.depends_on(held.written, self.states):
+            return length
+        is_zero = held.smooth == 0
+        first, last = (
+            replace(
+                length,
+                smooth=_picked(is_zero, part.smooth, length.smooth),
+                slopes=_picked(is_zero, part.slopes, length.slopes)
+                if self.has_slopes
+                else part.slopes,
+            )
+            for part in (leg, self.made(ca.OP_NEG, [leg]))
+        )
+        return self.chosen(leg, length.written, first, last)
+
+    def _turned(self, y: _Value, x: _Value, angle: float) -> _Value:
+        """Return ``atan2(y, x)`` plus an angle, without its branch cut."""
+        return self.made(ca.OP_ADD, [self.made(ca.OP_ATAN2, [y, x]), self.number(angle)])
+
+    def _bounded(self, operation: int, part: _Value) -> _Value:
+        """Return a bounded operation of a formula that may have a pole.
+
+        The arc tangent of a quotient is an angle, with the denominator as its condition.
+
+        Raises:
+            ValueError: If the operation would jump where a denominator is zero.
+        """
+        if not _has_pole(part.written, self.states):
+            return self.made(operation, [part])
+        if operation == ca.OP_ATAN and part.quotient:
+            y, x = part.quotient
+            if not any(_has_pole(one.written, self.states) for one in (y, x)):
+                written = _result(operation, [part.written])
+                first = self.made(ca.OP_ATAN2, [y, x])
+                negative = [self.made(ca.OP_NEG, [one]) for one in (y, x)]
+                return self.chosen(x, written, first, self.made(ca.OP_ATAN2, negative))
+        raise ValueError(
+            f"Argument `model`: a formula holds `{operation_name(operation)}` of a quotient, which "
+            "jumps where a denominator of the states is zero: write the angle as `atan2`, or a "
+            "denominator that is positive in its form, as `1 + q**2`."
+        )
+
+
+def _picked(side: ca.SX, first: ca.SX, last: ca.SX) -> ca.SX:
+    """Return the first value on side 1 and the last one on side 0, whatever the other one is."""
+    if side.is_constant():
+        return first if float(side) else last
+    picked: ca.SX = ca.if_else(side, first, last)
+    return picked
+
+
+def _factor(formula: ca.SX, gap: ca.SX) -> float:
+    """Return the number of which a formula is the product with a gap, or zero."""
+    symbols = symbols_in(ca.vertcat(formula, gap))
+    both: Any = ca.Function("both", symbols, [formula, gap])
+    points = np.random.default_rng(0).uniform(0.5, 2.0, (_POINTS, len(symbols)))
+    pairs = [(float(one), float(h)) for one, h in (both(*point) for point in points.tolist())]
+    if not all(map(math.isfinite, chain(*pairs))) or pairs[0][1] == 0.0:
+        return 0.0
+    factor = pairs[0][0] / pairs[0][1]
+    least = _SAME * max(map(abs, chain(*pairs)))
+    return factor if all(abs(one - factor * h) <= least for one, h in pairs) else 0.0
 
 
 def _result(operation: int, inputs: Sequence[ca.SX]) -> ca.SX:
     """Return the result of an operation, without a condition that is decided."""
     if operation == ca.OP_IF_ELSE_ZERO and inputs[0].is_constant():
         return inputs[1] if float(inputs[0]) != 0.0 else ca.SX(0.0)
-    if operation in (ca.OP_NOT, ca.OP_AND, ca.OP_OR) and all(one.is_constant() for one in inputs):
-        truths = [float(one) != 0.0 for one in inputs]
-        combined: dict[int, Callable[[], bool]] = {
-            ca.OP_NOT: lambda: not truths[0],
-            ca.OP_AND: lambda: all(truths),
-            ca.OP_OR: lambda: any(truths),
-        }
-        return ca.SX(float(combined[operation]()))
     return ca.SX.unary(operation, *inputs) if len(inputs) == 1 else ca.SX.binary(operation, *inputs)
+
+
+@cache
+def _partials(operation: int, n: int) -> Any:
+    """Return the partial derivatives of an operation as a function."""
+    parts = [ca.SX.sym("part") for _ in range(n)]
+    result = _result(operation, parts)
+    return ca.Function("partials", parts, [ca.jacobian(result, one) for one in parts])
+
+
+def _has_pole(formula: ca.SX, states: ca.SX) -> bool:
+    """Return True if a denominator in a formula depends on the states and may be zero."""
+    seen: set[int] = set()
+    waiting: list[Any] = [formula]
+    while waiting:
+        node = waiting.pop()
+        if node.is_leaf() or node.element_hash() in seen:
+            continue
+        seen.add(node.element_hash())
+        parts: list[Any] = [node.dep(k) for k in range(node.n_dep())]
+        waiting += parts
+        operation = node.op()
+        is_power = operation in (ca.OP_POW, ca.OP_CONSTPOW)
+        below: list[Any]
+        if operation == ca.OP_TAN:
+            below = [ca.cos(parts[0])]
+        elif operation in (ca.OP_DIV, ca.OP_INV):
+            below = parts[-1:]
+        else:
+            below = parts[:1] if is_power and not _is_positive(parts[1], zero=True) else []
+        if any(ca.depends_on(one, states) and not _is_positive(one) for one in below):
+            return True
+    return False
+
+
+def _is_positive(formula: Any, *, zero: bool = False) -> bool:
+    """Return True if a formula is positive by its form. Parameters count as positive.
+
+    Args:
+        formula: The formula.
+        zero: Whether zero is sufficient.
+    """
+    if formula.is_constant():
+        return float(formula) > 0.0 or (zero and float(formula) == 0.0)
+    if formula.is_leaf():
+        return False
+    parts = [formula.dep(k) for k in range(formula.n_dep())]
+    operation = formula.op()
+    if operation in (ca.OP_EXP, ca.OP_COSH):
+        return True
+    if operation in (ca.OP_SQ, ca.OP_FABS):
+        return zero
+    if operation in (ca.OP_ADD, ca.OP_HYPOT, ca.OP_FMAX):
+        least = operation == ca.OP_HYPOT or all(_is_positive(one, zero=True) for one in parts)
+        return least and (zero or any(map(_is_positive, parts)))
+    if operation in (ca.OP_MUL, ca.OP_DIV, ca.OP_FMIN, ca.OP_SQRT, ca.OP_TWICE, ca.OP_INV):
+        return all(_is_positive(one, zero=zero) for one in parts)
+    return False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,50 +393,106 @@ class Branched:
     smooth: tuple[ca.SX, ...]
 
 
-def branched(formulas: Sequence[ca.SX], states: ca.SX, sides: Sequence[bool] = ()) -> Branched:
+def branched(
+    formulas: Sequence[ca.SX],
+    states: ca.SX,
+    sides: Sequence[bool] = (),
+    gaps: Sequence[ca.SX] = (),
+) -> Branched:
     """Return formulas on a branch of their kinks.
 
     Args:
         formulas: The formulas.
         states: The states, ``(n_x,)``. A condition without states is not a kink.
         sides: For each condition, in the order of the operations, whether it is positive. Further
-            conditions are taken as positive.
+            conditions are taken as positive. A condition depends only on earlier conditions.
+        gaps: The gaps of the stops. A condition that is a multiple of a gap is no kink, because a
+            gap is not negative.
 
     Raises:
-        ValueError: If a formula jumps without a condition.
+        ValueError: If a formula jumps without a condition, or holds an unknown operation.
     """
+    walk = _Walk(
+        states=states, sides=[ca.SX(int(one)) for one in sides], has_slopes=False, gaps=gaps
+    )
     flat: Any = ca.veccat(*(ca.densify(one) for one in formulas))
-    symbols = _symbols_in(flat)
-    walk = _Walk(states=states, sides=sides)
-    function = ca.Function("formulas", symbols, [flat], {"cse": True})
-    written: dict[int, ca.SX] = {}
-    smooth: dict[int, ca.SX] = {}
-    result = ca.SX.zeros(flat.numel())
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        places, outputs = function.instruction_input(k), function.instruction_output(k)
-        if operation == ca.OP_OUTPUT:
-            result[outputs[1]] = smooth[places[0]]
-        elif operation == ca.OP_INPUT:
-            written[outputs[0]] = smooth[outputs[0]] = symbols[places[0]]
-        elif operation == ca.OP_CONST:
-            number = ca.SX(function.instruction_constant(k))
-            written[outputs[0]] = smooth[outputs[0]] = number
-        else:
-            before = [written[place] for place in places]
-            after = [smooth[place] for place in places]
-            smooth[outputs[0]] = walk.on_branch(operation, before, after)
-            written[outputs[0]] = _result(operation, before)
+    entries = ca.vertcat(*(one.smooth for one in _walked(walk, flat)))
     found: list[ca.SX] = []
     first = 0
     for one in formulas:
-        entries = result[first : first + one.numel()]
-        found.append(ca.sparsify(ca.reshape(entries, *one.shape)) if one.numel() else one)
+        part = entries[first : first + one.numel()]
+        found.append(ca.sparsify(ca.reshape(part, *one.shape)) if one.numel() else one)
         first += one.numel()
     return Branched(
-        formulas=tuple(found), conditions=tuple(walk.conditions), smooth=tuple(walk.smooth)
+        formulas=tuple(found),
+        conditions=tuple(one.written for one in walk.conditions),
+        smooth=tuple(one.smooth for one in walk.conditions),
     )
 
 
-def _symbols_in(formula: ca.SX) -> list[ca.SX]:
-    return ca.symvar(formula)
+def sided(
+    formulas: Sequence[ca.SX], states: ca.SX, sides: ca.SX, gaps: Sequence[ca.SX]
+) -> tuple[tuple[ca.SX, ...], tuple[ca.SX, ...]]:
+    """Return the conditions of the kinks of formulas on given sides, and their derivatives.
+
+    The value on the other side of an inner kink does not matter, even if it is not finite.
+
+    Args:
+        formulas: The formulas, as `branched` takes them.
+        states: The states, ``(n_x,)``.
+        sides: Symbols of the sides, 1 where a condition is positive and else 0.
+        gaps: The gaps of the stops, as `branched` takes them.
+
+    Returns:
+        The conditions, and their derivatives with respect to the states, each ``(1, n_x)``. A
+        condition that is zero on a whole branch, as that of ``fmin(x, 1) >= 1``, gets the sign of
+        its side: 1 or -1.
+    """
+    walk = _Walk(states=states, sides=ca.vertsplit(sides), has_slopes=True, gaps=gaps)
+    _walked(walk, ca.veccat(*(ca.densify(one) for one in formulas)))
+    values: list[ca.SX] = []
+    for one, at_zero in zip(walk.conditions, walk.at_zero, strict=True):
+        is_flat = ca.logic_and(one.smooth == 0, ca.sum2(ca.fabs(one.slopes)) == 0)
+        values.append(ca.if_else(is_flat, 1.0 if at_zero else -1.0, one.smooth))
+    return tuple(values), tuple(one.slopes for one in walk.conditions)
+
+
+def _walked(walk: _Walk, flat: Any) -> list[_Value]:
+    """Return the entries of a formula, ``(n,)``."""
+    symbols = symbols_in(flat)
+    function = ca.Function("formulas", symbols, [flat], {"cse": True})
+    work: dict[int, _Value] = {}
+    entries = [walk.number(0.0)] * flat.numel()
+    differentiated = _of_conditions(function) if walk.has_slopes else set[int]()
+    for k in range(function.n_instructions()):
+        walk.has_slopes = k in differentiated
+        operation = function.instruction_id(k)
+        given, taken = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_OUTPUT:
+            entries[taken[1]] = work[given[0]]
+        elif operation == ca.OP_INPUT:
+            work[taken[0]] = walk.symbol(symbols[given[0]])
+        elif operation == ca.OP_CONST:
+            work[taken[0]] = walk.number(function.instruction_constant(k))
+        else:
+            work[taken[0]] = walk.on_branch(operation, [work[place] for place in given])
+    return entries
+
+
+def _of_conditions(function: Any) -> set[int]:
+    """Return the indices of the instructions whose results the condition of a kink may need."""
+    last: dict[int, int] = {}
+    sources: list[list[int]] = []
+    needed = set[int]()
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        takes = operation not in (ca.OP_INPUT, ca.OP_CONST)
+        sources.append([last[place] for place in function.instruction_input(k)] if takes else [])
+        if operation in _KINKS | _BOUNDED | {ca.OP_HYPOT}:
+            needed.add(k)
+        if operation != ca.OP_OUTPUT:
+            last.update((place, k) for place in function.instruction_output(k))
+    for k in reversed(range(len(sources))):
+        if k in needed:
+            needed.update(sources[k])
+    return needed

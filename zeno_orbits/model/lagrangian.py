@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.model.clock import Clock
+from zeno_orbits.model.operations import without_calls
 from zeno_orbits.model.stops import Stop
 
 _ROUNDING = 1e-10
@@ -93,9 +94,13 @@ class HybridLagrangian:
             ValueError: If an energy, a gap or a constraint depends on a forbidden symbol, or if not
                 exactly one of ``gap`` and ``stops`` is given.
         """
-        friction = ca.SX.zeros(q.numel()) if passive_force is None else ca.vec(passive_force)
-        applied = ca.SX.zeros(q.numel()) if applied_force is None else ca.vec(applied_force)
-        eta = ca.SX(0, 1) if holonomic is None else ca.vec(holonomic)
+        none = ca.SX.zeros(q.numel())
+        friction = none if passive_force is None else without_calls(ca.vec(passive_force))
+        applied = none if applied_force is None else without_calls(ca.vec(applied_force))
+        eta = ca.SX(0, 1) if holonomic is None else without_calls(ca.vec(holonomic))
+        # Calls are expanded before derivatives are taken: these would be other calls.
+        kinetic, potential = without_calls(ca.SX(kinetic)), without_calls(ca.SX(potential))
+        gap = None if gap is None else without_calls(gap)
         mass_matrix = ca.hessian(kinetic, v)[0]
         _require_shapes(q, v=v, passive_force=friction, applied_force=applied)
         gaps = _gaps(gap, stops)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 import casadi as ca
 
 from zeno_orbits.model.drives.circuits import Drive
-from zeno_orbits.model.kinks import branched
+from zeno_orbits.model.kinks import branched, sided
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch
 from zeno_orbits.model.waveforms import TimeOrder
@@ -49,6 +49,17 @@ class ModeGraph:
     )
 
     @property
+    def reason(self) -> str:
+        """The property that gives the machine several modes, for messages."""
+        if len(self.stops) > 1:
+            return "several stops"
+        if self.switches:
+            return "switches"
+        if self.conditions:
+            return "a kink of the state (`fmin`, `fmax`, `fabs`, `sign`, `if_else`, `atan2`)"
+        return "stops or switches with names"
+
+    @property
     def switch_names(self) -> tuple[str, ...]:
         """Names of the declared switches, then of the kinks."""
         kinks = (f"kink {k}" for k in range(1, len(self.conditions) + 1))
@@ -77,7 +88,7 @@ class ModeGraph:
         """Return mechanism, drive and conditions on a branch of the kinks."""
         if sides not in self._branches:
             parts = formulas_of(self.mechanism), formulas_of(self.drive)
-            found = branched([one for part in parts for one in part.values()], self.state, sides)
+            found = branched(self._kinked, self.state, sides, self._gaps)
             n = len(parts[0])
             self._branches[sides] = (
                 replace(self.mechanism, **dict(zip(parts[0], found.formulas[:n], strict=True))),
@@ -85,6 +96,35 @@ class ModeGraph:
                 found.smooth,
             )
         return self._branches[sides]
+
+    def on_sides(self, sides: ca.SX) -> tuple[tuple[ca.SX, ...], tuple[ca.SX, ...]]:
+        """Return the conditions of the kinks on given sides, and their derivatives: `sided`."""
+        return sided(self._kinked, self.state, sides, self._gaps)
+
+    @property
+    def _kinked(self) -> list[ca.SX]:
+        """The formulas whose kinks are the kinks of the machine."""
+        return [*formulas_of(self.mechanism).values(), *formulas_of(self.drive).values()]
+
+    @property
+    def _gaps(self) -> list[ca.SX]:
+        return [stop.gap for stop in self.stops]
+
+
+def conditions_of(mechanism: HybridLagrangian, drive: Drive, state: ca.SX) -> tuple[ca.SX, ...]:
+    """Return the conditions of the kinks of a machine, as written.
+
+    Args:
+        mechanism: The mechanism.
+        drive: Its drive.
+        state: The states, ``(n_x,)``.
+
+    Raises:
+        ValueError: If a formula jumps without a condition, or holds an unknown operation.
+    """
+    formulas = [*formulas_of(mechanism).values(), *formulas_of(drive).values()]
+    gaps = [stop.gap for stop in mechanism.stops] or [mechanism.gap]
+    return branched(formulas, state, gaps=gaps).conditions
 
 
 def formulas_of(part: HybridLagrangian | Drive) -> dict[str, ca.SX]:

@@ -22,6 +22,7 @@ from zeno_orbits.model.drawing import DrawingFunction, lines_of
 from zeno_orbits.model.formula_units import unit_of
 from zeno_orbits.model.graph import graph_of_one_stop
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate
+from zeno_orbits.model.modes import ModeGraph
 from zeno_orbits.model.origin import Declared, Origin
 from zeno_orbits.model.quantities import (
     Output,
@@ -175,22 +176,22 @@ class Problem(Declared):
             return False
 
     def one_stop_model(self, symbols: Mapping[str, ca.SX]) -> CompletedSystem:
-        """Return the completed system of a machine with one stop and no switch.
+        """Return the completed system of a machine with one stop, no switch and no kink.
 
         Args:
             symbols: Gains and parameters by name.
 
         Raises:
-            InputError: If the machine has several stops or switches.
+            InputError: If the machine has several stops, a switch or a kink.
         """
         system = self.model(symbols)
         if system.graph is not None:
-            raise _needs_one_stop(self)
+            raise _needs_one_stop(self, system.graph)
         return system
 
     @property
     def has_graph(self) -> bool:
-        """True for a machine with several stops or with switches."""
+        """True for a machine with several stops, with switches or with kinks of the state."""
         return _built(self)[0].graph is not None
 
     def compiled_graph(self) -> CompiledGraph:
@@ -214,6 +215,12 @@ class Problem(Declared):
 
         vector = values.vector if isinstance(values, ParameterValues) else values
         return GraphDynamics(_compiled_graph(self), vector)
+
+    @property
+    def modes_reason(self) -> str:
+        """The property that gives the machine several modes, for messages, or an empty text."""
+        graph = _built(self)[0].graph
+        return "" if graph is None else graph.reason
 
     @property
     def clock(self) -> tuple[int, ...]:
@@ -575,11 +582,11 @@ _MOST = 16
 """Number of cached compiled problems, limited for a session that creates thousands."""
 
 
-def _needs_one_stop(problem: Problem) -> InputError:
-    """Return the refusal of a machine with several stops or switches."""
+def _needs_one_stop(problem: Problem, graph: ModeGraph) -> InputError:
+    """Return the refusal of a machine with several stops, a switch or a kink."""
     return InputError(
-        f"Argument `problem`: `{problem.name}` has several stops or switches, which this command "
-        "or function does not accept in this version."
+        f"Argument `problem`: `{problem.name}` has {graph.reason}, which this command or function "
+        "does not accept in this version."
     )
 
 
@@ -624,7 +631,7 @@ def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
 
     system, symbols = _built(problem)
     if system.graph is not None:
-        raise _needs_one_stop(problem)
+        raise _needs_one_stop(problem, system.graph)
     names = problem.state_names
     if transform is not None:
         system = transform(system)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from zeno_orbits.model.operations import without_calls
 from zeno_orbits.model.quantities import require_unit
 
 
@@ -26,9 +27,10 @@ class Stop:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse a text that is not a unit."""
+        """Refuse a text that is not a unit, and expand the calls of functions."""
         if self.unit:
             require_unit(self.name, self.unit)
+        object.__setattr__(self, "gap", without_calls(self.gap))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +54,13 @@ class Switch:
     q_after: ca.SX | None = None
     v_after: ca.SX | None = None
     others_after: ca.SX | None = None
+
+    def __post_init__(self) -> None:
+        """Expand the calls of functions."""
+        for name in ("guard", "armed", "q_after", "v_after", "others_after"):
+            formula = getattr(self, name)
+            if isinstance(formula, ca.SX):
+                object.__setattr__(self, name, without_calls(formula))
 
 
 def require_event_names(names: list[str]) -> None:

@@ -90,6 +90,11 @@ _ACCUMULATED = 1e-3
 """Part of the first speed of a sequence below which its impacts accumulate."""
 
 
+_ONE_SURFACE = 1e-9
+"""Relative difference between the ratios of two guards, below which one is a multiple of the other.
+"""
+
+
 class Kind(Enum):
     """Kinds of guards."""
 
@@ -191,7 +196,7 @@ class GraphRun(ReferenceRun):
         current: The sequence of impacts that a kink may have split.
         split_by: The kinks that split the last flight of that sequence, and the present flight.
         window: Time in which the next event is first looked for [s].
-        flipped: Time and switch of the last start on the wrong side of a switch.
+        flipped: Time of the last start on the wrong side of a switch, and the switches then.
         n_switches: Number of switches so far.
         seen: The last impacts and switches, by which accumulations are recognized.
     """
@@ -205,7 +210,7 @@ class GraphRun(ReferenceRun):
     current: ImpactSequence | None = None
     split_by: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
     window: float = np.inf
-    flipped: tuple[float, int] | None = None
+    flipped: tuple[float, frozenset[int]] = (math.nan, frozenset())
     n_switches: int = 0
     seen: Accumulations = field(default_factory=Accumulations)
 
@@ -324,7 +329,7 @@ class GraphRun(ReferenceRun):
     def _singular(self, error: StepSizeError, time: float) -> StepSizeError:
         """Return an error with the time of the execution, and a kink that is zero there."""
         x = np.array(error.state)[: len(self.dynamics.state_names)]
-        guards, rounding, _ = self.graph.guards(x)
+        guards, rounding, _ = self.graph.guards(x, self.sides)
         n = self.graph.n_declared
         kinks = np.flatnonzero(np.abs(guards[n:]) <= _NEAR_KINK * rounding[n:])
         reason = error.reason
@@ -341,7 +346,7 @@ class GraphRun(ReferenceRun):
         closed = self._closed(start)
         try:
             guards = list(self._guards(start, closed))
-            self.interruption = self._earliest(guards, arc)
+            self.interruption = self._first_of_surface(start, guards, self._earliest(guards, arc))
         except SimulationError:
             # The arc does not reach its end.
             self.arcs.pop()
@@ -379,13 +384,13 @@ class GraphRun(ReferenceRun):
             for j in self.rest:
                 if not self._holding(self.rest, j).multiplier(x) > 0.0:
                     return False
-            guards, rounding, _ = self.graph.guards(x)
+            guards, rounding, _ = self.graph.guards(x, self.sides)
             signs = np.where(self._signs(), guards, -guards)
             # A kink that splits every flight is zero at the limit itself.
             signs[list(self.split_by[0])] = np.inf
             if not np.all(signs > -_SPENT * rounding):
                 return False
-        values, rounding, _ = self.graph.guards(limit.state)
+        values, rounding, _ = self.graph.guards(limit.state, self.sides)
         for kink in self.split_by[0]:
             if abs(values[kink]) <= _SPENT * rounding[kink]:
                 self._require_continuous(kink, limit.time, limit.state)
@@ -402,7 +407,7 @@ class GraphRun(ReferenceRun):
             return self.phase(start)
         except PenetrationError as error:
             x = np.array(error.state)[: start.state.size]
-            guards, rounding, _ = self.graph.guards(x)
+            guards, rounding, _ = self.graph.guards(x, self.sides)
             zero = np.flatnonzero(np.abs(guards) <= _SPENT * rounding)
             kinks = [int(s) for s in zero if s >= self.graph.n_declared]
             if self.seen.is_in_corner(self.own.time):
@@ -528,13 +533,10 @@ class GraphRun(ReferenceRun):
 
     def _take_sides(self, x: Vector) -> None:
         """Take the side of every switch at a state. A zero keeps the side of a kink."""
-        guards, rounding, _ = self.graph.guards(x)
-        n = self.graph.n_declared
-        clear = np.abs(guards) > rounding
-        self.above = tuple(bool(not clear[k] or guards[k] > 0.0) for k in range(n))
-        self.sides = tuple(
-            bool(guards[n + k] > 0.0) if clear[n + k] else side for k, side in enumerate(self.sides)
-        )
+        guards, rounding, _ = self.graph.guards(x, self.sides)
+        declared = range(self.graph.n_declared)
+        self.above = tuple(bool(not guards[k] < -rounding[k]) for k in declared)
+        self.sides = self.graph.sides_at(x, self.sides)
 
     # Guards.
 
@@ -557,7 +559,7 @@ class GraphRun(ReferenceRun):
             else:
                 rounding = contact * view.own.gap
                 yield _Guard(Kind.GAP, k, view.free, x, None, on_guard, rounding)
-        values, levels, _ = self.graph.guards(x)
+        values, levels, _ = self.graph.guards(x, self.sides)
         unknown = np.flatnonzero(np.isnan(values))
         if unknown.size:
             raise undefined_guard(self.graph.switch_names[int(unknown[0])], start.time, x)
@@ -596,6 +598,21 @@ class GraphRun(ReferenceRun):
                 if guard.launched is not None:
                     duration *= guard.launched / arc.time_unit
         return found
+
+    def _first_of_surface(
+        self, start: ArcStart, guards: Sequence[_Guard], found: Interruption | None
+    ) -> Interruption | None:
+        """Return the event of the first kink with the surface of a kink that fell."""
+        if found is None or found.passage is None or not self._is_kink(found):
+            return found
+        x = found.passage.state[: start.state.size]
+        kinks = [guard for guard in guards if self._is_kink(guard)]
+        fell = next(guard for guard in kinks if guard.index == found.index)
+        first = next(one for one in kinks if one is fell or _is_one_surface(one, fell, start, x))
+        return replace(found, index=first.index)
+
+    def _is_kink(self, event: _Guard | Interruption) -> bool:
+        return event.kind is Kind.SWITCH and event.index >= self.graph.n_declared
 
     def _passage(self, guard: _Guard, arc: Arc, duration: float, late: float) -> SegmentResult:
         """Return a guard along an arc, up to a duration in the arc's own time.
@@ -658,6 +675,10 @@ class GraphRun(ReferenceRun):
         for guard in guards:
             if (guard.kind, guard.index) == fell or (guard.on_guard and guard.kind is not Kind.GAP):
                 continue
+            if found is not None and self._is_kink(found) and self._is_kink(guard):
+                first = next(one for one in guards if (one.kind, one.index) == fell)
+                if _is_one_surface(guard, first, start, x):
+                    continue
             value, rate = self._value(guard, closed, x)
             if self._is_zero(value, rate, guard.rounding):
                 raise coincide(name, self._event_of(guard.kind, guard.index), arc.end_time, x)
@@ -702,21 +723,23 @@ class GraphRun(ReferenceRun):
             SimulationError: If a declared switch is armed there.
         """
         name = self.graph.switch_names[s]
-        if self.flipped == (start.time, s):
+        time, crossed = self.flipped
+        crossed = crossed if time == start.time else frozenset[int]()
+        if s in crossed:
             raise slides(name, start.time, start.state)
-        self.flipped = (start.time, s)
+        self.flipped = start.time, crossed | {s}
         armed = s < self.graph.n_declared and self.above[s]
         if (
             armed
             and not self._has_fallen(s, start.time)
-            and self.graph.guards(start.state)[2][s] > 0.0
+            and self.graph.guards(start.state, self.sides)[2][s] > 0.0
         ):
             raise armed_at_start(name, start.time, start.state)
         mode: GraphMode = (self._closed(start), self.sides)
         if armed and self.graph.guard_flow(mode, s, above=True).guard(start.state)[1] > 0.0:
             # The guard rose by less than its rounding and fell again.
             raise switches_accumulate(name, start.time, start.state)
-        self._change_side(s)
+        self._change_side(s, start.state)
         self._look(self.rest, self.focus)
         if start.impact is None:
             return start
@@ -728,12 +751,14 @@ class GraphRun(ReferenceRun):
         name = self.graph.switch_names[switch]
         return isinstance(last, SwitchEvent) and last.name == name and last.time == time
 
-    def _change_side(self, switch: int) -> None:
-        n = self.graph.n_declared
-        if switch < n:
+    def _change_side(self, switch: int, x: Vector) -> None:
+        """Go to the other side of a switch. Conditions that depend on a kink may change as well."""
+        kink = switch - self.graph.n_declared
+        if kink < 0:
             self.above = tuple(one ^ (k == switch) for k, one in enumerate(self.above))
         else:
-            self.sides = tuple(one ^ (k == switch - n) for k, one in enumerate(self.sides))
+            sides = tuple(one ^ (k == kink) for k, one in enumerate(self.sides))
+            self.sides = self.graph.sides_at(x, sides, (kink,))
 
     def _switched(self, start: ArcStart, time: float, x: Vector, s: int) -> ArcStart | None:
         """Apply a switch whose guard fell through zero.
@@ -744,13 +769,13 @@ class GraphRun(ReferenceRun):
         closed = self._closed(start)
         name, is_kink = self.graph.switch_names[s], s >= self.graph.n_declared
         was_above = bool(self._signs()[s])
-        if not is_kink and was_above and self.graph.guards(x)[2][s] > 0.0:
+        if not is_kink and was_above and self.graph.guards(x, self.sides)[2][s] > 0.0:
             after = self.graph.after_switch(s, x)
             self._count_switch(time, name, x, after)
             self.current = None
             self._take_sides(after)
             return self._placed(time, after, closed, switch=name)
-        self._change_side(s)
+        self._change_side(s, x)
         if is_kink:
             rate = self.graph.guard_flow((closed, self.sides), s, not was_above).guard(x)[1]
             if rate < 0.0:
@@ -896,3 +921,17 @@ class GraphRun(ReferenceRun):
                 if not np.any(pulls) and np.all(rates >= -small):
                     return closed
         raise AssertionError("A positive definite matrix has a solution.")
+
+
+def _is_one_surface(one: _Guard, other: _Guard, start: ArcStart, x: Vector) -> bool:
+    """Return True if two guards are zero on one surface in the mode of an arc.
+
+    One is a multiple of the other at its start, and their rates are at a state of its end.
+    """
+    _, rate = one.flow.guard(x)
+    _, other_rate = other.flow.guard(x)
+    for a, b in zip(one.flow.guard(start.state), other.flow.guard(start.state), strict=True):
+        first, second = a * other_rate, b * rate
+        if not abs(first - second) <= _ONE_SURFACE * (abs(first) + abs(second)):
+            return False
+    return True

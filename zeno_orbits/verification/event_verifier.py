@@ -310,7 +310,7 @@ def _sampled(graph: GraphDynamics, period: _Period) -> dict[str, float]:
 
 def _wrong_side(graph: GraphDynamics, arc: Arc, x: Vector) -> float:
     """Return by how much a state of an arc is on the wrong side of a kink, in its size."""
-    guards, rounding, _ = graph.guards(x)
+    guards, rounding, _ = graph.guards(x, arc.sides)
     n = graph.n_declared
     wrong = [
         abs(float(guards[n + k])) / max(float(rounding[n + k]) * 1e12, 1e-300)

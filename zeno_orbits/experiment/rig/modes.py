@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.rig.contact_damping import damping_number
+from zeno_orbits.model import GraphDynamics
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,15 +34,20 @@ class RigMode:
         """
         return replace(self, touched=tuple(sorted({*self.touched} ^ {stop})))
 
-    def flipped(self, switch: int) -> RigMode:
+    def flipped(self, graph: GraphDynamics, switch: int, x: Vector) -> RigMode:
         """Return the mode on the other side of a switch.
 
         Args:
+            graph: The modes of the machine without compliance.
             switch: Index of the switch. The declared switches come first.
+            x: The state there, ``(n_x,)``, at which later conditions take their sides anew.
         """
-        signs = [one ^ (k == switch) for k, one in enumerate((*self.above, *self.sides))]
-        n = len(self.above)
-        return replace(self, above=tuple(signs[:n]), sides=tuple(signs[n:]))
+        kink = switch - len(self.above)
+        if kink < 0:
+            above = tuple(one ^ (k == switch) for k, one in enumerate(self.above))
+            return replace(self, above=above)
+        sides = tuple(one ^ (k == kink) for k, one in enumerate(self.sides))
+        return replace(self, sides=graph.sides_at(x, sides, (kink,)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -177,10 +177,8 @@ class _Follower:
         self._require_inertia(x)
         self._y = Call(self._machine.rest, self._p)(x).copy()
         if self._graph is not None:
-            n = len(self._graph.switch_names)
-            signs = self._signs_at((True,) * n)
-            n = self._graph.n_declared
-            self._mode = RigMode(sides=signs[n:], above=signs[:n])
+            above, sides = self._signs_at(self._graph, self._graph.open_mode[1])
+            self._mode = RigMode(sides=sides, above=above)
         self._take_contacts()
 
     def _take_contacts(self) -> None:
@@ -191,13 +189,14 @@ class _Follower:
             if touches != (k in self._mode.touched):
                 self._turn(k)
 
-    def _signs_at(self, before: Sequence[bool]) -> tuple[bool, ...]:
-        """Return the side of every switch at the state. A zero keeps the side."""
-        if self._graph is None:
-            return ()
-        guards, rounding, _ = self._graph.guards(self._y[: self._machine.n_x])
-        known = zip(guards.tolist(), rounding.tolist(), before, strict=True)
-        return tuple(value > 0.0 if abs(value) > level else side for value, level, side in known)
+    def _signs_at(
+        self, graph: GraphDynamics, before: tuple[bool, ...]
+    ) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
+        """Return the side of every declared switch and kink at the state. A zero keeps the side."""
+        x = self._y[: self._machine.n_x]
+        guards, rounding, _ = graph.guards(x, before)
+        above = tuple(bool(not guards[k] < -rounding[k]) for k in range(graph.n_declared))
+        return above, graph.sides_at(x, before)
 
     def _weights(self) -> tuple[float, ...]:
         """Return the scales of the absolute local errors in the present mode."""
@@ -276,7 +275,8 @@ class _Follower:
             yield RigGuard(k, on_guard=bool(insides[k] <= 0.0))
         if self._graph is None:
             return
-        values, levels, _ = self._graph.guards(self._y[: self._machine.n_x])
+        x = self._y[: self._machine.n_x]
+        values, levels, _ = self._graph.guards(x, self._mode.sides)
         sides = (*self._mode.above, *self._mode.sides)
         for s, (value, level, side) in enumerate(zip(values, levels, sides, strict=True)):
             on_guard = bool((value if side else -value) <= level)
@@ -386,7 +386,7 @@ class _Follower:
         armed = (
             switch < graph.n_declared
             and before.above[switch]
-            and bool(graph.guards(x)[2][switch] > 0.0)
+            and bool(graph.guards(x, before.sides)[2][switch] > 0.0)
         )
         if armed and falls:
             self._reset(graph, switch)
@@ -397,7 +397,7 @@ class _Follower:
         if armed and self._fallen != (self._time, switch):
             raise armed_at_start(name, self._time, x)
         self._crossed = None if falls else (self._time, switch)
-        self._mode = before.flipped(switch)
+        self._mode = before.flipped(graph, switch, x)
         if falls and switch >= graph.n_declared:
             side = self._mode.sides[switch - graph.n_declared]
             beyond = RigGuard(len(self._machine.stop_names) + switch, on_guard=True, above=side)
@@ -410,9 +410,8 @@ class _Follower:
         after = self._y.copy()
         after[:n_x] = graph.after_switch(switch, self._y[:n_x])
         self._y = after
-        n = graph.n_declared
-        signs = self._signs_at((*(True,) * n, *self._mode.sides))
-        self._mode = replace(self._mode, above=signs[:n], sides=signs[n:])
+        above, sides = self._signs_at(graph, self._mode.sides)
+        self._mode = replace(self._mode, above=above, sides=sides)
         gaps, _ = self._gaps()
         for k, (gap, own) in enumerate(zip(gaps, self._owns, strict=True)):
             if k not in self._mode.touched and gap < -_INSIDE * own.gap:

@@ -15,6 +15,7 @@ import casadi as ca
 
 from zeno_orbits.model.drives.motors import MotorBank
 from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.operations import without_calls
 
 Entries = tuple[tuple[str, ca.SX], ...]
 
@@ -286,7 +287,7 @@ def formula_of(name: str, given: Any) -> ca.SX:
         raise ValueError(f"Argument `{name}` {wanted}, but it is {what}.") from error
     if formula.is_constant() and not formula.is_regular():
         raise ValueError(f"Argument `{name}` {wanted}, but it is not finite.")
-    return formula
+    return without_calls(formula)
 
 
 def require_symbols(name: str, states: ca.SX) -> None:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from zeno_orbits.model.operations import without_calls
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotorBank:
@@ -33,7 +35,8 @@ class MotorBank:
     current: ca.SX | None = None
 
     def __post_init__(self) -> None:
-        """Refuse matrices whose shapes do not fit the number of motors."""
+        """Expand the calls of functions, and refuse shapes that do not fit the number of motors."""
+        object.__setattr__(self, "voltage", without_calls(self.voltage))
         n_motors = self.selection.shape[1]
         for name in ("resistance", "inductance", "torque_constant", "emf_constant"):
             shape = getattr(self, name).shape

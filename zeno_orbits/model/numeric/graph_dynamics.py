@@ -65,6 +65,9 @@ class CompiledGraph:
     _guards: dict[_Side, ModeFunctions] = field(
         default_factory=dict["_Side", ModeFunctions], repr=False
     )
+    _gradients: dict[tuple[tuple[bool, ...], int], ca.Function] = field(
+        default_factory=dict["tuple[tuple[bool, ...], int]", ca.Function], repr=False
+    )
 
     def system(self, mode: GraphMode, stop: int) -> CompiledSystem:
         """Return the functions of a stop that is open in a mode."""
@@ -97,21 +100,33 @@ class CompiledGraph:
 
     @cached_property
     def switches(self) -> ca.Function:
-        """``(x, p) -> (guards of all switches, sizes of the guards, formulas `armed`)``."""
-        graph = self.graph
-        guards = ca.vertcat(*(ca.SX(one.guard) for one in graph.switches), *graph.conditions)
-        armed = ca.vertcat(*(ca.SX(one.armed) for one in graph.switches))
-        size = ca.SX.sym("size", graph.state.numel())
-        slopes = ca.fabs(ca.jacobian(guards, graph.state))
-        inputs = [graph.state, self._parameters, size]
-        return dense_function("switches", inputs, [guards, ca.mtimes(slopes, size), armed])
+        """Guards at a state, on given sides of the kinks.
 
-    @cached_property
-    def gradients(self) -> tuple[ca.Function, ...]:
-        """``(x, p) -> (guard, its derivatives with respect to x and p)``, one per switch."""
-        graph, p = self.graph, self._parameters
-        guards = (*(ca.SX(one.guard) for one in graph.switches), *graph.conditions)
-        return tuple(self._derivative("guard", one, p) for one in guards)
+        ``(x, p, sizes, sides) -> (guards of all switches, sizes of the guards, formulas `armed`)``.
+        """
+        graph = self.graph
+        size = ca.SX.sym("size", graph.state.numel())
+        sides = ca.SX.sym("side", len(graph.conditions))
+        conditions, slopes = graph.on_sides(sides)
+        declared = ca.vertcat(*(ca.SX(one.guard) for one in graph.switches))
+        armed = ca.vertcat(*(ca.SX(one.armed) for one in graph.switches))
+        guards = ca.vertcat(declared, *conditions)
+        every = ca.vertcat(ca.jacobian(declared, graph.state), *slopes)
+        inputs = [graph.state, self._parameters, size, sides]
+        return dense_function("switches", inputs, [guards, ca.mtimes(ca.fabs(every), size), armed])
+
+    def gradient(self, sides: tuple[bool, ...], switch: int) -> ca.Function:
+        """Return ``(x, p) -> (guard, its derivatives with respect to x and p)``.
+
+        Args:
+            sides: The side of every kink.
+            switch: Index of a declared switch, or of a kink after these.
+        """
+        key = (sides, switch)
+        if key not in self._gradients:
+            guard = self.graph.guard(sides, switch)
+            self._gradients[key] = self._derivative("guard", guard, self._parameters)
+        return self._gradients[key]
 
     @cached_property
     def reset_derivatives(self) -> tuple[ca.Function, ...]:
@@ -159,12 +174,15 @@ class _SwitchesCall:
 
     def __init__(self, function: ca.Function, p: Vector) -> None:
         self._x, self._size = np.zeros(function.size1_in(0)), np.zeros(function.size1_in(0))
+        self._sides = np.zeros(function.size1_in(3))
         self._found = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
-        self._evaluate = caller(function, (self._x, p, self._size), self._found)
+        self._evaluate = caller(function, (self._x, p, self._size, self._sides), self._found)
 
-    def __call__(self, x: Vector, size: Vector) -> tuple[Vector, Vector, Vector]:
+    def __call__(
+        self, x: Vector, size: Vector, sides: Sequence[bool]
+    ) -> tuple[Vector, Vector, Vector]:
         """Return guards, their rounding levels and the formulas `armed`, from sizes of states."""
-        self._x[:], self._size[:] = x, size
+        self._x[:], self._size[:], self._sides[:] = x, size, sides
         self._evaluate()
         guards, sizes, armed = self._found
         return guards.copy(), _ZERO * sizes, armed.copy()
@@ -284,8 +302,8 @@ class GraphDynamics:
 
     def _on_branch(self, stop: int, x: Vector) -> HybridDynamics:
         """Return the system of a stop on the branch of the kinks at a state, all stops open."""
-        guards = self.compiled.switches(x, self.p, np.ones(x.size))[0].full().ravel()
-        sides = tuple(bool(value > 0.0) for value in guards[self.n_declared :])
+        # The rounding levels need the scales, which are determined here.
+        sides = self._sides_at(x, np.zeros(x.size), self.open_mode[1], ())
         return self.view(((), sides), stop)
 
     def guard_flow(self, mode: GraphMode, switch: int, above: bool) -> CompiledFlow:
@@ -297,21 +315,57 @@ class GraphDynamics:
             self._flows[key] = CompiledFlow(functions, self.p, memory)
         return self._flows[key]
 
-    def guards(self, x: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return the guards of all switches, their rounding levels, and the formulas `armed`."""
+    def guards(self, x: Vector, sides: tuple[bool, ...]) -> tuple[Vector, Vector, Vector]:
+        """Return the guards of all switches, their rounding levels, and the formulas `armed`.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            sides: The side of every kink, which determines the branch of later conditions.
+        """
         if not self.switch_names:
             return np.zeros(0), np.zeros(0), np.zeros(0)
-        return self._switches(x, self.own.states(x.size) + np.abs(x))
+        return self._switches(x, self.own.states(x.size) + np.abs(x), sides)
 
-    def guard_gradient(self, switch: int, x: Vector, chosen: Sequence[int]) -> Vector:
+    def sides_at(
+        self, x: Vector, before: tuple[bool, ...], crossed: Sequence[int] = ()
+    ) -> tuple[bool, ...]:
+        """Return the side of every kink at a state, on the sides of the kinks before it.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            before: The sides that kinks with a zero condition keep.
+            crossed: The kinks that have just been crossed, and keep their side as well.
+        """
+        return self._sides_at(x, self.own.states(x.size) + np.abs(x), before, crossed)
+
+    def _sides_at(
+        self, x: Vector, size: Vector, before: tuple[bool, ...], crossed: Sequence[int]
+    ) -> tuple[bool, ...]:
+        sides, n, first = list(before), self.n_declared, 0
+        while first < len(sides):
+            guards, rounding, _ = self._switches(x, size, sides)
+            clear = np.abs(guards[n:]) > rounding[n:]
+            moved = clear & ((guards[n:] > 0.0) != sides)
+            changed = [k for k in np.flatnonzero(moved) if k >= first and k not in crossed]
+            if not changed:
+                break
+            # Later conditions may depend on this one.
+            sides[changed[0]] = not sides[changed[0]]
+            first = int(changed[0]) + 1
+        return tuple(sides)
+
+    def guard_gradient(
+        self, switch: int, x: Vector, chosen: Sequence[int], sides: tuple[bool, ...]
+    ) -> Vector:
         """Return the derivative of a guard with respect to state and parameters, ``(n_x + k,)``.
 
         Args:
             switch: Index of the switch.
             x: The state, ``(n_x,)``.
             chosen: Indices of the parameters, ``(k,)``.
+            sides: The side of every kink.
         """
-        _, by_x, by_p = self.compiled.gradients[switch](x, self.p)
+        _, by_x, by_p = self.compiled.gradient(sides, switch)(x, self.p)
         return np.append(by_x.full().ravel(), by_p.full().ravel()[list(chosen)])
 
     def reset_derivative(self, switch: int, x: Vector, chosen: Sequence[int]) -> Vector:

@@ -60,11 +60,13 @@ class _Surface:
         graph: The graph of modes.
         contacts: The stops at the event, with their rows that vanish.
         switch: Index of the switch whose guard vanishes, or ``None``.
+        sides: The side of every kink before the event.
     """
 
     graph: GraphDynamics
     contacts: tuple[_Contact, ...]
     switch: int | None
+    sides: tuple[bool, ...]
 
     def values(self, x: Vector) -> Vector:
         """Return the conditions, which vanish on the set, the constraints first."""
@@ -72,7 +74,7 @@ class _Surface:
         for view, rows in self.contacts:
             parts.append(conditions(view, rows, x)[: len(rows)])
         if self.switch is not None:
-            parts.append(self.graph.guards(x)[0][[self.switch]])
+            parts.append(self.graph.guards(x, self.sides)[0][[self.switch]])
         return np.concatenate(parts)
 
     def gradient(self, x: Vector) -> Vector:
@@ -81,7 +83,8 @@ class _Surface:
         for view, rows in self.contacts:
             parts.append(differentials_of(view, ()).contact(x)[list(rows)])
         if self.switch is not None:
-            parts.append(self.graph.guard_gradient(self.switch, x, ())[None, :])
+            gradient = self.graph.guard_gradient(self.switch, x, (), self.sides)
+            parts.append(gradient[None, :])
         return np.concatenate(parts)
 
     def reset(self, x: Vector) -> Vector:
@@ -156,7 +159,7 @@ class EventChart:
         declared = switch < graph.n_declared
         above = declared or self.before[1][switch - graph.n_declared]
         falls = graph.guard_flow(self.before, switch, above).guard(x)[1] < 0.0
-        armed = not declared or graph.guards(x)[2][switch] > 0.0
+        armed = not declared or graph.guards(x, self.before[1])[2][switch] > 0.0
         held = all(view.multiplier(x) > 0.0 for view, _ in self.surface.contacts)
         return bool(falls and armed and held)
 
@@ -244,10 +247,11 @@ def _surface_at(graph: GraphDynamics, section: str, mode: SectionMode, last: Arc
         last: The arc that ends at the event.
     """
     kind, _, name = section.partition(" ")
-    closed, _ = before = graph.mode_of(last.closed, last.sides)
+    closed, sides = before = graph.mode_of(last.closed, last.sides)
     if kind == "switch":
         held = tuple((graph.holding(before, k), REST_ROWS) for k in closed)
-        return _Surface(graph=graph, contacts=held, switch=graph.switch_names.index(name))
+        switch = graph.switch_names.index(name)
+        return _Surface(graph=graph, contacts=held, switch=switch, sides=sides)
     # An impact may open other stops. Their gaps are zero after it.
     rows: dict[int, tuple[int, ...]] = dict.fromkeys(closed, IMPACT_ROWS)
     closed, _ = after = graph.mode_of(mode.closed, mode.sides)
@@ -257,4 +261,4 @@ def _surface_at(graph: GraphDynamics, section: str, mode: SectionMode, last: Arc
         rows[struck] = REST_ROWS
     rows.update((k, REST_ROWS) for k in closed)
     contacts = tuple((graph.holding(after, k), chosen) for k, chosen in rows.items())
-    return _Surface(graph=graph, contacts=contacts, switch=None)
+    return _Surface(graph=graph, contacts=contacts, switch=None, sides=sides)

@@ -686,7 +686,7 @@ def _limit_of(impact: str, names: Collection[str]) -> str:
 def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:
     """Return True if the reset of a declared switch leaves it armed, with its guard at zero."""
     k = graph.switch_names.index(event.name)
-    guards, levels, armed = graph.guards(event.state_plus)
+    guards, levels, armed = graph.guards(event.state_plus, graph.open_mode[1])
     return bool(abs(guards[k]) <= levels[k] and armed[k] > 0.0)
 
 

@@ -282,7 +282,7 @@ class GraphShifts:
             gradient = self._of(arc, stop).differentials.contact(arc.end_state)[MULTIPLIER]
             return self._crossed(arc, start, gradient)
         switch = self._switch_of(arc, event)
-        gradient = self.graph.guard_gradient(switch, arc.end_state, self.chosen)
+        gradient = self.graph.guard_gradient(switch, arc.end_state, self.chosen, arc.sides)
         return self._crossed(arc, start, gradient)
 
     def _switch_of(self, arc: Arc, event: Event | None) -> int:
@@ -295,7 +295,7 @@ class GraphShifts:
             return self.graph.switch_names.index(event.name)
         if not self.graph.n_declared:
             raise _touched(arc)
-        guards, rounding, _ = self.graph.guards(arc.end_state)
+        guards, rounding, _ = self.graph.guards(arc.end_state, arc.sides)
         declared = slice(self.graph.n_declared)
         return int(np.argmin(np.abs(guards[declared]) / np.maximum(rounding[declared], 1e-300)))
 

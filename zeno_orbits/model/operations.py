@@ -1,0 +1,201 @@
+"""The operations of formulas: their names, and function calls as formulas.
+
+Every formula of a model consists of CasADi's scalar operations. A call of another function is one
+operation too, which only CasADi itself can evaluate. It is expanded when a model is built, or it is
+refused by name.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+
+_NAMES: dict[int, str] = {
+    getattr(ca, name): name.removeprefix("OP_").lower()
+    for name in dir(ca)
+    if name.startswith("OP_")
+}
+
+_TABLE = re.compile(
+    r"casadi_interpn\(res\[0\], 1, (?P<knots>\w+), \w+, (?P<values>\w+), arg\[0\], \w+, (?P<m>\d+),"
+)
+"""Use of a table with one argument in CasADi's C code."""
+_EXACT = 1e-12
+"""Relative difference between a table and its formula that is rounding."""
+
+
+def operation_name(operation: int) -> str:
+    """Return the name of an operation of CasADi for a message.
+
+    Args:
+        operation: Its number, `casadi.OP_FLOOR` for instance.
+    """
+    return _NAMES.get(operation, f"number {operation}")
+
+
+def symbols_in(formula: ca.SX) -> list[ca.SX]:
+    """Return the symbols of a formula.
+
+    Args:
+        formula: The formula.
+    """
+    return ca.symvar(formula)
+
+
+def without_calls(formula: ca.SX) -> ca.SX:
+    """Return a formula with the calls of functions in it as formulas.
+
+    A call of a function of scalar operations is inlined. A linear `casadi.interpolant` with one
+    argument becomes its straight lines, with a kink at every inner knot.
+
+    Args:
+        formula: The formula.
+
+    Raises:
+        ValueError: If a function cannot be expanded. The message names the function.
+    """
+    if not _has_calls(formula):
+        return formula
+    known: dict[int, ca.SX] = {}
+    entries = [_rebuilt(entry, known) for entry in _entries(formula)]
+    return ca.SX(formula.sparsity(), ca.vertcat(*entries))
+
+
+def _entries(formula: Any) -> list[ca.SX]:
+    """Return the stored entries of a formula."""
+    return list(formula.nonzeros())
+
+
+def _has_calls(formula: ca.SX) -> bool:
+    function = ca.Function("formula", symbols_in(formula), [formula])
+    return any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions()))
+
+
+def _rebuilt(formula: ca.SX, known: dict[int, ca.SX]) -> ca.SX:
+    """Return a scalar without calls. Nodes that were rebuilt before are in `known`."""
+    waiting: list[Any] = [formula]
+    while waiting:
+        node = waiting[-1]
+        key = node.element_hash()
+        parts = _parts(node)
+        missing = [part for part in parts if part.element_hash() not in known]
+        if key in known or not missing:
+            waiting.pop()
+        if key not in known and not missing:
+            known[key] = _node(node, [known[part.element_hash()] for part in parts])
+        waiting += missing
+    return known[formula.element_hash()]
+
+
+def _parts(node: Any) -> list[Any]:
+    """Return the operands of a node, or the arguments of the function whose output it is."""
+    call = node.dep(0) if node.is_output() else node
+    return [] if call.is_leaf() else [call.dep(k) for k in range(call.n_dep())]
+
+
+def _node(node: Any, parts: list[ca.SX]) -> ca.SX:
+    if node.is_output():
+        function: Any = node.dep(0).which_function()
+        return _called(function, parts)[int(node.which_output())]
+    if node.is_leaf():
+        return ca.SX(node)
+    return ca.SX.unary(node.op(), *parts) if len(parts) == 1 else ca.SX.binary(node.op(), *parts)
+
+
+def _called(function: Any, arguments: list[ca.SX]) -> list[ca.SX]:
+    """Return all output entries of a function at the entries of its inputs.
+
+    Raises:
+        ValueError: If the function consists of other than scalar operations.
+    """
+    kind = function.class_name()
+    if kind == "SXFunction":
+        return _inlined(function, arguments)
+    if kind == "LinearInterpolant" and len(arguments) == 1:
+        return _lines(function, arguments[0])
+    remedy = "write it in `casadi.SX` operations"
+    if "Interpolant" in kind:
+        remedy = "use a linear table of one argument, `casadi.interpolant` or `casadi.pw_lin`"
+    raise ValueError(
+        f"Argument `model`: a formula calls the function `{function.name()}` ({kind}), which has "
+        f"no formula here: {remedy}."
+    )
+
+
+def _inlined(function: Any, arguments: list[ca.SX]) -> list[ca.SX]:
+    """Return the outputs of a function of scalar operations."""
+    made = function.instructions_sx()
+    work: dict[int, ca.SX] = {}
+    outputs: list[ca.SX] = []
+    offsets = np.cumsum([0, *(function.nnz_in(k) for k in range(function.n_in()))]).tolist()
+    symbols: list[ca.SX] = list(function.sx_in())
+    inputs = ca.vertcat(*map(ca.vec, symbols))
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        given, taken = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_OUTPUT:
+            outputs.append(work[given[0]])
+        elif operation == ca.OP_INPUT:
+            work[taken[0]] = inputs[offsets[given[0]] + given[1]]
+        elif operation == ca.OP_CALL:
+            work.update((place, made[k].get_output(j)) for j, place in enumerate(taken))
+        else:
+            work[taken[0]] = made[k]
+    found: Any = ca.substitute(ca.vertcat(*outputs), inputs, ca.vertcat(*arguments))
+    return _entries(without_calls(found)) if outputs else []
+
+
+def _lines(table: Any, argument: ca.SX) -> list[ca.SX]:
+    """Return a linear table as straight lines, extended beyond its ends.
+
+    Raises:
+        ValueError: If the lines differ from the table.
+    """
+    knots, values = _table_of(table)
+    slopes: Vector = np.diff(values, axis=0) / np.diff(knots)[:, None]
+    x = ca.SX.sym("x")
+    found: list[ca.SX] = []
+    starts: list[float] = knots.tolist()
+    for row, rises in zip(values.T, slopes.T, strict=True):
+        lines: list[ca.SX] = [
+            float(value) + float(rise) * (x - knot)
+            for value, rise, knot in zip(row, rises, starts, strict=False)
+        ]
+        value = lines[0]
+        for knot, line in zip(starts[1:-1], lines[1:], strict=True):
+            value = ca.if_else(x < knot, value, line)
+        found.append(value)
+    lines_at: Any = ca.Function("lines", [x], [ca.vertcat(*found)])
+    middles = (knots[1:] + knots[:-1]) / 2
+    for at in (2 * knots[0] - middles[0], *middles, 2 * knots[-1] - middles[-1]):
+        differences = np.abs(lines_at(at).full() - table(at).full())
+        if np.max(differences) > _EXACT * np.max(np.abs(values)):
+            raise ValueError(f"The formula of the table `{table.name()}` differs from it at {at}.")
+    return _entries(lines_at(argument))
+
+
+def _table_of(table: Any) -> tuple[Vector, Vector]:
+    """Return knots, ``(n,)``, and values, ``(n, m)``, of a linear table, from its C code."""
+    generator = ca.CodeGenerator("table")
+    generator.add(table)
+    text = generator.dump()
+    used = _TABLE.search(text)
+    if used is None:
+        raise ValueError(
+            f"Argument `model`: a formula calls the table `{table.name()}`, whose knots are "
+            "unknown: use `casadi.pw_lin`."
+        )
+    knots, values = (_array(text, used[name]) for name in ("knots", "values"))
+    return knots, values.reshape(knots.size, int(used["m"]))
+
+
+def _array(text: str, name: str) -> Vector:
+    """Return an array of C code."""
+    entries = re.search(rf"casadi_real {name}\[\d+\] =\s*{{(.*?)}};", text, re.DOTALL)
+    numbers = "" if entries is None else entries[1]
+    return np.array([float(number) for number in numbers.split(",")])
