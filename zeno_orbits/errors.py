@@ -51,11 +51,14 @@ class ProblemFileError(InputError):
 
     Attributes:
         path: The file.
+        line: The line of the mistake, if it is known.
     """
 
-    def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(_about_file("Problem", path, "define a problem", reason))
-        self.path = path
+    def __init__(self, path: Path, reason: str, line: int | None = None) -> None:
+        where = f"`{path}`" if line is None else f"`{path}`, line {line}"
+        link = " " if reason.startswith("cannot") else ": "
+        super().__init__(f"Problem file {where}{link}{reason}".removesuffix("?") + ".")
+        self.path, self.line = path, line
 
 
 class OrbitFileError(InputError):

@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from zeno_orbits.errors import InputError, ProblemFileError, shortened
+from zeno_orbits.model.mistakes import account_of
 from zeno_orbits.model.origin import with_origin
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.quantities import unknown
@@ -55,7 +56,7 @@ def load_problem(name_or_path: str | Path) -> Problem:
         path = Path(name)
         if not _is_there(path):
             if path.suffix == ".py":
-                raise ProblemFileError(path, "it cannot be read (No such file or directory)")
+                raise ProblemFileError(path, "cannot be read (No such file or directory)")
             raise InputError(unknown("problem", name, tuple(bundled)))
     if name in bundled:
         problem = _bundled(path)
@@ -138,7 +139,7 @@ def _require_sound(path: Path, problem: Problem) -> None:
         problem.checked()
     except Exception as error:
         file = path / "model.py" if path.is_dir() else path
-        raise ProblemFileError(file, _reason(error)) from error
+        raise ProblemFileError(file, *account_of(error, file)) from error
 
 
 @lru_cache(maxsize=_MOST)
@@ -182,14 +183,8 @@ def _execute(file: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise ProblemFileError(file, _reason(error)) from error
+        raise ProblemFileError(file, *account_of(error, file)) from error
     return module
-
-
-def _reason(error: BaseException) -> str:
-    """Return an error of a problem's code in one line."""
-    text = " ".join(str(error).split())
-    return f"it raises {type(error).__name__}: {text}".removesuffix(".")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

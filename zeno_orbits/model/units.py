@@ -100,7 +100,7 @@ def require_coherent(units: Mapping[str, str]) -> None:
                     wanted = "must be of one system for all values of a problem"
                     raise ValueError(
                         f"Argument `unit` {wanted}, but `{other}` counts in {first} and `{name}`, "
-                        f"in {unit}, in {base}."
+                        f"in {unit}, in {base}. Write both in one of them."
                     )
 
 
@@ -149,11 +149,38 @@ def _factor(factor: str, text: str) -> Powers:
     found = _FACTOR.fullmatch(factor)
     symbol = found[1] if found else factor
     if found is None or (symbol not in {*_BASE, *_OTHERS} and symbol not in _DERIVED):
+        meant = _WORDS.get(symbol.lower().removesuffix("s"))
         known = ", ".join((*_BASE, *_OTHERS, *_DERIVED))
-        raise ValueError(f"`{factor}` in `{text}` is not a unit. Known units are {known}")
+        remedy = f": write `{meant}`" if meant else f". Known units are {known}"
+        raise ValueError(f"`{factor}` in `{text}` is not a unit{remedy}")
     power = int(found[2] or 1)
     return {base: n * power for base, n in _DERIVED.get(symbol, {symbol: 1}).items()}
 
+
+_WORDS: Mapping[str, str] = {
+    **dict.fromkeys(("metre", "meter"), "m"),
+    **dict.fromkeys(("millimetre", "millimeter"), "mm"),
+    "second": "s",
+    "sec": "s",
+    "radian": "rad",
+    "kilogram": "kg",
+    "gram": "g",
+    "newton": "N",
+    "amp": "A",
+    "ampere": "A",
+    "volt": "V",
+    "watt": "W",
+    "joule": "J",
+    "henry": "H",
+    "hertz": "Hz",
+    "kelvin": "K",
+    "pascal": "Pa",
+    "farad": "F",
+    "tesla": "T",
+    "weber": "Wb",
+    "coulomb": "C",
+}
+"""Words that stand for units, in lower case, without a plural."""
 
 _SCALED: Mapping[str, tuple[str, float]] = {
     "ms": ("s", 1e-3),

@@ -15,6 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.mistakes import NotSymbolicError, holds_nan
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.numeric.own_scale import ScaleReach, constraint_sizes, reach_of
 from zeno_orbits.model.units import ELECTRICAL, is_electrical_unit, is_rate_of
@@ -65,7 +66,7 @@ def built(
     if not isinstance(system, CompletedSystem):
         made = f"but it returns a `{type(system).__name__}`"
         raise ValueError(  # noqa: TRY004
-            f"Argument `model` must return a `CompletedSystem` from `complete`, {made}."
+            f"Argument `model` must return the system of `hybrid_system`, {made}."
         )
     return system
 
@@ -160,6 +161,7 @@ def require_sound_numbers(
         starts: Initial states, each ``(n_x,)``.
 
     Raises:
+        NotSymbolicError: If a formula is NaN itself.
         ValueError: If a formula is not finite at a start, if a start is beyond the stop or off a
             constraint, if the gap does not change with the configuration there, if the mass matrix
             or a coenergy near it is not convex, or if a resistance feeds energy in.
@@ -183,7 +185,7 @@ def require_sound_numbers(
     for number, start in enumerate(starts, start=1):
         x = np.asarray(start, dtype=np.float64)
         _require_mass(look, x, p, around, names, f"at start {number}")
-        _require_finite(formulas, x, p, number)
+        _require_finite(system, formulas, x, p, number)
         _require_convex(fields, x, p, f"at start {number}")
         for (name, _), matrix in lossy.items():
             _require_lossy(name, matrix(x, p).full(), f"at start {number}")
@@ -199,9 +201,13 @@ def require_sound_numbers(
                 _require_convex(fields, near, p, "at an admissible state near it")
 
 
-def _require_finite(formulas: Mapping[str, Any], x: Vector, p: Vector, number: int) -> None:
+def _require_finite(
+    system: CompletedSystem, formulas: Mapping[str, Any], x: Vector, p: Vector, number: int
+) -> None:
     for name in ("gap", *_FORMULAS):
         if not np.all(np.isfinite(formulas[name](x, p).full())):
+            if holds_nan(getattr(system, name)):
+                raise NotSymbolicError
             where = f"must be finite at start {number}, but its {name} is not"
             hint = "; does the gap change with the configuration there?"
             asked = hint if name == "normal_inertia" else ""
@@ -213,7 +219,10 @@ def _require_admissible(
 ) -> None:
     gap = dynamics.gap(x)
     if gap < -_OFF * reach.gap:
-        raise ValueError(f"Start {number} must have a gap >= 0, but it is {gap:.6g}.")
+        raise ValueError(
+            f"Start {number} lies inside the stop, where the gap is below 0: {gap:.6g}. Change the "
+            "start, or the sign of the gap."
+        )
     off = dynamics.holonomic(x)
     if np.any(np.abs(off) > _OFF * constraint_sizes(dynamics, x, reach.sizes(len(x)))):
         raise ValueError(

@@ -1,0 +1,110 @@
+"""Mistakes in problem files: line, problem and remedy of an error."""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+
+import casadi as ca
+
+_NO_TRUTH = "Cannot compute the truth value"
+"""CasADi's words about the truth of a symbol."""
+_CONDITION = (
+    "a condition on a symbol. Write `ca.if_else(q > 0, a, b)` for `a if q > 0 else b`, "
+    "`ca.logic_and` for `and`, `ca.fmax` for `max`"
+)
+_TWO_SYMBOLS = {"SX", "MX"}
+_NUMERIC = ("math", "cmath")
+"""Modules whose functions turn a symbol into a number."""
+
+
+class NotSymbolicError(ValueError):
+    """A formula holds NaN, since a numeric function was given a symbol."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "a formula of the model holds NaN, as `math.sin(q)` or `float(q)` of a symbol give. "
+            "Write `ca.sin(q)`, or the symbol."
+        )
+
+
+def holds_nan(formula: ca.SX) -> bool:
+    """Return True if a formula holds the constant NaN."""
+    function = ca.Function("formula", ca.symvar(formula), [ca.densify(formula)])
+    return any(
+        function.instruction_id(k) == ca.OP_CONST and math.isnan(function.instruction_constant(k))
+        for k in range(function.n_instructions())
+    )
+
+
+def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
+    """Return what an error of a problem's code says in one line, and its line in the file.
+
+    Args:
+        error: The error.
+        file: The file.
+    """
+    if isinstance(error, SyntaxError):
+        return str(error.msg), error.lineno
+    text = " ".join(str(error).split()).removesuffix(".")
+    line = _line_in_trace(error, file) or _line_of(error, text, file)
+    if _NO_TRUTH in text:
+        return _CONDITION, line
+    if set(re.findall(r"'(\w+)'", text)) >= _TWO_SYMBOLS:
+        return "symbols of two kinds. Write `ca.SX.sym` for every symbol", line
+    if isinstance(error, ValueError):
+        return text, line
+    return f"{type(error).__name__}: {text}", line
+
+
+def _line_in_trace(error: BaseException, file: Path) -> int | None:
+    """Return the innermost line of the file that led to an error, or to the error before it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if Path(frame.filename) == file]
+    if lines or error.__cause__ is None:
+        return lines[-1] if lines else None
+    return _line_in_trace(error.__cause__, file)
+
+
+def _line_of(error: BaseException, text: str, file: Path) -> int | None:
+    """Return the line to which an error of a whole problem belongs, if the file shows it."""
+    try:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+    except (OSError, SyntaxError, ValueError):
+        return None
+    if isinstance(error, NotSymbolicError):
+        return next(_numeric_calls(tree), None)
+    named = re.search(r"Argument `(\w+)`", text)
+    word = named[1] if named else "starts" if text.startswith("Start ") else ""
+    return next(_arguments(tree, word), None)
+
+
+def _numeric_calls(tree: ast.AST) -> Iterator[int]:
+    """Yield the lines in which a function calls one of `math`, or `float`, with a formula."""
+    for function in ast.walk(tree):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        for node in ast.walk(function):
+            if not isinstance(node, ast.Call) or all(_is_number(one) for one in node.args):
+                continue
+            called = node.func
+            if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
+                if called.value.id in _NUMERIC:
+                    yield node.lineno
+            elif isinstance(called, ast.Name) and called.id == "float":
+                yield node.lineno
+
+
+def _is_number(node: ast.expr) -> bool:
+    return not any(isinstance(one, ast.Name) and one.id not in _NUMERIC for one in ast.walk(node))
+
+
+def _arguments(tree: ast.AST, name: str) -> Iterator[int]:
+    """Yield the lines of a call's argument of that name."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.keyword) and node.arg == name:
+            yield node.lineno
