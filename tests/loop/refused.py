@@ -82,15 +82,15 @@ REFUSED: dict[str, tuple[zo.Problem, str]] = {
     ),
     "impacts in a corner": (
         _from(machine_of(corner, PLANE, {"restitution": 0.6}), x=0.2, y=1.0),
-        "Two events coincide to rounding: impact",
+        "Impacts accumulate on the stop",
     ),
     "impacts at the same time": (
-        _from(two_floors(0.0), left=0.5, right=0.5),
+        _from(two_floors(0.2), left=0.5, right=0.5),
         "Two events coincide to rounding: impact left and impact right",
     ),
     "impacts that lift a closed stop": (
         _from(two_floors(-0.4), left=0.1),
-        "Two events coincide to rounding: impact",
+        "Impacts accumulate on the stop",
     ),
     "events of a switch that accumulate": (
         _from(ball(_none, lambda q, _: q - 0.2, _falling, floor=-1.0), x=1.0),

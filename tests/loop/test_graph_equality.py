@@ -235,9 +235,9 @@ def test_a_run_goes_on_after_every_step(name: str) -> None:
     run = LoopRun(program, place, graph.p, state)
     status = binding.FULL
     while status == binding.FULL:
-        with pytest.raises(ValueError, match="`events` must be at least 11, but it is 10"):
-            run.resume(events=10)
-        status = run.resume(steps=1, polynomials=1, arcs=3, events=11)
+        with pytest.raises(ValueError, match="`events` must be at least 34, but it is 33"):
+            run.resume(events=33)
+        status = run.resume(steps=1, polynomials=1, arcs=3, events=34)
     assert status == binding.DONE
     record, n_x = run.record(), len(state)
     expected = [numbers(event) for event in whole.events]

@@ -116,9 +116,13 @@ RULES: dict[str, float] = {
     "SPLIT": graph_run._SPLIT,
     "SPLIT_RESOLVED": graph_run._SPLIT_RESOLVED,
     "ACCUMULATED": graph_run._ACCUMULATED,
+    "LOW": graph_run._LOW,
+    "SLOW": graph_run._SLOW,
+    "COUPLED": graph_run._COUPLED,
     "IN_TURN": accumulations._IN_TURN,
     "IN_ROW": accumulations._IN_ROW,
     "LAST_IMPACTS": accumulations._LAST,
+    "CHANGES": accumulations._CHANGES,
     "CORNER": accumulations._CORNER,
     "SHORT": accumulations._SHORT,
     "FAST": accumulations._FAST,
@@ -126,8 +130,6 @@ RULES: dict[str, float] = {
     "COMPARED": accumulations._COMPARED,
     "FALLING": accumulations._FALLING,
     "ALIKE": accumulations._ALIKE,
-    "HALF": accumulations._HALF,
-    "FALLEN": accumulations._ACCUMULATED,
 }
 
 

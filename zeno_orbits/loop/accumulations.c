@@ -19,27 +19,25 @@ static int tell_two(const Machine *m, int status, double time, const double *x, 
 
 /* Whether the last impacts are on several stops in turn. */
 static int come_in_turn(const Graphed *graph) {
-    long long k, first = graph->n_turn > LAST_IMPACTS ? graph->n_turn - LAST_IMPACTS : 0;
+    long long k;
     int changes = 0;
-    for (k = first + 1; k < graph->n_turn; k++)
+    for (k = 1; k < graph->n_turn; k++)
         changes += graph->turn_stops[k] != graph->turn_stops[k - 1];
-    return changes >= LAST_IMPACTS / 2;
+    return graph->n_turn >= LAST_IMPACTS && changes >= CHANGES;
 }
 
 /* The error of impacts that accumulate on several stops in turn. */
 static int in_turn(const Machine *m, double time, const double *x) {
     const Graphed *graph = &m->run->graph;
-    long long k, first = graph->n_turn > LAST_IMPACTS ? graph->n_turn - LAST_IMPACTS : 0;
-    long long last = graph->turn_stops[graph->n_turn - 1], others = 0;
-    for (k = first; k < graph->n_turn; k++) others |= 1LL << graph->turn_stops[k];
+    long long k, last = graph->turn_stops[graph->n_turn - 1], others = 0;
+    for (k = 0; k < graph->n_turn; k++) others |= 1LL << graph->turn_stops[k];
     return tell_two(m, ZL_IN_TURN, time, x, last, others & ~(1LL << last));
 }
 
-/* Record an impact, unless impacts accumulate on several stops in turn. */
-static int see_impact(const Machine *m, double time, const double *x) {
+/* Record an impact; 1 if impacts on several stops in turn become ever more frequent. */
+static int see_impact(const Machine *m, double time) {
     Graphed *graph = &m->run->graph;
-    double intervals[IN_TURN - 1], late = 0.0, early = 0.0;
-    int k;
+    double middle;
     if (graph->n_turn == IN_TURN) {
         memmove(graph->turn_times, graph->turn_times + 1, (IN_TURN - 1) * sizeof(double));
         memmove(graph->turn_stops, graph->turn_stops + 1, (IN_TURN - 1) * sizeof(long long));
@@ -47,23 +45,16 @@ static int see_impact(const Machine *m, double time, const double *x) {
     }
     graph->turn_times[graph->n_turn] = time;
     graph->turn_stops[graph->n_turn++] = graph->focus;
-    if (graph->n_turn < IN_TURN || !come_in_turn(graph)) return GO_ON;
-    for (k = 0; k < IN_TURN - 1; k++)
-        intervals[k] = graph->turn_times[k + 1] - graph->turn_times[k];
-    for (k = 0; k < 3; k++) {
-        late += intervals[IN_TURN - 4 + k];
-        early += intervals[IN_TURN - 7 + k];
-    }
-    if (late < HALF * early && intervals[IN_TURN - 2] < FALLEN * intervals[0])
-        return in_turn(m, time, x);
-    return GO_ON;
+    if (!come_in_turn(graph)) return 0;
+    middle = graph->turn_times[graph->n_turn / 2];
+    return time - middle < middle - graph->turn_times[0];
 }
 
 /* Whether the last impacts on several stops nearly coincide. */
 static int is_in_corner(const Machine *m) {
     const Graphed *graph = &m->run->graph;
     const long long n = graph->n_turn;
-    if (n < LAST_IMPACTS || !come_in_turn(graph)) return 0;
+    if (!come_in_turn(graph)) return 0;
     return graph->turn_times[n - 1] - graph->turn_times[n - 2] < CORNER * m->run->settings.time;
 }
 

@@ -7,7 +7,7 @@
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };
-enum { PENDING = 32, ROOM = 16, ESTIMATES = 64 };
+enum { PENDING = 64, ROOM = ZL_AT_ONCE + 2, ESTIMATES = 64 };
 
 #define OFF_CIRCLE 1e-9 /* of a clock, as in simulation/admission.py */
 

@@ -456,41 +456,121 @@ static const Other *first_of_surface(const Graph *g, const Other *fell, const do
     return other;
 }
 
-/* Refuse a second event at the end of an arc. */
-static int require_alone(Graph *g, int main, int kind, long long index, double time,
+/* Whether a kink is crossed by the event of the kink that fell. */
+static int is_on_surface_of_found(const Graph *g, const Other *other, const double *x) {
+    const long long found = g->m.run->graph.found;
+    const Other *fell = found < 0 ? 0 : &g->others.list[found];
+    return fell && is_kink(g, fell) && is_kink(g, other) && is_one_surface(g, fell, other, x);
+}
+
+/* Whether an impulse on one of two stops changes the gap rate of the other. */
+static int are_coupled(const double *all, int n_stops, int j, int k) {
+    const double size = sqrt(all[j * n_stops + j] * all[k * n_stops + k]);
+    return fabs(all[j * n_stops + k]) > COUPLED * size;
+}
+
+/* Refuse impacts at one time on stops that are coupled, directly or by closed stops. */
+static int require_apart(Graph *g, long long struck, long long closed, double time,
                          const double *x) {
-    const zl_run *run = g->m.run;
-    const int found = (int)run->graph.found;
-    double pair[2];
-    int k;
-    for (k = 0; k < g->others.n; k++) {
-        const Other *other = &g->others.list[k];
-        const Watched *watched = &run->watched[k];
-        if (k == found || (watched->began_on_guard && other->kind != ZL_IMPACT)) continue;
-        if (found >= 0 && is_kink(g, other) && is_kink(g, &g->others.list[found]) &&
-            is_one_surface(g, other, &g->others.list[found], x))
-            continue;
-        if (other->kind == ZL_IMPACT)
-            gap_of(g, other->index, x, pair);
-        else
-            tape_run(other->value, other->registers, x, pair);
-        if (is_zero(g, pair, watched->rounding))
-            return coincide(g, kind, index, other->kind, other->index, time, x);
+    const zl_graph *graph = g->whole->graph;
+    const int n = (int)graph->n_stops;
+    double all[ZL_STOPS * ZL_STOPS];
+    int first, j, k;
+    if (!(struck & (struck - 1))) return GO_ON;
+    shared(g, &graph->delassus, graph->delassus_place, x, all);
+    for (first = 0; first < n; first++) {
+        long long reached = BIT(first), before = 0;
+        if (!(struck & BIT(first))) continue;
+        struck &= ~BIT(first);
+        while (reached != before) {
+            before = reached;
+            for (k = 0; k < n; k++)
+                for (j = 0; j < n && ((closed | struck) & BIT(k)) && !(reached & BIT(k)); j++)
+                    if ((before & BIT(j)) && are_coupled(all, n, j, k)) reached |= BIT(k);
+        }
+        for (k = 0; k < n; k++)
+            if (struck & reached & BIT(k))
+                return coincide(g, ZL_IMPACT, first, ZL_IMPACT, k, time, x);
     }
-    if (found < 0) return GO_ON;
+    return GO_ON;
+}
+
+/* Whether the zero of a guard is an event: a declared switch is armed and falls. */
+static int occurs(const Graph *g, int kind, long long index, const double *x) {
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS];
+    if (kind != ZL_SWITCH || index >= g->whole->graph->n_declared) return 1;
+    if (!is_above(g, (int)index)) return 0;
+    switches_at(g, x, formulas, levels, armed);
+    return armed[index] > 0.0;
+}
+
+/* Whether the guard of the stop that the run looks at falls through zero here. */
+static int main_is_zero(const Graph *g, int main, const double *x) {
+    const zl_run *run = g->m.run;
+    double pair[2];
     if (main == ZL_RELEASE) {
         evaluate_at(&g->m, ZL_GUARD + ZL_LOCKED, x, pair);
-        if (!is_zero(g, pair, run->settings.contact * run->settings.multiplier)) return GO_ON;
-    } else {
-        evaluate_at(&g->m, ZL_GAP, x, pair);
-        if (!is_zero(g, pair, run->small_gap)) return GO_ON;
+        return is_zero(g, pair, run->settings.contact * run->settings.multiplier);
     }
-    return coincide(g, kind, index, main, run->graph.focus, time, x);
+    evaluate_at(&g->m, ZL_GAP, x, pair);
+    return is_zero(g, pair, run->small_gap);
+}
+
+/* Find the event at the end of an arc, of all events whose guards are zero there: its place in the
+   list of the others, or -1 for the stop that the run looks at. A switch that is not armed, or rises,
+   is no event. A kink changes no state, and an impact does not depend on it. Impacts on stops that
+   are not coupled change nothing for each other. */
+static int event_at_end(Graph *g, int main, double time, const double *x, long long *chosen) {
+    const zl_run *run = g->m.run;
+    const zl_graph *graph = g->whole->graph;
+    const long long found = run->graph.found, focus = run->graph.focus;
+    long long places[ZL_GUARDS + 1], kinds[ZL_GUARDS + 1], indices[ZL_GUARDS + 1], struck = 0;
+    int n = 0, k, all_commute = 1, first = -1;
+    for (k = -2; k <= g->others.n; k++) {
+        /* What fell comes first, the stop that the run looks at last. */
+        const long long place = k == -2 ? found : k == g->others.n ? -1 : k;
+        const Other *other = place >= 0 ? &g->others.list[place] : 0;
+        double pair[2];
+        if (k == -1 || (k != -2 && place == found)) continue;
+        if (k == -2) {
+            *chosen = found;
+        } else if (!other) {
+            if (!main_is_zero(g, main, x)) continue;
+        } else {
+            const Watched *watched = &run->watched[place];
+            if (watched->began_on_guard && other->kind != ZL_IMPACT) continue;
+            if (other->kind == ZL_IMPACT)
+                gap_of(g, other->index, x, pair);
+            else
+                tape_run(other->value, other->registers, x, pair);
+            if (!is_zero(g, pair, watched->rounding)) continue;
+        }
+        if (other && !occurs(g, other->kind, other->index, x)) continue;
+        if (other && place != found && is_on_surface_of_found(g, other, x)) continue;
+        places[n] = place;
+        kinds[n] = other ? other->kind : main;
+        indices[n] = other ? other->index : focus;
+        if (kinds[n] == ZL_IMPACT) {
+            if (first < 0) first = n;
+            struck |= BIT(indices[n]);
+        } else if (kinds[n] != ZL_SWITCH || indices[n] < graph->n_declared) {
+            all_commute = 0;
+        }
+        n++;
+    }
+    if (n) *chosen = places[0];
+    if (n < 2) return GO_ON;
+    if (first < 0 || !all_commute)
+        return coincide(g, (int)kinds[0], indices[0], (int)kinds[1], indices[1], time, x);
+    *chosen = places[first];
+    return require_apart(g, struck, closed_at_start(g), time, x);
 }
 
 static int after_other(Graph *g, double time, const double *x, const Other *other,
                        const double *rate);
 static int on_other_side(Graph *g, int k);
+static int land_at(Graph *g, double time, const double *x, double rate);
+static int meet_at(Graph *g, double time, const double *x, double rate);
 
 /* See what the end of an arc leads to, once the guard that fell first is known. */
 static int conclude(Graph *g) {
@@ -502,7 +582,7 @@ static int conclude(Graph *g) {
     const int at_limit = graph->outcome == LEG_AT_HORIZON && found < 0;
     const double begin = run->start.time, main_end = run->leg.duration;
     int kind = main, status = GO_ON;
-    long long index = graph->focus;
+    long long chosen = found;
     double x[ZL_MOST], time, rate = 0.0;
     const Other *other = found >= 0 ? &g->others.list[found] : 0;
     if (at_limit && graph->retried) {
@@ -528,7 +608,6 @@ static int conclude(Graph *g) {
         const int launches = watched->launched > 0.0;
         if (!launches) other = first_of_surface(g, other, watched->end);
         kind = other->kind;
-        index = other->index;
         if (launches) {
             run->leg = run->side;
             rate = watched->launched * run->leg.end[n_x + 1];
@@ -542,7 +621,8 @@ static int conclude(Graph *g) {
     memcpy(x, run->leg.end, sizeof x);
     time = at_limit ? settings->until : begin + run->leg.unit * run->leg.duration;
     run->pace.window = greater(GROW * (time - begin), SHORTEST * settings->time);
-    if (!at_limit) status = require_alone(g, main, kind, index, time, x);
+    if (!at_limit) status = event_at_end(g, main, time, x, &chosen);
+    if (chosen != found) kind = chosen < 0 ? main : g->others.list[chosen].kind;
     if (status == GO_ON && !other && graph->kind == FLIGHT_ARC && !at_limit &&
         x[n_x] > ABOVE * fabs(x[n_x + 1]) * run->leg.duration) {
         /* The way meets the stop where the scaled gap is unaware of it: it is flown again. */
@@ -563,20 +643,23 @@ static int conclude(Graph *g) {
         run->stage = OVER;
         return GO_ON;
     }
-    if (other)
-        return after_other(g, time, x, other, run->watched[found].launched > 0.0 ? &rate : 0);
-    switch (graph->kind) {
-    case LOCKED_ARC:
+    if (chosen >= 0) {
+        const int is_known = chosen == found && run->watched[found].launched > 0.0;
+        const Other *last = chosen == found ? other : &g->others.list[chosen];
+        return after_other(g, time, x, last, is_known ? &rate : 0);
+    }
+    run->stage = AT_START;
+    if (graph->kind == LOCKED_ARC) {
+        if (other) graph->has_current = 0;
         return release(&g->m, time, x);
-    case FREE_ARC: {
+    }
+    if (graph->kind == FREE_ARC || (other && graph->kind == HOP_ARC) ||
+        (other && run->watched[found].launched > 0.0)) {
         double gap[2];
         evaluate_at(&g->m, ZL_GAP, x, gap);
-        return after_other(g, time, x, 0, &gap[1]);
+        return meet_at(g, time, x, gap[1]);
     }
-    default:
-        rate = run->leg.unit * x[n_x + 1];
-        return after_other(g, time, x, 0, &rate);
-    }
+    return land_at(g, time, x, run->leg.unit * x[n_x + 1]);
 }
 
 /* Go on to find the guard that falls first, of those that have been followed to their ends. */
@@ -677,31 +760,36 @@ static int arc_ended(Graph *g) {
 
 /* Switches. */
 
-/* The same start on the other side of a switch, whose guard is zero there. */
+static int switched(Graph *g, double time, const double *x, int k);
+
+/* The start on the other side of a switch, whose guard is zero at a start and falls. A declared
+   switch occurs there if it is armed, unless it has just occurred. */
 static int on_other_side(Graph *g, int k) {
     zl_run *run = g->m.run;
     Graphed *graph = &run->graph;
     const zl_start *start = &run->start;
     const double *x = start->state;
-    const int is_armed = k < g->whole->graph->n_declared && is_above(g, k);
-    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS];
     if (graph->flipped_time != start->time) graph->flipped = 0;
     if (graph->flipped & BIT(k)) return tell(&g->m, ZL_SLIDES, start->time, x, k);
     graph->flipped |= BIT(k);
     graph->flipped_time = start->time;
-    if (is_armed) {
-        const int has_fallen = graph->last_kind == ZL_SWITCH && graph->last_index == k &&
-                               graph->last_time == start->time;
-        const long long mode = ZL_MODE_KEY(closed_at_start(g), graph->sides);
+    if (k < g->whole->graph->n_declared && occurs(g, ZL_SWITCH, k, x)) {
+        const long long mode = ZL_MODE_KEY(closed_at_start(g), graph->sides), n = graph->n_row[k];
         Other other;
         double pair[2];
-        switches_at(g, x, formulas, levels, armed);
-        if (!has_fallen && armed[k] > 0.0) return tell(&g->m, ZL_ARMED, start->time, x, k);
+        if (graph->last_kind == ZL_HORIZON && start->time == 0.0)
+            return tell(&g->m, ZL_ARMED, start->time, x, k);
+        if (!(n && graph->row_times[k][n - 1] == start->time)) {
+            double here[ZL_MOST];
+            memcpy(here, x, sizeof here);
+            return switched(g, start->time, here, k);
+        }
         formulas_of_side(g, mode, k, 1, &other);
         if (g->asks) return GO_ON;
         tape_run(other.value, other.registers, x, pair);
-        /* The guard rose by less than its rounding and fell again. */
-        if (pair[1] > 0.0) return tell(&g->m, ZL_ACCUMULATE, start->time, x, k);
+        /* The guard rose by less than its rounding, or another event led back to it. */
+        if (pair[1] > 0.0 || !(graph->last_kind == ZL_SWITCH && graph->last_index == k))
+            return tell(&g->m, ZL_ACCUMULATE, start->time, x, k);
     }
     change_side(g, k, x);
     look(g, graph->rest, focus_of(g));
@@ -745,6 +833,22 @@ static int require_continuous(Graph *g, int k, double time, const double *x) {
 
 static int placed(Graph *g, double time, const double *state, long long was_closed, int by_switch,
                   int flying);
+static int strike(Graph *g, double time, const double *before, double approach);
+
+/* Record the releases of stops that another event opens; 1 if the last of them ends the run. */
+static int are_opened(Graph *g, long long stops, double time, const double *x) {
+    zl_run *run = g->m.run;
+    const double none[3] = {0.0, 0.0, 0.0};
+    int k;
+    for (k = 0; k < g->whole->graph->n_stops; k++)
+        if (stops & BIT(k)) {
+            write_event_of(&g->m, ZL_RELEASE, k, time, none, x, x);
+            run->n_releases++;
+        }
+    if (!stops || (double)run->n_releases < run->settings.most_releases) return 0;
+    run->stage = OVER;
+    return 1;
+}
 
 /* Apply a switch whose guard fell through zero. */
 static int switched(Graph *g, double time, const double *x, int k) {
@@ -761,6 +865,7 @@ static int switched(Graph *g, double time, const double *x, int k) {
         if (armed[k] > 0.0) {
             double after[ZL_MOST];
             shared(g, &table->resets[k], table->reset_places[k], x, after);
+            graph->flipped = 0;
             status = count_switch(g, time, k, x, after);
             if (status != GO_ON) return status;
             graph->has_current = 0;
@@ -896,17 +1001,54 @@ static long long kept_closed(Graph *g, const double *x) {
     return 0;
 }
 
+/* Whether the stops of the last impacts have zero gap and gap rate to the accuracy of a flight. */
+static int they_rest(Graph *g, const double *x) {
+    const Graphed *graph = &g->m.run->graph;
+    long long stops = 0, k;
+    for (k = 0; k < graph->n_turn; k++) stops |= BIT(graph->turn_stops[k]);
+    for (k = 0; k < g->whole->graph->n_stops; k++) {
+        const zl_settings *settings = settings_of(g, (int)k);
+        double gap[2];
+        if (!(stops & BIT(k))) continue;
+        gap_of(g, (int)k, x, gap);
+        if (!(gap[0] <= LOW * settings->gap && fabs(gap[1]) <= SLOW * settings->gap_rate)) return 0;
+    }
+    return 1;
+}
+
+/* Strike a stop that closes at the time of an impact on another stop, if there is one. */
+static int strike_again(Graph *g, double time) {
+    zl_run *run = g->m.run;
+    const long long closed = closed_at_start(g);
+    double x[ZL_MOST], gap[2];
+    int k, status;
+    if (g->asks) return GO_ON;
+    memcpy(x, run->start.state, sizeof x);
+    for (k = 0; k < g->whole->graph->n_stops; k++) {
+        const zl_settings *settings = settings_of(g, k);
+        if ((closed | BIT(run->graph.focus)) & BIT(k)) continue;
+        gap_of(g, k, x, gap);
+        if (!(gap[1] < -settings->contact * settings->gap_rate &&
+              is_zero(g, gap, settings->contact * settings->gap)))
+            continue;
+        status = require_apart(g, BIT(run->graph.focus) | BIT(k), closed, time, x);
+        if (status != GO_ON) return status;
+        look(g, closed, k);
+        return strike(g, time, x, gap[1]);
+    }
+    return GO_ON;
+}
+
 /* Apply the reset map in the mode that its impulses determine. */
 static int strike(Graph *g, double time, const double *before, double approach) {
     zl_run *run = g->m.run;
     Graphed *graph = &run->graph;
     zl_start *start = &run->start;
     const long long was = graph->rest, n_x = g->whole->n_x, focus = BIT(graph->focus);
-    const double none[3] = {0.0, 0.0, 0.0};
-    long long closed, candidates;
+    long long closed, candidates, held = focus;
     double given[ZL_MOST + 1], landed[3 * ZL_MOST + 2];
-    int status = see_impact(&g->m, time, before), k;
-    if (status != GO_ON) return status;
+    int status;
+    if (see_impact(&g->m, time) && they_rest(g, before)) return in_turn(&g->m, time, before);
     graph->split_before = graph->split_present;
     graph->split_present = 0;
     if (approach < 0.0) {
@@ -925,36 +1067,37 @@ static int strike(Graph *g, double time, const double *before, double approach) 
     if (graph->rest) {
         status = contact_set(g, time, start->state, candidates, &closed);
         if (status != GO_ON) return status;
-    } else {
-        closed = graph->rest;
+        held = (graph->rest | focus) & closed;
     }
-    for (k = 0; k < g->whole->graph->n_stops; k++)
-        if ((was & BIT(k)) && (!((graph->rest | focus) & BIT(k)) ||
-                               (graph->rest && !(closed & BIT(k))))) {
-            write_event_of(&g->m, ZL_RELEASE, k, time, none, start->state, start->state);
-            run->n_releases++;
+    if (are_opened(g, was & ~held, time, start->state)) return GO_ON;
+    if (closed != candidates) {
+        graph->has_current = 0;
+        look(g, closed & ~focus, focus_of(g));
+        if (start->mode == ZL_LOCKED && !(closed & focus)) {
+            start->mode = ZL_FREE;
+        } else if (start->has_impact) {
+            double told[2 * ZL_MOST + 1];
+            evaluate_at(&g->m, ZL_RESTING, start->plus, told);
+            memcpy(start->resting, told, (size_t)n_x * sizeof(double));
+            start->lift = told[n_x];
+            memcpy(start->rate, told + n_x + 1, (size_t)n_x * sizeof(double));
         }
-    if (!graph->rest || closed == candidates) return GO_ON;
-    graph->has_current = 0;
-    look(g, closed & ~focus, focus_of(g));
-    if (start->mode == ZL_LOCKED && !(closed & focus)) {
-        start->mode = ZL_FREE;
-        return GO_ON;
     }
-    if (start->has_impact) {
-        double told[2 * ZL_MOST + 1];
-        evaluate_at(&g->m, ZL_RESTING, start->plus, told);
-        memcpy(start->resting, told, (size_t)n_x * sizeof(double));
-        start->lift = told[n_x];
-        memcpy(start->rate, told + n_x + 1, (size_t)n_x * sizeof(double));
-    }
-    return GO_ON;
+    return strike_again(g, time);
 }
 
 /* Apply the impact at the end of a flight, or fly on from a graze. */
 static int land_at(Graph *g, double time, const double *x, double rate) {
     if (rate > 0.0) return landing(&g->m, time, x, rate);
     return strike(g, time, x, rate);
+}
+
+/* See what follows where the gap of the stop closes: it is struck, or only touched. */
+static int meet_at(Graph *g, double time, const double *x, double rate) {
+    if (!(fabs(rate) <= g->m.run->small_rate)) return land_at(g, time, x, rate);
+    start_on_stop(&g->m, time, x);
+    if (g->m.run->start.mode == ZL_FREE) g->m.run->graph.has_current = 0;
+    return GO_ON;
 }
 
 /* The start at a state: each stop with zero gap and rate holds, or opens. */
@@ -964,6 +1107,7 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
     const zl_graph *table = g->whole->graph;
     const size_t bytes = (size_t)g->whole->n_x * sizeof(double);
     long long still = 0, opening = 0, struck = 0, closed, leaving;
+    const int is_first = run->stage == BEFORE;
     double x[ZL_MOST], gap[2];
     int k, n = (int)table->n_stops, focus, status;
     memcpy(x, state, bytes);
@@ -971,14 +1115,16 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
         const zl_settings *settings = settings_of(g, k);
         const double contact = settings->contact;
         const double small = was_closed & BIT(k) ? greater(OFF, contact) : contact;
-        if (k == flying) continue;
+        int is_on, falls;
         gap_of(g, k, x, gap);
-        if (gap[0] > small * settings->gap) continue;
-        if (fabs(gap[1]) <= small * settings->gap_rate && gap[0] >= -small * settings->gap)
+        is_on = gap[0] >= -small * settings->gap;
+        falls = gap[1] < -small * settings->gap_rate;
+        if (gap[0] > small * settings->gap || (k == flying && !(is_on && falls))) continue;
+        if (is_on && fabs(gap[1]) <= small * settings->gap_rate)
             still |= BIT(k);
-        else if (gap[0] >= -small * settings->gap && gap[1] > 0.0)
+        else if (is_on && gap[1] > 0.0)
             opening |= BIT(k);
-        else if (by_switch >= 0)
+        else if (by_switch >= 0 && !is_on)
             return tell_two(&g->m, ZL_BY_SWITCH, time, x, by_switch, k);
         else
             struck |= BIT(k);
@@ -992,12 +1138,14 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
             to_stop(&m, x, on_stop);
             memcpy(x, on_stop, bytes);
         }
+    status = require_apart(g, struck, closed, time, x);
+    if (status != GO_ON) return status;
+    for (k = 0; k < n; k++)
+        if ((struck & BIT(k)) && settings_of(g, k)->restitution == 0.0) was_closed &= ~BIT(k);
+    if (!is_first && are_opened(g, was_closed & ~closed, time, x)) return GO_ON;
     if (struck) {
-        int first = 0, second;
+        int first = 0;
         while (!(struck & BIT(first))) first++;
-        for (second = first + 1; second < n; second++)
-            if (struck & BIT(second))
-                return coincide(g, ZL_IMPACT, first, ZL_IMPACT, second, time, x);
         look(g, closed, first);
         evaluate_at(&g->m, ZL_GAP, x, gap);
         return strike(g, time, x, gap[1]);
@@ -1026,35 +1174,23 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
     return GO_ON;
 }
 
-/* What follows where the gap of the stop closes, or the event of another guard.
-
-   `rate` is the gap rate, if it is known better than by the state. */
+/* What follows the event of another guard. `rate` is the gap rate, if it is known better than by the
+   state. */
 static int after_other(Graph *g, double time, const double *x, const Other *other,
                        const double *rate) {
     zl_run *run = g->m.run;
-    Graphed *graph = &run->graph;
     const long long closed = closed_at_start(g);
     double gap[2];
     run->stage = AT_START;
-    if (!other) {
-        if (graph->kind != FREE_ARC) return land_at(g, time, x, *rate);
-    } else if (other->kind == ZL_SWITCH) {
-        return switched(g, time, x, other->index);
-    } else {
-        graph->has_current = 0;
-        if (other->kind == ZL_RELEASE) {
-            look(g, closed & ~BIT(other->index), other->index);
-            return release(&g->m, time, x);
-        }
-        look(g, closed, other->index);
+    if (other->kind == ZL_SWITCH) return switched(g, time, x, other->index);
+    run->graph.has_current = 0;
+    if (other->kind == ZL_RELEASE) {
+        look(g, closed & ~BIT(other->index), other->index);
+        return release(&g->m, time, x);
     }
+    look(g, closed, other->index);
     evaluate_at(&g->m, ZL_GAP, x, gap);
-    if (rate) gap[1] = *rate;
-    if (!(fabs(gap[1]) <= run->small_rate)) return land_at(g, time, x, gap[1]);
-    /* The stop is touched, not struck. */
-    start_on_stop(&g->m, time, x);
-    if (run->start.mode == ZL_FREE) graph->has_current = 0;
-    return GO_ON;
+    return meet_at(g, time, x, rate ? *rate : gap[1]);
 }
 
 /* Sequences of impacts. */

@@ -19,9 +19,11 @@ static void write_event_of(const Machine *m, int kind, long long index, double t
     row[1] = time;
     memcpy(row + 2, numbers, 3 * sizeof(double));
     row[5] = (double)index;
-    m->run->graph.last_kind = kind;
-    m->run->graph.last_index = index;
-    m->run->graph.last_time = time;
+    if (kind != ZL_RELEASE) {
+        m->run->graph.last_kind = kind;
+        m->run->graph.last_index = index;
+        m->run->graph.last_time = time;
+    }
     memcpy(row + ZL_EVENT_WIDTH, before, n_x * sizeof(double));
     memcpy(row + ZL_EVENT_WIDTH + n_x, after, n_x * sizeof(double));
     records->n_events++;
@@ -459,7 +461,7 @@ static int admit(const Machine *m) {
 static int has_room(const Machine *m) {
     const zl_records *records = m->records;
     const int records_all = (int)m->run->settings.records;
-    return records->n_events + (m->graph ? 2 + ZL_STOPS : 2) < records->most_events &&
+    return records->n_events + (m->graph ? ZL_AT_ONCE : 2) < records->most_events &&
            (!records_all || (records->n_arcs + 2 < records->most_arcs &&
                              records->n_steps < records->most_steps &&
                              records->n_polynomials < records->most_polynomials));

@@ -105,11 +105,15 @@
 #define SPLIT 1e-08
 #define SPLIT_RESOLVED 0.0001
 #define ACCUMULATED 0.001
+#define LOW 1e-09
+#define SLOW 3e-05
+#define COUPLED 1e-12
 
 /* simulation/accumulations.py */
 #define IN_TURN 16
 #define IN_ROW 7
 #define LAST_IMPACTS 6
+#define CHANGES 3
 #define CORNER 1e-06
 #define SHORT 1e-05
 #define FAST 0.2
@@ -117,5 +121,3 @@
 #define COMPARED 4
 #define FALLING 0.9
 #define ALIKE 0.1
-#define HALF 0.5
-#define FALLEN 0.001

@@ -178,7 +178,7 @@ def _least_rows(program: TapedProblem, settings: Any) -> tuple[int, ...]:
     """Return the rows of records that one event needs. `has_room` in C has the same numbers."""
     several = isinstance(program, GraphProgram)
     records = (settings[0] if several else settings).records
-    return (*((1, 1, 3) if records else (0, 0, 0)), 3 + c.STOPS if several else 3)
+    return (*((1, 1, 3) if records else (0, 0, 0)), 2 + 4 * c.STOPS if several else 3)
 
 
 class LoopRun:
@@ -251,8 +251,8 @@ class LoopRun:
             steps: Rows of the record of steps.
             polynomials: Rows of the record of polynomials.
             arcs: Rows of the record of arcs, at least 3.
-            events: Rows of the record of events, at least 3. Of several stops or switches, 11: an
-                impact may open every stop.
+            events: Rows of the record of events, at least 3. Of several stops or switches, 34: one
+                event may strike and open every stop.
 
         Returns:
             A status of `loop.h`. A request of memory for estimates is already handled.

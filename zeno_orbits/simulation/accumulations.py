@@ -1,12 +1,15 @@
 """Events that accumulate without a Zeno point of one stop: they end an execution with an error.
 
 The events of a switch may accumulate, impacts may accumulate on several stops in turn, and a switch
-may accumulate together with the impacts of a stop. Each is recognized by intervals that shrink to a
-limit. No law continues the motion beyond such a limit.
+may accumulate together with the impacts of a stop. Events of a switch are recognized by intervals
+that shrink to a limit. Impacts in turn may come close to each other and part again, so they are
+followed one by one until all their stops are at rest to the accuracy of a flight. No law continues
+the motion beyond such a limit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -18,8 +21,8 @@ from zeno_orbits.simulation.interruptions import accumulate_together, switches_a
 
 _IN_TURN, _IN_ROW = 16, 7
 """Impacts on several stops, and events of one switch, whose intervals are compared."""
-_LAST = 6
-"""Impacts of which half change the stop where they come in turn."""
+_LAST, _CHANGES = 6, 3
+"""Impacts, and changes of the stop among them, at least where they come in turn."""
 _CORNER = 1e-6
 """Part of the problem's time within which impacts on two stops come in a corner."""
 _SHORT = 1e-5
@@ -31,10 +34,6 @@ _COMPARED = 4
 """Last events of a switch that are compared with a Zeno time."""
 _FALLING, _ALIKE = 0.9, 0.1
 """Largest ratio of intervals that shrink to a limit, and the least ratio of two such ratios."""
-_HALF = 0.5
-"""Largest ratio of the last three intervals to the three before them, where they shrink."""
-_ACCUMULATED = 1e-3
-"""Largest ratio of the last of many intervals to the first."""
 
 
 @dataclass(slots=True)
@@ -49,25 +48,26 @@ class Accumulations:
     impacts: tuple[tuple[float, str], ...] = ()
     switches: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
 
-    def see_impact(self, time: float, stop: str, x: Vector) -> None:
+    def see_impact(
+        self, time: float, stop: str, x: Vector, at_rest: Callable[[set[str]], bool]
+    ) -> None:
         """Record an impact, unless impacts accumulate on several stops in turn.
 
         Args:
             time: When [s].
             stop: Name of the stop.
             x: State before it, ``(n_x,)``.
+            at_rest: Whether all stops with these names have zero gap and gap rate there, to the
+                accuracy of a flight.
 
         Raises:
-            SimultaneousEventsError: If the intervals of such impacts shrink to a limit.
+            SimultaneousEventsError: If such impacts become ever more frequent at stops at rest.
         """
         self.impacts = (*self.impacts[1 - _IN_TURN :], (time, stop))
-        if len(self.impacts) < _IN_TURN:
-            return
         if not self._in_turn:
             return
-        intervals = np.diff([moment for moment, _ in self.impacts])
-        falls = np.sum(intervals[-3:]) < _HALF * np.sum(intervals[-6:-3])
-        if falls and intervals[-1] < _ACCUMULATED * intervals[0]:
+        (first, _), (middle, _) = self.impacts[0], self.impacts[len(self.impacts) // 2]
+        if time - middle < middle - first and at_rest({name for _, name in self.impacts}):
             raise self.in_turn(time, x)
 
     def see_switch(self, time: float, name: str, x: Vector, scale: float) -> None:
@@ -123,7 +123,7 @@ class Accumulations:
         Args:
             scale: The problem's time [s].
         """
-        if len(self.impacts) < _LAST or not self._in_turn:
+        if not self._in_turn:
             return False
         return self.impacts[-1][0] - self.impacts[-2][0] < _CORNER * scale
 
@@ -134,7 +134,7 @@ class Accumulations:
             time: When [s].
             x: State there, ``(n_x,)``.
         """
-        names = [name for _, name in self.impacts[-_LAST:]]
+        names = [name for _, name in self.impacts]
         others = sorted({*names} - {names[-1]})
         what = f"impacts on {', '.join(f'`{name}`' for name in others)} come"
         return accumulate_together(names[-1], what, time, x)
@@ -151,5 +151,6 @@ class Accumulations:
     @property
     def _in_turn(self) -> bool:
         """True if the last impacts are on several stops in turn."""
-        names = [name for _, name in self.impacts[-_LAST:]]
-        return sum(one != other for one, other in pairwise(names)) >= _LAST // 2
+        names = [name for _, name in self.impacts]
+        changes = sum(one != other for one, other in pairwise(names))
+        return len(names) >= _LAST and changes >= _CHANGES

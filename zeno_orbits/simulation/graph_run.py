@@ -17,7 +17,7 @@ A stop whose impulse would be negative opens. `G` is positive definite, so there
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import combinations
@@ -93,6 +93,10 @@ _ACCUMULATED = 1e-3
 _ONE_SURFACE = 1e-9
 """Relative difference between the ratios of two guards, below which one is a multiple of the other.
 """
+_LOW, _SLOW = 1e-9, 3e-5
+"""Gap and gap rate over the problem's own, below which a flight beside another has few digits."""
+_COUPLED = 1e-12
+"""Entry of `J W J^T`, over the roots of its diagonal entries, above which two stops are coupled."""
 
 
 class Kind(Enum):
@@ -101,6 +105,13 @@ class Kind(Enum):
     GAP = "impact"
     MULTIPLIER = "release"
     SWITCH = "switch"
+
+
+_ENDINGS = {
+    Kind.GAP: Ending.IMPACT,
+    Kind.MULTIPLIER: Ending.RELEASE,
+    Kind.SWITCH: Ending.SWITCH,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,12 +185,14 @@ class Interruption:
         index: Index of its stop or switch.
         passage: The flow up to its zero, or ``None`` if the arc began on the wrong side of it.
         launched: Gap rate at the start of the flight, if the flight is rescaled.
+        cut: Whether the guard of another event, which is of no account, fell first by rounding.
     """
 
     kind: Kind
     index: int
     passage: SegmentResult | None
     launched: float | None = None
+    cut: bool = False
 
 
 @dataclass(slots=True, kw_only=True)
@@ -238,8 +251,8 @@ class GraphRun(ReferenceRun):
 
     @property
     def last_event(self) -> Event | None:
-        """The last event, if there is one."""
-        return self.events[-1] if self.events else None
+        """The last event that is no release, if there is one."""
+        return next((one for one in reversed(self.events) if not isinstance(one, Release)), None)
 
     @property
     def place(self) -> object:
@@ -351,22 +364,24 @@ class GraphRun(ReferenceRun):
             # The arc does not reach its end.
             self.arcs.pop()
             raise
-        if self.interruption is None:
-            stop = self.stop_name if start.speed is not None else ""
+        found = self.interruption
+        stop = self.stop_name if start.speed is not None else ""
+        if found is None:
             self.arcs[-1] = arc = self._named(arc, closed, stop)
-        elif self.interruption.passage is None:
+        elif found.passage is None:
             self.arcs.pop()
             return arc, end
         else:
-            found = self.interruption
-            arc = self._cut(start, arc, found, self.interruption.passage)
-            stop = self.stop_name if start.speed is not None else ""
+            arc = self._cut(start, arc, found, found.passage)
             if found.launched is not None:
                 stop = self.graph.stop_names[found.index]
             self.arcs[-1] = arc = self._named(arc, closed, stop)
-            end = self.interruption.passage.state
+            end = found.passage.state
         if arc.ending is not Ending.HORIZON:
-            self._require_alone(start, arc, guards, closed)
+            kind, index = self._event_at(start, arc, guards, closed)
+            if found is not None and (kind, index) != (found.kind, found.index):
+                self.interruption = replace(found, kind=kind, index=index, cut=True)
+                self.arcs[-1] = arc = replace(arc, ending=_ENDINGS[kind])
         return arc, end
 
     def is_clear(self, limit: ZenoLimit) -> bool:
@@ -427,10 +442,16 @@ class GraphRun(ReferenceRun):
             return None
         if found.passage is None:
             return self.on_other_side(start, found.index)
+        time, x, last = arc.end_time, arc.end_state, float(found.passage.state[-1])
+        is_own = start.mode is Mode.FREE and found.index == self.focus
+        if found.kind is Kind.GAP and is_own:
+            if start.speed is None or found.launched is not None:
+                return self.meet(time, x, self.dynamics.gap_rate(x))
+            return self.landing(time, x, arc.time_unit * last)
         rate = None
-        if found.launched is not None:
-            rate = found.launched * float(found.passage.state[-1])
-        return self.after_other(start, arc.end_time, arc.end_state, found.kind, found.index, rate)
+        if found.launched is not None and not found.cut:
+            rate = found.launched * last
+        return self.after_other(start, time, x, found.kind, found.index, rate)
 
     def after_other(
         self,
@@ -464,7 +485,9 @@ class GraphRun(ReferenceRun):
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map in the mode that its impulses determine."""
         before = self.rest
-        self.seen.see_impact(time, self.stop_name, state_minus)
+        self.seen.see_impact(
+            time, self.stop_name, state_minus, lambda stops: self._rest(stops, state_minus)
+        )
         self.split_by = self.split_by[1], frozenset()
         if approach_rate < 0.0:
             self._look(self._kept(state_minus), self.focus)
@@ -475,14 +498,25 @@ class GraphRun(ReferenceRun):
             return None
         # The reset changes the forces on the other closed stops.
         candidates = self._closed(after)
-        closed = self._contact_set(time, after.state, candidates) if self.rest else self.rest
-        for k in before:
-            if k not in (*self.rest, self.focus) or (self.rest and k not in closed):
-                name = self.graph.stop_names[k]
-                self.events.append(Release(time=time, state=after.state, stop=name))
-                self.n_releases += 1
-        if not self.rest or closed == candidates:
-            return after
+        closed = self._contact_set(time, after.state, candidates) if self.rest else candidates
+        held = {*self.rest, self.focus}.intersection(closed) if self.rest else {self.focus}
+        if self._opened([k for k in before if k not in held], time, after.state):
+            return None
+        if closed != candidates:
+            after = self._opened_by_impact(after, closed)
+        return self._struck_again(time, after)
+
+    def _rest(self, stops: Collection[str], x: Vector) -> bool:
+        """Return True if stops have zero gap and gap rate to the accuracy of a flight."""
+        views = [self._view((), self.graph.stop_names.index(name)) for name in stops]
+        return all(
+            view.gap(x) <= _LOW * view.own.gap
+            and abs(view.gap_rate(x)) <= _SLOW * view.own.gap_rate
+            for view in views
+        )
+
+    def _opened_by_impact(self, after: ArcStart, closed: tuple[int, ...]) -> ArcStart:
+        """Return the start after an impact whose change of forces opens closed stops."""
         self.current = None
         self._look(tuple(k for k in closed if k != self.focus), self.focus)
         if after.mode is Mode.LOCKED and self.focus not in closed:
@@ -490,6 +524,24 @@ class GraphRun(ReferenceRun):
         if after.impact is None:
             return after
         return replace(after, resting=self.dynamics.resting(after.impact.state_plus))
+
+    def _struck_again(self, time: float, after: ArcStart) -> ArcStart | None:
+        """Strike a stop that closes at the time of an impact on another stop, if there is one.
+
+        Raises:
+            SimultaneousEventsError: If the two stops are coupled.
+        """
+        closed, x = self._closed(after), after.state
+        for k in self._open_beside(closed):
+            view = self._view((), k)
+            rate = view.gap_rate(x)
+            if rate < -self.settings.contact * view.own.gap_rate and self._is_zero(
+                view.gap(x), rate, self.settings.contact * view.own.gap
+            ):
+                self._require_apart(sorted((self.focus, k)), closed, time, x)
+                self._look(closed, k)
+                return self.impact(time, x, rate)
+        return after
 
     # Modes.
 
@@ -645,53 +697,93 @@ class GraphRun(ReferenceRun):
 
     def _cut(self, start: ArcStart, arc: Arc, found: Interruption, passage: SegmentResult) -> Arc:
         """Return an arc that ends at another event."""
-        endings = {
-            Kind.GAP: Ending.IMPACT,
-            Kind.MULTIPLIER: Ending.RELEASE,
-            Kind.SWITCH: Ending.SWITCH,
-        }
         unit = arc.time_unit if found.launched is None else found.launched
         return replace(
             arc,
             end_time=start.time + unit * passage.duration,
             end_state=passage.state[: start.state.size],
-            ending=endings[found.kind],
+            ending=_ENDINGS[found.kind],
             time_unit=unit,
             trajectory=passage.trajectory,
         )
 
-    def _require_alone(
+    def _event_at(
         self, start: ArcStart, arc: Arc, guards: Sequence[_Guard], closed: tuple[int, ...]
-    ) -> None:
-        """Refuse a second event at the end of an arc.
+    ) -> tuple[Kind, int]:
+        """Return the event at the end of an arc, of all events whose guards are zero there.
+
+        A switch that is not armed, or rises, is no event. A kink changes no state, and an impact
+        does not depend on it: its side is taken after the impact. Impacts on stops that are not
+        coupled change nothing for each other, so their order has no effect.
 
         Raises:
-            SimultaneousEventsError: If another guard is zero there as well. It names both events.
+            SimultaneousEventsError: If the order of two events matters. It names both events.
         """
         x, found = arc.end_state, self.interruption
-        fell = None if found is None else (found.kind, found.index)
-        main = "release" if start.mode is Mode.LOCKED else "impact"
-        name = f"{main} {self.stop_name}" if fell is None else self._event_of(*fell)
+        main = (Kind.MULTIPLIER if start.mode is Mode.LOCKED else Kind.GAP), self.focus
+        fell = main if found is None else (found.kind, found.index)
+        zero = [fell]
         for guard in guards:
-            if (guard.kind, guard.index) == fell or (guard.on_guard and guard.kind is not Kind.GAP):
+            event = guard.kind, guard.index
+            if event == fell or (guard.on_guard and guard.kind is not Kind.GAP):
                 continue
             if found is not None and self._is_kink(found) and self._is_kink(guard):
                 first = next(one for one in guards if (one.kind, one.index) == fell)
                 if _is_one_surface(guard, first, start, x):
                     continue
-            value, rate = self._value(guard, closed, x)
-            if self._is_zero(value, rate, guard.rounding):
-                raise coincide(name, self._event_of(guard.kind, guard.index), arc.end_time, x)
-        if fell is None:
-            return
+            if self._is_zero(*self._value(guard, closed, x), guard.rounding):
+                zero.append(event)
+        if found is not None and self._main_is_zero(start, x):
+            zero.append(main)
+        events = [event for event in zero if self._occurs(*event, x)]
+        impacts = [index for kind, index in events if kind is Kind.GAP]
+        if len(events) < 2:
+            return (events or zero)[0]
+        if not impacts or not all(
+            kind is Kind.GAP or (kind is Kind.SWITCH and index >= self.graph.n_declared)
+            for kind, index in events
+        ):
+            first, second = (self._event_of(*event) for event in events[:2])
+            raise coincide(first, second, arc.end_time, x)
+        self._require_apart(sorted(impacts), closed, arc.end_time, x)
+        return Kind.GAP, impacts[0]
+
+    def _main_is_zero(self, start: ArcStart, x: Vector) -> bool:
+        """Return True if the guard of the stop that the run looks at falls through zero here."""
         if start.mode is Mode.LOCKED:
             value, rate = self.dynamics.multiplier(x), self.dynamics.multiplier_rate(x)
-            rounding = self.settings.contact * self.own.multiplier
-        else:
-            value, rate = self.dynamics.gap(x), self.dynamics.gap_rate(x)
-            rounding = self.small_gap
-        if self._is_zero(value, rate, rounding):
-            raise coincide(name, f"{main} {self.stop_name}", arc.end_time, x)
+            return self._is_zero(value, rate, self.settings.contact * self.own.multiplier)
+        return self._is_zero(self.dynamics.gap(x), self.dynamics.gap_rate(x), self.small_gap)
+
+    def _occurs(self, kind: Kind, index: int, x: Vector) -> bool:
+        """Return True if the zero of a guard is an event: a declared switch is armed and falls."""
+        if kind is not Kind.SWITCH or index >= self.graph.n_declared:
+            return True
+        return self.above[index] and bool(self.graph.guards(x, self.sides)[2][index] > 0.0)
+
+    def _require_apart(
+        self, struck: Sequence[int], closed: Sequence[int], time: float, x: Vector
+    ) -> None:
+        """Refuse impacts at one time on stops that are coupled, directly or by closed stops.
+
+        Raises:
+            SimultaneousEventsError: If two stops are coupled.
+        """
+        if len(struck) < 2:
+            return
+        matrix = self.graph.delassus(x)
+        for place, first in enumerate(struck):
+            reached, new = {first}, {first}
+            others = {*closed, *struck[place + 1 :]}
+            while new:
+                new = {
+                    k for k in others - reached if any(_are_coupled(matrix, j, k) for j in reached)
+                }
+                reached |= new
+            for second in struck[place + 1 :]:
+                if second in reached:
+                    one, other = (self._event_of(Kind.GAP, k) for k in (first, second))
+                    raise coincide(one, other, time, x)
 
     def _value(self, guard: _Guard, closed: tuple[int, ...], x: Vector) -> tuple[float, float]:
         """Return a guard and its rate at a state."""
@@ -711,8 +803,10 @@ class GraphRun(ReferenceRun):
 
     # Events.
 
-    def on_other_side(self, start: ArcStart, s: int) -> ArcStart:
-        """Return the same start on the other side of a switch, whose guard is zero there.
+    def on_other_side(self, start: ArcStart, s: int) -> ArcStart | None:
+        """Return the start on the other side of a switch, whose guard is zero at a start and falls.
+
+        A declared switch occurs there if it is armed, unless it has just occurred.
 
         Args:
             start: Start of an arc.
@@ -720,36 +814,31 @@ class GraphRun(ReferenceRun):
 
         Raises:
             SlidingError: If both sides are left at once.
-            SimulationError: If a declared switch is armed there.
+            SimulationError: If a declared switch is armed at the start of the execution.
+            ChatterError: If a switch occurs again at the same time.
         """
-        name = self.graph.switch_names[s]
+        name, x = self.graph.switch_names[s], start.state
         time, crossed = self.flipped
         crossed = crossed if time == start.time else frozenset[int]()
         if s in crossed:
-            raise slides(name, start.time, start.state)
+            raise slides(name, start.time, x)
         self.flipped = start.time, crossed | {s}
-        armed = s < self.graph.n_declared and self.above[s]
-        if (
-            armed
-            and not self._has_fallen(s, start.time)
-            and self.graph.guards(start.state, self.sides)[2][s] > 0.0
-        ):
-            raise armed_at_start(name, start.time, start.state)
-        mode: GraphMode = (self._closed(start), self.sides)
-        if armed and self.graph.guard_flow(mode, s, above=True).guard(start.state)[1] > 0.0:
-            # The guard rose by less than its rounding and fell again.
-            raise switches_accumulate(name, start.time, start.state)
-        self._change_side(s, start.state)
+        if s < self.graph.n_declared and self._occurs(Kind.SWITCH, s, x):
+            last = self.last_event
+            if last is None and start.time == 0.0:
+                raise armed_at_start(name, start.time, x)
+            if start.time not in self.seen.switches.get(name, ())[-1:]:
+                return self._switched(start, start.time, x, s)
+            mode: GraphMode = (self._closed(start), self.sides)
+            rises = self.graph.guard_flow(mode, s, above=True).guard(x)[1] > 0.0
+            if rises or not (isinstance(last, SwitchEvent) and last.name == name):
+                # The guard rose by less than its rounding, or another event led back to it.
+                raise switches_accumulate(name, start.time, x)
+        self._change_side(s, x)
         self._look(self.rest, self.focus)
         if start.impact is None:
             return start
         return replace(start, resting=self.dynamics.resting(start.impact.state_plus))
-
-    def _has_fallen(self, switch: int, time: float) -> bool:
-        """Return True if the last event is this switch at this time. It falls again from above."""
-        last = self.last_event
-        name = self.graph.switch_names[switch]
-        return isinstance(last, SwitchEvent) and last.name == name and last.time == time
 
     def _change_side(self, switch: int, x: Vector) -> None:
         """Go to the other side of a switch. Conditions that depend on a kink may change as well."""
@@ -771,6 +860,7 @@ class GraphRun(ReferenceRun):
         was_above = bool(self._signs()[s])
         if not is_kink and was_above and self.graph.guards(x, self.sides)[2][s] > 0.0:
             after = self.graph.after_switch(s, x)
+            self.flipped = math.nan, frozenset()
             self._count_switch(time, name, x, after)
             self.current = None
             self._take_sides(after)
@@ -834,36 +924,40 @@ class GraphRun(ReferenceRun):
             switch: Name of the switch whose reset led to the state, if there is one.
             flying: The stop that the run looked at in a flight, if it was in one.
 
+        Returns:
+            The start, or ``None`` if the execution ends with the last of its releases.
+
         Raises:
             PenetrationError: If a switch sends the state into a stop.
-            SimultaneousEventsError: If two stops are struck at once.
+            SimultaneousEventsError: If two stops that are coupled are struck at once.
         """
         still: list[int] = []
         opening: list[int] = []
         struck: list[int] = []
         contact = self.settings.contact
         for k, name in enumerate(self.graph.stop_names):
-            if k == flying:
-                continue
             view = self._view((), k)
             small = max(OFF, contact) if k in was_closed else contact
             gap, rate = view.gap(x), view.gap_rate(x)
-            if gap > small * view.own.gap:
+            is_on = gap >= -small * view.own.gap
+            falls = rate < -small * view.own.gap_rate
+            if gap > small * view.own.gap or (k == flying and not (is_on and falls)):
                 continue
-            if abs(rate) <= small * view.own.gap_rate and gap >= -small * view.own.gap:
+            if is_on and abs(rate) <= small * view.own.gap_rate:
                 still.append(k)
-            elif gap >= -small * view.own.gap and rate > 0.0:
+            elif is_on and rate > 0.0:
                 opening.append(k)
-            elif switch:
+            elif switch and not is_on:
                 raise enters_by_switch(switch, name, time, x)
             else:
                 struck.append(k)
         closed = self._contact_set(time, x, still)
         for k in closed:
             x = self._holding(closed, k).on_stop(x)
-        if len(struck) > 1:
-            first, second = (f"impact {self.graph.stop_names[k]}" for k in struck[:2])
-            raise coincide(first, second, time, x)
+        self._require_apart(struck, closed, time, x)
+        stay = (*closed, *(k for k in struck if self._view((), k).restitution == 0.0))
+        if self._opened([k for k in was_closed if k not in stay], time, x):
+            return None
         if struck:
             self._look(closed, struck[0])
             return self.impact(time, x, self.dynamics.gap_rate(x))
@@ -878,6 +972,22 @@ class GraphRun(ReferenceRun):
         rate = self.dynamics.gap_rate(x)
         launches = self.dynamics.gap(x) <= self.small_gap and rate > self.small_rate
         return ArcStart(mode=Mode.FREE, time=time, state=x, speed=rate if launches else None)
+
+    def _opened(self, stops: Sequence[int], time: float, x: Vector) -> bool:
+        """Record the releases of stops that another event opens.
+
+        Args:
+            stops: The stops.
+            time: When [s].
+            x: State after the event, ``(n_x,)``.
+
+        Returns:
+            True if the execution ends with the last of its releases.
+        """
+        for k in stops:
+            self.events.append(Release(time=time, state=x, stop=self.graph.stop_names[k]))
+            self.n_releases += 1
+        return bool(stops) and self.n_releases >= self.most_releases
 
     def _contact_set(self, time: float, x: Vector, still: Sequence[int]) -> tuple[int, ...]:
         """Return the stops that stay closed, of those with zero gap and gap rate.
@@ -935,3 +1045,9 @@ def _is_one_surface(one: _Guard, other: _Guard, start: ArcStart, x: Vector) -> b
         if not abs(first - second) <= _ONE_SURFACE * (abs(first) + abs(second)):
             return False
     return True
+
+
+def _are_coupled(matrix: Vector, j: int, k: int) -> bool:
+    """Return True if an impulse on one of two stops changes the gap rate of the other."""
+    size = math.sqrt(float(matrix[j, j]) * float(matrix[k, k]))
+    return abs(float(matrix[j, k])) > _COUPLED * size

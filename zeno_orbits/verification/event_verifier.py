@@ -26,6 +26,7 @@ from zeno_orbits.orbits import (
     EventQuantities,
     OrbitEvent,
     event_return,
+    events_as_listed,
     extrapolated,
     largest_states,
     multipliers_of_return,
@@ -235,7 +236,7 @@ def _miss(
     """Return the largest deviation of an event, infinite if the event sequence differs."""
     seen = [
         (orbit_event_name(event), event.time - first.start, np.asarray(state_before(event)))
-        for event in first.events
+        for event in events_as_listed(first.events, orbit.sequence)
     ]
     if sequence_of([name for name, _, _ in seen]) != orbit.sequence or len(seen) != len(said):
         return math.inf

@@ -8,7 +8,7 @@ from typing import Any
 
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import EVENT_FORMAT
-from zeno_orbits.simulation import Event, ZenoPoint, event_name
+from zeno_orbits.simulation import Event, Release, SwitchEvent, ZenoPoint, event_name
 from zeno_orbits.work import Columns, TableRepr, by_name
 
 
@@ -124,6 +124,31 @@ def sequence_of(names: Sequence[str]) -> tuple[str, ...]:
         names: Names of the events in order.
     """
     return tuple(names[phase[-1]] for phase in phases_of_events(names))
+
+
+def events_as_listed(events: Sequence[Event], sequence: Sequence[str]) -> list[Event]:
+    """Return the events of a period as an orbit lists them.
+
+    Earlier files lack the releases that a switch causes.
+
+    Args:
+        events: The events.
+        sequence: Event sequence of the orbit.
+    """
+    if sequence_of([orbit_event_name(event) for event in events]) == tuple(sequence):
+        return list(events)
+    switches = {event.time for event in events if isinstance(event, SwitchEvent)}
+    return [one for one in events if not (isinstance(one, Release) and one.time in switches)]
+
+
+def sequence_as_listed(events: Sequence[Event], sequence: Sequence[str]) -> tuple[str, ...]:
+    """Return the event sequence of a period as an orbit lists it.
+
+    Args:
+        events: The events.
+        sequence: Event sequence of the orbit.
+    """
+    return sequence_of([orbit_event_name(one) for one in events_as_listed(events, sequence)])
 
 
 def phases_of_events(names: Sequence[str]) -> list[list[int]]:

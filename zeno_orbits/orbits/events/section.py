@@ -18,7 +18,11 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
-from zeno_orbits.orbits.events.event_orbit import orbit_event_name, sequence_of
+from zeno_orbits.orbits.events.event_orbit import (
+    orbit_event_name,
+    sequence_as_listed,
+    sequence_of,
+)
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.section import (
     IMPACT_ROWS,
@@ -272,7 +276,7 @@ def event_return(
     )
     events = tuple(execution.events[: last + 1])
     passed = sequence_of(names[: last + 1])
-    if sequence is not None and passed != tuple(sequence):
+    if sequence is not None and sequence_as_listed(events, sequence) != tuple(sequence):
         raise SimulationError(
             f"The event sequence changes to `{', '.join(passed)}`",
             time=end,
@@ -384,10 +388,10 @@ def fall_at(
         event: The event.
 
     Returns:
-        Minus the rate of the guard. ``None`` if an impact opened the stop.
+        Minus the rate of the guard. ``None`` if another event opened the stop.
     """
-    endings = (Ending.RELEASE, Ending.SWITCH)
-    arc = next((a for a in arcs if a.end_time == event.time and a.ending in endings), None)
+    ending = Ending.RELEASE if isinstance(event, Release) else Ending.SWITCH
+    arc = next((a for a in arcs if a.end_time == event.time and a.ending is ending), None)
     if arc is None:
         return None
     mode, x = graph.mode_of(arc.closed, arc.sides), arc.end_state
@@ -693,8 +697,8 @@ def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:
 def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
     """Return the events that may serve as a section, the best first.
 
-    A switch that is armed on its guard after its reset would occur again at the start. An impact
-    that opens another stop comes last: the release follows at once, in the next period.
+    A switch that is armed on its guard after its reset would occur again at the start. A start
+    after a switch or an impact that opens a stop lacks the release, which follows at once.
 
     Args:
         execution: The execution.
@@ -717,5 +721,5 @@ def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
         for event, following in pairwise(execution.events)
         if isinstance(following, Release) and following.time == event.time
     }
-    whole = [name for name in (*zenos, *impacts) if name not in opening]
-    return list(dict.fromkeys([*switches, *whole, *zenos, *impacts, *others]))
+    best = [name for name in (*switches, *zenos, *impacts) if name not in opening]
+    return list(dict.fromkeys([*best, *zenos, *impacts, *others]))

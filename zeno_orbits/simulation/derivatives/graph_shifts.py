@@ -116,11 +116,13 @@ class GraphShifts:
         here = self._start(arcs[0])
         bounces: list[ImpactDerivative] = []
         crossings: list[tuple[Event, SaltationDerivative, SaltationDerivative]] = []
+        caused = False
         while events and events[0].time == arcs[0].start_time:
             first = events.pop(0)
-            before = self._before(first, here, arcs[0], arcs[0])
-            here, bounces = self._after(first, before, arcs[0], arcs[0], bounces)
+            before = self._before(first, here, arcs[0], arcs[0], caused=caused)
+            here, bounces = self._after(first, before, arcs[0], arcs[0], bounces, caused=caused)
             crossings.append((first, before, here))
+            caused = True
         for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
             if arc.ending is Ending.HORIZON:
                 if to_horizon:
@@ -132,8 +134,8 @@ class GraphShifts:
             crossed = False
             while events and events[0].time <= arc.end_time:
                 event = events.pop(0)
-                before = self._before(event, here, arc, following)
-                here, bounces = self._after(event, before, arc, following, bounces)
+                before = self._before(event, here, arc, following, caused=crossed)
+                here, bounces = self._after(event, before, arc, following, bounces, caused=crossed)
                 if isinstance(event, ZenoPoint):
                     before = end = here
                 crossings.append((event, before, here))
@@ -341,8 +343,13 @@ class GraphShifts:
         arc: Arc,
         following: Arc,
         bounces: list[ImpactDerivative],
+        *,
+        caused: bool,
     ) -> tuple[SaltationDerivative, list[ImpactDerivative]]:
-        """Return the derivatives after an event, and the impacts of the sequence so far."""
+        """Return the derivatives after an event, and the impacts of the sequence so far.
+
+        A release that another event causes at the same time changes nothing.
+        """
         n_x = arc.start_state.size
         if isinstance(event, Impact):
             perturbations = self._struck(event, arc, following)
@@ -356,8 +363,7 @@ class GraphShifts:
                 return perturbations.rested(impact, shift), []
             return perturbations.limit(bounces, event.state), []
         if isinstance(event, Release):
-            if here.rate.any():
-                # A stop that an impact pulled open: the impact has its derivative.
+            if caused:
                 return here, bounces
             stop = self.graph.stop_names.index(event.stop)
             perturbations = self._of(following, stop)
@@ -382,13 +388,31 @@ class GraphShifts:
         return self._at((closed, following.sides), self.graph.stop_names.index(impact.stop))
 
     def _before(
-        self, event: Event, here: SaltationDerivative, arc: Arc, following: Arc
+        self,
+        event: Event,
+        here: SaltationDerivative,
+        arc: Arc,
+        following: Arc,
+        *,
+        caused: bool,
     ) -> SaltationDerivative:
-        """Return the derivatives before an event, at an impact with those of the gap rate."""
-        if not isinstance(event, Impact) or here.rate.any():
+        """Return the derivatives before an event, at an impact with those of the gap rate.
+
+        An impact at the time of another event is met by the flow after that event.
+        """
+        if not isinstance(event, Impact) or (here.rate.any() and not caused):
             return here
-        differentials = self._struck(event, arc, following).differentials
-        contact = differentials.contact(event.state_minus)
+        perturbations, x = self._struck(event, arc, following), event.state_minus
+        contact = perturbations.differentials.contact(x)
+        if caused:
+            stop = self.graph.stop_names.index(event.stop)
+            rates = self._of(following, stop).dynamics.free.rate(x)
+            delay = -self._total(contact[GAP], here) / float(contact[GAP][: x.size] @ rates)
+            here = SaltationDerivative(
+                time=here.time + delay,
+                state=here.state + rates[:, None] * delay,
+                rate=np.zeros_like(here.rate),
+            )
         rate = self._total(contact[GAP_RATE], here)
         return SaltationDerivative(time=here.time, state=here.state, rate=rate)
 
