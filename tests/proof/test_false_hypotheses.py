@@ -11,6 +11,7 @@ import casadi as ca
 import pytest
 
 import zeno_orbits as zo
+from tests.support import hard_to_prove, sheets
 from tests.support.cases import fast
 from tests.support.certificates import (
     digest_of,
@@ -250,6 +251,104 @@ def test_a_section_just_after_an_impact_gives_its_theorem(impact: Certificate) -
     assert "the states just after an impact, where the gap vanishes" in "\n".join(verdict.lines())
     theorem = verdict.theorem
     assert (theorem.releases, theorem.zeno_points, theorem.impacts) == (0, 0, 1)
+
+
+# Machines whose stop pulls.
+
+
+def _negated(text: str) -> str:
+    return text[1:] if text.startswith("-") else f"-{text}"
+
+
+def _force_of_the_stop(p: dict[str, float]) -> float:
+    """Return the contact force at rest on the stop at time 0: minus spring, minus shaking."""
+    return 0.8 * p["k"] * p["A"] / abs(p["m"]) + p["A"]
+
+
+PULLED = ("m", "c", "k", "A")
+NEGATIVE = {name: (one.rest[0], PULLED) for name, one in sheets.MACHINES.items()}
+
+
+@pytest.mark.parametrize("name", fast(2, NEGATIVE))
+def test_a_machine_whose_stop_pulls_is_refused_by_prover_and_checker(name: str) -> None:
+    # The motion is the same if mass, damping, stiffness and force change their signs together.
+    rest, names = NEGATIVE[name]
+    problem = sheets.problem_of(name, rest)
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
+    proof = zo.prove(orbit, problem=problem)
+    assert proof.proved
+    assert check_proof(dict(proof.certificate), problem).ok
+    negative = {
+        one: -orbit.parameters[one] if one in names else x for one, x in orbit.parameters.items()
+    }
+    assert _force_of_the_stop(dict(orbit.parameters)) > 0 > _force_of_the_stop(negative)
+    pulled = replace(orbit, parameters=negative)
+    refused = zo.prove(pulled, problem=problem)
+    assert (refused.proved, refused.claim) == (False, "inertia")
+    assert "mass matrix" in refused.reason
+    assert refused.statements() == []
+    assert not zo.enclose_period(pulled, problem=problem).enclosed
+    false = copy.deepcopy(dict(proof.certificate))
+    for one in names:
+        false["parameters"][one] = _negated(false["parameters"][one])
+    assert "mass matrix may not be positive definite" in _refusal(false, problem)
+
+
+SIGNS = {"the struck mass": (-1, 1), "both": (-1, -1), "the free mass": (1, -1)}
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[zo.ZenoOrbit, Problem, Certificate]:
+    """Return an orbit of two masses and its certificate of one pass."""
+    problem = hard_to_prove.two_masses()
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
+    certificate = dict(zo.prove(orbit, problem=problem, radius=1e-9).certificate)
+    assert check_proof(certificate, problem).ok
+    return orbit, problem, certificate
+
+
+@pytest.mark.parametrize("name", fast(1, SIGNS))
+def test_two_masses_are_refused_if_one_of_them_is_negative(
+    pair: tuple[zo.ZenoOrbit, Problem, Certificate], name: str
+) -> None:
+    orbit, problem, certificate = pair
+    signs = dict(zip(("1", "2"), SIGNS[name], strict=True))
+    changed = {one: x * signs.get(one[-1], 1) for one, x in orbit.parameters.items()}
+    refused = zo.prove(replace(orbit, parameters=changed), problem=problem)
+    assert (refused.proved, refused.claim) == (False, "inertia")
+    false = copy.deepcopy(certificate)
+    for one, text in false["parameters"].items():
+        if signs.get(one[-1]) == -1:
+            false["parameters"][one] = _negated(text)
+    assert "mass matrix may not be positive definite" in _refusal(false, problem)
+
+
+def _mass(change: Callable[[ca.SX], ca.SX]) -> Change:
+    """Return what changes the mass matrix of a system alone."""
+
+    def changed(system: CompletedSystem) -> CompletedSystem:
+        mechanism = system.mechanism
+        return replace(
+            system, mechanism=replace(mechanism, mass_matrix=change(mechanism.mass_matrix))
+        )
+
+    return changed
+
+
+@pytest.mark.parametrize("factor", [-1, 0, -LITTLE])
+def test_a_hand_made_certificate_needs_a_positive_mass(zeno: Certificate, factor: float) -> None:
+    assert "mass matrix" in _refusal(*_of(zeno, _mass(lambda m: factor * m)))
+
+
+def test_a_mass_that_vanishes_on_the_way_is_refused(zeno: Certificate) -> None:
+    def thin(system: CompletedSystem) -> CompletedSystem:
+        # Positive on the stop and negative far from it, where only flights lead.
+        distance = system.state[0]
+        return _mass(lambda m: m * (1 - 100 * distance))(system)
+
+    assert "mass matrix" in _refusal(*_of(zeno, thin))
+    verdict = check_proof(*_of(zeno, _mass(lambda m: LITTLE * m)))
+    assert verdict.ok
 
 
 SLOWLY = 2.0**-46

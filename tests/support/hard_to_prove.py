@@ -66,6 +66,37 @@ def double_well() -> Problem:
     return _forced("double_well", states, model, starts=({"cosine": 1.0},))
 
 
+def two_masses() -> Problem:
+    """Return the forced oscillator beside a second mass on a damped spring, not coupled to it.
+
+    The numbers of each mass end in its number, and have either sign.
+    """
+
+    def model(p: Mapping[str, ca.SX]) -> Any:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        clock = Clock.at(p["omega"])
+        pair = HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=p["m1"] * v[0] ** 2 / 2 + p["m2"] * v[1] ** 2 / 2,
+            potential=p["k1"] * (p["stop"] - q[0]) ** 2 / 2 + p["k2"] * q[1] ** 2 / 2,
+            gap=q[0],
+            passive_force=ca.vertcat(-p["c1"] * v[0], -p["c2"] * v[1]),
+            applied_force=ca.vertcat(-p["A1"] * clock.cosine, 0),
+            clock=clock,
+        )
+        return hybrid_system(pair, no_drive(pair), p["restitution"])
+
+    published = load_problem("forced_oscillator")
+    kept = [one for one in published.parameters if one.name in ("omega", "stop", "restitution")]
+    usual = {"m1": 1.0, "c1": 1.9, "k1": 1.0, "A1": 1.0, "m2": 2.0, "c2": 1.0, "k2": 3.0}
+    given = [Quantity(name=n, unit="1", meaning=n, default=x) for n, x in usual.items()]
+    states = ("distance", "beside", "dd", "dbeside")
+    return _forced(
+        "two_masses", states, model, starts=({"cosine": 1.0},), parameters=(*given, *kept)
+    )
+
+
 def with_gap(gap: Callable[[ca.SX], Any], name: str = "other_gap") -> Problem:
     """Return the forced oscillator with another formula of its gap, zero where the distance is."""
     return _oscillator(name, gap, lambda _: 0)

@@ -119,7 +119,7 @@ def problem_of(name: str, rest: float) -> Problem:
             applied_force=-sense * p["A"] * clock.cosine,
             clock=clock,
         )
-        push = sense * sheets.inertia * sheets.length * sheets.force(y)
+        push = sense * p["m"] * sheets.length * sheets.force(y)
         further = Auxiliary(states=y, rate=sheets.rate(y), force=push)
         return hybrid_system(mass, (no_drive(mass), further), p["restitution"])
 

@@ -60,6 +60,7 @@ class ProofExpressions:
             when it vanishes.
         direction: Impulse direction `D`, scaled to unit gap rate, ``(N,)``.
         restitution: Coefficient of restitution.
+        inertia: Mass matrix by columns, in the units of the problem, ``(n_q * n_q,)``.
         constraints: Expressions that vanish on the release section in addition to gap and rate, the
             pressure first.
         defined: The gap and the holonomic constraints as the problem states them. The proof needs
@@ -78,6 +79,7 @@ class ProofExpressions:
     pressure: ca.SX
     direction: ca.SX
     restitution: ca.SX
+    inertia: ca.SX
     constraints: ca.SX
     defined: ca.SX
 
@@ -105,13 +107,14 @@ def proof_expressions(
         system.impulse_direction,
         system.restitution,
         system.holonomic,
+        ca.vec(ca.densify(ca.SX(system.mechanism.mass_matrix))),
     ]
     function = ca.Function(
         "given", [x, p], [ca.densify(ca.SX(one)) for one in given], {"cse": True}
     )
     one = ca.SX.sym("one")
     outputs, names, values = _without_constants(function, one * x, one * p)
-    free, gap, direction, restitution, holonomic = outputs
+    free, gap, direction, restitution, holonomic, inertia = outputs
     over = [symbols[name] for name in carried]
     coordinate = _coordinate(system.n_q, x, one, gap, free, over)
     still = ca.SX.zeros(len(over))
@@ -135,8 +138,8 @@ def proof_expressions(
         moved[places[1]] = sign * x[places[1]]
         for expression in (free, direction):
             expression[places[1]] *= sign
-        free, direction, restitution, holonomic, gap = ca.substitute(
-            [free, direction, restitution, holonomic, gap], [x], [moved]
+        free, direction, restitution, holonomic, gap, inertia = ca.substitute(
+            [free, direction, restitution, holonomic, gap, inertia], [x], [moved]
         )
         free[g], acceleration = x[places[1]], free[places[1]]
         direction = direction / direction[places[1]]
@@ -156,9 +159,9 @@ def proof_expressions(
         n_x = x.numel()
         kept = sizes if coordinate is None else [*sizes[:n_x], *sizes[n_x + 2 :]]
         unit = ca.SX(list(kept))
-        parts = [free, locked, direction, pressure, restitution, constraints, defined]
-        free, locked, direction, pressure, restitution, constraints, defined = ca.substitute(
-            parts, [states], [unit * states]
+        parts = [free, locked, direction, pressure, restitution, constraints, defined, inertia]
+        free, locked, direction, pressure, restitution, constraints, defined, inertia = (
+            ca.substitute(parts, [states], [unit * states])
         )
         free, locked = free / unit, locked / unit
         direction = direction * unit[places[1]] / unit
@@ -176,6 +179,7 @@ def proof_expressions(
         pressure=pressure,
         direction=direction,
         restitution=restitution,
+        inertia=inertia,
         constraints=constraints,
         defined=defined,
     )

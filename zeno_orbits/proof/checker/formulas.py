@@ -125,10 +125,19 @@ class Graph:
 
 
 class Formulas(NamedTuple):
-    """All formulas of a problem as functions, their digest, and ``n_q``."""
+    """All formulas of a problem as functions, their digest, and ``n_q``.
+
+    Attributes:
+        function: Flows, contact quantities, impulse direction, restitution and constraints.
+        law: The impact law.
+        inertia: The mass matrix.
+        digest: SHA-256 of the instructions of `function`.
+        n_q: Number of coordinates.
+    """
 
     function: ca.Function
     law: ca.Function
+    inertia: ca.Function
     digest: str
     n_q: int
 
@@ -160,7 +169,11 @@ def formulas_of(problem: Problem) -> Formulas:
     speed = ca.SX.sym("speed")
     law = [system.law.rate_drop(speed), system.law.speed_after(speed)]
     struck = ca.Function("law", [*inputs, speed], [ca.densify(ca.SX(part)) for part in law])
-    return Formulas(function, struck, hashlib.sha256(text.encode()).hexdigest(), system.n_q)
+    mass = ca.vec(ca.densify(ca.SX(system.mechanism.mass_matrix)))
+    inertia = ca.Function("inertia", inputs, [mass])
+    return Formulas(
+        function, struck, inertia, hashlib.sha256(text.encode()).hexdigest(), system.n_q
+    )
 
 
 def _instructions(function: ca.Function) -> Iterator[tuple[str, list[int], list[int], Any]]:

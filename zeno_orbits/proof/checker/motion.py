@@ -308,6 +308,13 @@ def struck(system: System, box: Array, m: Array) -> Mapped:
     return Mapped(point, slope, Ball(0, 0, system.bits), system.nothing)
 
 
+def _replaced(box: Array, values: Mapping[int, Ball]) -> Array:
+    found = box.copy()
+    for k, value in values.items():
+        found[k] = value
+    return found
+
+
 def accumulated(system: System, box: Array, m: Array, record: Mapping[str, Any]) -> Mapped:
     """Return the Zeno point of all remaining impacts, by the lemma of the Zeno tail.
 
@@ -326,6 +333,8 @@ def accumulated(system: System, box: Array, m: Array, record: Mapping[str, Any])
     radius = numbers(record["radius"], (len(inner),), bits)
     discs = {place: (ball, Ball(0, 0, bits)) for place, ball in system.constants.items()}
     discs |= {system.z[k]: (box[k], r) for k, r in zip(inner, radius, strict=True)}
+    wide = zip(inner, radius, strict=True)
+    system.require_inertia(_replaced(box, {k: box[k] + around_zero(r) for k, r in wide}))
     nodes = [node for k in ("free", "direction", "law", "acceleration") for node in system.nodes[k]]
     complex_values(system.graph, discs, [*system.nodes["gap"], *system.nodes["constraints"]])
     *found, fall = complex_values(system.graph, discs, nodes)

@@ -7,12 +7,17 @@ gap rate ``L_f h``, its rate ``a = L_f L_f h``, and ``D = d / L_d L_f h``. An im
 ``x - (1 + e) (L_f h) D``, so that ``L_f h`` becomes ``-e L_f h`` (Newton's law). The locked flow is
 ``f - a D``. Along it, ``h = L_f h = 0`` is invariant. The locked flow applies as long as
 ``a < 0``.
+
+The contact force is ``-a N`` with the inertia ``N = D_v' M D_v``, where ``D_v`` is the velocity
+part of ``D`` and ``M`` the problem's mass matrix. ``M`` must be positive definite along the motion.
+Then the force is positive for ``a < 0``, and an impact increases no kinetic energy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isqrt
 
 import numpy as np
 
@@ -33,7 +38,8 @@ class System:
         flow: Mode to rates of the states, with None for a rate of zero.
         slopes: Mode to derivatives of the rates with respect to the states, ``(N, N)``.
         nodes: Nodes of `free` flow, `gap`, `gap_rate`, `acceleration` and its rates on and off the
-            stop (`locked_jerk` and `jerk`), `direction`, `law` and `constraints`.
+            stop (`locked_jerk` and `jerk`), `direction`, `law`, `constraints`, and the `inertia`,
+            the mass matrix by columns.
         tangents: Derivatives of nodes with respect to the states, one row per node.
         gap_row: Index of the state that determines the gap.
         rate_row: Index of the state that determines the gap rate.
@@ -96,10 +102,27 @@ class System:
     def require_defined(self, box: Array) -> None:
         """Check that the gap and the constraints are analytic on a box of states.
 
-        The identities about them hold along a motion only if they are.
+        The identities about them hold along a motion only if they are. The mass matrix must be
+        positive definite on the box.
         """
         for name in ("gap", "constraints"):
             self.value(name, box)
+        self.require_inertia(box)
+
+    def require_inertia(self, box: Array) -> None:
+        """Check that the mass matrix is positive definite on a box of states.
+
+        All pivots of its symmetric part are positive (Sylvester's criterion).
+        """
+        entries = self.value("inertia", box)
+        n = isqrt(len(entries))
+        rows = entries.reshape(n, n)
+        rows = rows + rows.T
+        for k in range(n):
+            pivot = rows[k, k]
+            require(pivot.low > 0, f"the mass matrix may not be positive definite: {pivot.shown()}")
+            for i in range(k + 1, n):
+                rows[i] = rows[i] - rows[k] * (rows[i, k] / pivot)
 
     def rates(self, mode: str, z: Array) -> Array:
         """Return the rates of the states over a box of states."""
@@ -165,6 +188,8 @@ def bound_system(
     rates = [derivative(node, nothing) for node in rows]
     require_impacts(graph, x, D, gap=gap, rate=rate, rows=rows)
     require_kept(graph, rows, rates)
+    (masses,) = walked(formulas.inertia, graph, [x, list(p.values())])
+    require_analytic(graph, masses)
     nodes: dict[str, Row] = {
         "free": [*nothing],
         "gap": [gap],
@@ -191,6 +216,7 @@ def bound_system(
     tangents: dict[int | None, Row] = dict[int | None, Row](
         zip(every, graph.tangents(every, one_hot), strict=True)
     ) | {None: none}
+    nodes["inertia"] = [*masses]
     unit, stop = Ball(1 << bits, 0, bits), Ball(0, 0, bits)
     constants = {p[name]: ball for name, ball in numbers.items() if name not in over}
     if row is not None:

@@ -98,6 +98,7 @@ class BallSystem:
         self._impact = self._program(e.direction, self._slopes)
         self._tail = self._program(e.free, e.direction, e.restitution)
         self._defined = self._program(e.defined)
+        self._inertia = self._program(e.inertia)
         gradient = ca.jacobian(e.constraints, e.states)
         self.constraints = self._program(e.constraints, gradient)
         self.constraint_places = list(zip(*gradient.sparsity().get_triplet(), strict=True))
@@ -139,6 +140,19 @@ class BallSystem:
         if all(value.is_finite() for value in self._defined(y)[0]):
             return ""
         return "the gap or a constraint is not proved to be analytic along the motion"
+
+    def light(self, y: Sequence[Ball]) -> str:
+        """Return why the mass matrix is not proved to be positive definite on a box of states."""
+        entries = self._inertia(y)[0]
+        n = math.isqrt(len(entries))
+        rows = [[entries[n * j + i] + entries[n * i + j] for j in range(n)] for i in range(n)]
+        for k, row in enumerate(rows):
+            if not bool(row[k] > 0):
+                return "the mass matrix is not proved to be positive definite along the motion"
+            for other in rows[k + 1 :]:
+                share = other[k] / row[k]
+                other[:] = [a - share * b for a, b in zip(other, row, strict=True)]
+        return ""
 
     def free_values(self, y: Sequence[Ball]) -> tuple[list[Ball], list[Ball], Ball]:
         """Return free flow, impulse direction and restitution at a state, real or complex."""

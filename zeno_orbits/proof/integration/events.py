@@ -270,7 +270,8 @@ def strike(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, ProofSta
     rows = system.turning_rows(None if system.plastic else box[system.rate])
     result = at.mapped(system.reset(at.m), derivative, rows, stage.metric)
     # An impact moves the state along a straight line.
-    reason = system.undefined([a.union(b) for a, b in zip(box, system.reset(box), strict=True)])
+    moved = [a.union(b) for a, b in zip(box, system.reset(box), strict=True)]
+    reason = system.undefined(moved) or system.light(moved)
     require_proved(not reason, "impact", reason)
     record = ProofRecord(kind="impact", numbers={}, orders=(), result=result)
     after = Departure.LOCKED if system.plastic else Departure.STRUCK
@@ -374,6 +375,8 @@ def _polydisc(system: BallSystem, box: Sequence[Ball], share: float) -> Polydisc
     faster = bool(speed - speed_now > 0)
     require_proved(faster, "zeno_point", "the gap rate exceeds that of the polydisc")
     real = [x + arb(0, r) for x, r in zip(box, radius, strict=True)]
+    reason = system.light(real)
+    require_proved(not reason, "zeno_point", reason)
     lowest = system.impact(real).restitution
     require_proved(bool(lowest >= 0), "zeno_point", "the restitution is not proved to be positive")
     return Polydisc(radius=radius, speed=speed, c=c, rho=rho, longest=longest, delta=delta)

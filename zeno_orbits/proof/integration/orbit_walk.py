@@ -121,6 +121,8 @@ def walk_period(
     Raises:
         ProofError: If a condition is not proved.
     """
+    reason = system.light(start.at.box)
+    require_proved(not reason, "inertia", reason)
     stage = ProofStage.released(start.at)
     radius = max((float(u.rad()) for u in start.at.U), default=0.0)
     what = f"follow a box of radius {radius:.0e}" if radius else "follow the orbit"

@@ -311,7 +311,7 @@ class PolynomialWalk:
         reason = contact_reason(system, flow.ball, self.departure, start, step.box, end)
         if self.departure is Departure.RELEASED and not last and self._leaves(balls, step):
             reason = ""
-        reason = reason or system.undefined(step.box)
+        reason = reason or system.undefined(step.box) or system.light(step.box)
         if reason:
             self._reason = reason
             return False

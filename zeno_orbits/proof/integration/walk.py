@@ -276,7 +276,7 @@ def _move(
         end = image[system.gap] + product(derivative, stage.at.deviation)[system.gap]
         before, until = stage.at.box, None if meets else end
         reason = contact_reason(system, flow, stage.departure, before, step.box, until)
-        reason = reason or system.undefined(step.box)
+        reason = reason or system.undefined(step.box) or system.light(step.box)
         if reason:
             shortened = True
             if meets and guess is not None:
