@@ -29,6 +29,7 @@ from zeno_orbits.orbits import (
     events_as_listed,
     extrapolated,
     largest_states,
+    lasting_events,
     multipliers_of_return,
     orbit_event_name,
     relaxed_tolerance,
@@ -233,16 +234,23 @@ def _miss(
     first: _Period,
     scale: Vector,
 ) -> float:
-    """Return the largest deviation of an event, infinite if the event sequence differs."""
+    """Return the largest deviation of an event, infinite if the event sequence differs.
+
+    Kinks in the flights of impacts that accumulate do not belong to the event sequence.
+    """
     seen = [
         (orbit_event_name(event), event.time - first.start, np.asarray(state_before(event)))
         for event in events_as_listed(first.events, orbit.sequence)
     ]
-    if sequence_of([name for name, _, _ in seen]) != orbit.sequence or len(seen) != len(said):
+    kept, listed = (
+        [events[k] for k in lasting_events([name for name, _, _ in events])]
+        for events in (seen, said)
+    )
+    if sequence_of([name for name, _, _ in seen]) != orbit.sequence or len(kept) != len(listed):
         return math.inf
     return max(
         max(abs(time - t) / orbit.period, _distance(x, y, scale)) if name == other else math.inf
-        for (name, time, x), (other, t, y) in zip(seen, said, strict=True)
+        for (name, time, x), (other, t, y) in zip(kept, listed, strict=True)
     )
 
 

@@ -75,7 +75,8 @@ class EventOrbit(TableRepr):
     def sequence(self) -> tuple[str, ...]:
         """The event sequence: one entry per phase, named after its end.
 
-        Impacts that accumulate belong to the entry of their Zeno point.
+        Impacts that accumulate, and kinks in their flights, belong to the entry of their Zeno
+        point.
         """
         return sequence_of([event.name for event in self.events])
 
@@ -154,6 +155,9 @@ def sequence_as_listed(events: Sequence[Event], sequence: Sequence[str]) -> tupl
 def phases_of_events(names: Sequence[str]) -> list[list[int]]:
     """Return the indices of the events of each phase: impacts belong to their Zeno point.
 
+    A kink that acts in the flights up to the Zeno point acts as often as flights are resolved. So
+    it belongs to the Zeno point as well, from the first impact on.
+
     Args:
         names: Names of the events in order.
     """
@@ -161,10 +165,56 @@ def phases_of_events(names: Sequence[str]) -> list[list[int]]:
     for k, name in enumerate(names):
         kind, _, what = name.partition(" ")
         phase = [k]
-        while kind == "zeno" and phases and names[phases[-1][-1]] == f"impact {what}":
-            phase = phases.pop() + phase
+        if kind == "zeno":
+            impact = f"impact {what}"
+            own = {impact, *_kinks_of_flights(names[:k], impact)}
+            while phases and names[phases[-1][-1]] in own:
+                phase = phases.pop() + phase
+            while names[phase[0]] not in (impact, name):
+                phases.append([phase.pop(0)])
         phases.append(phase)
     return phases
+
+
+def _kinks_of_flights(names: Sequence[str], impact: str) -> set[str]:
+    """Return the switches in each of the last two flights between impacts on a stop.
+
+    An event of the clock may fall into the last flight, but not into two.
+
+    Args:
+        names: Names of events in order, of which the last is an impact on the stop.
+        impact: Name of such an impact.
+    """
+    flights: list[set[str]] = []
+    for name in reversed(names):
+        if name == impact:
+            flights.append(set())
+        elif name.startswith("switch ") and flights:
+            flights[-1].add(name)
+        else:
+            break
+        if len(flights) > _FLIGHTS:
+            break
+    complete = flights[:-1]
+    return {name for name in complete[0] if name in complete[-1]} if complete else set()
+
+
+_FLIGHTS = 2
+"""Flights before a Zeno point in each of which a kink of that sequence acts."""
+
+
+def lasting_events(names: Sequence[str]) -> list[int]:
+    """Return the indices of events without the kinks in the flights of impacts that accumulate.
+
+    Args:
+        names: Names of the events in order.
+    """
+    return [
+        k
+        for phase in phases_of_events(names)
+        for k in phase
+        if len(phase) == 1 or not names[k].startswith("switch ")
+    ]
 
 
 def orbit_event_name(event: Event) -> str:

@@ -8,7 +8,7 @@ left onto zero gap. Newton's method solves :math:`P(x) - x = 0` with the derivat
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -20,6 +20,7 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits.events.event_orbit import (
     orbit_event_name,
+    phases_of_events,
     sequence_as_listed,
     sequence_of,
 )
@@ -627,8 +628,8 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
             release and an impact that occurs often enough in the second half of the execution.
 
     Raises:
-        InputError: If the event of the section does not occur, or is an impact of a sequence that
-            accumulates.
+        InputError: If the event of the section does not occur, or belongs to impacts that
+            accumulate.
         SimulationError: If the motion has no events, or does not return.
     """
     names = [orbit_event_name(event) for event in execution.events]
@@ -646,10 +647,10 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     # The transient may have Zeno points that the orbit lacks.
     half = execution.end_time / 2
     late = {orbit_event_name(event) for event in execution.events if event.time > half}
-    limit = _limit_of(section or "", late)
-    if limit:
+    limit = _limits(names).get(section or "")
+    if limit in late:
         raise InputError(
-            f"Argument `section` must not be `{section}`, whose impacts accumulate: take `{limit}`."
+            f"Argument `section` must not be `{section}`, whose events accumulate: take `{limit}`."
         )
     scale = largest_states(execution.arcs, graph)
     lasting = tuple(event for event in execution.events if orbit_event_name(event) in late)
@@ -680,11 +681,13 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     )
 
 
-def _limit_of(impact: str, names: Collection[str]) -> str:
-    """Return the name of the Zeno points at which impacts accumulate, or an empty string."""
-    kind, _, stop = impact.partition(" ")
-    limit = f"zeno {stop}"
-    return limit if kind == "impact" and limit in names else ""
+def _limits(names: Sequence[str]) -> dict[str, str]:
+    """Return the Zeno point of each event that accumulates, by names.
+
+    Args:
+        names: Names of all events in order.
+    """
+    return {names[k]: names[phase[-1]] for phase in phases_of_events(names) for k in phase[:-1]}
 
 
 def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:
@@ -705,7 +708,8 @@ def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
         graph: The graph of modes.
     """
     declared = graph.switch_names[: graph.n_declared]
-    names = list(dict.fromkeys(orbit_event_name(event) for event in execution.events))
+    passed = [orbit_event_name(event) for event in execution.events]
+    names, limits = list(dict.fromkeys(passed)), _limits(passed)
     switches = [
         orbit_event_name(event)
         for event in execution.switches
@@ -714,8 +718,8 @@ def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
         and not _is_armed_again(graph, event)
     ]
     zenos = [name for name in names if name.startswith("zeno ")]
-    impacts = [name for name in names if name.startswith("impact ") and not _limit_of(name, names)]
-    others = [name for name in names if name.startswith("switch ")]
+    impacts = [name for name in names if name.startswith("impact ") and name not in limits]
+    others = [name for name in names if name.startswith("switch ") and name not in limits]
     opening = {
         orbit_event_name(event)
         for event, following in pairwise(execution.events)
