@@ -831,6 +831,9 @@ static int require_continuous(Graph *g, int k, double time, const double *x) {
     return GO_ON;
 }
 
+/* In place of the stops that were closed: a first state may be one of another run. */
+#define FIRST_STATE (-1LL)
+
 static int placed(Graph *g, double time, const double *state, long long was_closed, int by_switch,
                   int flying);
 static int strike(Graph *g, double time, const double *before, double approach);
@@ -1107,7 +1110,7 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
     const zl_graph *table = g->whole->graph;
     const size_t bytes = (size_t)g->whole->n_x * sizeof(double);
     long long still = 0, opening = 0, struck = 0, closed, leaving;
-    const int is_first = run->stage == BEFORE;
+    const int is_first = was_closed == FIRST_STATE;
     double x[ZL_MOST], gap[2];
     int k, n = (int)table->n_stops, focus, status;
     memcpy(x, state, bytes);
@@ -1328,8 +1331,7 @@ static int admit_to_graph(Graph *g) {
             return tell(&g->m, ZL_INSIDE, 0.0, x, k);
         }
     }
-    /* The state may be one of another run, whose stops were closed. */
-    return placed(g, 0.0, x, BIT(table->n_stops) - 1, -1, -1);
+    return placed(g, 0.0, x, FIRST_STATE, -1, -1);
 }
 
 /* Do the next thing: a step, an event, the start of an arc. */

@@ -244,8 +244,7 @@ class GraphRun(ReferenceRun):
         self._look((), 0)
         for k, name in enumerate(self.graph.stop_names):
             require_outside(self._view((), k), x, self.settings.contact, name)
-        # The state may be one of another run, whose stops were closed.
-        return self._placed(0.0, x, tuple(range(len(self.graph.stop_names))))
+        return self._placed(0.0, x, None)
 
     # What the reference asks of a run that has more than one stop.
 
@@ -910,7 +909,7 @@ class GraphRun(ReferenceRun):
         self,
         time: float,
         x: Vector,
-        was_closed: tuple[int, ...],
+        was_closed: tuple[int, ...] | None,
         *,
         switch: str = "",
         flying: int | None = None,
@@ -920,7 +919,8 @@ class GraphRun(ReferenceRun):
         Args:
             time: When [s].
             x: The state, ``(n_x,)``.
-            was_closed: The stops that were, or may have been closed.
+            was_closed: The stops that were closed. ``None`` for a first state, which may be one of
+                another run.
             switch: Name of the switch whose reset led to the state, if there is one.
             flying: The stop that the run looked at in a flight, if it was in one.
 
@@ -937,7 +937,7 @@ class GraphRun(ReferenceRun):
         contact = self.settings.contact
         for k, name in enumerate(self.graph.stop_names):
             view = self._view((), k)
-            small = max(OFF, contact) if k in was_closed else contact
+            small = max(OFF, contact) if was_closed is None or k in was_closed else contact
             gap, rate = view.gap(x), view.gap_rate(x)
             is_on = gap >= -small * view.own.gap
             falls = rate < -small * view.own.gap_rate
@@ -956,7 +956,7 @@ class GraphRun(ReferenceRun):
             x = self._holding(closed, k).on_stop(x)
         self._require_apart(struck, closed, time, x)
         stay = (*closed, *(k for k in struck if self._view((), k).restitution == 0.0))
-        if self._opened([k for k in was_closed if k not in stay], time, x):
+        if self._opened([k for k in was_closed or () if k not in stay], time, x):
             return None
         if struck:
             self._look(closed, struck[0])
