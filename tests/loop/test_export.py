@@ -6,7 +6,9 @@ import math
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
@@ -95,6 +97,55 @@ def test_machines_with_several_stops_or_switches_give_the_same_digits(name: str)
     found = _events_of(name, "--t-end", str(until))
     assert len(found) > 10
     assert found == _expected(name, until)
+
+
+def test_a_machine_with_nested_kinks_gives_the_same_digits() -> None:
+    Path("nested.py").write_text(NESTED, encoding="utf-8")
+    found = _events_of("nested.py", "--t-end", "7")
+    assert found == _expected("nested.py", 7.0)
+    # A limit and a table follow the wave: the force is 1.5 N, after half a period 0.3 N.
+    y = np.array([0.0, 0.0, 1.0])
+    for force, duration in ((1.5, math.pi), (0.3, math.pi)):
+        rates = np.array([[0, 1, 0], [-1, -0.25, force], [0, 0, 0]])
+        y = expm(rates * duration) @ y
+    kind, numbers = found[-1]
+    assert kind.startswith("switch")
+    assert numbers[:3] == pytest.approx([2 * math.pi, *y[:2]], rel=1e-9)
+
+
+NESTED = """
+import casadi as ca
+import zeno_orbits as zo
+
+table = ca.interpolant("table", "linear", [[-1.0, 0.0, 1.0, 2.0]], [0.0, 0.3, 1.5, 1.5])
+
+
+def model(p):
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    clock = zo.Clock.at(ca.SX(1.0))
+    wave = ca.if_else(clock.sine > 0, 4, 0) * (1 + q**2)
+    mass = zo.HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=v**2 / 2, potential=q**2 / 2, passive_force=-0.25 * v,
+        applied_force=table(ca.fmin(1, wave)), clock=clock,
+        stops=(zo.Stop(name="floor", gap=q + 50, restitution=p["restitution"]),),
+    )
+    return zo.hybrid_system(mass, zo.no_drive(mass))
+
+
+PROBLEM = zo.Problem(
+    name="nested",
+    title="mass on a limited wave",
+    source="closed form",
+    state_names=("q", "v", "cosine", "sine"),
+    state_units=("m", "m/s", "1", "1"),
+    parameters=(zo.Quantity.restitution(0.5),),
+    gains=(),
+    model=model,
+    starts=({"cosine": 1.0},),
+    portraits=(("q", "v"),),
+    amplitude_of="q",
+)
+"""
 
 
 @pytest.mark.slow

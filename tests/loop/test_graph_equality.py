@@ -15,6 +15,7 @@ from tests.loop.agreement import needs_compiler
 from tests.loop.refused import REFUSED
 from tests.loop.shaken import shaken
 from tests.support.cases import fast
+from tests.support.random_machines import RandomMachine
 from zeno_orbits.errors import RunawayError, SimulationError, SimultaneousEventsError
 from zeno_orbits.integrators import Engine, Radau, RungeKutta
 from zeno_orbits.loop import LoopRun, binding
@@ -250,6 +251,13 @@ def test_a_run_goes_on_after_every_step(name: str) -> None:
 def test_random_machines_give_the_same_bits(index: int) -> None:
     problem = random_graphs.problem(random_graphs.drawn(11, index))
     require_agreement(problem, 6.0, {}, EXPLICIT, 0.0)
+
+
+@pytest.mark.parametrize("seed", fast(2, range(20)))
+def test_machines_with_nested_kinks_give_the_same_bits(seed: int) -> None:
+    machine = RandomMachine(seed=seed)
+    found = require_agreement(machine.problem(), 2.0, {}, EXPLICIT, 0.0, start=machine.start)
+    assert found is not None
 
 
 @pytest.mark.parametrize("seed", [1, 22])
