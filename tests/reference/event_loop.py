@@ -419,6 +419,9 @@ class _Walk(_Loop):
                 offset[i], armed[i] = start[i], False
             elif what == "gap" and start[i] < 1e-13 and self.gap_rate(k, self.y) < 0.0:
                 raise Refused("SimultaneousEventsError", self.t, "impacts in a corner")
+            elif what == "switch" and at_zero and self.just != (what, k) and self.falls(k):
+                self.switch(k)
+                return
             elif self.just == (what, k) or (what in ("switch", "kink") and at_zero):
                 armed[i] = False
                 offset[i] = start[i] if what == "kink" and self.just == (what, k) else 0.0
@@ -479,6 +482,16 @@ class _Walk(_Loop):
                 before, time = now, end
         self.t, self.y = self.until, solver.y[: self.size]
 
+    def falls(self, k: int) -> bool:
+        """Test whether a switch is armed, and its guard, which is zero here, falls."""
+        reset, rate = self.m.resets[k], self.flow(self.t, self.y, self.closed, self.branches)[0]
+        ahead, behind = (
+            reset.guard(self.t + d, *self.split(self.y + d * rate)) for d in (1e-6, -1e-6)
+        )
+        if abs(ahead - behind) < 1e-12:
+            raise Unsure("a guard neither falls nor rises", self.t)
+        return ahead < behind and reset.armed(self.t, *self.split(self.y)) > 0.0
+
     def passed(self, guard: tuple[str, int, float], t: float, dense: Any) -> bool:
         """Test whether a guard fell through zero without being armed."""
         what, k, _ = guard
@@ -514,12 +527,18 @@ class _Walk(_Loop):
                 y = self.advance(t0, y0, t, self.closed, self.branches)
             refined.append((t, i, y))
         refined.sort(key=lambda one: one[0])
-        t, i, y = refined[0]
+        together = [one for one in refined if one[0] - refined[0][0] < _TOGETHER]
+        struck = [one for one in together if guards[one[1]][0] == "gap"]
+        is_alone = len(struck) == 1 and all(
+            guards[one[1]][0] == "kink" for one in together if one is not struck[0]
+        )
+        # The side of a kink on a stop is read after the impact.
+        t, i, y = struck[0] if is_alone else refined[0]
         self.t, self.y = t, y[: self.size]
         self.approach = y[-1] if guards[i][:2] == ("gap", self.watched) else math.nan
         self.watched = None
-        if len(refined) > 1 and refined[1][0] - t < _TOGETHER:
-            raise Refused("SimultaneousEventsError", t, f"{guards[i]} {guards[refined[1][1]]}")
+        if len(together) > 1 and not is_alone:
+            raise Refused("SimultaneousEventsError", t, f"{guards[i]} {guards[together[1][1]]}")
         what, k, _ = guards[i]
         {"gap": self.impact, "force": self.release, "kink": self.kink, "switch": self.switch}[what](
             k

@@ -762,6 +762,61 @@ static int arc_ended(Graph *g) {
 
 static int switched(Graph *g, double time, const double *x, int k);
 
+static int switched_at_start(Graph *g, int k) {
+    double x[ZL_MOST];
+    memcpy(x, g->m.run->start.state, sizeof x);
+    return switched(g, g->m.run->start.time, x, k);
+}
+
+/* The rate of a declared switch's guard along the flow that starts. */
+static double guard_rate(Graph *g, int k, const double *x) {
+    double pair[2];
+    Other other;
+    formulas_of_side(g, ZL_MODE_KEY(closed_at_start(g), g->m.run->graph.sides), k, 1, &other);
+    if (g->asks) return 0.0;
+    tape_run(other.value, other.registers, x, pair);
+    return pair[1];
+}
+
+/* Whether a switch that is armed and falls at a start has not just occurred. */
+static int occurs_at_once(Graph *g, int k, int *at_once) {
+    const Graphed *graph = &g->m.run->graph;
+    const zl_start *start = &g->m.run->start;
+    const long long n = graph->n_row[k];
+    *at_once = 0;
+    if (graph->last_kind == ZL_HORIZON && start->time == 0.0)
+        return tell(&g->m, ZL_ARMED, start->time, start->state, k);
+    if (!(n && graph->row_times[k][n - 1] == start->time))
+        *at_once = 1;
+    else if (!(graph->last_kind == ZL_SWITCH && graph->last_index == k))
+        return tell(&g->m, ZL_ACCUMULATE, start->time, start->state, k);
+    return GO_ON;
+}
+
+/* Find the declared switch that occurs at a start, or -1: it is armed, and its guard falls. A switch
+   that has just occurred goes over to its other side. */
+static int find_due(Graph *g, int *due) {
+    const int n = (int)g->whole->graph->n_declared;
+    const double *x = g->m.run->start.state;
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS];
+    int k, at_once, status;
+    *due = -1;
+    if (!n) return GO_ON;
+    switches_at(g, x, formulas, levels, armed);
+    for (k = 0; k < n; k++) {
+        if (!(is_above(g, k) && fabs(formulas[k]) <= levels[k] && armed[k] > 0.0)) continue;
+        if (!(guard_rate(g, k, x) < -levels[k] / g->m.run->settings.time)) continue;
+        status = occurs_at_once(g, k, &at_once);
+        if (status != GO_ON) return status;
+        if (at_once) {
+            *due = k;
+            return GO_ON;
+        }
+        change_side(g, k, x);
+    }
+    return GO_ON;
+}
+
 /* The start on the other side of a switch, whose guard is zero at a start and falls. A declared
    switch occurs there if it is armed, unless it has just occurred. */
 static int on_other_side(Graph *g, int k) {
@@ -774,22 +829,12 @@ static int on_other_side(Graph *g, int k) {
     graph->flipped |= BIT(k);
     graph->flipped_time = start->time;
     if (k < g->whole->graph->n_declared && occurs(g, ZL_SWITCH, k, x)) {
-        const long long mode = ZL_MODE_KEY(closed_at_start(g), graph->sides), n = graph->n_row[k];
-        Other other;
-        double pair[2];
-        if (graph->last_kind == ZL_HORIZON && start->time == 0.0)
-            return tell(&g->m, ZL_ARMED, start->time, x, k);
-        if (!(n && graph->row_times[k][n - 1] == start->time)) {
-            double here[ZL_MOST];
-            memcpy(here, x, sizeof here);
-            return switched(g, start->time, here, k);
-        }
-        formulas_of_side(g, mode, k, 1, &other);
+        int at_once, status = occurs_at_once(g, k, &at_once);
+        if (status != GO_ON) return status;
+        if (at_once) return switched_at_start(g, k);
+        /* The guard rose by less than its rounding and fell again. */
+        if (guard_rate(g, k, x) > 0.0) return tell(&g->m, ZL_ACCUMULATE, start->time, x, k);
         if (g->asks) return GO_ON;
-        tape_run(other.value, other.registers, x, pair);
-        /* The guard rose by less than its rounding, or another event led back to it. */
-        if (pair[1] > 0.0 || !(graph->last_kind == ZL_SWITCH && graph->last_index == k))
-            return tell(&g->m, ZL_ACCUMULATE, start->time, x, k);
     }
     change_side(g, k, x);
     look(g, graph->rest, focus_of(g));
@@ -1337,11 +1382,16 @@ static int admit_to_graph(Graph *g) {
 /* Do the next thing: a step, an event, the start of an arc. */
 static int do_next_in_graph(Graph *g) {
     zl_run *run = g->m.run;
-    int outcome;
+    int outcome, due;
     switch (run->stage) {
     case BEFORE:
         return admit_to_graph(g);
     case AT_START:
+        outcome = find_due(g, &due);
+        if (outcome != GO_ON) return outcome;
+        if (due >= 0) return switched_at_start(g, due);
+        if (run->start.has_speed) return fly_on(g);
+        return begin_arc(g, run->start.mode == ZL_LOCKED ? LOCKED_ARC : FREE_ARC);
     case AT_CURVE:
         if (run->start.has_speed) return fly_on(g);
         return begin_arc(g, run->start.mode == ZL_LOCKED ? LOCKED_ARC : FREE_ARC);

@@ -432,6 +432,9 @@ class GraphRun(ReferenceRun):
 
     def phase(self, start: ArcStart) -> ArcStart | None:
         """Follow one phase, without the names of its errors."""
+        s = self._due(start)
+        if s is not None:
+            return self._switched(start, start.time, start.state, s)
         return ReferenceRun.after_phase(self, start)
 
     def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
@@ -813,7 +816,6 @@ class GraphRun(ReferenceRun):
 
         Raises:
             SlidingError: If both sides are left at once.
-            SimulationError: If a declared switch is armed at the start of the execution.
             ChatterError: If a switch occurs again at the same time.
         """
         name, x = self.graph.switch_names[s], start.state
@@ -823,21 +825,53 @@ class GraphRun(ReferenceRun):
             raise slides(name, start.time, x)
         self.flipped = start.time, crossed | {s}
         if s < self.graph.n_declared and self._occurs(Kind.SWITCH, s, x):
-            last = self.last_event
-            if last is None and start.time == 0.0:
-                raise armed_at_start(name, start.time, x)
-            if start.time not in self.seen.switches.get(name, ())[-1:]:
+            if self._occurs_at_once(start, s):
                 return self._switched(start, start.time, x, s)
             mode: GraphMode = (self._closed(start), self.sides)
-            rises = self.graph.guard_flow(mode, s, above=True).guard(x)[1] > 0.0
-            if rises or not (isinstance(last, SwitchEvent) and last.name == name):
-                # The guard rose by less than its rounding, or another event led back to it.
+            if self.graph.guard_flow(mode, s, above=True).guard(x)[1] > 0.0:
+                # The guard rose by less than its rounding and fell again.
                 raise switches_accumulate(name, start.time, x)
         self._change_side(s, x)
         self._look(self.rest, self.focus)
         if start.impact is None:
             return start
         return replace(start, resting=self.dynamics.resting(start.impact.state_plus))
+
+    def _due(self, start: ArcStart) -> int | None:
+        """Return the declared switch that occurs at a start: it is armed, and its guard falls.
+
+        A switch that has just occurred goes over to its other side.
+        """
+        if not self.graph.n_declared:
+            return None
+        x, closed = start.state, self._closed(start)
+        values, levels, armed = self.graph.guards(x, self.sides)
+        for s in range(self.graph.n_declared):
+            if not (self.above[s] and abs(values[s]) <= levels[s] and armed[s] > 0.0):
+                continue
+            rate = self.graph.guard_flow((closed, self.sides), s, above=True).guard(x)[1]
+            if not rate < -levels[s] / self.own.time:
+                continue
+            if self._occurs_at_once(start, s):
+                return s
+            self._change_side(s, x)
+        return None
+
+    def _occurs_at_once(self, start: ArcStart, s: int) -> bool:
+        """Return True if a switch that is armed and falls at a start has not just occurred.
+
+        Raises:
+            SimulationError: If it is the start of the execution.
+            ChatterError: If another event led back to the switch at the same time.
+        """
+        name, last = self.graph.switch_names[s], self.last_event
+        if last is None and start.time == 0.0:
+            raise armed_at_start(name, start.time, start.state)
+        if start.time not in self.seen.switches.get(name, ())[-1:]:
+            return True
+        if not (isinstance(last, SwitchEvent) and last.name == name):
+            raise switches_accumulate(name, start.time, start.state)
+        return False
 
     def _change_side(self, switch: int, x: Vector) -> None:
         """Go to the other side of a switch. Conditions that depend on a kink may change as well."""
