@@ -46,6 +46,9 @@ from zeno_orbits.simulation.execution import (
     ZenoPoint,
 )
 
+_RESTS = 1e-9
+"""Gap rate of a closed stop after an impact, relative to that of the impact, that is rounding."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArcPassage:
@@ -123,6 +126,8 @@ class GraphShifts:
             here, bounces = self._after(first, before, arcs[0], arcs[0], bounces, caused=caused)
             crossings.append((first, before, here))
             caused = True
+        if crossings:
+            here = self._launched([first for first, _, _ in crossings], here, arcs[0])
         for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
             if arc.ending is Ending.HORIZON:
                 if to_horizon:
@@ -131,17 +136,20 @@ class GraphShifts:
             start = end = here
             if arc.ending is not Ending.ZENO:
                 here = end = self._end(arc, here, events)
-            crossed = False
+            crossed: list[Event] = []
             while events and events[0].time <= arc.end_time:
                 event = events.pop(0)
-                before = self._before(event, here, arc, following, caused=crossed)
-                here, bounces = self._after(event, before, arc, following, bounces, caused=crossed)
+                before = self._before(event, here, arc, following, caused=bool(crossed))
+                here, bounces = self._after(
+                    event, before, arc, following, bounces, caused=bool(crossed)
+                )
                 if isinstance(event, ZenoPoint):
                     before = end = here
                 crossings.append((event, before, here))
-                crossed = True
+                crossed.append(event)
             if not crossed and arc.ending is not Ending.SWITCH:
                 raise _touched(arc)
+            here = self._launched(crossed, here, following)
             yield ArcPassage(arc=arc, start=start, end=end, crossings=tuple(crossings))
             crossings = []
 
@@ -354,7 +362,10 @@ class GraphShifts:
         if isinstance(event, Impact):
             perturbations = self._struck(event, arc, following)
             after = perturbations.struck(event, here)
-            return after, perturbations.joined(bounces, event, after)
+            # Only the impacts of one stop in one mode accumulate.
+            goes_on = [one.impact.stop for one in bounces[-1:]] == [event.stop]
+            goes_on = goes_on and arc.closed == following.closed
+            return after, perturbations.joined(bounces if goes_on else [], event, after)
         if isinstance(event, ZenoPoint):
             stop = self.graph.stop_names.index(event.stop)
             perturbations = self._of(following, stop)
@@ -373,17 +384,37 @@ class GraphShifts:
         if switch >= self.graph.n_declared:
             return here, bounces
         derivative = self.graph.reset_derivative(switch, event.state_minus, self.chosen)
-        after = self._moved(here, derivative)
-        if following.stop and following.start_time == event.time:
-            stop = self.graph.stop_names.index(following.stop)
-            contact = self._of(following, stop).differentials.contact(event.state_plus)
-            rate = self._total(contact[GAP_RATE], after)
-            after = SaltationDerivative(time=after.time, state=after.state, rate=rate)
-        return after, []
+        return self._moved(here, derivative), []
+
+    def _launched(
+        self, events: Sequence[Event], here: SaltationDerivative, following: Arc
+    ) -> SaltationDerivative:
+        """Return the derivatives at the start of an arc from a stop that is left without an impact.
+
+        Args:
+            events: The events at the start of the arc.
+            here: Derivatives after them.
+            following: The arc.
+        """
+        struck = [event.stop for event in events if isinstance(event, Impact)]
+        if not (events and following.stop) or following.stop in struck:
+            return here
+        stop = self.graph.stop_names.index(following.stop)
+        contact = self._of(following, stop).differentials.contact(following.start_state)
+        rate = self._total(contact[GAP_RATE], here)
+        return SaltationDerivative(time=here.time, state=here.state, rate=rate)
 
     def _struck(self, impact: Impact, arc: Arc, following: Arc) -> VariationalEquation:
-        """Return the derivatives of an impact in the mode that keeps its closed stops."""
-        kept = [name for name in following.closed if name in arc.closed and name != impact.stop]
+        """Return the derivatives of an impact in the mode that keeps its closed stops.
+
+        An impulse opens a stop with a gap rate. A force may open one just after the impact.
+        """
+        kept: list[str] = []
+        for name in arc.closed:
+            view = self.graph.view(self.graph.open_mode, self.graph.stop_names.index(name))
+            rate = abs(view.gap_rate(impact.state_plus))
+            if name != impact.stop and rate <= _RESTS * abs(impact.approach_rate):
+                kept.append(name)
         closed, _ = self.graph.mode_of(kept, ())
         return self._at((closed, following.sides), self.graph.stop_names.index(impact.stop))
 
