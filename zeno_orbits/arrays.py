@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,37 @@ def null_space(matrix: Array, rcond: float | None = None) -> Array:
     return np.asarray(rows[rank:].T, dtype=np.float64)
 
 
+ROUNDED = 1e-9
+"""Relative singular value of a derivative that is rounding."""
+
+
 def eigenvalues(matrix: Array) -> tuple[complex, ...]:
-    """Return the eigenvalues of a square matrix, the largest in modulus first."""
-    values = sorted(np.linalg.eigvals(matrix), key=abs, reverse=True)
-    return tuple(complex(value) for value in values)
+    r"""Return the eigenvalues of a square matrix, the largest in modulus first.
+
+    Eigenvalues below rounding are zero. Their number is that of the directions that powers of the
+    matrix send to zero. The eigenvalues of a rounded Jordan block would be roots of the rounding.
+    """
+    values = sorted(np.linalg.eigvals(matrix), key=lambda value: (-abs(value), -value.imag))
+    rest = matrix
+    while rest.size:
+        zero = ROUNDED * max(1.0, float(np.linalg.norm(matrix, 2)))
+        _, sizes, rows = np.linalg.svd(rest)
+        keeps = rows[sizes > zero]
+        if len(keeps) == len(rest):
+            break
+        rest = keeps @ rest @ keeps.T
+    known = len(rest)
+    return tuple(complex(value) if k < known else 0j for k, value in enumerate(values))
+
+
+def eigenvalue_error(values: Sequence[complex], others: Sequence[complex]) -> float:
+    """Return the largest distance of eigenvalues from those of a rougher computation.
+
+    Eigenvalues that are all below rounding have the error of rounding.
+
+    Args:
+        values: The eigenvalues, the largest first.
+        others: The eigenvalues of the rougher computation.
+    """
+    away = [min((abs(other - value) for other in others), default=math.inf) for value in values]
+    return max(ROUNDED if values and values[0] == 0.0 else 0.0, *away, 0.0)

@@ -221,7 +221,7 @@ def dynamics_of_orbit(
 
 @front_door
 def floquet_multipliers(
-    orbit: ZenoOrbit | str | Path, *, problem: Named | None = None
+    orbit: ZenoOrbit | EventOrbit | str | Path, *, problem: Named | None = None
 ) -> Multipliers:
     """Return the Floquet multipliers of an orbit, from exact derivatives, with their error.
 
@@ -233,7 +233,10 @@ def floquet_multipliers(
         InputError: If the orbit's problem is not known, or the orbit does not fit the problem.
         SimulationError: If the simulation does not return to the orbit.
     """
-    from zeno_orbits.verification import multipliers_of
+    from zeno_orbits.verification import multipliers_of, multipliers_of_events
 
-    orbit = as_orbit(orbit)
-    return multipliers_of(orbit, problem_of(orbit, problem))
+    orbit = any_orbit(orbit)
+    used = problem_of(orbit, problem)
+    if isinstance(orbit, EventOrbit):
+        return multipliers_of_events(orbit, used)
+    return multipliers_of(orbit, used)

@@ -10,8 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
-import numpy as np
-
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.return_maps import (
     LOOSER,
@@ -30,7 +28,7 @@ from zeno_orbits.orbits import (
     Section,
     event_return,
     extrapolated,
-    kept_directions,
+    kept_section,
     margins_of_return,
     on_section,
     relaxed_settings,
@@ -92,19 +90,13 @@ class EventReturns:
         return replace(self, settings=relaxed_settings(self.settings, factor=LOOSER))
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
-        """Return the directions that keep the constraints, as a chart around a state.
+        """Return a chart of the admissible states around a state.
 
         A return removes the directions off the section, so they have the multiplier zero.
         """
-        tangent = kept_directions(self.dynamics(s), x, scale)
-        return Section(
-            rows=(),
-            centre=x,
-            scale=scale,
-            tangent=tangent,
-            normal=np.zeros((x.size, 0)),
-            drift=np.zeros((x.size, 1)),
-        )
+        line = self.line
+        kept = kept_section(self.dynamics(s), x, self.section.mode, scale, line.moving)
+        return replace(kept, drift=(kept.drift @ line.slopes)[:, None])
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         """Return the state projected onto its closed stops, and onto the stop that it leaves."""

@@ -12,6 +12,8 @@ from .cycle import round_again as round_again
 from .digest import digest_of as digest_of
 from .digest import same_equations as same_equations
 from .events.return_map import event_chart as event_chart
+from .events.return_map import multipliers_of_return as multipliers_of_return
+from .events.return_map import return_jacobian as return_jacobian
 from .events.courses import ENERGY as ENERGY
 from .events.courses import EventCourse as EventCourse
 from .events.courses import course_signal_names as course_signal_names
@@ -40,7 +42,8 @@ from .events.section import at_section as at_section
 from .events.section import EventSection as EventSection
 from .events.section import section_of_family as section_of_family
 from .events.section import SectionMode as SectionMode
-from .events.section import kept_directions as kept_directions
+from .events.section import kept_section as kept_section
+from .events.section import start_by_parameters as start_by_parameters
 from .events.section import fall_at as fall_at
 from .events.section import largest_states as largest_states
 from .events.section import on_section as on_section
@@ -49,7 +52,6 @@ from .events.section import closed_return as closed_return
 from .events.section import inverse_of_closing as inverse_of_closing
 from .events.section import event_return as event_return
 from .events.section import event_sections as event_sections
-from .events.section import multipliers_of_return as multipliers_of_return
 from .events.section import near_return as near_return
 from .looser_run import LOOSER as LOOSER
 from .looser_run import extrapolated as extrapolated

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.arrays import Vector, eigenvalue_error, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits.looser_run import relaxed_settings
@@ -202,9 +202,8 @@ def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
     Their error is the difference from the eigenvalues of a rougher derivative, plus the noise.
     """
     values = eigenvalues(jacobian)
-    others = np.array(eigenvalues(rough))
-    change = max((float(np.min(np.abs(others - value))) for value in values), default=0.0)
-    return Multipliers(values=values, error=change + noise, jacobian=jacobian)
+    error = eigenvalue_error(values, eigenvalues(rough)) + noise
+    return Multipliers(values=values, error=error, jacobian=jacobian)
 
 
 _FEWER = 10.0

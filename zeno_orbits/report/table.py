@@ -127,6 +127,22 @@ def shown_complex(value: complex, error: float, digits: int) -> str:
     return f"{real} {'' if imaginary.startswith('-') else '+'}{imaginary} i"
 
 
+def shown_multipliers(values: Sequence[complex], error: float, digits: int) -> str:
+    """Return Floquet multipliers in a row, and the number of those below rounding.
+
+    Args:
+        values: The multipliers, the largest first.
+        error: Error of the largest multiplier.
+        digits: Digits to show.
+    """
+    every = [shown_complex(value, error, digits) for value in values]
+    known = [text for text in every if text != "0"]
+    zeros = len(every) - len(known)
+    if zeros:
+        known.append(f"{'' if zeros == 1 else f'{zeros} x '}0 (below rounding)")
+    return ", ".join(known)
+
+
 _NOTHING = 1e-9
 """A multiplier above this value is printed even if its uncertainty is large."""
 

@@ -4,6 +4,7 @@ from .certificate import RESIDUALS as RESIDUALS
 from .event_margins import EVENT_MARGINS as EVENT_MARGINS
 from .event_margins import SHARE as SHARE
 from .event_margins import measured_margin as measured_margin
+from .event_verifier import multipliers_of_events as multipliers_of_events
 from .event_verifier import verify_events as verify_events
 from .measurement import measure as measure
 from .measurement import require_quantities as require_quantities

@@ -18,12 +18,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
+from zeno_orbits.arrays import Vector, eigenvalue_error
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError, finite_number
 from zeno_orbits.model import GraphDynamics, Problem
 from zeno_orbits.orbits import (
     EventOrbit,
     EventQuantities,
+    EventReturn,
+    Multipliers,
     OrbitEvent,
     event_return,
     events_as_listed,
@@ -33,6 +35,7 @@ from zeno_orbits.orbits import (
     multipliers_of_return,
     orbit_event_name,
     relaxed_tolerance,
+    return_jacobian,
     sequence_of,
 )
 from zeno_orbits.simulation import (
@@ -143,8 +146,10 @@ def verify_events(
         integration_error = error_by_repetition(difference, settings.simulation, settings.tolerance)
         residuals["integration"] = integration_error
     on_progress("computing the multipliers", None)
-    multipliers, error = _multipliers(graph, orbit, start, settings.simulation)
-    if multipliers and abs(multipliers[0]) >= 1.0:
+    known = Multipliers(values=(), error=math.inf, jacobian=np.zeros((0, 0)))
+    with suppress(ZenoOrbitsError):
+        known = multipliers_of_events(orbit, problem, settings=settings)
+    if known.spectral_radius >= 1.0:
         residuals.pop("drift", None)
         trouble = "" if periods else trouble
     errors = [one.limit_error for one in _of_kind(periods, ZenoPoint)]
@@ -153,8 +158,8 @@ def verify_events(
         residuals={name: float(value) for name, value in residuals.items()},
         margins={name: float(value) for name, value in margins.items()},
         energies=energies,
-        multipliers=multipliers,
-        multiplier_error=error,
+        multipliers=known.values,
+        multiplier_error=known.error,
         delta_sweep=(),
         delta_order=_NO_SWEEP,
         integration_error=integration_error,
@@ -339,23 +344,37 @@ def _quantities(
     return {name: (one.lowest, one.highest) for name, one in found.table().items()}
 
 
-def _multipliers(
-    graph: GraphDynamics, orbit: EventOrbit, start: Vector, settings: SimulationSettings
-) -> tuple[tuple[complex, ...], float]:
-    """Return the multipliers and the estimated error of the largest, infinite if unknown."""
-    found: list[tuple[complex, ...]] = []
+def multipliers_of_events(
+    orbit: EventOrbit, problem: Problem, *, settings: VerificationSettings | None = None
+) -> Multipliers:
+    """Return the multipliers of an orbit as `verify` computes them, without its other checks.
+
+    Args:
+        orbit: The orbit. Its own multipliers are ignored.
+        problem: Its problem.
+        settings: Accuracy.
+
+    Raises:
+        InputError: If the orbit does not fit the problem.
+        SimulationError: If the orbit does not return.
+    """
+    settings = settings or VerificationSettings()
+    graph = problem.graph_dynamics(orbit.values(problem))
+    start = np.array(problem.state_vector(orbit.start_state))
+
+    def returned(accuracy: SimulationSettings) -> EventReturn:
+        return event_return(
+            graph,
+            start,
+            section=orbit.section,
+            n_returns=orbit.n_returns,
+            guess=orbit.period,
+            settings=accuracy,
+        )
+
+    found, others = returned(settings.simulation), None
     with suppress(ZenoOrbitsError):
-        for chosen in (settings, relaxed_tolerance(settings)):
-            one = event_return(
-                graph,
-                start,
-                section=orbit.section,
-                n_returns=orbit.n_returns,
-                guess=orbit.period,
-                settings=chosen,
-            )
-            found.append(multipliers_of_return(graph, one))
-    if len(found) < 2 or len(found[0]) != len(found[1]):
-        return (found[0], math.inf) if found else ((), math.inf)
-    differences = [abs(a - b) for a, b in zip(*found, strict=True)]
-    return found[0], max([1e-12, *differences])
+        others = multipliers_of_return(graph, returned(relaxed_tolerance(settings.simulation)))
+    values = multipliers_of_return(graph, found)
+    error = math.inf if others is None else max(1e-12, eigenvalue_error(values, others))
+    return Multipliers(values=values, error=error, jacobian=return_jacobian(graph, found))

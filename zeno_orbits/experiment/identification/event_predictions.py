@@ -34,8 +34,8 @@ from zeno_orbits.orbits import (
     EventReturn,
     SectionMode,
     closed_return,
-    inverse_of_closing,
     orbit_event_name,
+    start_by_parameters,
 )
 from zeno_orbits.simulation import SimulationSettings
 
@@ -60,9 +60,8 @@ class EventPeriod(PeriodTable):
     @cached_property
     def moved(self) -> Vector:
         """Derivatives of the start, then of the parameters, with respect to these, ``(m, k)``."""
-        by_parameters = self.found.by_parameters
-        start = inverse_of_closing(self.graph, self.found) @ by_parameters
-        return np.concatenate([start, np.eye(by_parameters.shape[1])])
+        start = start_by_parameters(self.graph, self.found)
+        return np.concatenate([start, np.eye(start.shape[1])])
 
 
 class EventPredictions(OrbitPredictions[EventPeriod]):

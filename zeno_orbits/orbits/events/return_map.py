@@ -1,9 +1,10 @@
 r"""Chart of the section at which the period of an event orbit starts, and the return map in it.
 
 The section consists of the states just after the last event of the period, on the stops that it
-touches. A switch may reset many states to one. Its section consists of the states just before it:
-its guard is zero, and the stops that are closed have gap and gap rate zero. The motion then starts
-at the reset of such a state. The return map :math:`P` of a section before a reset :math:`R` is
+touches. If another event at the same time caused the last event, the section is that of the cause.
+A switch may reset many states to one. Its section consists of the states just before it: its guard
+is zero, and the stops that are closed have gap and gap rate zero. The motion then starts at the
+reset of such a state. The return map :math:`P` of a section before a reset :math:`R` is
 :math:`P = \varphi \circ R` with the flow :math:`\varphi` to the next state before the switch.
 """
 
@@ -14,10 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
-from zeno_orbits.orbits.events.event_orbit import EventOrbit
+from zeno_orbits.orbits.events.event_orbit import (
+    EventOrbit,
+    orbit_event_name,
+    phases_of_events,
+)
 from zeno_orbits.orbits.events.section import EventReturn, SectionMode, event_return, largest_states
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.section import (
@@ -31,16 +36,17 @@ from zeno_orbits.orbits.section import (
 from zeno_orbits.simulation import (
     Arc,
     Event,
+    Impact,
     SimulationSettings,
     SwitchEvent,
+    ZenoPoint,
     scale_of,
     state_after,
     state_before,
 )
 
-_ON, _CAUSED = 1e-9, 1e-6
-"""Correction in scaled states above which a state is off its section, and above which an event does
-not have its own conditions."""
+_ON = 1e-9
+"""Correction in scaled states above which a state is off its section."""
 _ROWS: dict[str, tuple[int, ...]] = {
     "impact": IMPACT_ROWS,
     "zeno": REST_ROWS,
@@ -108,7 +114,7 @@ class EventChart:
         graph: The graph of modes.
         orbit: The orbit.
         settings: Accuracy.
-        mode: The mode just after the last event of the period.
+        mode: The mode at the start of the period.
         before: The mode just before it.
         surface: The section.
         section: The chart of the section around the orbit.
@@ -139,7 +145,7 @@ class EventChart:
         """
         start = self._start(coordinates)
         found = _next_return(self.graph, self.orbit, start, self.settings, self.mode)
-        return self.section.coordinates(_on_surface(found.events[-1]))
+        return self.section.coordinates(_on_surface(_cause_at(found, found.period)))
 
     def _start(self, coordinates: Vector) -> Vector:
         """Return the state just after the event at section coordinates, ``(n_x,)``."""
@@ -176,35 +182,95 @@ def event_chart(
         settings: Accuracy.
 
     Raises:
-        InputError: If the last event of the period is the consequence of another event.
         SimulationError: If the motion from its start does not have the event sequence of the orbit.
     """
     x = np.array([orbit.start_state[name] for name in graph.state_names])
     found = _next_return(graph, orbit, x, settings, None)
     arcs = found.execution.arcs
-    mode = SectionMode.of(arcs[0], orbit.section)
-    last = next(arc for arc in arcs if arc.end_time >= found.period)
-    surface = _surface_at(graph, orbit.section, mode, last)
     # A state that has decayed gets the size of the other states with its unit.
     scale = scale_of([largest_states(arcs, graph)], units, graph.own.states(x.size))
-    centre = _on_surface(found.events[-1])
-    section = section_of(surface.gradient(centre) * scale, centre, scale)
-    off = section.normal @ surface.values(centre)
-    if np.max(np.abs(off), initial=0.0) > _CAUSED:
-        wanted = f"must start at another event, but `{orbit.section}` is caused by the one before"
-        raise InputError(f"Argument `orbit` {wanted} it.")
-    carried = _end_by_state(found, surface) @ surface.reset_derivative(centre)
+    cause = _cause_at(found, found.period)
+    last, _ = _arcs_at(found, cause.time)
+    surface, section, slope = _slope(graph, found, scale)
     return EventChart(
         graph=graph,
         orbit=orbit,
         settings=settings,
-        mode=mode,
+        mode=found.mode,
         before=graph.mode_of(last.closed, last.sides),
         surface=surface,
         section=section,
-        slope=section.components(carried @ section.lift),
+        slope=slope,
         drift=float(np.max(np.abs(found.end - found.start) / scale)),
     )
+
+
+def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[complex, ...]:
+    """Return the Floquet multipliers of a periodic return, the largest first.
+
+    They are those of the disturbances that the section admits. The motion passes the sections of
+    all events of the period. The one of the least dimension bounds the number of multipliers.
+
+    Args:
+        graph: The graph of modes.
+        found: The return.
+    """
+    scale = largest_states(found.execution.arcs, graph)
+    slope = return_jacobian(graph, found)
+    least = len(slope)
+    phases = phases_of_events([orbit_event_name(event) for event in found.events])
+    for time in {found.events[phase[-1]].time for phase in phases}:
+        _, passed = _section_at(graph, found, _cause_at(found, time), scale)
+        least = min(least, passed.dimension)
+    return eigenvalues(slope)[:least]
+
+
+def return_jacobian(graph: GraphDynamics, found: EventReturn) -> Vector:
+    """Return the derivative of a periodic return in coordinates of its section, ``(d, d)``.
+
+    Args:
+        graph: The graph of modes.
+        found: The return.
+    """
+    return _slope(graph, found, largest_states(found.execution.arcs, graph))[2]
+
+
+def _slope(
+    graph: GraphDynamics, found: EventReturn, scale: Vector
+) -> tuple[_Surface, Section, Vector]:
+    """Return the section of a periodic return, its chart, and the derivative in it, ``(d, d)``."""
+    cause = _cause_at(found, found.period)
+    surface, section = _section_at(graph, found, cause, scale)
+    is_switch = isinstance(cause, SwitchEvent)
+    carried = found.shifts[found.events.index(cause)].state if is_switch else found.by_state
+    carried = carried[:, : len(scale)] @ surface.reset_derivative(section.centre)
+    return surface, section, section.components(carried @ section.lift)
+
+
+def _section_at(
+    graph: GraphDynamics, found: EventReturn, cause: Event, scale: Vector
+) -> tuple[_Surface, Section]:
+    """Return the section of an event of a return, and its chart."""
+    surface = _surface_at(graph, cause, *_arcs_at(found, cause.time))
+    centre = _on_surface(cause)
+    return surface, section_of(surface.gradient(centre) * scale, centre, scale)
+
+
+def _arcs_at(found: EventReturn, time: float) -> tuple[Arc, Arc]:
+    """Return the arc that ends at the time of an event, and the arc that starts there."""
+    arcs = found.execution.arcs
+    before = next(arc for arc in arcs if arc.end_time >= time)
+    return before, [arc for arc in arcs if arc.start_time <= time][-1]
+
+
+def _cause_at(found: EventReturn, time: float) -> Event:
+    """Return the event at a time of which other events at this time are consequences.
+
+    A contact has conditions of its own, even if another event causes it.
+    """
+    events = [event for event in found.events if event.time == time]
+    contacts = [event for event in events if isinstance(event, Impact | ZenoPoint)]
+    return contacts[-1] if contacts else events[0]
 
 
 def _next_return(
@@ -228,37 +294,32 @@ def _next_return(
 
 
 def _on_surface(event: Event) -> Vector:
-    """Return the state of an event that belongs to its section, ``(n_x,)``."""
+    """Return the state of an event on its section, ``(n_x,)``."""
     return state_before(event) if isinstance(event, SwitchEvent) else state_after(event)
 
 
-def _end_by_state(found: EventReturn, surface: _Surface) -> Vector:
-    """Return the derivative of the last state on a section by the start, ``(n_x, n_x)``."""
-    return found.by_state if surface.switch is None else found.shifts[-1].state
-
-
-def _surface_at(graph: GraphDynamics, section: str, mode: SectionMode, last: Arc) -> _Surface:
+def _surface_at(graph: GraphDynamics, event: Event, before: Arc, after: Arc) -> _Surface:
     """Return the section of an event.
 
     Args:
         graph: The graph of modes.
-        section: Name of the event.
-        mode: The mode just after the event.
-        last: The arc that ends at the event.
+        event: The event.
+        before: The arc that ends at the event.
+        after: The arc that starts there.
     """
-    kind, _, name = section.partition(" ")
-    closed, sides = before = graph.mode_of(last.closed, last.sides)
+    kind, _, name = orbit_event_name(event).partition(" ")
+    closed, sides = mode = graph.mode_of(before.closed, before.sides)
     if kind == "switch":
-        held = tuple((graph.holding(before, k), REST_ROWS) for k in closed)
+        held = tuple((graph.holding(mode, k), REST_ROWS) for k in closed)
         switch = graph.switch_names.index(name)
         return _Surface(graph=graph, contacts=held, switch=switch, sides=sides)
     # An impact may open other stops. Their gaps are zero after it.
     rows: dict[int, tuple[int, ...]] = dict.fromkeys(closed, IMPACT_ROWS)
-    closed, _ = after = graph.mode_of(mode.closed, mode.sides)
+    closed, _ = mode = graph.mode_of(after.closed, after.sides)
     struck = graph.stop_names.index(name)
     rows[struck] = _ROWS[kind]
-    if graph.holding(after, struck).restitution == 0.0 and kind == "impact":
+    if graph.holding(mode, struck).restitution == 0.0 and kind == "impact":
         rows[struck] = REST_ROWS
     rows.update((k, REST_ROWS) for k in closed)
-    contacts = tuple((graph.holding(after, k), chosen) for k, chosen in rows.items())
+    contacts = tuple((graph.holding(mode, k), chosen) for k, chosen in rows.items())
     return _Surface(graph=graph, contacts=contacts, switch=None, sides=sides)

@@ -25,9 +25,12 @@ from zeno_orbits.orbits.events.event_orbit import (
     sequence_of,
 )
 from zeno_orbits.orbits.looser_run import extrapolated
+from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.section import (
     IMPACT_ROWS,
     RELEASE_ROWS,
+    REST_ROWS,
+    Section,
     conditions_gradient,
     project_to_section,
     section_of,
@@ -69,8 +72,6 @@ _NEARER, _SETTLED = 10.0, 1e-6
 or this distance."""
 _ONE_START = 2e-6
 """Relative distance of the starts of an orbit that was closed over fewer returns."""
-_RANK = 1e-9
-"""Relative singular value of a return's derivative that counts as zero."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,6 +173,11 @@ class EventReturn:
     def shifts(self) -> tuple[SaltationDerivative, ...]:
         """Derivatives of every event, with the state before it. Columns: start, parameters."""
         return self._derivatives[1]
+
+    @property
+    def mode(self) -> SectionMode:
+        """The mode of the start."""
+        return SectionMode.of(self.execution.arcs[0], orbit_event_name(self.events[-1]))
 
     @cached_property
     def passages(self) -> tuple[ArcPassage, ...]:
@@ -546,8 +552,8 @@ def at_section(
 def inverse_of_closing(graph: GraphDynamics, found: EventReturn) -> Vector:
     """Return the inverse of the identity minus the derivative of a return, ``(n_x, n_x)``.
 
-    It acts on changes that keep the constraints and the circle of the clock. A direction in which
-    the return is neutral has no change.
+    It acts on admissible changes of the start. A direction in which the return is neutral has no
+    change.
 
     Args:
         graph: The graph of modes.
@@ -555,48 +561,53 @@ def inverse_of_closing(graph: GraphDynamics, found: EventReturn) -> Vector:
     """
     # States of unlike sizes would hide each other's singular values.
     scale = largest_states(found.execution.arcs, graph)
-    keeps = kept_directions(graph, found.start, scale)
+    keeps = kept_section(graph, found.start, found.mode, scale).tangent
     matrix = (np.eye(len(scale)) - found.by_state) * scale[None, :] / scale[:, None]
     inverse = keeps @ np.linalg.pinv(keeps.T @ matrix @ keeps, rcond=1e-12) @ keeps.T
     return np.asarray(inverse * scale[:, None] / scale[None, :], dtype=np.float64)
 
 
-def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[complex, ...]:
-    """Return the Floquet multipliers of a periodic return, the largest first.
+def start_by_parameters(graph: GraphDynamics, found: EventReturn) -> Vector:
+    """Return the derivative of the start of a periodic orbit by the parameters, ``(n_x, k)``.
 
-    A perturbation keeps the constraints and the circle of the clock. Directions that a return
-    removes, such as those off the section, have no multiplier.
+    The closed stops of the start move with the parameters, and the start with the stops.
 
     Args:
         graph: The graph of modes.
         found: The return.
     """
-    scale = largest_states(found.execution.arcs, graph)
-    derivative = found.by_state * scale[None, :] / scale[:, None]
-    keeps = kept_directions(graph, found.start, scale)
-    matrix = keeps.T @ derivative @ keeps
-    singular = np.linalg.svd(matrix, compute_uv=False)
-    rank = int(np.sum(singular > _RANK * max(1.0, float(singular[0])))) if singular.size else 0
-    values = sorted(np.linalg.eigvals(matrix), key=lambda mu: (-abs(mu), -mu.imag))
-    return tuple(complex(value) for value in values[:rank])
+    scale, chosen = largest_states(found.execution.arcs, graph), found.differentiation.chosen
+    drift = kept_section(graph, found.start, found.mode, scale, chosen).drift
+    missed = found.by_parameters + found.by_state @ drift - drift
+    return np.asarray(drift + inverse_of_closing(graph, found) @ missed, dtype=np.float64)
 
 
-def kept_directions(graph: GraphDynamics, x: Vector, scale: Vector) -> Vector:
-    """Return an orthonormal basis of the directions that keep the constraints, in scaled states.
+def kept_section(
+    graph: GraphDynamics,
+    x: Vector,
+    mode: SectionMode,
+    scale: Vector,
+    parameters: Sequence[int] = (),
+) -> Section:
+    """Return a chart of the admissible states around a state.
+
+    They keep the constraints, the circle of the clock, and gap and gap rate of the closed stops.
 
     Args:
         graph: The graph of modes.
         x: The state, ``(n_x,)``.
+        mode: The mode of the state.
         scale: Size of each state, ``(n_x,)``.
+        parameters: Indices in ``p`` of the parameters with which the states move, ``(k,)``.
     """
-    view = graph.first
-    differentiation = view.differentiation
-    if differentiation is None or view.holonomic(x).size == 0:
-        return np.eye(len(x))
-    gradient = differentiation.by(()).holonomic(x)[:, : len(x)] * scale[None, :]
-    _, singular, rows = np.linalg.svd(gradient)
-    rank = int(np.sum(singular > _RANK * float(singular[0])))
-    return np.asarray(rows[rank:].T)
+    chosen, n_x = tuple(parameters), len(x)
+    at = graph.mode_of(mode.closed, mode.sides)
+    rows = [
+        differentials_of(graph.holding(at, k), chosen).contact(x)[list(REST_ROWS)] for k in at[0]
+    ]
+    gradient = np.concatenate([differentials_of(graph.first, chosen).holonomic(x), *rows])
+    section = section_of(gradient[:, :n_x] * scale, x, scale)
+    return replace(section, drift=-scale[:, None] * (section.normal @ gradient[:, n_x:]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

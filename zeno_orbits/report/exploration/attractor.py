@@ -12,7 +12,7 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Multipliers, ZenoOrbit
 from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.report.paths import ArcPath, paths_of
-from zeno_orbits.report.table import shown_complex
+from zeno_orbits.report.table import shown_multipliers
 from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import Execution, Release, SimulationSettings, ZenoPoint, simulate
 from zeno_orbits.verification import multipliers_of
@@ -54,9 +54,7 @@ class ExploredAttractor:
         if self.orbit is None or self.multipliers is None:
             return []
         error = self.multipliers.error
-        values = ", ".join(
-            shown_complex(value, error, _MULTIPLIER_DIGITS) for value in self.multipliers.values
-        )
+        values = shown_multipliers(self.multipliers.values, error, _MULTIPLIER_DIGITS)
         return [
             ["period", f"{self.orbit.period:.9g} s"],
             ["event sequence", self.orbit.shape.text],

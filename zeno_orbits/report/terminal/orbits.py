@@ -16,6 +16,7 @@ from zeno_orbits.report.table import (
     name_column,
     number_column,
     shown_complex,
+    shown_multipliers,
     shown_size,
     text_column,
     with_unit,
@@ -423,8 +424,7 @@ def print_certificate(
         _print_truncation(certificate)
     point = "none: the section is a point" if certificate.stable else "unknown"
     error = certificate.multiplier_error
-    known = [shown_complex(value, error, 7) for value in certificate.multipliers]
-    multipliers = ", ".join(known) or point
+    multipliers = shown_multipliers(certificate.multipliers, error, 7) or point
     print_lines(
         [
             f"Floquet multipliers: {multipliers} (+- {error:.0e})",

@@ -32,9 +32,9 @@ from zeno_orbits.orbits import (
     StepError,
     closed_return,
     course_signal_names,
-    inverse_of_closing,
     multipliers_of_return,
     orbit_event_name,
+    start_by_parameters,
 )
 from zeno_orbits.search.events.event_search import indices_of, settled_return
 from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts
@@ -112,8 +112,7 @@ class OrbitAtValues:
     @cached_property
     def moved(self) -> Vector:
         """Derivative of its start with respect to the free values, ``(n_x, k)``."""
-        moved = inverse_of_closing(self.graph, self.found) @ self.found.by_parameters
-        return np.asarray(moved, dtype=np.float64)
+        return start_by_parameters(self.graph, self.found)
 
     @property
     def radius(self) -> float:
