@@ -140,7 +140,12 @@ def test_the_report_shows_what_is_proved_and_only_that(files: tuple[Path, Path])
     orbit, proof = files
     page = orbit.with_name("report.html")
     assert ask("report", orbit, "--proof", proof, "-o", page).code == YES
-    assert "Proved: a Zeno periodic orbit" in page.read_text()
+    text = page.read_text()
+    assert "Proved: a Zeno periodic orbit" in text
+    # Release at cosine -0.8 and sine 0.6, the other states on the stop.
+    for state in ("cosine = -0.8000000000000000", "sine = 0.5999999999999999", "distance = 0 +-"):
+        assert state in text
+    assert "exactly one periodic orbit passes through box 1" in text
     false = _changed(proof, "longer.json", _longer)
     assert ask("report", orbit, "--proof", false, "-o", page).code == NO
     assert "roved: " not in page.read_text()

@@ -327,7 +327,7 @@ def test_every_tile(page: str, subject: Subject, execution: Execution) -> None:
         "first impact after": (pytest.approx(execution.impacts[0].time, rel=1e-8), "s"),
         "Zeno point after": (pytest.approx(point.time, rel=1e-9), "s"),
         "rests on the stop for": (pytest.approx(release.time - point.time, rel=1e-5), "s"),
-        "a small push is multiplied by": (0.559, "per period"),
+        "a small disturbance changes by the factor": (0.559, "per period"),
     }
 
 

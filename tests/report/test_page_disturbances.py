@@ -183,7 +183,7 @@ def test_the_recovery_stands_on_the_page(subject: Subject) -> None:
     section = section_of(page_of(replace(subject, recovery=recovery), load_bundle()))
     assert f"decays to 2 % in 6 periods ({6 * subject.orbit.period:.6g} s)" in section
     assert "factor 0.4375 per period, spectral radius 0.375" in section
-    assert "Ball that maps into itself: radius 0.25." in section
+    assert "Ball whose samples return into it: radius 0.25." in section
     # Two tests share the doubt of 10 %: the second one has a sixth of it.
     share = 1.0 - (0.1 / 6.0) ** (1.0 / 130.0)
     told = f"130 samples return: with confidence 90 %, at most {100 * share:.2g} % of the ball"
@@ -201,7 +201,7 @@ def test_the_recovery_stands_on_the_page(subject: Subject) -> None:
     ("radius", "size", "told"),
     [
         (0.0, 2, "The smallest ball fails the test."),
-        (math.inf, 2, "Every ball of the search maps into itself."),
+        (math.inf, 2, "All samples of every ball of the search return into it."),
         (math.inf, 0, "The section of the orbit is a single point."),
     ],
 )
@@ -212,7 +212,7 @@ def test_a_ball_without_an_extent_is_one_sentence(
     section = section_of(page_of(replace(subject, recovery=recovery), load_bundle()))
     assert told in section
     assert "<table>" not in section
-    assert "samples" not in section
+    assert "samples return:" not in section
 
 
 def test_without_a_loss_the_page_says_so(subject: Subject) -> None:

@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import zeno_orbits as zo
 from tests.support.periods_by_hand import arc, impact, system, zeno
 from zeno_orbits.orbits import EventSequence
 from zeno_orbits.report.page import Bundle, page_of, words
+from zeno_orbits.report.terminal import print_summary
 from zeno_orbits.simulation import Execution, Mode, Release
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 
@@ -86,7 +88,7 @@ def _subject(**parts: Any) -> Any:
 
 def test_a_period_with_a_zeno_point_is_told_by_its_numbers() -> None:
     told = words.story(_orbit(0.5, 0.75), GOOD, _execution(*HITS, LIMIT, RELEASE))
-    assert told.startswith("The same motion repeats every 2 s.")
+    assert told.startswith("In the model the motion repeats every 2 s.")
     for said in ("flies for 0.5 s", "each time 4 times slower", "fit into 0.75 s"):
         assert said in told
     assert "stays on the stop for 0.75 s" in told
@@ -94,9 +96,9 @@ def test_a_period_with_a_zeno_point_is_told_by_its_numbers() -> None:
 
 @pytest.mark.parametrize(
     ("hits", "e", "many"),
-    [((0.5, 0.75), 0.25, True), ((0.5, 0.75), 0.0, False), ((0.5,), 0.25, False)],
+    [((0.5, 0.75), 0.25, True), ((0.5, 0.75), 0.0, False), ((0.5,), 0.25, True)],
 )
-def test_one_hit_takes_all_speed_where_it_is_alone_or_the_stop_is_plastic(
+def test_one_hit_takes_all_speed_if_the_stop_is_plastic_and_not_if_the_file_lists_one_hit(
     hits: tuple[float, ...], e: float, many: bool
 ) -> None:
     orbit = _orbit(*hits, parameters={"restitution": e})
@@ -116,29 +118,73 @@ def test_other_numbers_of_zeno_points_are_counted() -> None:
     told = words.story(_orbit(0.5), GOOD, _execution(*HITS, LIMIT, LIMIT, LIMIT))
     assert "hits its stop 2 times that" in told
     assert "3 times infinitely many" in told
+    plastic = _orbit(0.5, parameters={"restitution": 0.0})
+    told = words.story(plastic, GOOD, _execution(*HITS, LIMIT, LIMIT, LIMIT))
+    assert "infinitely many" not in told
+    assert "takes all of its speed" in told
 
 
 def test_a_false_orbit_is_told_as_what_its_file_says() -> None:
     refused = replace(GOOD, trouble="It is late")
     assert words.story(_orbit(0.5), refused, None).startswith("The file states this")
-    assert words.story(_orbit(0.5), GOOD, None) == "The same motion repeats every 2 s."
+    assert words.story(_orbit(0.5), GOOD, None) == "In the model the motion repeats every 2 s."
 
 
 def test_a_headline_says_what_is_known() -> None:
     assert words.headline(replace(GOOD, trouble="It is late")).startswith("Not verified")
-    assert "keeps it" in words.headline(GOOD)
+    assert "the model has this orbit, and small disturbances of it decay" in words.headline(GOOD)
     assert "but unstable" in words.headline(replace(GOOD, multipliers=(1.5 + 0j,)))
     assert "undecided" in words.headline(replace(GOOD, multipliers=(1.0 + 0j,)))
 
 
 def test_a_small_push_is_told_by_the_largest_multiplier() -> None:
-    assert "at most 25 %" in words.stability(GOOD)
-    assert "2.5 times from period to period" in words.stability(
+    assert "multiplied by about 0.25 per period" in words.stability(GOOD)
+    assert "factor is about 2.5 per period" in words.stability(
+        replace(GOOD, multipliers=(0.5 + 0j, -2.5 + 0j))
+    )
+    # One multiplier inside the unit circle: disturbances along its direction decay.
+    assert "except along some directions" in words.stability(
         replace(GOOD, multipliers=(0.5 + 0j, -2.5 + 0j))
     )
     assert "determine its state" in words.stability(replace(GOOD, multipliers=()))
     unknown = replace(GOOD, multipliers=(), multiplier_error=math.inf)
     assert "not accurate enough" in words.stability(unknown)
+
+
+TOO_STRONG = ("conserved", "keeps it", "settles", "the machine has", "machine leave", "proved")
+"""Words that no sentence about a verification may contain: it concerns a model, to first order."""
+
+
+def test_no_sentence_claims_more_than_a_verification_computes() -> None:
+    unstable = replace(GOOD, multipliers=(1.5 + 0j, 0.5 + 0j))
+    undecided = replace(GOOD, multipliers=(1.0 + 0j,))
+    point = replace(GOOD, multipliers=())
+    told = [*words.CHECKS.values(), *(law[2] for law in words.LAWS)]
+    for certificate in (GOOD, unstable, undecided, point):
+        told += [words.headline(certificate), words.stability(certificate)]
+        told.append(words.story(_orbit(0.5, 0.75), certificate, _execution(*HITS, LIMIT)))
+        told.append(words.story(_orbit(0.5), certificate, _execution(*HITS, LIMIT, LIMIT)))
+    for sentence in told:
+        assert not any(word in sentence for word in TOO_STRONG), sentence
+    for certificate in (unstable, undecided):
+        assert "and small disturbances of it decay" not in words.headline(certificate)
+    assert all("first order" in words.stability(one) for one in (GOOD, unstable))
+
+
+@pytest.mark.parametrize(
+    ("multiplier", "told"),
+    [(0.5, "Found: stable "), (-1.5, "Found: unstable "), (1.0, ", of unknown stability")],
+)
+def test_an_orbit_whose_stability_is_unknown_is_not_called_unstable(
+    multiplier: float, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    orbit = zo.find_orbit_by_shooting("vibrating_table").unwrap()
+    certificate = replace(GOOD, multipliers=(complex(multiplier),))
+    print_summary(zo.load_problem("vibrating_table"), orbit, certificate)
+    page = " ".join(capsys.readouterr().out.split())
+    assert told in page
+    assert ("stable Zeno" in page) is (abs(multiplier) != 1.0)
+    assert ("unstable" in page) is (abs(multiplier) > 1.0)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +252,7 @@ def _page(**parts: Any) -> str:
         "orbit": _orbit(0.5, 0.75, shape=EventSequence.parsed(shape), values=lambda _: None),
         "dynamics": system(restitution=0.25, gap_acceleration=lambda _: -8.0),
         "date": "",
-        "proof": "",
+        "proof": (),
         "content": "",
         "trouble": "",
     }

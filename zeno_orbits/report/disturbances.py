@@ -75,11 +75,11 @@ def recovery_lines(found: Recovery) -> list[str]:
     if found.radius == 0.0:
         return [first, "The smallest ball fails the test."]
     if found.radius == math.inf:
-        return [first, "Every ball of the search maps into itself."]
-    share = f"at most {100 * found.lost_share:.2g} % of the ball leaves it"
+        return [first, "All samples of every ball of the search return into it."]
+    share = f"at most {100 * found.lost_share:.2g} % of the ball leaves it in a period"
     return [
         first,
-        f"Ball that maps into itself: radius {found.radius:.4g}.",
+        f"Ball whose samples return into it: radius {found.radius:.4g}.",
         f"{found.settings.samples} samples return: with confidence "
         f"{100 * found.settings.confidence:g} %, {share}.",
     ]

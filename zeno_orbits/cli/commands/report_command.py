@@ -111,7 +111,7 @@ def _run_report(options: argparse.Namespace) -> int:
             problem_file=options.problem or "",
             content=options.orbit.read_text(encoding="utf-8"),
             command=_command(options),
-            proof=proved.verdict() if proved is not None and proved.ok else "",
+            proof=(proved.verdict(), *proved.lines()) if proved is not None and proved.ok else (),
         )
         page = utf8(page_of(subject.followed(), bundle))
     write_whole(options.output, page)

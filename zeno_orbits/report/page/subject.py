@@ -35,7 +35,8 @@ class Subject:
         content: The orbit's file itself.
         command: The words of the command that wrote the report, if a command wrote it.
         date: Day of the check as text, or an empty string to omit it.
-        proof: Statement proved by an accepted certificate, or an empty string.
+        proof: The verdict of an accepted certificate, then the hypotheses and conclusions of its
+            theorem, one per line. Empty without a certificate.
     """
 
     orbit: ZenoOrbit | EventOrbit
@@ -52,7 +53,7 @@ class Subject:
     content: str = ""
     command: tuple[str, ...] = ()
     date: str = ""
-    proof: str = ""
+    proof: tuple[str, ...] = ()
 
     def followed(self) -> Subject:
         """Return the subject with one period simulated."""

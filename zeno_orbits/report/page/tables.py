@@ -58,7 +58,7 @@ def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
         *([("first impact after", f"{first:.10g}", "s")] if first is not None else []),
         *((f"Zeno point{_of(point.stop)} after", f"{point.time:.10g}", "s") for point in points),
         *(_rests(execution, end) if execution and points else ()),
-        ("a small push is multiplied by", push, "per period"),
+        ("a small disturbance changes by the factor", push, "per period"),
     )
 
 

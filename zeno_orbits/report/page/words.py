@@ -11,7 +11,7 @@ from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate
 
 CHECKS: Mapping[str, str] = {
-    "release": "The motion starts exactly at a release.",
+    "release": "The motion starts at a release.",
     "start": "The motion starts just after an impact.",
     "first_impact": "The first impact has the time and state of the file.",
     "impact_sequence": "The later impacts have the times and states of the file.",
@@ -22,17 +22,18 @@ CHECKS: Mapping[str, str] = {
     "zeno_point": "The impacts accumulate at the time and state of the file.",
     "phases": "Later flights start at the times and states of the file.",
     "delta_sweep": "The later the sequence of impacts is truncated, the smaller the effect.",
-    "penetration": "Nothing passes through the stop.",
-    "adhesion": "The stop pushes and never pulls.",
+    "penetration": "The moving part does not pass through the stop.",
+    "adhesion": "The stop pushes and does not pull.",
     "switches": "Every formula stays on its branch between the events.",
-    "escape": "Nothing goes farther than the mechanism can.",
+    "escape": "No state exceeds its limit.",
     "closure": "After one period the motion is where it started.",
     "period": "The period equals the period of the file.",
-    "drift": "The later periods are like the first.",
-    "energy_balance": "Energy is conserved.",
+    "drift": "The later simulated periods are like the first.",
+    "energy_balance": "The energy balance of a period closes: input work minus losses is the "
+    "change of energy.",
     "holonomic": "The other constraints of the mechanism hold.",
     "second_model": "Equations that were derived a second time, independently, agree.",
-    "integration": "A less accurate calculation gives the same answer.",
+    "integration": "A less accurate integration gives the same values, within the tolerance.",
 }
 """Name of a residual to its check in plain words."""
 
@@ -83,8 +84,8 @@ LAWS: tuple[tuple[str, str, str], ...] = (
     (
         "2.1",
         "<i>h</i> = <i>ḣ</i> = 0, <i>ḧ</i> &lt; 0",
-        "The Zeno point (Theorem 1): near a state at rest on a stop that holds it, impacts "
-        "accumulate, infinitely many in finite time.",
+        "The Zeno point (Theorem 1): near a state at rest on a stop that holds it, infinitely many "
+        "impacts accumulate in finite time if the restitution is between 0 and 1.",
     ),
     (
         "2.4",
@@ -94,7 +95,8 @@ LAWS: tuple[tuple[str, str, str], ...] = (
     (
         "2.5",
         "<i>E</i>(<i>T</i>) = <i>E</i>(0)",
-        "The energy balance: over one period the losses equal the input work.",
+        "The energy balance: over one period the losses equal the input work, and the energy "
+        "returns to its value.",
     ),
     (
         "2.7",
@@ -106,7 +108,7 @@ LAWS: tuple[tuple[str, str, str], ...] = (
         "3.3",
         "<i>P</i>(<i>x</i>*) = <i>x</i>*, <i>μ</i> = eigenvalues of d<i>P</i>/d<i>x</i>",
         "The return map P leads from one start of a period to the next. Its multipliers are the "
-        "fractions of a small push that are left after a period.",
+        "factors by which small disturbances of the start change per period, to first order.",
     ),
     (
         "3.4",
@@ -122,10 +124,12 @@ def headline(certificate: OrbitCertificate) -> str:
     if not certificate.passed:
         return "Not verified: do not rely on these values."
     if certificate.stable:
-        return "Verified: the machine settles into this motion and keeps it."
+        return "Verified: the model has this orbit, and small disturbances of it decay."
     if certificate.unstable:
-        return "Verified, but unstable: the smallest push makes the machine leave this motion."
-    return "Verified. Whether small pushes decay is undecided."
+        return (
+            "Verified, but unstable: the model has this orbit, and small disturbances of it grow."
+        )
+    return "Verified: the model has this orbit. Whether small disturbances decay is undecided."
 
 
 def cautions(problem: Problem, execution: Execution | None) -> list[str]:
@@ -166,7 +170,7 @@ def story(
         if certificate.passed
         else "The file states this, and the check below does not confirm it. "
     )
-    repeats = f"The same motion repeats every {orbit.period:.4g} s."
+    repeats = f"In the model the motion repeats every {orbit.period:.4g} s."
     if execution is None:
         return f"{said}{repeats}"
     if isinstance(orbit, EventOrbit):
@@ -178,15 +182,21 @@ def story(
         return (
             f"{said}{repeats} The moving part hits its stop and flies on, {count} times per period."
         )
+    e = orbit.parameters.get("restitution", 0.0)
+    if e == 0.0:
+        return (
+            f"{said}{repeats} The moving part hits its stop {count} times. Each impact takes all "
+            f"of its speed, and {points} times it stays on the stop for a while."
+        )
     return (
         f"{said}{repeats} The moving part hits its stop {count} times that could be followed one "
-        f"by one; {points} times infinitely many impacts accumulate, and it stays on the stop "
+        f"by one. {points} times infinitely many impacts accumulate, and it stays on the stop "
         "for a while."
     )
 
 
 _PHRASES: Mapping[str, str] = {
-    "zeno": "impacts accumulate at the stop {}, infinitely many in finite time, and it holds",
+    "zeno": "the impacts on the stop {} end in contact (Zeno point)",
     "impact": "an impact on the stop {}",
     "release": "the stop {} releases",
     "switch": "the switch {}",
@@ -206,7 +216,7 @@ def _events(orbit: EventOrbit) -> str:
 def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
     e, first = orbit.parameters.get("restitution", 0.0), orbit.impacts[0].time
     flight = f"The moving part leaves its stop, flies for {first:.4g} s and hits it."
-    if len(orbit.impacts) > 1 and e > 0.0:
+    if e > 0.0:
         hits = (
             f"It bounces and hits again and again, in the end each time {1 / e:.3g} times slower: "
             f"infinitely many impacts fit into {zeno - first:.4g} s. The moment at which they "
@@ -222,26 +232,27 @@ def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
 
 
 def stability(certificate: OrbitCertificate) -> str:
-    """Return the effect of a small push in words."""
+    """Return the effect of a small disturbance in words: the derivative of the return map."""
     radius = certificate.spectral_radius
     if certificate.stable and not certificate.multipliers and certificate.events:
         return (
-            "The conditions of the event at which the period starts determine its state: after any "
-            "small push, the next such event is the same."
+            "The conditions of the event at which the period starts determine its state: after a "
+            "sufficiently small disturbance, the next such event has the same state."
         )
     if certificate.stable and not certificate.multipliers:
         return (
-            "The conditions of the release determine its state: after any small push, the next "
-            "release is the same."
+            "The conditions of the release determine its state: after a sufficiently small "
+            "disturbance, the next release has the same state."
         )
     if certificate.stable:
         return (
-            f"A small push decays: in the end at most {100 * radius:.3g} % of it is left per "
-            "period. All multipliers lie inside the unit circle."
+            "A sufficiently small disturbance decays. To first order it is multiplied by about "
+            f"{radius:.3g} per period in the long run. All multipliers lie inside the unit circle."
         )
     if certificate.unstable:
         return (
-            f"A small push grows, in the end {radius:.3g} times from period to period. A "
-            "multiplier lies outside the unit circle."
+            "Small disturbances grow, except along some directions. To first order the factor is "
+            f"about {radius:.3g} per period in the long run. A multiplier lies outside the unit "
+            "circle."
         )
-    return "The multipliers are not accurate enough to decide whether a small push decays."
+    return "The multipliers are not accurate enough to decide whether a small disturbance decays."

@@ -220,12 +220,10 @@ def print_summary(
         for name, value, unit in _value_rows(problem, orbit, searched)
         if name != "period"
     ]
-    kind = "stable" if certificate.stable else "unstable"
-    if not certificate.passed:
-        kind = "unverified"
+    kind, unknown = _stability(certificate)
     at = f" at {', '.join(given)}" if given else ""
     shape = "Zeno periodic orbit" if orbit.shape.has_one_release else f"orbit `{orbit.shape.text}`"
-    print_lines([f"Found: {kind} {shape} of {problem.name}{at}"])
+    print_lines([f"Found: {kind}{shape} of {problem.name}{at}{unknown}"])
     facts = [f"period {orbit.period:.12g} s"]
     if certificate.multipliers:
         facts.append(f"spectral radius {certificate.spectral_radius:.4g}")
@@ -237,6 +235,15 @@ def print_summary(
         print_lines(_phase_lines(problem, orbit, k, phase))
 
 
+def _stability(certificate: OrbitCertificate) -> tuple[str, str]:
+    """Return an adjective for an orbit, or words after it if its stability is unknown."""
+    if not certificate.passed:
+        return "unverified ", ""
+    if certificate.stable or certificate.unstable:
+        return ("stable " if certificate.stable else "unstable "), ""
+    return "", ", of unknown stability"
+
+
 def print_event_orbit(orbit: EventOrbit, certificate: OrbitCertificate) -> None:
     """Print an orbit of a machine with several stops or switches, its events and its verdict.
 
@@ -244,10 +251,9 @@ def print_event_orbit(orbit: EventOrbit, certificate: OrbitCertificate) -> None:
         orbit: The orbit.
         certificate: Its certificate.
     """
-    kind = "stable" if certificate.stable else "unstable"
-    if not certificate.passed:
-        kind = "unverified"
-    print_lines([f"Found: {kind} orbit `{', '.join(orbit.sequence)}` of {orbit.problem}"])
+    kind, unknown = _stability(certificate)
+    sequence = ", ".join(orbit.sequence)
+    print_lines([f"Found: {kind}orbit `{sequence}` of {orbit.problem}{unknown}"])
     facts = [f"period {orbit.period:.12g} s"]
     if certificate.multipliers:
         facts.append(f"spectral radius {certificate.spectral_radius:.4g}")
