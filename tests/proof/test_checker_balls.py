@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.proof.checker import lanes
+from zeno_orbits.proof.checker import identities, lanes
 from zeno_orbits.proof.checker.balls import Ball, NotProved, exactly, linear_solution
 from zeno_orbits.proof.checker.formulas import Graph
-from zeno_orbits.proof.checker.identities import are_equal
+from zeno_orbits.proof.checker.identities import are_equal, random_prime
 from zeno_orbits.proof.checker.lanes import Lanes, matmul, require_rounding
 from zeno_orbits.proof.checker.polynomials import Polys, composed, monomials
 from zeno_orbits.proof.checker.series import (
@@ -445,3 +445,25 @@ def test_a_true_identity_between_positive_roots_is_always_accepted(
         graph = Graph()
         left, right = identity(graph)
         assert are_equal(graph, [left], [right])
+
+
+def test_a_modulus_is_a_prime_by_a_proof_of_primality() -> None:
+    flint = pytest.importorskip("flint")
+    for _ in range(3):
+        p = random_prime()
+        assert p.bit_length() == 384
+        assert p % 4 == 3
+        assert flint.fmpz(p).is_prime()
+
+
+def test_a_product_of_two_primes_that_passes_fixed_bases_is_no_modulus(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A strong pseudoprime to the bases 2, 3, 5 and 7, with the remainder 3 modulo 4.
+    composite = 3215031751
+    assert composite % 4 == 3
+    assert all(pow(a, composite >> 1, composite) in (1, composite - 1) for a in (2, 3, 5, 7))
+    drawn = iter([composite, 10007])
+    monkeypatch.setattr(identities, "_BITS", 1)
+    monkeypatch.setattr(identities.secrets, "randbits", lambda _: next(drawn))
+    assert random_prime() == 10007

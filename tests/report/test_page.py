@@ -436,16 +436,16 @@ def test_an_orbit_that_cannot_be_followed_gets_a_page_without_pictures(
     assert 'class="banner refused"' in page
 
 
-def test_an_unstable_orbit_is_not_called_one_that_the_machine_keeps(
+def test_an_unstable_orbit_is_not_called_stable(
     certificate: OrbitCertificate,
 ) -> None:
     unstable = replace(certificate, multipliers=(1.5 + 0j,))
     assert "unstable" in words.headline(unstable)
-    assert "grows" in words.stability(unstable)
+    assert "Small disturbances grow" in words.stability(unstable)
     unknown = replace(certificate, multipliers=(), multiplier_error=math.inf)
     assert "undecided" in words.headline(unknown)
     assert "not accurate enough" in words.stability(unknown)
-    assert "settles" in words.headline(certificate)
+    assert "small disturbances of it decay" in words.headline(certificate)
 
 
 @pytest.mark.parametrize(
