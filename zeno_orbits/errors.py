@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -23,7 +24,11 @@ def _remade(kind: type[ZenoOrbitsError], args: tuple[Any, ...], entries: dict[st
 
 
 class InputError(ZenoOrbitsError, ValueError):
-    """An argument, a name or a file is not usable. The message gives the reason."""
+    """An argument, a name or a file is not usable. The message gives the reason in one line."""
+
+    def __str__(self) -> str:
+        """Return the message, in which a name from a file or user commands no terminal."""
+        return printable(super().__str__().replace("\n", " "))
 
 
 class SwitchingTimesError(InputError):
@@ -272,7 +277,10 @@ def any_number(argument: str, value: Any) -> float:
     Raises:
         InputError: If the value is not a number.
     """
-    if not isinstance(value, str | bytes | complex) and not getattr(value, "ndim", 0):
+    # A symbol of CasADi becomes NaN as a float.
+    known = getattr(value, "is_constant", None)
+    listed = bool(getattr(value, "ndim", 0)) or (callable(known) and not known())
+    if not isinstance(value, str | bytes | complex) and not listed:
         try:
             return float(value)
         except (TypeError, ValueError, RuntimeError):
@@ -337,6 +345,15 @@ def shown(value: Any) -> str:
         # Python refuses to print integers of thousands of digits.
         text = f"a whole number of {value.bit_length()} bits"
     return f"`{shortened(text)}`"
+
+
+CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+"""Characters that command a terminal or reorder a text, but for tabs and ends of lines."""
+
+
+def printable(text: str) -> str:
+    """Return a text with escapes in place of characters that command a terminal."""
+    return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def shortened(text: str) -> str:

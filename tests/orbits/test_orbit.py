@@ -136,7 +136,9 @@ def test_an_orbit_gives_the_numbers_of_its_problem(orbit: ZenoOrbit, problem: Pr
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
-NAMED = st.dictionaries(st.text(max_size=8), FINITE, max_size=4)
+NAMED = st.dictionaries(
+    st.text(st.characters(exclude_categories=("C", "Z")), max_size=8), FINITE, max_size=4
+)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -307,7 +309,7 @@ def test_a_number_too_large_for_a_float_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["period", "release_state", "height", "time"])
 def test_a_name_that_occurs_twice_is_refused(tmp_path: Path, name: str) -> None:
     text = json.dumps(SMALL.as_json()).replace(f'"{name}": ', f'"{name}": 1.0, "{name}": ', 1)
-    words = f"`{name}` must be there once, but it is there twice"
+    words = f"it names `{name}` twice in one object"
     assert words in _refusal(tmp_path, text)
 
 

@@ -59,7 +59,7 @@ def contents_by_kind(problem: str) -> dict[str, Any]:
         | {"events": [{"name": "impact stop", "time": 2.0, "state": _STATE}]},
         "proof.json": forced_oscillator(load_problem("forced_oscillator")) | {"problem": problem},
         "pushes.json": {
-            "pushes": [_PUSH],
+            "pushes": [_PUSH, _PUSH | {"direction": {"q": -1.0}}],
             "problem": problem,
             "gains": {},
             "parameters": {"m": 1.0},
@@ -72,7 +72,7 @@ def contents_by_kind(problem: str) -> dict[str, Any]:
             "time": 2.0,
             "directions": [[1.0], [0.0]],
             "radius": 0.1,
-            "extents": {"q": 0.1, "v": 0.1},
+            "extents": {"q": 0.1, "v": 0.0},
         }
         | {"units": {"q": "m", "v": "m/s"}, "tests": 1, "samples": 10, "confidence": 0.9}
         | {"lost_share": 0.2, "error": 0.01, "seed": 0, "versions": {}},

@@ -16,7 +16,6 @@ from .executions import simulate_with_error as simulate_with_error
 from .executions import unfinished as unfinished
 from .inputs import any_orbit as any_orbit
 from .inputs import as_orbit as as_orbit
-from .inputs import holds_events as holds_events
 from .inputs import known_problem as known_problem
 from .inputs import problem_of as problem_of
 from .inputs import split_numbers as split_numbers

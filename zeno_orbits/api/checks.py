@@ -18,7 +18,7 @@ from zeno_orbits.api.inputs import (
 from zeno_orbits.errors import InputError, finite_number, named_numbers, positive_number
 from zeno_orbits.model import Problem, recorded_problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
-from zeno_orbits.work import Progress, silent
+from zeno_orbits.work import Progress, read_json, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.model import GraphDynamics, HybridDynamics
@@ -154,13 +154,11 @@ def check_certificate(
     Raises:
         InputError: If the file is not a certificate, or its problem is not known.
     """
-    import json
-
     from zeno_orbits.proof import check_proof, replay_proof
 
     known = None if problem is None else known_problem(problem)
     verdict = check_proof(certificate, known)
-    data = json.loads(Path(certificate).read_text(encoding="utf-8"))
+    data = read_json(Path(certificate))
     known = recorded_problem(data["problem"], known, result="certificate")
     return verdict, replay_proof(data, known)
 

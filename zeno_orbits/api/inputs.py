@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from zeno_orbits.errors import InputError, number_range, shown
 from zeno_orbits.model import Problem, ProblemFile, locate_problem, recorded_problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit, holds_events, read_event_orbit, read_orbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit, read_any_orbit, read_orbit
 from zeno_orbits.work import ExecutionPlan, Workers, checked
 
 if TYPE_CHECKING:
@@ -165,4 +165,4 @@ def any_orbit(orbit: ZenoOrbit | EventOrbit | str | Path) -> ZenoOrbit | EventOr
     """Return the orbit given by a file of any format, or the orbit itself."""
     if isinstance(orbit, ZenoOrbit | EventOrbit):
         return orbit
-    return read_event_orbit(orbit) if holds_events(orbit) else read_orbit(orbit)
+    return read_any_orbit(orbit)

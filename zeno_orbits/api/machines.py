@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.api.inputs import (
     Named,
@@ -16,8 +16,9 @@ from zeno_orbits.api.inputs import (
     front_door,
     known_problem,
     problem_of,
+    whole,
 )
-from zeno_orbits.errors import InputError, number_range
+from zeno_orbits.errors import InputError, number_range, shown
 from zeno_orbits.model import ParameterValues, Problem, Rig, recorded_problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Progress, silent
@@ -187,7 +188,7 @@ def simulate_rig(
         parts,
         known.initial_state(start),
         end,
-        seed=seed,
+        seed=whole("seed", seed),
         settings=settings or rig_settings(parts),
         on_progress=on_progress,
     )
@@ -242,7 +243,7 @@ def simulate_experiment(
         rig,
         cycles=cycles,
         settle=settle,
-        seed=seed,
+        seed=whole("seed", seed),
         settings=settings,
         on_progress=on_progress,
     )
@@ -293,7 +294,7 @@ def simulate_periods(
         rig,
         periods=periods,
         settle=settle,
-        seed=seed,
+        seed=whole("seed", seed),
         settings=settings,
         on_progress=on_progress,
     )
@@ -388,7 +389,7 @@ def rig_recording(
 
     given = None if problem is None else known_problem(problem)
     known = recorded_problem(run.problem, given, result="run")
-    return recording_of(run, known, {"seed": str(seed)}, noise=noise, seed=seed)
+    return recording_of(run, known, {"seed": str(seed)}, noise=noise, seed=whole("seed", seed))
 
 
 def rig_sampling(rig: Rig, rate: float | None, until: float, *, noise: float = 0.0) -> RigSettings:
@@ -490,10 +491,14 @@ def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[FitP
     from zeno_orbits.experiment import FitParameter, default_range
 
     # A sequence may name a parameter twice, which the fit refuses.
-    asked = fit.items() if isinstance(fit, Mapping) else [(label, None) for label in fit]
+    asked: list[tuple[Any, tuple[float, float] | None]]
+    asked = [*fit.items()] if isinstance(fit, Mapping) else [(label, None) for label in fit]
     known = {quantity.name: quantity for quantity in problem.parameters}
     found: list[FitParameter] = []
     for label, box in asked:
+        if not isinstance(label, str):
+            wanted = "must name parameters by texts"
+            raise InputError(f"Argument `fit` {wanted}, but it has {shown(label)}.")
         names = tuple(label.split("+"))
         lower, upper = -math.inf, math.inf
         for name in names:

@@ -16,6 +16,7 @@ from zeno_orbits.api.inputs import (
     front_door,
     known_problem,
     plan_of,
+    whole,
 )
 from zeno_orbits.api.settings import verification_settings
 from zeno_orbits.errors import InputError, named_numbers, number_range
@@ -311,7 +312,7 @@ def search_event_gains(
         section=section,
         until=until,
         n_starts=n_starts,
-        seed=seed,
+        seed=whole("seed", seed),
         candidates=candidates,
         accept=Verified(problem=known, allow_unstable=allow_unstable),
         simulation=settings,

@@ -13,7 +13,7 @@ from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
 from zeno_orbits.maps.mapping import FORMAT, BetweenPoint, Boundary, ParameterMap
 from zeno_orbits.maps.plane import MOST_HALVINGS
 from zeno_orbits.maps.refinement import fine_count
-from zeno_orbits.work import EntryError, from_plain, read_object, write_whole
+from zeno_orbits.work import EntryError, from_plain, read_json, read_object, write_whole
 
 
 def write_map(found: ParameterMap, path: Path) -> None:
@@ -74,12 +74,12 @@ def read_boundaries(path: Path, x: str, y: str) -> tuple[Boundary, ...]:
         MapFileError: If the file is missing, or does not contain a curve in this plane.
     """
     try:
-        data: Any = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path)
         if isinstance(data, dict):
             data = cast("dict[str, Any]", data)["boundaries"]
         curves = cast("list[Mapping[str, Any]]", data)
         found = [boundary for curve in curves if (boundary := _boundary_of(curve, x, y))]
-    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise MapFileError(path, f"it holds no boundaries ({type(error).__name__})") from error
     if not found:
         raise MapFileError(path, f"it holds no boundary over {x} and {y}")

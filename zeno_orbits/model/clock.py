@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from zeno_orbits.work import Checked, checked
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clock:
+class Clock(Checked):
     r"""The phase of a periodic forcing, as two states that turn at a constant rate.
 
     .. math:: \dot c = -\omega s,\qquad \dot s = \omega c,\qquad c^2 + s^2 = 1
@@ -30,6 +32,7 @@ class Clock:
     frequency: ca.SX
 
     @classmethod
+    @checked
     def at(cls, frequency: ca.SX) -> Clock:
         r"""Return a clock that turns at a constant rate, its states new symbols.
 

@@ -25,8 +25,10 @@ from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import GraphMode, ModeGraph, conditions_of, formulas_of
 from zeno_orbits.model.stops import Stop, Switch, require_event_names
 from zeno_orbits.model.waveforms import TimeOrder, time_orders
+from zeno_orbits.work import checked
 
 
+@checked
 def hybrid_system(
     lagrangian: HybridLagrangian,
     drive: Drive | Auxiliary | Sequence[Drive | Auxiliary],

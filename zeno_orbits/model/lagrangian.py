@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from zeno_orbits.model.clock import Clock
 from zeno_orbits.model.operations import without_calls
 from zeno_orbits.model.stops import Stop
+from zeno_orbits.work import checked
 
 _ROUNDING = 1e-10
 """Rounding level of a formula that vanishes, at values of about 1."""
@@ -54,6 +56,7 @@ class HybridLagrangian:
     stops: tuple[Stop, ...] = ()
 
     @classmethod
+    @checked
     def from_energies(
         cls,
         *,
@@ -94,12 +97,16 @@ class HybridLagrangian:
             ValueError: If an energy, a gap or a constraint depends on a forbidden symbol, or if not
                 exactly one of ``gap`` and ``stops`` is given.
         """
+        require_symbols("q", q)
+        require_symbols("v", v)
+        require_scalar("kinetic", kinetic)
+        require_scalar("potential", potential)
         none = ca.SX.zeros(q.numel())
         friction = none if passive_force is None else without_calls(ca.vec(passive_force))
         applied = none if applied_force is None else without_calls(ca.vec(applied_force))
         eta = ca.SX(0, 1) if holonomic is None else without_calls(ca.vec(holonomic))
         # Calls are expanded before derivatives are taken: these would be other calls.
-        kinetic, potential = without_calls(ca.SX(kinetic)), without_calls(ca.SX(potential))
+        kinetic, potential = without_calls(kinetic), without_calls(potential)
         gap = None if gap is None else without_calls(gap)
         mass_matrix = ca.hessian(kinetic, v)[0]
         _require_shapes(q, v=v, passive_force=friction, applied_force=applied)
@@ -134,6 +141,7 @@ class HybridLagrangian:
         )
 
     @classmethod
+    @checked
     def from_matrices(
         cls,
         *,
@@ -175,6 +183,8 @@ class HybridLagrangian:
             ValueError: If a shape does not fit, the mass matrix is not symmetric, the Coriolis
                 matrix belongs to another mass matrix, or the potential belongs to another force.
         """
+        require_symbols("q", q)
+        require_symbols("v", v)
         n_q = q.numel()
         for name, matrix in (("mass_matrix", mass_matrix), ("coriolis", coriolis)):
             if matrix.shape != (n_q, n_q):
@@ -182,6 +192,7 @@ class HybridLagrangian:
                 raise ValueError(f"Argument `{name}` {wanted}, but it is {matrix.shape}.")
         _require_still(v, mass_matrix=mass_matrix)
         energy = ca.SX(0) if potential is None else potential
+        require_scalar("potential", energy)
         _require_shapes(q, v=v, gravity=gravity)
         _require_inertia("mass_matrix", mass_matrix)
         _require_zero("mass_matrix", "symmetric", mass_matrix - mass_matrix.T)
@@ -209,6 +220,34 @@ class HybridLagrangian:
     def kinetic(self) -> ca.SX:
         r"""Kinetic energy :math:`\tfrac12 v^\top M v` [J]."""
         return ca.dot(self.v, ca.mtimes(self.mass_matrix, self.v)) / 2
+
+
+def require_symbols(name: str, states: ca.SX) -> None:
+    """Refuse states that are formulas, or two that are one symbol.
+
+    Args:
+        name: Argument that holds them.
+        states: The states.
+    """
+    seen = set[int]()
+    for k in range(states.numel()):
+        entry: Any = states[k]
+        if not entry.is_symbolic() or entry.element_hash() in seen:
+            what = "the same symbol twice" if entry.is_symbolic() else f"`{entry}`"
+            raise ValueError(f"Argument `{name}` must hold symbols, but it holds {what}.")
+        seen.add(entry.element_hash())
+
+
+def require_scalar(name: str, formula: ca.SX) -> None:
+    """Refuse a matrix in place of one formula.
+
+    Args:
+        name: Argument that holds it.
+        formula: The formula.
+    """
+    if not formula.is_scalar():
+        wanted = f"must be one number or formula, but its shape is {formula.shape}"
+        raise ValueError(f"Argument `{name}` {wanted}.")
 
 
 def _require_still(v: ca.SX, **expressions: ca.SX) -> None:

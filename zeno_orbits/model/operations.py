@@ -8,6 +8,7 @@ refused by name.
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from typing import Any
 
 import casadi as ca
@@ -64,6 +65,21 @@ def without_calls(formula: ca.SX) -> ca.SX:
     known: dict[int, ca.SX] = {}
     entries = [_rebuilt(entry, known) for entry in _entries(formula)]
     return ca.SX(formula.sparsity(), ca.vertcat(*entries))
+
+
+def expand_calls(declared: Any) -> None:
+    """Expand the calls of functions in the formulas of a frozen dataclass that is being made.
+
+    Args:
+        declared: The instance, whose ``__post_init__`` calls this function.
+
+    Raises:
+        ValueError: If a function cannot be expanded. The message names the function.
+    """
+    for field in fields(declared):
+        formula = getattr(declared, field.name)
+        if isinstance(formula, ca.SX):
+            object.__setattr__(declared, field.name, without_calls(formula))
 
 
 def _entries(formula: Any) -> list[ca.SX]:

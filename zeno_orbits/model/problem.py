@@ -46,6 +46,7 @@ from zeno_orbits.model.validation import (
     require_states,
     unused_symbols,
 )
+from zeno_orbits.work import require_kinds
 
 if TYPE_CHECKING:
     from zeno_orbits.model.numeric.compiled import CompiledSystem
@@ -130,6 +131,7 @@ class Problem(Declared):
 
     def __post_init__(self) -> None:
         """Reject invalid names, units and ranges. The model itself is checked by `checked`."""
+        require_kinds(self)
         require_names(self.state_names, self.state_units, (*self.gains, *self.parameters))
         require_coherent(self.units)
         require_ranges(self.gains, self.parameters, derives=self.derive is not None)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError, did_you_mean, finite_number
+from zeno_orbits.errors import InputError, did_you_mean, finite_number, shown
 from zeno_orbits.model.units import powers_of
 from zeno_orbits.work import require_kinds
 
@@ -144,7 +144,8 @@ class Output:
     formula: Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], ca.SX]
 
     def __post_init__(self) -> None:
-        """Reject an invalid unit."""
+        """Reject values of a wrong kind, and an invalid unit."""
+        require_kinds(self)
         require_unit(self.name, self.unit)
 
 
@@ -185,7 +186,7 @@ class ParameterValues:
 def _require_name(argument: str, name: str) -> None:
     if not name.isidentifier():
         wanted = "must be a word of letters, digits and underscores"
-        raise InputError(f"Argument `{argument}` {wanted}, but it is `{name}`.")
+        raise InputError(f"Argument `{argument}` {wanted}, but it is {shown(name)}.")
 
 
 def require_unit(name: str, unit: str) -> None:

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.model.operations import without_calls
+from zeno_orbits.model.operations import expand_calls
 from zeno_orbits.model.quantities import require_unit
+from zeno_orbits.work import Checked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stop:
+class Stop(Checked):
     r"""A unilateral constraint :math:`h(q) \ge 0` with Newton's law of impact.
 
     Attributes:
@@ -27,14 +28,15 @@ class Stop:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse a text that is not a unit, and expand the calls of functions."""
+        """Refuse wrong kinds and a text that is not a unit, and expand the calls of functions."""
+        Checked.__post_init__(self)
         if self.unit:
             require_unit(self.name, self.unit)
-        object.__setattr__(self, "gap", without_calls(self.gap))
+        expand_calls(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Switch:
+class Switch(Checked):
     r"""An event without a stop: a guard that falls through zero while the switch is armed.
 
     A formula after the event that is not given leaves its states unchanged.
@@ -56,11 +58,9 @@ class Switch:
     others_after: ca.SX | None = None
 
     def __post_init__(self) -> None:
-        """Expand the calls of functions."""
-        for name in ("guard", "armed", "q_after", "v_after", "others_after"):
-            formula = getattr(self, name)
-            if isinstance(formula, ca.SX):
-                object.__setattr__(self, name, without_calls(formula))
+        """Refuse wrong kinds, and expand the calls of functions."""
+        Checked.__post_init__(self)
+        expand_calls(self)
 
 
 def require_event_names(names: list[str]) -> None:

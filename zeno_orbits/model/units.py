@@ -13,6 +13,8 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 
+from zeno_orbits.errors import shortened
+
 Powers = Mapping[str, int]
 """Powers of the base units. A missing base unit has the power 0."""
 
@@ -48,7 +50,7 @@ def powers_of(text: str) -> dict[str, int]:
     above, slash, below = text.partition("/")
     if not text.strip() or (slash and not below.strip()) or "/" in below:
         hint = "write for instance `N m s/rad`, and `1` for none"
-        raise ValueError(f"`{text}` is not a unit: {hint}")
+        raise ValueError(f"`{shortened(text)}` is not a unit: {hint}")
     total: dict[str, int] = {}
     for part, sign in ((above, 1), (below, -1)):
         for factor in part.split():
@@ -152,7 +154,8 @@ def _factor(factor: str, text: str) -> Powers:
         meant = _WORDS.get(symbol.lower().removesuffix("s"))
         known = ", ".join((*_BASE, *_OTHERS, *_DERIVED))
         remedy = f": write `{meant}`" if meant else f". Known units are {known}"
-        raise ValueError(f"`{factor}` in `{text}` is not a unit{remedy}")
+        where = f"`{shortened(factor)}` in `{shortened(text)}`"
+        raise ValueError(f"{where} is not a unit{remedy}")
     power = int(found[2] or 1)
     return {base: n * power for base, n in _DERIVED.get(symbol, {symbol: 1}).items()}
 
@@ -248,7 +251,7 @@ def in_si(text: str) -> tuple[str, float]:
     spelled = _SPELLED.get(text.strip(), text.strip())
     for word, hint in _NO_SCALE.items():
         if spelled.lower().removesuffix("s") == word:
-            raise ValueError(f"`{text}` is not a unit: {hint}")
+            raise ValueError(f"`{shortened(text)}` is not a unit: {hint}")
     above, slash, below = spelled.partition("/")
     parts = [above.split(), below.split()]
     factor = 1.0

@@ -16,6 +16,7 @@ import casadi as ca
 
 from zeno_orbits.errors import SwitchingTimesError
 from zeno_orbits.model.clock import Clock
+from zeno_orbits.work import checked
 
 Formula = ca.SX | float
 """A number, or a formula of gains and parameters."""
@@ -24,6 +25,7 @@ _DEPTH = 32
 """Depth to which two levels are compared."""
 
 
+@checked
 def piecewise(clock: Clock, levels: Sequence[Formula], times: Sequence[Formula]) -> ca.SX:
     r"""Return a periodic input with constant levels between switching times.
 
@@ -100,6 +102,7 @@ def _inside(clock: Clock, start: ca.SX, end: ca.SX) -> ca.SX:
     return (projection - ca.cos(length)) / ca.sin(length) > 0
 
 
+@checked
 def harmonics(clock: Clock, amplitudes: Sequence[tuple[Formula, Formula]]) -> ca.SX:
     r"""Return a sum of harmonics of a clock.
 

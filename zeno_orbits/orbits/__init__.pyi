@@ -25,11 +25,11 @@ from .events.margins import contacts_of as contacts_of
 from .events.margins import margins_of_return as margins_of_return
 from .events.event_orbit import EventOrbit as EventOrbit
 from .events.event_orbit import OrbitEvent as OrbitEvent
-from .events.event_orbit_file import holds_events as holds_events
 from .events.event_orbit import events_as_listed as events_as_listed
 from .events.event_orbit import lasting_events as lasting_events
 from .events.event_orbit import orbit_event_name as orbit_event_name
 from .events.event_orbit import phases_of_events as phases_of_events
+from .events.event_orbit_file import read_any_orbit as read_any_orbit
 from .events.event_orbit_file import read_event_orbit as read_event_orbit
 from .events.event_orbit import sequence_of as sequence_of
 from .events.quantities import EventQuantities as EventQuantities

@@ -9,6 +9,7 @@ from typing import Any
 
 from zeno_orbits.errors import InputError, any_number
 from zeno_orbits.simulation import Extent
+from zeno_orbits.work import require_kinds
 
 _KEPT = 1e-9
 """Largest violation of a bound, relative to the quantity's size: the accuracy of a simulation."""
@@ -32,6 +33,7 @@ class Bound:
         """Reject bounds that allow every value, or none."""
         for end in (self.lower, self.upper):
             any_number(self.name, end)
+        require_kinds(self)
         if not self.lower <= self.upper:
             wanted = "must have bounds LOWER <= UPPER"
             raise InputError(f"Argument `{self.name}` {wanted}, but they are {self.text}.")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
-from zeno_orbits.errors import InputError, OrbitFileError
+from zeno_orbits.errors import InputError, OrbitFileError, shortened
 from zeno_orbits.orbits.orbit import (
     EVENT_FORMAT,
     FORMAT,
@@ -19,7 +19,12 @@ from zeno_orbits.orbits.orbit import (
     one_release_phase,
 )
 from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.work import EntryError, checked, from_plain, write_whole
+from zeno_orbits.work import EntryError, checked, from_plain, read_json, write_whole
+
+MOST_EVENTS = 10_000
+"""Largest number of events of a period in a file. The verification takes about 0.1 ms for each."""
+_MOST_BYTES = 1 << 26
+"""Largest size of an orbit file [B]: an event of 10 states has about 400."""
 
 
 @checked
@@ -33,7 +38,8 @@ def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    write_whole(Path(path), json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n")
+    text = json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n"
+    write_whole(Path(path), text, "path")
 
 
 @checked
@@ -61,17 +67,25 @@ def plain_data(path: Path) -> object:
         OrbitFileError: If the file is missing, truncated, no text, or repeats a name.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise OrbitFileError(path, f"it cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise OrbitFileError(path, "it is not UTF-8 text") from error
-    try:
-        return json.loads(text, object_pairs_hook=_unique)
-    except EntryError as error:
+        data = read_json(path, most=_MOST_BYTES, constants=True)
+    except ValueError as error:
         raise OrbitFileError(path, str(error)) from error
-    except (ValueError, RecursionError) as error:
-        raise OrbitFileError(path, f"it is not complete JSON ({error})") from error
+    for name, entry in _lists(data):
+        if len(entry) > MOST_EVENTS:
+            reason = f"its `{name}` has {len(entry)} entries, and the most is {MOST_EVENTS}"
+            raise OrbitFileError(path, reason)
+    return data
+
+
+def _lists(data: object) -> Iterator[tuple[str, list[Any]]]:
+    """Yield the lists of an orbit and of its phases, with their names."""
+    if isinstance(data, dict):
+        for name, entry in cast("dict[str, Any]", data).items():
+            if isinstance(entry, list):
+                listed = cast("list[Any]", entry)
+                yield name, listed
+                for inner in listed[:MOST_EVENTS]:
+                    yield from _lists(inner)
 
 
 @checked
@@ -95,16 +109,6 @@ def orbit_from_json(data: object, path: Path) -> ZenoOrbit:
 
 class _ContradictionError(ValueError):
     """Entries of a file do not fit each other."""
-
-
-def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the entries of a JSON object and reject duplicate names."""
-    found: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in found:
-            raise EntryError(name, "there once", "there twice")
-        found[name] = value
-    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,7 +156,7 @@ class _HeldPhase(_Phase):
 
 def _orbit(data: object) -> ZenoOrbit:
     if not isinstance(data, dict):
-        raise EntryError("the file", "an object with names", json.dumps(data)[:40])
+        raise EntryError("the file", "an object with names", _shown(data))
     named = cast("dict[str, Any]", data)
     number = _format(named)
     entries = from_plain(_Entries, named, finite=True)
@@ -171,6 +175,14 @@ def _orbit(data: object) -> ZenoOrbit:
     )
     _require_shape(named, orbit, number)
     return orbit
+
+
+def _shown(data: object) -> str:
+    """Return data as in a JSON file, cut if they are long."""
+    try:
+        return json.dumps(data, default=str)[:40]
+    except (TypeError, ValueError, RecursionError):
+        return shortened(repr(data))
 
 
 def _format(entries: Mapping[str, Any]) -> int:

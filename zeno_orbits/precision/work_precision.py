@@ -5,7 +5,6 @@ The command `work-precision` writes the results. The measurements are implemente
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.precision.landmark import ROUNDING
-from zeno_orbits.work import Columns, EntryError, TableRepr, from_plain
+from zeno_orbits.work import Columns, EntryError, TableRepr, from_plain, read_json
 
 SAME_WORK = ("engine", "cut", "impacts", "fidelity")
 """Sweeps whose trials simulate the same motion, so that their times are comparable."""
@@ -198,11 +197,11 @@ def read_work_precision(path: Path) -> WorkPrecision:
     """
     wanted = f"Trade file `{path}` is not an output of `trade -o`:"
     try:
-        found = from_plain(_File, json.loads(path.read_text(encoding="utf-8")))
+        found = from_plain(_File, read_json(path))
     except EntryError as error:
         raise InputError(f"{wanted} {error}.") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{wanted} it cannot be read ({type(error).__name__}).") from error
+    except ValueError as error:
+        raise InputError(f"{wanted} {error}.") from error
     return WorkPrecision(
         problem=found.problem,
         work=found.work,

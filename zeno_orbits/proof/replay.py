@@ -9,7 +9,6 @@ file.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof.checker.balls import number
 from zeno_orbits.proof.checker.certificate import check_proof
 from zeno_orbits.proof.checker.verdict import ProofVerdict
+from zeno_orbits.work import read_json
 
 _SAME = 1e-9
 """Largest difference of the two models over one record, relative to the size of each state."""
@@ -147,7 +147,7 @@ def check_proof_of(orbit: ZenoOrbit, problem: Problem, path: Path) -> ProofVerdi
         InputError: If the file is not a certificate, or belongs to another orbit.
     """
     verdict = check_proof(path, problem)
-    data = json.loads(path.read_text(encoding="utf-8"))
+    data = read_json(path)
     bits = data["bits"]
     proved = dict(zip(data["parameters"], doubles(data["parameters"].values(), bits), strict=True))
     own_values = orbit.values(problem)

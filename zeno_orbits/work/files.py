@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import re
 import secrets
 import shutil
 import stat
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import CONTROLS, InputError, shortened
 
 UNFINISHED = ".unfinished-"
 """Prefix of the name of a file that is being written."""
@@ -68,26 +71,57 @@ def require_writable(path: Path, argument: str = "output") -> None:
         raise InputError(f"Argument `{argument}` {message}.")
 
 
-def read_json(path: Path) -> Any:
+MOST_BYTES = 1 << 29
+"""Largest size of a JSON file [B]: a map of a million points has about 2e8."""
+
+_ESCAPED = re.compile(
+    r"(?<!\\)(?:\\\\)*\\(?:[bfr]|u00(?:0[0-8bcefBCEF]|1|7[fF]|[89])|u20(?:0[eEfF]|2[89a-eA-E]|6[6-9]))"
+)
+"""Escapes of the characters in ``CONTROLS``, after any number of escaped backslashes."""
+
+
+def read_json(path: Path, *, most: int = MOST_BYTES, constants: bool = False) -> Any:
     """Return the data of a JSON file, whose objects must not repeat a name.
+
+    Texts must not contain characters that command a terminal.
 
     Args:
         path: The file, in UTF-8.
+        most: Largest size of the file [B].
+        constants: True to read NaN and infinity, for a caller that names their entries.
 
     Raises:
         ValueError: If the file cannot be read as such. The message is a clause about the file.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-        return json.loads(text, object_pairs_hook=_once, parse_constant=_refused)
+        text = _read_text(path, most)
+        return json.loads(
+            text, object_pairs_hook=_once, parse_constant=float if constants else _refused
+        )
     except OSError as error:
         raise ValueError(f"it cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
         raise ValueError("it is not UTF-8 text") from error
-    except (_TwiceError, _ConstantError):
+    except _ContentError:
         raise
     except (ValueError, RecursionError) as error:
         raise ValueError(f"it is not complete JSON ({error})") from error
+
+
+def _read_text(path: Path, most: int) -> str:
+    """Return the text of a file, which is a regular file: a pipe or a device may not end."""
+    found = path.stat()
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(found.st_mode):
+        raise _ContentError("it is a pipe or a device, and not a file")
+    if found.st_size > most:
+        raise _ContentError(f"it is larger than {most} bytes")
+    text = path.read_text(encoding="utf-8")
+    commands = "\x7f" in text or not (text.isascii() or CONTROLS.search(text) is None)
+    if commands or ("\\" in text and _ESCAPED.search(text)):
+        raise _ContentError("it holds control characters in a text")
+    return text
 
 
 def read_object(path: Path) -> dict[str, Any]:
@@ -105,25 +139,20 @@ def read_object(path: Path) -> dict[str, Any]:
     return cast("dict[str, Any]", entries)
 
 
-class _TwiceError(ValueError):
-    """An object repeats a name."""
-
-
-class _ConstantError(ValueError):
-    """A file contains NaN or infinity."""
+class _ContentError(ValueError):
+    """A file repeats a name, or contains what no file of results contains."""
 
 
 def _refused(word: str) -> Any:
     """Raise an error for a constant that Python reads and JSON does not define."""
-    raise _ConstantError(f"it holds {word}, which is not a JSON number")
+    raise _ContentError(f"it holds {word}, which is not a JSON number")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     entries = dict(pairs)
     if len(entries) != len(pairs):
-        words = [word for word, _ in pairs]
-        twice = next(word for word in words if words.count(word) > 1)
-        raise _TwiceError(f"it names `{twice}` twice in one object")
+        (twice, _), *_ = Counter(word for word, _ in pairs).most_common(1)
+        raise _ContentError(f"it names `{shortened(twice)}` twice in one object")
     return entries
 
 
@@ -194,17 +223,19 @@ def _exchange(folder: Path, new: Path, old: Path, names: Iterable[str]) -> None:
         raise
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def write_whole(path: Path, content: str | bytes, argument: str = "output") -> None:
     """Write a file through a temporary file in the same folder, so that readers see it complete.
 
     Args:
         path: The file. An existing file is replaced.
         content: Text (UTF-8) or bytes.
+        argument: Name of the argument that gives the path, for the message.
 
     Raises:
         InputError: If the folder does not exist or cannot be written.
     """
-    write_pieces(path, (utf8(content) if isinstance(content, str) else content,))
+    pieces = (utf8(content) if isinstance(content, str) else content,)
+    write_pieces(path, pieces, argument)
 
 
 def utf8(text: str) -> bytes:
@@ -222,7 +253,7 @@ def _is_special(path: Path) -> bool:
     return path.exists() and not path.is_dir() and (own or not path.is_file())
 
 
-def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
+def write_pieces(path: Path, pieces: Iterable[bytes], argument: str = "output") -> None:
     """Write a file like `write_whole`, but piece by piece.
 
     For content that is too long to hold twice in memory.
@@ -230,6 +261,7 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
     Args:
         path: The file. An existing file is replaced.
         pieces: Content of the file, in order.
+        argument: Name of the argument that gives the path, for the message.
 
     Raises:
         InputError: If the folder does not exist or cannot be written.
@@ -238,13 +270,15 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
         _write_through(path, pieces)
         return
     target = _target(path)
+    if target.is_dir():
+        raise InputError(f"Argument `{argument}` must be a file, but `{path}` is a folder.")
     try:
         replace_file(target, pieces)
     except OSError as error:
         folder = target.parent
         writable = folder.is_dir() and os.access(folder, os.W_OK)
         kind = "a file that can be written" if writable else "in a writable folder"
-        message = f"Argument `output` must be {kind}, but `{path}` is not"
+        message = f"Argument `{argument}` must be {kind}, but `{path}` is not"
         raise InputError(f"{message} ({error.strerror}).") from error
 
 

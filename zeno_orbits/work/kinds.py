@@ -1,7 +1,8 @@
 """Arguments of a wrong kind: refused by the annotations of functions and of settings.
 
 A caller in Python may pass anything. What an annotation excludes is refused before any work, in
-one line that names the argument. Ranges are checked where values are used.
+one line that names the argument. A number or matrix becomes a formula where an annotation asks for
+a formula of CasADi. Ranges are checked where values are used.
 """
 
 from __future__ import annotations
@@ -11,14 +12,16 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
+from decimal import Decimal
+from fractions import Fraction
 from functools import cache, wraps
 from importlib import import_module
 from operator import index
 from pathlib import Path
 from pkgutil import iter_modules
 from types import NoneType, UnionType
-from typing import Any, ParamSpec, TypeVar, get_args, get_origin
+from typing import Any, ParamSpec, TypeVar, cast, get_args, get_origin
 
 import zeno_orbits
 from zeno_orbits.errors import InputError, any_number, named_numbers, shown
@@ -50,10 +53,14 @@ def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     @wraps(function)
     def called(*args: _P.args, **options: _P.kwargs) -> _R:
-        for name, value in (*zip(known, args, strict=False), *options.items()):
-            if name in known and value is not known[name].default:
-                _require(name, value, _kinds(function.__module__, str(known[name].annotation)))
-        return function(*args, **options)
+        def taken(name: str, value: Any) -> Any:
+            if name not in known or value is known[name].default:
+                return value
+            return _taken(name, value, _kinds(function.__module__, str(known[name].annotation)))
+
+        run: Any = function
+        named = {name: taken(name, value) for name, value in options.items()}
+        return run(*map(taken, known, args), *args[len(known) :], **named)
 
     return called
 
@@ -62,14 +69,18 @@ def require_kinds(settings: Any) -> None:
     """Refuse settings with a value whose kind the annotation of its field excludes.
 
     Args:
-        settings: An instance of a dataclass, whose ``__post_init__`` calls this function.
+        settings: An instance of a dataclass, whose ``__post_init__`` calls this function. Its
+            formulas may be numbers, which become formulas.
 
     Raises:
         InputError: If a value is of another kind.
     """
     module = type(settings).__module__
     for field in fields(settings):
-        _require(field.name, getattr(settings, field.name), _kinds(module, str(field.type)))
+        value = getattr(settings, field.name)
+        taken = _taken(field.name, value, _kinds(module, str(field.type)))
+        if taken is not value:
+            object.__setattr__(settings, field.name, taken)
 
 
 class Checked:
@@ -115,6 +126,50 @@ def _kinds(module: str, annotation: str) -> tuple[Any, ...]:
     return get_args(hint) if isinstance(hint, UnionType) else (hint,)
 
 
+def _taken(argument: str, value: Any, kinds: tuple[Any, ...]) -> Any:
+    """Return the value of an argument: itself, or the formula that it becomes.
+
+    Raises:
+        InputError: If its kind is none of these.
+    """
+    formula = next(filter(_is_formula_kind, kinds), None)
+    if formula is None:
+        _require(argument, value, kinds)
+        # Other kinds of numbers, such as `Decimal`, compare in ways of their own.
+        return float(value) if float in kinds and isinstance(value, Decimal | Fraction) else value
+    if not (value is None and NoneType in kinds):
+        found = _formula(argument, value, formula)
+        return value if float in kinds else found
+    return value
+
+
+def _is_formula_kind(kind: Any) -> bool:
+    """Return True for the symbolic matrices of CasADi, which is not imported for this question."""
+    return isinstance(kind, type) and (kind.__module__, kind.__name__) == ("casadi.casadi", "SX")
+
+
+def _formula(argument: str, value: Any, kind: Any) -> Any:
+    """Return a number, a matrix or a formula as a formula.
+
+    Raises:
+        InputError: If the value is something else, or not finite.
+    """
+    wanted = "must be a number or a formula of `casadi.SX` symbols"
+    try:
+        found: Any = value if isinstance(value, kind) else kind(value)
+    except (NotImplementedError, OverflowError, RuntimeError, TypeError, ValueError) as error:
+        what = "None" if value is None else f"a `{_kind_name(value)}`"
+        raise InputError(f"Argument `{argument}` {wanted}, but it is {what}.") from error
+    if found.is_constant() and not found.is_regular():
+        raise InputError(f"Argument `{argument}` {wanted}, but it is not finite.")
+    return found
+
+
+def _kind_name(value: Any) -> str:
+    room = type(value).__module__.partition(".")[0]
+    return f"{room}.{type(value).__name__}".removeprefix("builtins.")
+
+
 def _require(argument: str, value: Any, kinds: tuple[Any, ...]) -> None:
     if Path in kinds and isinstance(value, str | Path) and not _is_path(value):
         raise InputError(f"Argument `{argument}` must be a path, but it is {shown(value)}.")
@@ -138,11 +193,22 @@ def _is(value: Any, kind: Any) -> bool:
     if kind is int:
         return _is_whole(value)
     origin, inner = get_origin(kind), get_args(kind)
-    if origin is Sequence:
+    if origin is UnionType:
+        return any(_is(value, one) for one in inner)
+    if origin is Sequence or inner[1:] == (Ellipsis,):
         return _is_sequence(value) and all(_is(entry, inner[0]) for entry in value)
+    if origin is tuple:
+        # Entries of different kinds have messages of their own where they are used.
+        return _is_sequence(value)
+    if origin is Mapping and is_dataclass(inner[1]):
+        known = cast("Mapping[Any, Any]", value) if isinstance(value, Mapping) else None
+        return known is not None and all(_is(one, inner[1]) for one in known.values())
     if origin is not None:
-        # Entries of tuples and values of mappings have messages of their own where they are used.
-        return _is_sequence(value) if origin is tuple else isinstance(value, origin)
+        return isinstance(value, origin)
+    if isinstance(kind, TypeVar):
+        return any(_is(value, one) for one in kind.__constraints__ or (object,))
+    if _is_formula_kind(kind):
+        return isinstance(value, kind) or _is_number(value)
     if kind is Any or not isinstance(kind, type):
         return True
     if kind is bool:
@@ -185,8 +251,15 @@ def _words(kind: Any) -> str:
     if kind in _WORDS:
         return _WORDS[kind]
     origin, inner = get_origin(kind), get_args(kind)
-    if origin is Sequence:
+    if origin is UnionType:
+        return " or ".join(map(_words, inner))
+    if origin is Sequence or inner[1:] == (Ellipsis,):
         return f"a sequence with each entry {_words(inner[0])}"
     if origin is not None:
-        return "a mapping" if origin is Mapping else "a sequence"
+        return _KINDS_WITH_ENTRIES.get(origin, "a sequence")
+    if isinstance(kind, TypeVar):
+        return " or ".join(map(_words, kind.__constraints__))
     return f"a `{kind.__name__}`"
+
+
+_KINDS_WITH_ENTRIES: Mapping[Any, str] = {Mapping: "a mapping", Callable: "a function"}

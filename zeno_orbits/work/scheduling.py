@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zeno_orbits.work.checkpoint import Checkpoint, folder_lock, open_checkpoint
+from zeno_orbits.work.kinds import checked
 from zeno_orbits.work.plan import ExecutionPlan, FailedPoint, Workers
 from zeno_orbits.work.pools import Pool, open_pool
 from zeno_orbits.work.progress import Progress, silent
@@ -35,6 +36,7 @@ def claim_checkpoint(plan: ExecutionPlan) -> None:
         open_checkpoint(plan.checkpoint, {**plan.identity, "code": code_digest()}, ())
 
 
+@checked
 def parallel_map(
     task: Task,
     points: Sequence[Any],

@@ -73,7 +73,9 @@ def add_verify(commands: Any) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
-    if api.holds_events(options.orbit):
+    import zeno_orbits as zo
+
+    if isinstance(api.any_orbit(options.orbit), zo.EventOrbit):
         return run_verify_events(options)
     orbit, problem = orbit_and_problem(options)
     settings = api.verification_settings(

@@ -17,6 +17,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,7 +163,7 @@ def write_recording(recording: Recording, path: Path | str) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    write_pieces(Path(path), _written(recording))
+    write_pieces(Path(path), _written(recording), "path")
 
 
 def _written(recording: Recording) -> Iterator[bytes]:
@@ -277,7 +278,7 @@ def _time_column(path: Path, names: list[str]) -> int:
     found = [k for k, name in enumerate(names) if name.lower() in _TIME]
     if len(found) == 1:
         return found[0]
-    titled = ", ".join(names)
+    titled = shorten(", ".join(names), 400, placeholder=" ...")
     count = "no" if not found else "more than one"
     raise DataFileError(path, f"it has {count} column named `time` (its columns: {titled})")
 

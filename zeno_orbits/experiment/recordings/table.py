@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import DataFileError
+from zeno_orbits.errors import CONTROLS, DataFileError
 
 _PIECE = 1 << 22
 """Bytes per piece: large enough for an efficient parser, and small compared with the values."""
@@ -86,6 +86,8 @@ def _head(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
         wanted = "must separate its columns by commas, semicolons or tabs"
         raise DataFileError(path, f"line {line} {wanted}: `{_short(text)}`")
     columns = tuple(part.strip().strip('"').strip() for part in text.split(separator))
+    if any(map(CONTROLS.search, columns)):
+        raise DataFileError(path, f"line {line} holds control characters in a title")
     if all(_number(part.replace(",", ".")) is not None for part in columns):
         raise DataFileError(path, f"line {line} holds numbers in place of the column titles")
     return Head(comments=comments, columns=columns, separator=separator, line=line)
@@ -242,6 +244,9 @@ class _Reader:
 
 def _opened(path: Path) -> BinaryIO:
     try:
+        if not path.is_dir() and path.exists() and not path.is_file():
+            # A pipe or a device may not end.
+            raise DataFileError(path, "it is a pipe or a device, and not a file")
         return path.open("rb")
     except OSError as error:
         raise DataFileError(path, f"it cannot be read ({error.strerror})") from error

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.model.drives.circuits import Circuit, Drive, formula_of, require_symbols
+from zeno_orbits.model.drives.circuits import Circuit, Drive
 from zeno_orbits.model.drives.motors import MotorBank
-from zeno_orbits.model.lagrangian import HybridLagrangian
-
-_MAY_BE_LEFT_OUT = ("force", "input_power", "loss", "stored_energy", "after_impact")
+from zeno_orbits.model.lagrangian import HybridLagrangian, require_symbols
+from zeno_orbits.model.operations import expand_calls
+from zeno_orbits.work import require_kinds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,10 +49,8 @@ class Auxiliary:
 
     def __post_init__(self) -> None:
         """Reject states that are not symbols, and formulas with another number of entries."""
-        for name in ("states", "rate", *_MAY_BE_LEFT_OUT):
-            given = getattr(self, name)
-            if given is not None or name not in _MAY_BE_LEFT_OUT:
-                object.__setattr__(self, name, formula_of(name, given))
+        require_kinds(self)
+        expand_calls(self)
         require_symbols("states", self.states)
         n_z = self.states.numel()
         for name in ("rate", "after_impact"):

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import casadi as ca
 
 from zeno_orbits.model.drives.motors import MotorBank
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.operations import without_calls
+from zeno_orbits.model.lagrangian import HybridLagrangian, require_symbols
+from zeno_orbits.model.operations import expand_calls
+from zeno_orbits.work import checked, require_kinds
 
 Entries = tuple[tuple[str, ca.SX], ...]
 
@@ -49,8 +50,8 @@ class Circuit:
 
     def __post_init__(self) -> None:
         """Reject entries that are not symbols, and matrices whose shapes do not fit."""
-        for name in ("currents", "voltages", "coenergy", "resistance", "source"):
-            object.__setattr__(self, name, formula_of(name, getattr(self, name)))
+        require_kinds(self)
+        expand_calls(self)
         n_i, n_u = self.currents.numel(), self.voltages.numel()
         require_symbols("currents", self.currents)
         require_symbols("voltages", self.voltages)
@@ -68,7 +69,7 @@ class Circuit:
         shapes = {"resistance": (n_i, n_i), "conductance": (n_u, n_u), "incidence": (n_i, n_u)}
         for name, shape in shapes.items():
             given = getattr(self, name)
-            matrix = ca.SX(*shape) if given is None else formula_of(name, given)
+            matrix = ca.SX(*shape) if given is None else given
             if matrix.shape != shape:
                 raise ValueError(
                     f"Argument `{name}` must be of shape {shape}, but it is {matrix.shape}."
@@ -173,6 +174,7 @@ class Network(NamedTuple):
     source: ca.SX
 
 
+@checked
 def circuit_drive(mechanism: HybridLagrangian, circuit: Circuit) -> Drive:
     r"""Return the drive of a circuit: currents, voltages and force (paper eq. 2, theory (1.10)).
 
@@ -266,44 +268,6 @@ def network_drive(
         motion=fields.motion[: i.numel()],
         fed=fed,
     )
-
-
-def formula_of(name: str, given: Any) -> ca.SX:
-    """Return a value or a formula of `casadi.SX` symbols as a formula.
-
-    Args:
-        name: Name of the argument.
-        given: Value of the argument.
-
-    Raises:
-        ValueError: If the argument is neither a number nor a formula, or is not finite.
-    """
-    wanted = "must be a number or a formula of `casadi.SX` symbols"
-    try:
-        formula = ca.SX(given)
-    except (NotImplementedError, TypeError) as error:
-        kind = f"a `{type(given).__module__.split('.')[0]}.{type(given).__name__}`"
-        what = "None" if given is None else kind.replace("`builtins.", "`")
-        raise ValueError(f"Argument `{name}` {wanted}, but it is {what}.") from error
-    if formula.is_constant() and not formula.is_regular():
-        raise ValueError(f"Argument `{name}` {wanted}, but it is not finite.")
-    return without_calls(formula)
-
-
-def require_symbols(name: str, states: ca.SX) -> None:
-    """Refuse states that are formulas, or two that are one symbol.
-
-    Args:
-        name: Argument that holds them.
-        states: The states.
-    """
-    seen = set[int]()
-    for k in range(states.numel()):
-        entry: Any = states[k]
-        if not entry.is_symbolic() or entry.element_hash() in seen:
-            what = "the same symbol twice" if entry.is_symbolic() else f"`{entry}`"
-            raise ValueError(f"Argument `{name}` must hold symbols, but it holds {what}.")
-        seen.add(entry.element_hash())
 
 
 def _require_coenergy(mechanism: HybridLagrangian, circuit: Circuit) -> None:

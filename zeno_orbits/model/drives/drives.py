@@ -24,6 +24,7 @@ from zeno_orbits.model.drives.circuits import (
 )
 from zeno_orbits.model.drives.motors import MotorBank
 from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.work import checked
 
 __all__ = [
     "Auxiliary",
@@ -39,6 +40,7 @@ __all__ = [
 ]
 
 
+@checked
 def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
     r"""Return the drive with its current dynamics (paper eq. 4, theory (1.2)).
 
@@ -51,6 +53,7 @@ def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
     return _bank_drive(lagrangian, motors, motors.currents)
 
 
+@checked
 def quasi_static_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
     r"""Return the drive in the limit :math:`L \to 0`: no current state (theory (1.3)).
 
@@ -68,6 +71,7 @@ def quasi_static_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive
     return replace(_bank_drive(lagrangian, motors, current, is_algebraic=True), fed=fed)
 
 
+@checked
 def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
     r"""Return the quasi-static drive with its first correction in `L`, without current states.
 
@@ -111,6 +115,7 @@ def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
     )
 
 
+@checked
 def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque: ca.SX) -> Drive:
     r"""Return a drive that delivers the commanded torque: :math:`F = S \tau(q, v)` (theory (1.4)).
 
@@ -135,6 +140,7 @@ def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque
     return joined_auxiliary(lagrangian, source)
 
 
+@checked
 def no_drive(lagrangian: HybridLagrangian) -> Drive:
     """Return the drive of a mechanism that moves by itself: no force, no state."""
     return ideal_torque_drive(

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.model.operations import without_calls
+from zeno_orbits.model.operations import expand_calls
+from zeno_orbits.work import require_kinds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +37,8 @@ class MotorBank:
 
     def __post_init__(self) -> None:
         """Expand the calls of functions, and refuse shapes that do not fit the number of motors."""
-        object.__setattr__(self, "voltage", without_calls(self.voltage))
+        require_kinds(self)
+        expand_calls(self)
         n_motors = self.selection.shape[1]
         for name in ("resistance", "inductance", "torque_constant", "emf_constant"):
             shape = getattr(self, name).shape

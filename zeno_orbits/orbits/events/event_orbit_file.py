@@ -11,9 +11,9 @@ from typing import Any, cast
 
 from zeno_orbits.errors import OrbitFileError
 from zeno_orbits.orbits.events.event_orbit import EventOrbit, OrbitEvent, sequence_of
-from zeno_orbits.orbits.orbit import EVENT_FORMAT
-from zeno_orbits.orbits.orbit_file import plain_data
-from zeno_orbits.work import EntryError, from_plain, write_whole
+from zeno_orbits.orbits.orbit import EVENT_FORMAT, ZenoOrbit
+from zeno_orbits.orbits.orbit_file import orbit_from_json, plain_data
+from zeno_orbits.work import EntryError, checked, from_plain, write_whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +32,7 @@ class _Entries:
     versions: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
+@checked
 def write_event_orbit(orbit: EventOrbit, path: Path | str) -> None:
     """Write an orbit file completely or not at all.
 
@@ -42,18 +43,15 @@ def write_event_orbit(orbit: EventOrbit, path: Path | str) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    write_whole(Path(path), json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n")
+    text = json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n"
+    write_whole(Path(path), text, "path")
 
 
-def holds_events(path: Path | str) -> bool:
-    """Return True if a file is an orbit file that lists events."""
-    try:
-        data = plain_data(Path(path))
-    except OrbitFileError:
-        return False
+def _lists_events(data: object) -> bool:
     return isinstance(data, dict) and cast("dict[str, Any]", data).get("format") == EVENT_FORMAT
 
 
+@checked
 def read_event_orbit(path: Path | str) -> EventOrbit:
     """Read an orbit file that lists events.
 
@@ -64,7 +62,25 @@ def read_event_orbit(path: Path | str) -> EventOrbit:
         OrbitFileError: If the file is not such a file, or its entries contradict each other.
     """
     path = Path(path)
+    return _event_orbit(path, plain_data(path))
+
+
+@checked
+def read_any_orbit(path: Path | str) -> ZenoOrbit | EventOrbit:
+    """Read an orbit file of any format.
+
+    Args:
+        path: The file.
+
+    Raises:
+        OrbitFileError: If the file is not such a file, or its entries contradict each other.
+    """
+    path = Path(path)
     data = plain_data(path)
+    return _event_orbit(path, data) if _lists_events(data) else orbit_from_json(data, path)
+
+
+def _event_orbit(path: Path, data: object) -> EventOrbit:
     try:
         entries = from_plain(_Entries, data, finite=True)
     except EntryError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -41,7 +40,7 @@ from zeno_orbits.proof.checker.motion import (
 from zeno_orbits.proof.checker.section import Box, ContactSection, require_start, shown_others
 from zeno_orbits.proof.checker.system import System, bound_system
 from zeno_orbits.proof.checker.verdict import ClaimVerdict, ProofVerdict, Theorem
-from zeno_orbits.work import ExecutionPlan, parallel_map
+from zeno_orbits.work import ExecutionPlan, checked, parallel_map, read_json
 
 _TOP = (
     *("format", "kind", "problem", "digest", "parameters", "over", "gap_row", "bits", "section"),
@@ -55,12 +54,11 @@ _RECORDS = {
 }
 _BITS = range(64, 1025)
 _MOST = {"passes": 4, "basin": 16, "claims": 20_000, "records": 50_000}
-_LARGEST = 1 << 29
-"""Largest size of a certificate file [B]."""
 _CHUNK = 300
 """Number of records that a process proves together."""
 
 
+@checked
 def check_proof(
     certificate: str | Path | Mapping[str, Any], problem: Problem | str | Path | None = None
 ) -> ProofVerdict:
@@ -121,9 +119,8 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
     if not isinstance(certificate, Mapping):
         path = Path(certificate)
         try:
-            _require_short_file(path)
-            certificate = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
+            certificate = read_json(path)
+        except ValueError as error:
             raise InputError(f"File `{path}` is not a certificate ({error}).") from None
     data = cast("Mapping[str, Any]", certificate)
     optional = ("basin",) if "basin" in data else ()
@@ -136,14 +133,6 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
         told = f"must be a text, but it is {shown(data['problem'])}"
         raise InputError(f"The certificate's `problem` {told}.")
     return data
-
-
-def _require_short_file(path: Path) -> None:
-    if path.stat().st_size > _LARGEST:
-        raise ValueError(f"it is larger than {_LARGEST} bytes")
-    if not path.is_file():
-        # A pipe or a device may not end.
-        raise ValueError("it is not a file")
 
 
 def _listed(data: Any, name: str) -> list[Any]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from zeno_orbits.errors import InputError, named_numbers
+from zeno_orbits.errors import InputError, named_numbers, number_range
 from zeno_orbits.model import Problem, Quantity, locate_problem
 from zeno_orbits.work import checked
 
@@ -65,7 +65,8 @@ def _sliders(
         wanted = "must name a gain or a parameter and its range, for example {'A': (0.5, 1.5)}"
         raise InputError(f"Argument `vary` {wanted}: `{problem.name}` lacks gains.")
     sliders: list[dict[str, Any]] = []
-    for name, (lower, upper) in ranges.items():
+    for name, box in ranges.items():
+        lower, upper = number_range("vary", box, name)
         quantity = problem.require_range(name, (lower, upper), argument="vary")
         sliders.append(
             {

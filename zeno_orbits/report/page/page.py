@@ -10,6 +10,7 @@ import shlex
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+from zeno_orbits.errors import printable
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.report.disturbances import least_push_line, recovery_lines, scan_line
 from zeno_orbits.report.page import words
@@ -136,6 +137,11 @@ def commands_of(subject: Subject) -> tuple[tuple[str, ...], ...]:
     return ((*search, "-o", subject.file), (*check, *tolerance), *report)
 
 
+def _printable(value: object) -> object:
+    """Return a value for the page. A text has no characters that command a terminal or reorder."""
+    return printable(value) if type(value) is str else value
+
+
 def template_environment() -> Environment:
     """Return the environment that renders the template and escapes every value."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
@@ -144,6 +150,7 @@ def template_environment() -> Environment:
         loader=FunctionLoader(_text),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_printable,
         trim_blocks=True,
         keep_trailing_newline=True,
     )

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.continuation import Continuation, Family
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, shown
 from zeno_orbits.experiment import Comparison
 from zeno_orbits.maps import ParameterMap
 from zeno_orbits.model import Problem, recorded_problem
@@ -20,18 +20,15 @@ from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.report.plots.certificate import plot_certificate, plot_multipliers
 from zeno_orbits.report.plots.family import plot_boundaries, plot_families
 from zeno_orbits.report.plots.map import plot_map
-from zeno_orbits.report.plots.panels import add_title
+from zeno_orbits.report.plots.panels import add_title, require_width
 from zeno_orbits.report.plots.portraits import plot_portraits
 from zeno_orbits.report.plots.recording import plot_comparison
-from zeno_orbits.report.plots.style import FULL_WIDTH
+from zeno_orbits.report.plots.style import FULL_WIDTH, keep_legible
 from zeno_orbits.report.plots.time_series import plot_states, plot_time_series
 from zeno_orbits.report.plots.work_precision import plot_trade
 from zeno_orbits.search import SearchResult, ShootingResult
 from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate, problem_dynamics
-
-_NARROWEST, _WIDEST = 1.5, 60.0
-"""Widths between which a picture can be drawn [in]."""
 
 
 def figure_of(
@@ -66,19 +63,23 @@ def figure_of(
         OrbitNotClosedError: If a shooting result contains no orbit.
         SimulationError: If the orbit cannot be simulated.
     """
+    listed: Any = axes
+    if not isinstance(listed, Sequence | np.ndarray):
+        wanted = "must hold axes of matplotlib"
+        raise InputError(f"Argument `axes` {wanted}, but it is {shown(axes)}.")
     given = [*np.ravel(np.asarray(axes, dtype=object))] if ax is None else [ax]
     if ax is not None and len(axes):
         raise InputError("Arguments `ax` and `axes` exclude each other: leave out one.")
     if given and width is not None:
         raise InputError("Argument `width` must not be given with axes, which have a width.")
-    if width is not None and not _NARROWEST <= width <= _WIDEST:
-        limits = f"must lie in [{_NARROWEST:g}, {_WIDEST:g}] inches"
-        raise InputError(f"Argument `width` {limits}, but it is {width:g}.")
+    if width is not None:
+        require_width(width)
     for kind, draw in _PICTURES.items():
         if isinstance(result, kind):
             figure = draw(result, problem, FULL_WIDTH if width is None else width, given)
             if title:
                 add_title(figure, title, given)
+            keep_legible(figure)
             return figure
     kinds = ", ".join(f"`{kind.__name__}`" for kind in _PICTURES)
     message = f"must be one of {kinds}, but it is a `{type(result).__name__}`"

@@ -102,6 +102,24 @@ class Panels:
         legend.set_gid(_ABOVE)
 
 
+_NARROWEST, _WIDEST = 1.5, 60.0
+"""Widths between which a picture can be drawn [in]."""
+
+
+def require_width(width: float) -> None:
+    """Reject a width at which nothing can be drawn.
+
+    Args:
+        width: Width of the figure [in].
+
+    Raises:
+        InputError: If the width is too small or too large.
+    """
+    if not _NARROWEST <= width <= _WIDEST:
+        limits = f"must lie in [{_NARROWEST:g}, {_WIDEST:g}] inches"
+        raise InputError(f"Argument `width` {limits}, but it is {width:g}.")
+
+
 def panels_of(
     width: float,
     n: int,
@@ -124,6 +142,7 @@ def panels_of(
     Raises:
         InputError: If the number of axes differs from the number of panels.
     """
+    require_width(width)
     across = columns or (min(n, 3) if is_wide(width) else 1)
     if axes:
         return _existing(axes, n, across)

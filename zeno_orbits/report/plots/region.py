@@ -22,8 +22,10 @@ from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import BLUES, FULL_WIDTH, LOOKS, ZENO, mark_completion
 from zeno_orbits.report.symbols import label_of
 from zeno_orbits.simulation import Execution, Mode
+from zeno_orbits.work import checked
 
 
+@checked
 def plot_zeno_set(
     problem: Problem,
     dynamics: HybridDynamics,

@@ -13,6 +13,8 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
+from matplotlib.text import Text
 
 from zeno_orbits.simulation import Execution, Mode
 from zeno_orbits.work import checked, require_picture, write_whole
@@ -71,8 +73,8 @@ def save_figure(figure: Figure, path: str | Path) -> None:
         InputError: If the suffix is not supported, or the file cannot be written.
     """
     path = Path(path)
-    require_picture(path)
-    write_whole(path, rendered(figure, path.suffix.lower()[1:]))
+    require_picture(path, "path")
+    write_whole(path, rendered(figure, path.suffix.lower()[1:]), "path")
 
 
 def rendered(figure: Figure, kind: str) -> bytes:
@@ -82,11 +84,31 @@ def rendered(figure: Figure, kind: str) -> bytes:
         figure: The picture.
         kind: ``png``, ``pdf`` or ``svg``.
     """
+    keep_legible(figure)
     dates: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
     picture = io.BytesIO()
     with mpl.rc_context({"pdf.fonttype": 42, "svg.hashsalt": "zeno_orbits"}):
         figure.savefig(picture, format=kind, dpi=300, metadata=dates.get(kind, {}))
     return picture.getvalue()
+
+
+def keep_legible(figure: Figure) -> None:
+    """Draw texts with dollar signs that are not formulas as they are.
+
+    A name in a file may contain one dollar sign, or what looks like a formula and is none.
+
+    Args:
+        figure: The picture.
+    """
+    for text in figure.findobj(lambda one: isinstance(one, Text) and "$" in one.get_text()):
+        if isinstance(text, Text):
+            try:
+                _FORMULAS.parse(text.get_text())
+            except ValueError:
+                text.set_parse_math(False)
+
+
+_FORMULAS = MathTextParser("path")
 
 
 def mark_completion(ax: Axes, execution: Execution, pair: Sequence[int]) -> None:

@@ -25,10 +25,12 @@ from zeno_orbits.report.plots.style import (
 )
 from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
 from zeno_orbits.simulation import Execution, Mode
+from zeno_orbits.work import checked
 
 _REMAINING = r"time to Zeno point $t_\infty - t$ [s]"
 
 
+@checked
 def plot_zeno_neighbourhood(
     problem: Problem,
     execution: Execution,

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from shutil import get_terminal_size
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits.errors import printable
 from zeno_orbits.report.table import Cell, Column, Item
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ def print_lines(lines: Iterable[str], style: str = "") -> None:
         lines: The sentences. A continuation line has the indentation of the first line.
         style: Colour of the sentences in a terminal.
     """
-    for line in lines:
+    for line in map(printable, lines):
         shown = _folded(line) if sys.stdout.isatty() else line
         plain_console().print(shown, style=style, soft_wrap=True)
 
@@ -50,12 +52,12 @@ def line_width() -> int:
 def print_whole(lines: Iterable[str]) -> None:
     """Print lines that a reader may copy, a path or a command: no end of line is put into one."""
     for line in lines:
-        plain_console().print(line, soft_wrap=True)
+        plain_console().print(printable(line), soft_wrap=True)
 
 
 def print_error(message: str) -> None:
     """Print one line on standard error, broken between words in a terminal."""
-    line = f"zeno-orbits: {' '.join(message.split())}"
+    line = f"zeno-orbits: {printable(' '.join(message.split()))}"
     sys.stderr.write(f"{_folded(line) if sys.stderr.isatty() else line}\n")
 
 
@@ -87,7 +89,8 @@ def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
     """
     from rich.table import Table
 
-    rows = [[column.cell(item) for column in columns] for item in items]
+    columns = [replace(column, heading=printable(column.heading)) for column in columns]
+    rows = [[_printable(column.cell(item)) for column in columns] for item in items]
     cells = [[row[k] for row in rows] for k in range(len(columns))]
     console = plain_console()
     widths = _widths(columns, cells, console.width)
@@ -134,6 +137,10 @@ def _cells(column: Column[Item], cells: Sequence[Cell], *, whole: bool) -> int:
     if not (whole or column.is_number or column.is_whole):
         texts = [word for text in texts for word in text.split()]
     return max(map(len, [*texts, "ok"]))
+
+
+def _printable(cell: Cell) -> Cell:
+    return printable(cell) if isinstance(cell, str) else cell
 
 
 def _shown(cell: Cell) -> str | Text:

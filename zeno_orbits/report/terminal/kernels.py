@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from zeno_orbits.errors import counted
+from zeno_orbits.errors import counted, printable
 from zeno_orbits.report.terminal.console import print_lines
 
 
@@ -30,4 +30,4 @@ def print_kernels(facts: Mapping[str, Any]) -> None:
 
 def print_note(message: str) -> None:
     """Print one line on standard error that is not an error."""
-    sys.stderr.write(f"zeno-orbits: note: {' '.join(message.split())}\n")
+    sys.stderr.write(f"zeno-orbits: note: {printable(' '.join(message.split()))}\n")

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
+from zeno_orbits.errors import printable
+
 _PATIENCE = 1.0
 """Work shorter than this prints nothing [s]."""
 _TELLING = 2.0
@@ -103,7 +105,7 @@ class ProgressLine:
         pause = 0.1 if self._terminal else max(_PATIENCE, _RARER * elapsed)
         if elapsed < _PATIENCE or elapsed - self._said < pause:
             return
-        done = (stage, f"  {100 * part:3.0f} %" if part else "")
+        done = (printable(stage), f"  {100 * part:3.0f} %" if part else "")
         if not self._terminal and done == self._done and elapsed < _SILENCE * self._said:
             return
         self._said, self._done = elapsed, done

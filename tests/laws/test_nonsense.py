@@ -1,0 +1,341 @@
+"""Nonsense at every parameter of every public name: one line that names the argument.
+
+The calls are made from the signatures, so a new function or class is covered when it is public.
+"""
+
+from __future__ import annotations
+
+import inspect
+import random
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.chores import square
+
+NONSENSE: tuple[Any, ...] = (
+    *(None, "", "no such thing", "\0", "a\nb", b"x", True, -1, 0, 3, -2.5, 1e308, 10**400),
+    *(float("nan"), float("inf"), 1j, Decimal("NaN"), object(), int, len, Path("no/such")),
+    *([], (), {}, [1, 2], ("a", "b"), [None], {"x": None}, {1: 2}, {"a": {}}, [[1.0], [2.0, 3.0]]),
+    *(np.array([]), np.zeros((2, 3)), np.array(["a"]), np.array([np.nan]), np.float64(-3.0)),
+    *(ca.SX.sym("s"), ca.SX.sym("m", 2, 3), ca.MX.sym("x"), ca.DM([1, 2]), ca.SX(0, 0)),
+)
+
+
+class _ReportedError(Exception):
+    """Ends a sound computation at its first report."""
+
+
+def _end(_stage: str, _part: float | None = None, /) -> None:
+    raise _ReportedError
+
+
+Q, V = ca.SX.sym("q"), ca.SX.sym("v")
+CURRENT, STATE = ca.SX.sym("i"), ca.SX.sym("z")
+
+
+@cache
+def mechanism() -> zo.HybridLagrangian:
+    return zo.HybridLagrangian.from_energies(q=Q, v=V, kinetic=V**2 / 2, potential=Q, gap=Q)
+
+
+@cache
+def ball() -> zo.Problem:
+    return zo.load_problem("bouncing_ball")
+
+
+@cache
+def motion() -> zo.Execution:
+    return zo.simulate(ball(), until=0.5)
+
+
+@cache
+def orbit() -> zo.ZenoOrbit:
+    return zo.find_orbit_by_shooting("motor_pendulum").unwrap()
+
+
+@cache
+def events() -> zo.EventOrbit:
+    return zo.find_event_orbit("sampled_pendulum")
+
+
+@cache
+def certificate() -> zo.OrbitCertificate:
+    return zo.verify(orbit())
+
+
+@cache
+def run() -> zo.RigRun:
+    return zo.simulate_rig(ball(), until=0.01)
+
+
+@cache
+def samples() -> zo.Recording:
+    return zo.sample_execution(ball(), motion())
+
+
+def system(symbols: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    return zo.hybrid_system(mechanism(), zo.no_drive(mechanism()), symbols["restitution"])
+
+
+def bank() -> zo.MotorBank:
+    one = ca.SX(1)
+    return zo.MotorBank(
+        selection=one,
+        resistance=one,
+        inductance=one,
+        torque_constant=one,
+        emf_constant=one,
+        voltage=-V,
+    )
+
+
+def circuit() -> zo.Circuit:
+    return zo.Circuit(
+        currents=CURRENT, coenergy=CURRENT**2 * (1 + Q), resistance=ca.SX(1), source=ca.SX(2)
+    )
+
+
+SOUND: dict[str, Callable[[], Any]] = {
+    "problem": ball,
+    "orbit": orbit,
+    "execution": motion,
+    "first": motion,
+    "second": motion,
+    "recording": samples,
+    "run": run,
+    "certificate": certificate,
+    "dynamics": lambda: ball().dynamics(ball().values()),
+    "figure": lambda: zo.plot(motion()),
+    "path": lambda: Path("file.png"),
+    "name_or_path": lambda: "bouncing_ball",
+    "data": lambda: orbit().as_json(),
+    "parameter": lambda: "Kd",
+    "box": lambda: (-1.1, -0.9),
+    "x": lambda: ("g", 5.0, 10.0, 2),
+    "y": lambda: ("m", 1.0, 2.0, 2),
+    "fit": lambda: ["restitution"],
+    "accuracy": lambda: 1e-3,
+    "result": motion,
+    "task": lambda: square,
+    "points": lambda: [1.0, 2.0],
+    "plan": lambda: zo.ExecutionPlan(place=zo.Workers(count=1)),
+    "lagrangian": mechanism,
+    "mechanism": mechanism,
+    "motors": bank,
+    "circuit": circuit,
+    "selection": lambda: ca.SX(1),
+    "torque": lambda: -V,
+    "drive": lambda: zo.no_drive(mechanism()),
+    "restitution": lambda: 0.5,
+    "clock": lambda: zo.Clock.at(ca.SX(2.0)),
+    "levels": lambda: [0.0, 1.0],
+    "times": lambda: [1.0],
+    "amplitudes": lambda: [(1.0, 0.0)],
+    "frequency": lambda: ca.SX(2.0),
+    "cosine": lambda: ca.SX.sym("c"),
+    "sine": lambda: ca.SX.sym("s"),
+    "q": lambda: Q,
+    "v": lambda: V,
+    "kinetic": lambda: V**2 / 2,
+    "potential": lambda: Q,
+    "gap": lambda: Q,
+    "mass_matrix": lambda: ca.SX(1),
+    "coriolis": lambda: ca.SX(0),
+    "gravity": lambda: ca.SX(1),
+    "states": lambda: STATE,
+    "rate": lambda: -STATE,
+    "currents": lambda: CURRENT,
+    "coenergy": lambda: CURRENT**2,
+    "resistance": lambda: ca.SX(1),
+    "source": lambda: ca.SX(1),
+    "inductance": lambda: ca.SX(1),
+    "torque_constant": lambda: ca.SX(1),
+    "emf_constant": lambda: ca.SX(1),
+    "voltage": lambda: -V,
+    "guard": lambda: Q - 1,
+    "name": lambda: "one",
+    "unit": lambda: "m",
+    "meaning": lambda: "a length",
+    "default": lambda: 0.5,
+    "phrase": lambda: "is over",
+    "beyond": lambda: 2.0,
+    "formula": lambda: lambda _states, _symbols: Q,
+    "target": lambda: 1.0,
+    "state": lambda: "theta1",
+    "signal": lambda: "theta1",
+    "delta": lambda: 0.1,
+    "address": lambda: "tcp://127.0.0.1:1",
+    "supply": lambda: 12.0,
+    "period": lambda: 1.0,
+    "rotor_inertia": lambda: 1.0,
+    "text": lambda: "zeno",
+    "phases": lambda: zo.EventSequence.parsed("zeno").phases,
+    "gains": dict,
+    "parameters": dict,
+}
+"""Sound values of parameters without a default, by name."""
+
+OWN: dict[str, dict[str, Callable[[], Any]]] = {
+    "simulate_periods": {"orbit": events},
+    "largest_push": {"orbit": lambda: replace(orbit(), period=1.0)},
+    "with_certificate": {"orbit": orbit},
+    "write_event_orbit": {"orbit": events, "path": lambda: Path("file.json")},
+    "write_orbit": {"path": lambda: Path("file.json")},
+    "write_recording": {"path": lambda: Path("file.csv")},
+    "orbit_from_json": {"path": lambda: Path("file.json")},
+    "check_proof": {"certificate": lambda: Path("no.json")},
+    "simulate": {"problem": ball},
+    "find_orbit": {"problem": lambda: "motor_pendulum"},
+    "find_orbit_by_shooting": {"problem": lambda: "motor_pendulum"},
+    "search_gains": {"problem": lambda: "motor_pendulum"},
+    "find_event_orbit": {"problem": lambda: "sampled_pendulum"},
+    "search_event_gains": {"problem": lambda: "sampled_pendulum"},
+    "explore": {"problem": lambda: "motor_pendulum"},
+    "HybridLagrangian": {
+        **{name: (lambda: ca.SX(0)) for name in ("bias", "passive_force", "applied_force")},
+        "holonomic": lambda: ca.SX(0, 1),
+    },
+    "NearestGains": {"target": lambda: {"Kp": 2.0}},
+    "Problem": {
+        "name": lambda: "ball",
+        "title": lambda: "a ball",
+        "source": lambda: "",
+        "state_names": lambda: ("q", "v"),
+        "state_units": lambda: ("m", "m/s"),
+        "parameters": lambda: (zo.Quantity.restitution(0.5),),
+        "gains": tuple,
+        "model": lambda: system,
+        "starts": lambda: ({"q": 1.0},),
+        "portraits": lambda: (("q", "v"),),
+        "amplitude_of": lambda: "q",
+    },
+}
+"""Sound values of single functions and classes."""
+
+RESULTS = (
+    *("CompletedSystem", "Comparison", "Continuation", "EnclosedEvent", "EventComparison"),
+    *("EventOrbit", "EventSearchResult", "Execution", "ExecutionWithError", "Family"),
+    *("Identification", "OrbitCertificate", "ParameterMap", "PeriodEnclosure", "Proof"),
+    *("ProofVerdict", "Pushes", "Recording", "Recovery", "RigRun", "SearchResult", "SwitchEvent"),
+    *("WorkPrecision", "ZenoCondition", "ZenoOrbit", "Drawing", "SpecialPointKind", "PwmSettings"),
+)
+"""Results, which functions make, and names that are not called."""
+
+PROBLEM_METHODS = (
+    *("at_fidelity", "values", "state_vector", "initial_state", "quantity", "dynamics"),
+    *("graph_dynamics",),
+)
+
+
+@dataclass(frozen=True)
+class Door:
+    """A public function or class, or a method that makes one.
+
+    Attributes:
+        name: Its name.
+        call: The object.
+        sound: Sound values of its parameters that have no default.
+    """
+
+    name: str
+    call: Callable[..., Any]
+    sound: dict[str, Callable[[], Any]]
+
+
+@cache
+def doors() -> tuple[Door, ...]:
+    found: dict[str, Callable[..., Any]] = {}
+    for name in zo.__all__:
+        one = getattr(zo, name)
+        if name in RESULTS or not callable(one):
+            continue
+        if inspect.isclass(one):
+            if issubclass(one, BaseException):
+                continue
+            for key, entry in vars(one).items():
+                if isinstance(entry, classmethod) and key[0] != "_":
+                    found[f"{name}.{key}"] = getattr(one, key)
+        found[name] = one
+    doors = list[Door]()
+    for name, call in found.items():
+        own = OWN.get(name, {})
+        known = inspect.signature(call).parameters
+        needed = [key for key, one in known.items() if one.default is one.empty]
+        sound = {key: own[key] if key in own else SOUND[key] for key in needed}
+        if "on_progress" in known:
+            sound["on_progress"] = lambda: _end
+        doors.append(Door(name, call, sound))
+    return tuple(doors)
+
+
+def places() -> list[tuple[Door, str]]:
+    """Return every parameter of every door."""
+    return [(door, key) for door in doors() for key in inspect.signature(door.call).parameters]
+
+
+def ask(door: Door, key: str, bad: Any) -> str:
+    """Call a door with nonsense at one parameter, and return what is wrong with its answer."""
+    if callable(bad) and key in ("on_progress", "task", "formula", "model", "derive", "drawing"):
+        # A function of the caller raises what it likes.
+        return ""
+    given = {name: make() for name, make in door.sound.items()}
+    given[key] = bad
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            door.call(**given)
+    except _ReportedError:
+        return ""
+    except (ValueError, TypeError) as error:
+        told = str(error)
+        if "\n" in told or len(told) > 600:
+            return f"it is longer than a line: {told[:200]}"
+        if "`" not in told and key not in told:
+            return f"it names no argument: {type(error).__name__}: {told}"
+    except zo.ZenoOrbitsError as error:
+        return f"it has several lines: {error}" if "\n" in str(error) else ""
+    except Exception as error:  # noqa: BLE001 (this is what must not happen)
+        return f"it raises {type(error).__name__}: {str(error)[:200]}"
+    return ""
+
+
+def failures(calls: list[tuple[Door, str, Any]]) -> list[str]:
+    found = list[str]()
+    for door, key, bad in calls:
+        fault = ask(door, key, bad)
+        if fault:
+            found.append(f"{door.name}({key}={str(bad)[:40]!r}): {fault}")
+    return found
+
+
+def test_every_parameter_of_every_public_name_has_a_sound_value() -> None:
+    assert len(places()) > 250
+
+
+def test_nonsense_is_refused_in_one_line_that_names_the_argument(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    drawn = random.Random(2026)
+    known = places()
+    calls = [(*known[k % len(known)], drawn.choice(NONSENSE)) for k in range(900)]
+    assert failures(calls) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bad", range(len(NONSENSE)))
+def test_all_nonsense_is_refused_in_one_line_that_names_the_argument(
+    bad: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert failures([(*place, NONSENSE[bad]) for place in places()]) == []
