@@ -186,6 +186,10 @@ class HybridLagrangian:
         require_symbols("q", q)
         require_symbols("v", v)
         n_q = q.numel()
+        # Calls are expanded before derivatives are taken: these would be other calls.
+        mass_matrix, coriolis = without_calls(mass_matrix), without_calls(coriolis)
+        gravity = without_calls(gravity)
+        potential = None if potential is None else without_calls(potential)
         for name, matrix in (("mass_matrix", mass_matrix), ("coriolis", coriolis)):
             if matrix.shape != (n_q, n_q):
                 wanted = f"must be of shape ({n_q}, {n_q})"

@@ -119,13 +119,11 @@ class GraphShifts:
         here = self._start(arcs[0])
         bounces: list[ImpactDerivative] = []
         crossings: list[tuple[Event, SaltationDerivative, SaltationDerivative]] = []
-        caused = False
         while events and events[0].time == arcs[0].start_time:
-            first = events.pop(0)
+            first, caused = events.pop(0), bool(crossings)
             before = self._before(first, here, arcs[0], arcs[0], caused=caused)
             here, bounces = self._after(first, before, arcs[0], arcs[0], bounces, caused=caused)
             crossings.append((first, before, here))
-            caused = True
         if crossings:
             here = self._launched([first for first, _, _ in crossings], here, arcs[0])
         for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
@@ -138,11 +136,9 @@ class GraphShifts:
                 here = end = self._end(arc, here, events)
             crossed: list[Event] = []
             while events and events[0].time <= arc.end_time:
-                event = events.pop(0)
-                before = self._before(event, here, arc, following, caused=bool(crossed))
-                here, bounces = self._after(
-                    event, before, arc, following, bounces, caused=bool(crossed)
-                )
+                event, caused = events.pop(0), bool(crossed)
+                before = self._before(event, here, arc, following, caused=caused)
+                here, bounces = self._after(event, before, arc, following, bounces, caused=caused)
                 if isinstance(event, ZenoPoint):
                     before = end = here
                 crossings.append((event, before, here))
