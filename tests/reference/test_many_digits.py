@@ -284,10 +284,10 @@ def test_a_model_that_is_not_analytic_is_refused_by_name() -> None:
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         q, v = ca.SX.sym("q"), ca.SX.sym("v")
         braked = HybridLagrangian.from_energies(
-            q=q, v=v, kinetic=v**2 / 2, potential=G * q, gap=q, passive_force=-ca.sign(v)
+            q=q, v=v, kinetic=v**2 / 2, potential=G * q, gap=q, passive_force=-ca.erf(v)
         )
         return hybrid_system(braked, no_drive(braked), p["restitution"])
 
     problem = replace(BALL, model=model)
-    with pytest.raises(TranslationError, match="one of them is `sign`"):
+    with pytest.raises(TranslationError, match="one of them is `erf`"):
         extended_execution(problem, problem.values(), (1.0, 0.0), until=1.0)

@@ -159,7 +159,7 @@ def _equilibrium(
     from zeno_orbits.proof import equilibrium_report
 
     state = list(problem.state_vector(named))
-    clock = problem.compiled().clock
+    clock = problem.clock
     if clock and not any(problem.state_names[k] in named for k in clock):
         state[clock[0]] = 1.0
     return equilibrium_report(problem, values, state)

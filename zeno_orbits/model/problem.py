@@ -178,17 +178,20 @@ class Problem(Declared):
             return False
 
     def one_stop_model(self, symbols: Mapping[str, ca.SX]) -> CompletedSystem:
-        """Return the completed system of a machine with one stop, no switch and no kink.
+        """Return the completed system of a machine with one stop and no declared switch.
+
+        Its formulas are as written, with their kinks.
 
         Args:
             symbols: Gains and parameters by name.
 
         Raises:
-            InputError: If the machine has several stops, a switch or a kink.
+            InputError: If the machine has several stops or a declared switch.
         """
         system = self.model(symbols)
-        if system.graph is not None:
-            raise _needs_one_stop(self, system.graph)
+        graph = system.graph
+        if graph is not None and (len(graph.stops) > 1 or graph.switches):
+            raise _needs_one_stop(self, graph)
         return system
 
     @property

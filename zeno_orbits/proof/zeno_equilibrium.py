@@ -107,6 +107,14 @@ class EquilibriumReport:
         return self.is_zeno_equilibrium and self.gap_acceleration < 0.0
 
 
+def _dynamics_at(problem: Problem, numbers: ParameterValues, state: Vector) -> HybridDynamics:
+    """Return the system of the stop, on the branch of the kinks at a state."""
+    if not problem.has_graph:
+        return problem.dynamics(numbers)
+    graph = problem.graph_dynamics(numbers)
+    return graph.view(((), graph.sides_at(state, graph.open_mode[1])), 0)
+
+
 def equilibrium_report(
     problem: Problem, numbers: ParameterValues, state: Sequence[float]
 ) -> EquilibriumReport:
@@ -121,7 +129,8 @@ def equilibrium_report(
         InputError: If the state violates a holonomic constraint, or if the neighbourhood cannot be
             computed: a restitution that is not constant, an operation without bounds.
     """
-    dynamics, x = problem.dynamics(numbers), np.array(state, dtype=np.float64)
+    x = np.array(state, dtype=np.float64)
+    dynamics = _dynamics_at(problem, numbers, x)
     own = dynamics.own
     off = dynamics.holonomic(x)
     if off.size and float(np.max(np.abs(off))) > _ON_STOP:
@@ -165,7 +174,8 @@ def zeno_neighbourhood(
         state: The Zeno equilibrium, ``(n_x,)``.
     """
     bounds = _Bounds(problem, numbers, state)
-    sizes = np.maximum(problem.dynamics(numbers).own.states(len(state)), np.abs(state))
+    own = _dynamics_at(problem, numbers, state).own
+    sizes = np.maximum(own.states(len(state)), np.abs(state))
     boxes = (sizes * 2.0**-k for k in range(_HALVINGS))
     sides = next((box for box in boxes if bounds.neighbourhood(box) is not None), None)
     if sides is None:
@@ -218,7 +228,7 @@ class _Bounds:
             k: _ball(Fraction(value), Fraction(0))
             for k, value in zip(places, numbers.vector, strict=True)
         }
-        self._restitution = problem.dynamics(numbers).restitution
+        self._restitution = _dynamics_at(problem, numbers, state).restitution
 
     def neighbourhood(self, sides: Vector) -> ZenoNeighbourhood | None:
         r"""Return the neighbourhood whose motions stay in a box, or ``None`` if none is found.
