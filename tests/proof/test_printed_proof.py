@@ -5,6 +5,7 @@ Each statement stands in docs/proof.md.
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import re
@@ -160,6 +161,33 @@ def test_orbits_over_the_same_coordinates_have_theorems_that_name_their_sheet(
         page = "\n".join(proof.lines())
         for texts in told[:2]:
             assert all(f"{state} = {text}" in page for state, text in texts.items())
+
+
+OTHER_SHEETS: dict[str, Any] = {
+    "both sheets": lambda centre, _: (centre, 3.0),
+    "the other sheet": lambda centre, radius: (-centre, radius),
+    "beside the sheet": lambda centre, radius: (centre + 0.25, radius),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_SHEETS)
+def test_a_certificate_whose_other_states_are_not_those_of_one_sheet_is_refused(name: str) -> None:
+    problem = sheets.problem_of("two sheets", 1.0)
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
+    false = copy.deepcopy(dict(zo.prove(orbit, problem=problem, radius=1e-9).certificate))
+    assert check_proof(false, problem).ok
+    box, places = false["passes"][0]["box"]["others"], false["section"]["places"]
+    which = [k for k in range(2, 5) if k not in places].index(2)
+    found = OTHER_SHEETS[name](
+        float(exact(box["centre"][which])), float(exact(box["radius"][which]))
+    )
+    for name, x in zip(("centre", "radius"), found, strict=True):
+        units = int(Fraction(x) * 2**200)
+        box[name][which] = f"{'-' if units < 0 else ''}0x{abs(units):x}p-200"
+    verdict = check_proof(false, problem)
+    assert not verdict.ok
+    assert verdict.conclusions() == []
+    assert "section" in verdict.verdict()
 
 
 def _decimal(text: str) -> str:
