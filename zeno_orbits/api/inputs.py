@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from functools import wraps
-from inspect import signature
+from inspect import Parameter, Signature, signature
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -25,6 +26,13 @@ Numbers = Mapping[str, float]
 
 Axis = tuple[str, float, float, int]
 """Name of a gain or parameter, its range, and the number of points along it."""
+
+_ALIASES = {
+    "Named": "str | Path | Problem",
+    "Numbers": "Mapping[str, float]",
+    "Axis": "tuple[str, float, float, int]",
+}
+"""The aliases of this module as signatures show them."""
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -49,7 +57,19 @@ def front_door(work: Callable[_P, _R]) -> Callable[_P, _R]:
         with line:
             return told(*args, **{**options, "on_progress": line})
 
+    opened: Any = shown
+    opened.__signature__ = _as_shown(signature(work))
     return shown
+
+
+def _as_shown(known: Signature) -> Signature:
+    """Return a signature in the words of a user, with aliases written out."""
+
+    def plain(one: Parameter) -> Parameter:
+        kind = re.sub(r"\w+", lambda found: _ALIASES.get(found[0], found[0]), str(one.annotation))
+        return one.replace(annotation=kind)
+
+    return known.replace(parameters=[plain(one) for one in known.parameters.values()])
 
 
 def plan_of(workers: int, plan: ExecutionPlan | None) -> ExecutionPlan | None:

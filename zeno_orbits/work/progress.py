@@ -39,8 +39,23 @@ def portion(on_progress: Progress, low: float, high: float) -> Progress:
     return tell
 
 
-def silent(_stage: str, _part: float | None, /) -> None:
-    """Ignore a report: the default of every ``on_progress``."""
+class _Silent:
+    """Ignores reports. It shows in signatures by its name."""
+
+    def __call__(self, _stage: str, _part: float | None, /) -> None:
+        """Ignore a report."""
+
+    def __repr__(self) -> str:
+        """Return the name."""
+        return "silent"
+
+    def __reduce__(self) -> str:
+        """Return the name, by which other processes find it."""
+        return "silent"
+
+
+silent: Progress = _Silent()
+"""Ignores every report: the default of every ``on_progress``."""
 
 
 def _logged(stage: str, part: float | None, /) -> None:
