@@ -108,6 +108,11 @@ TRAPS: dict[str, Callable[[Path, str], None]] = {
 }
 """What a file may be, and how it is made."""
 
+WITHOUT_CONTENT = (
+    *("a pipe", "an endless device", "a device", "a folder", "a link to nothing"),
+    *("a link in a circle", "eight gigabytes", "empty", "a number", "null", "deep lists"),
+    "an object without entries",
+)
 FAST = ("a pipe", "a folder", "eight gigabytes", "deep lists", "many names twice", "a path")
 
 
@@ -116,7 +121,12 @@ def _cases() -> list[object]:
         quick = trap in FAST and kind in ("orbit_1.json", "proof.json")
         return pytest.param(trap, kind, marks=() if quick else pytest.mark.slow)
 
-    return [mark(trap, kind) for trap in TRAPS for kind in KINDS]
+    spoiled = ("orbit_1.json", "orbit_3.json", "proof.json", "pushes.json")
+    return [
+        mark(trap, kind)
+        for trap in TRAPS
+        for kind in (("orbit_1.json",) if trap in WITHOUT_CONTENT else spoiled)
+    ]
 
 
 @contextmanager
