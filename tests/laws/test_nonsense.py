@@ -304,12 +304,13 @@ def ask(door: Door, key: str, bad: Any) -> str:
     return ""
 
 
-def failures(calls: list[tuple[Door, str, Any]]) -> list[str]:
+def failures(calls: list[tuple[Door, str, Any]], folder: Path) -> list[str]:
+    """Return what is wrong with the answers to calls, made in an empty folder."""
     found = list[str]()
     for door, key, bad in calls:
         fault = ask(door, key, bad)
         # A text is a sound path. What was written must not be read by another call.
-        for file in (path for path in Path().iterdir() if path.is_file()):
+        for file in (path for path in folder.iterdir() if path.is_file()):
             file.unlink()
         if fault:
             found.append(f"{door.name}({key}={str(bad)[:40]!r}): {fault}")
@@ -327,7 +328,7 @@ def test_nonsense_is_refused_in_one_line_that_names_the_argument(
     drawn = random.Random(2026)
     known = places()
     calls = [(*known[k % len(known)], drawn.choice(NONSENSE)) for k in range(900)]
-    assert failures(calls) == []
+    assert failures(calls, tmp_path) == []
 
 
 @pytest.mark.slow
@@ -336,4 +337,5 @@ def test_all_nonsense_is_refused_in_one_line_that_names_the_argument(
     bad: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert failures([(*place, NONSENSE[bad]) for place in places()]) == []
+    calls = [(*place, NONSENSE[bad]) for place in places()]
+    assert failures(calls, tmp_path) == []

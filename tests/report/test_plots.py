@@ -407,7 +407,7 @@ def test_the_suffix_says_the_format_and_the_bytes_repeat(
 
 @pytest.mark.parametrize("name", ["picture.gif", "picture", ".png"])
 def test_an_unknown_suffix_is_refused(name: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"`output` must end in \.png, \.pdf or \.svg, but"):
+    with pytest.raises(InputError, match=r"`path` must end in \.png, \.pdf or \.svg, but"):
         save_figure(Figure(), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 
@@ -31,7 +32,7 @@ from zeno_orbits.work import checked
 @checked
 def hybrid_system(
     lagrangian: HybridLagrangian,
-    drive: Drive | Auxiliary | Sequence[Drive | Auxiliary],
+    drive: Drive | Auxiliary | Sequence[Drive | Auxiliary] | Any,  # others are refused with hints
     restitution: ca.SX | float | None = None,
     *,
     switches: Sequence[Switch] | None = None,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError, did_you_mean, finite_number, shown
+from zeno_orbits.errors import InputError, did_you_mean, finite_number, shortened
 from zeno_orbits.model.units import powers_of
 from zeno_orbits.work import require_kinds
 
@@ -186,7 +186,7 @@ class ParameterValues:
 def _require_name(argument: str, name: str) -> None:
     if not name.isidentifier():
         wanted = "must be a word of letters, digits and underscores"
-        raise InputError(f"Argument `{argument}` {wanted}, but it is {shown(name)}.")
+        raise InputError(f"Argument `{argument}` {wanted}, but it is `{shortened(name)}`.")
 
 
 def require_unit(name: str, unit: str) -> None:

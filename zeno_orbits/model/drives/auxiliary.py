@@ -125,7 +125,7 @@ def joined_auxiliary(
     Raises:
         ValueError: If something else is among them, or two share a state.
     """
-    given = [drives] if isinstance(drives, Drive | Auxiliary) else list(drives)
+    given = list(drives) if isinstance(drives, Sequence) else [drives]
     parts = [one.drive(mechanism) if isinstance(one, Auxiliary) else _known(one) for one in given]
     if len(parts) == 1:
         return parts[0]
