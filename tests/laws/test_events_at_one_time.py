@@ -21,6 +21,7 @@ import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.mechanisms import machine_of
 from zeno_orbits.errors import ChatterError
+from zeno_orbits.simulation import GraphShifts, SimulationSettings, event_name
 
 G = 9.81
 LOCATED = 1e-10
@@ -225,6 +226,28 @@ def test_a_reset_into_a_closed_stop_is_an_impact(e: float, kick: float, first: f
     # The stop opens if the ball bounces.
     assert len(run.releases) == (e > 0.0)
     assert run.arcs[-1].closed == ("floor",)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_a_reset_whose_guard_goes_on_falling_occurs_once(e: float) -> None:
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        mechanism = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.sumsqr(v) / 2,
+            potential=G * q[1],
+            stops=(zo.Stop(name="floor", gap=q[1], restitution=p["e"]),),
+        )
+        bump = zo.Switch(name="bump", guard=1 - q[0], v_after=ca.vertcat(v[0], -2))
+        return zo.hybrid_system(mechanism, zo.no_drive(mechanism), switches=(bump,))
+
+    problem = machine_of(model, {"x": "m", "y": "m", "dx": "m/s", "dy": "m/s"}, {"e": e})
+    run = zo.simulate(problem, until=2.0, start={"dx": 2.0})
+    assert named(run, "switch") == [("switch bump", pytest.approx(0.5, abs=LOCATED))]
+    assert run.impacts[0].approach_rate == pytest.approx(-2.0, rel=LOCATED)
+    assert run.zeno_points[-1].time == pytest.approx(0.5 + 4 * e / (G * (1 - e)), abs=LOCATED)
+    assert run.end_state == pytest.approx([4.0, 0.0, 2.0, 0.0], abs=LOCATED)
 
 
 @pytest.mark.parametrize(("e", "kick"), [(0.5, 2.0), (0.0, 1.0)])
@@ -644,3 +667,72 @@ def test_an_orbit_of_an_earlier_file_without_that_release_passes() -> None:
     assert zo.verify(replace(orbit, events=events), problem=problem).passed
     wrong = tuple(event for event in orbit.events if event.name != "zeno floor")
     assert not zo.verify(replace(orbit, events=wrong), problem=problem).passed
+
+
+# Derivatives where events meet.
+
+
+def forced_masses(n: int, e: float) -> zo.Problem:
+    """Return `n` equal forced masses on springs, each with a stop."""
+
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v, clock = ca.SX.sym("q", n), ca.SX.sym("v", n), zo.Clock.at(p["omega"])
+        mechanism = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.sumsqr(v) / 2,
+            potential=ca.sumsqr(q) / 2,
+            passive_force=-0.3 * v,
+            applied_force=ca.repmat(2 * clock.cosine, n, 1),
+            clock=clock,
+            stops=tuple(zo.Stop(name=f"s{k}", gap=q[k] + 0.2, restitution=e) for k in range(n)),
+        )
+        return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
+
+    states = {f"x{k}": "m" for k in range(n)} | {f"v{k}": "m/s" for k in range(n)}
+    return machine_of(model, states | {"cosine": "1", "sine": "1"}, {"omega": 2.0})
+
+
+def struck_twice(x: float, v: float, e: float) -> tuple[float, float]:
+    """Return time and speed of the second impact of one mass, by SciPy alone."""
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        return np.array([y[1], 2 * math.cos(2 * t) - 0.3 * y[1] - y[0]])
+
+    def gap(_: float, y: np.ndarray) -> float:
+        return float(y[0]) + 0.2
+
+    gap.terminal, gap.direction = True, -1.0  # type: ignore[attr-defined]
+    t, y, speed = 0.0, np.array([x, v]), 0.0
+    for _ in range(2):
+        found: Any = solve_ivp(rate, (t, t + 9), y, "DOP853", events=gap, rtol=1e-12, atol=1e-13)
+        t, speed = float(found.t[-1]), -float(found.y[1, -1])
+        y = np.array([-0.2, e * speed])
+    return t, speed
+
+
+@pytest.mark.parametrize(("e", "v"), [(0.5, 0.0), (0.7, 0.0), (0.8, 1.0), (0.6, -1.0), (0.4, 0.5)])
+def test_derivatives_where_masses_are_struck_together_are_those_of_each(e: float, v: float) -> None:
+    problem = forced_masses(2, e)
+    start = {"x0": 0.5, "x1": 0.5, "v0": v, "v1": v, "cosine": 1.0}
+    time, speed = struck_twice(0.5, v, e)
+    run = zo.simulate(problem, until=time + 0.01, start=start)
+    assert sorted(name for name, _ in named(run)) == ["impact s0"] * 2 + ["impact s1"] * 2
+    graph = problem.graph_dynamics(problem.values())
+    shifts = GraphShifts(graph=graph, chosen=(), tolerance=SimulationSettings().tolerance)
+    crossings = list(shifts.along(run))
+    h = 1e-5
+    columns = [
+        np.subtract(
+            struck_twice(0.5 + h * a, v + h * b, e), struck_twice(0.5 - h * a, v - h * b, e)
+        )
+        / (2 * h)
+        for a, b in ((1.0, 0.0), (0.0, 1.0))
+    ]
+    for event, before, _ in crossings[2:]:
+        k = int(event_name(event)[-1])
+        assert event.time == pytest.approx(time, abs=1e-9)
+        assert before.state[2 + k, [k, 2 + k]] == pytest.approx([-c[1] for c in columns], abs=1e-6)
+        assert before.time[[k, 2 + k]] == pytest.approx([c[0] for c in columns], abs=1e-6)
+        assert before.state[2 + k, [1 - k, 3 - k]] == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert -run.impacts[-1].approach_rate == pytest.approx(speed, abs=1e-9)

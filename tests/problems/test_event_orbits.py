@@ -29,6 +29,9 @@ def test_the_walker_with_plastic_knees_has_the_published_gait() -> None:
     orbit = _orbit("kneed_walker", restitution=0.0)
     assert orbit.certificate["passed"]
     assert orbit.sequence == ("zeno knee", "switch heel strike")
+    # The swing knee is free after heel strike, with which the period ends.
+    released = orbit.certificate["quantities"]["knee.release_time"]
+    assert released == pytest.approx([0.56457806957] * 2, abs=1e-10)
     assert orbit.period == pytest.approx(0.56457806957, abs=1e-10)
     knee = orbit.events[0]
     assert knee.time == pytest.approx(0.34881592073, abs=1e-10)

@@ -363,6 +363,7 @@ class _Walk(_Loop):
         self.branches: tuple[bool, ...] = ()
         self.touching: set[int] = set()
         self.just: tuple[str, int] | None = None
+        self.fired: tuple[float, int] | None = None
         self.first = 1e-3
         self.approach = math.nan
         self.sequence: list[tuple[float, float, Array]] = []
@@ -419,7 +420,7 @@ class _Walk(_Loop):
                 offset[i], armed[i] = start[i], False
             elif what == "gap" and start[i] < 1e-13 and self.gap_rate(k, self.y) < 0.0:
                 raise Refused("SimultaneousEventsError", self.t, "impacts in a corner")
-            elif what == "switch" and at_zero and self.just != (what, k) and self.falls(k):
+            elif what == "switch" and at_zero and self.fired != (self.t, k) and self.falls(k):
                 self.switch(k)
                 return
             elif self.just == (what, k) or (what in ("switch", "kink") and at_zero):
@@ -653,6 +654,7 @@ class _Walk(_Loop):
     def switch(self, j: int) -> None:
         before = self.y.copy()
         reset = self.m.resets[j]
+        self.fired = self.t, j
         recent = [e.time for e in self.run.events if e.kind == "switch" and e.name == reset.name]
         if len(recent) > 1:
             last, before_last = self.t - recent[-1], recent[-1] - recent[-2]
@@ -662,12 +664,15 @@ class _Walk(_Loop):
         self.y = np.concatenate([q, v, z])
         touching: list[int] = []
         flying: list[int] = []
+        struck: list[int] = []
         for k, contact in enumerate(self.m.contacts):
             gap, rate = contact.gap(q), self.gap_rate(k, self.y)
             small = 1e-9 if k in self.closed else 1e-12
-            if gap < -1e-9 or (abs(gap) <= small and rate < -1e-9):
+            if gap < -1e-9:
                 raise Refused("PenetrationError", self.t)
-            if abs(gap) <= small:
+            if abs(gap) <= small and rate < -1e-9:
+                struck.append(k)
+            elif abs(gap) <= small:
                 (touching if abs(rate) <= 1e-9 else flying).append(k)
         self.sequence = []
         index = len(self.run.events)
@@ -676,7 +681,14 @@ class _Walk(_Loop):
         releases = self.run.events[index:]
         del self.run.events[index:]
         self.note("switch", reset.name, before)
-        self.run.events += releases
+        # A stop that is struck by a plastic impact does not open.
+        plastic = [self.m.contacts[k].name for k in struck if self.m.contacts[k].restitution == 0.0]
+        self.run.events += [one for one in releases if one.name not in plastic]
+        if len(struck) > 1:
+            raise Refused("SimultaneousEventsError", self.t, "a reset strikes two stops")
+        if struck:
+            self.approach = math.nan
+            self.impact(struck[0])
 
     def impact(self, k: int) -> None:
         before, contact = self.y.copy(), self.m.contacts[k]

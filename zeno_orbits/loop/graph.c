@@ -551,7 +551,7 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
         kinds[n] = other ? other->kind : main;
         indices[n] = other ? other->index : focus;
         if (kinds[n] == ZL_IMPACT) {
-            if (first < 0) first = n;
+            if (first < 0 || indices[n] < indices[first]) first = n;
             struck |= BIT(indices[n]);
         } else if (kinds[n] != ZL_SWITCH || indices[n] < graph->n_declared) {
             all_commute = 0;
@@ -784,11 +784,11 @@ static int occurs_at_once(Graph *g, int k, int *at_once) {
     const zl_start *start = &g->m.run->start;
     const long long n = graph->n_row[k];
     *at_once = 0;
-    if (graph->last_kind == ZL_HORIZON && start->time == 0.0)
+    if (!graph->has_events && start->time == 0.0)
         return tell(&g->m, ZL_ARMED, start->time, start->state, k);
     if (!(n && graph->row_times[k][n - 1] == start->time))
         *at_once = 1;
-    else if (!(graph->last_kind == ZL_SWITCH && graph->last_index == k))
+    else if (graph->last_switch != k)
         return tell(&g->m, ZL_ACCUMULATE, start->time, start->state, k);
     return GO_ON;
 }
@@ -1364,7 +1364,7 @@ static int admit_to_graph(Graph *g) {
     run->graph.above = run->graph.rest = run->graph.focus = 0;
     run->graph.flipped = 0;
     run->graph.flipped_time = NAN;
-    run->graph.last_kind = ZL_HORIZON;
+    run->graph.has_events = 0;
     take_sides(g, x);
     look(g, 0, 0);
     start_without_speed(run, ZL_FREE, 0.0);

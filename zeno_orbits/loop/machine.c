@@ -19,11 +19,8 @@ static void write_event_of(const Machine *m, int kind, long long index, double t
     row[1] = time;
     memcpy(row + 2, numbers, 3 * sizeof(double));
     row[5] = (double)index;
-    if (kind != ZL_RELEASE) {
-        m->run->graph.last_kind = kind;
-        m->run->graph.last_index = index;
-        m->run->graph.last_time = time;
-    }
+    m->run->graph.has_events = 1;
+    if (kind == ZL_SWITCH && index < m->graph->n_declared) m->run->graph.last_switch = index;
     memcpy(row + ZL_EVENT_WIDTH, before, n_x * sizeof(double));
     memcpy(row + ZL_EVENT_WIDTH + n_x, after, n_x * sizeof(double));
     records->n_events++;

@@ -38,8 +38,8 @@ typedef struct {
     /* The sequence of impacts that a kink may have split, and the kinks that split its flights. */
     long long has_current, current_rest, current_focus, split_before, split_present;
     long long flipped; /* the switches of which a start was on the wrong side at `flipped_time` */
-    long long n_switches, last_kind, last_index;
-    double flipped_time, last_time;
+    long long n_switches, has_events, last_switch;
+    double flipped_time;
     long long n_turn, turn_stops[IN_TURN], n_row[ZL_GUARDS];
     double turn_times[IN_TURN], row_times[ZL_GUARDS][IN_ROW];
     /* Of the present arc: what it is, whether every guard is followed to its end, and its window. */

@@ -25,6 +25,7 @@ from .events.margins import contacts_of as contacts_of
 from .events.margins import margins_of_return as margins_of_return
 from .events.event_orbit import EventOrbit as EventOrbit
 from .events.event_orbit import OrbitEvent as OrbitEvent
+from .events.event_orbit import caused_releases as caused_releases
 from .events.event_orbit import events_as_listed as events_as_listed
 from .events.event_orbit import lasting_events as lasting_events
 from .events.event_orbit import orbit_event_name as orbit_event_name

@@ -44,7 +44,6 @@ from zeno_orbits.simulation.event_rules import stop_holds
 from zeno_orbits.simulation.execution import (
     Arc,
     Ending,
-    Event,
     Execution,
     Impact,
     Mode,
@@ -247,11 +246,6 @@ class GraphRun(ReferenceRun):
         return self._placed(0.0, x, None)
 
     # What the reference asks of a run that has more than one stop.
-
-    @property
-    def last_event(self) -> Event | None:
-        """The last event that is no release, if there is one."""
-        return next((one for one in reversed(self.events) if not isinstance(one, Release)), None)
 
     @property
     def place(self) -> object:
@@ -747,7 +741,8 @@ class GraphRun(ReferenceRun):
         ):
             first, second = (self._event_of(*event) for event in events[:2])
             raise coincide(first, second, arc.end_time, x)
-        self._require_apart(sorted(impacts), closed, arc.end_time, x)
+        impacts.sort()
+        self._require_apart(impacts, closed, arc.end_time, x)
         return Kind.GAP, impacts[0]
 
     def _main_is_zero(self, start: ArcStart, x: Vector) -> bool:
@@ -862,14 +857,18 @@ class GraphRun(ReferenceRun):
 
         Raises:
             SimulationError: If it is the start of the execution.
-            ChatterError: If another event led back to the switch at the same time.
+            ChatterError: If another switch led back to it at the same time.
         """
-        name, last = self.graph.switch_names[s], self.last_event
-        if last is None and start.time == 0.0:
+        name, declared = (
+            self.graph.switch_names[s],
+            self.graph.switch_names[: self.graph.n_declared],
+        )
+        if not self.events and start.time == 0.0:
             raise armed_at_start(name, start.time, start.state)
         if start.time not in self.seen.switches.get(name, ())[-1:]:
             return True
-        if not (isinstance(last, SwitchEvent) and last.name == name):
+        switches = (one.name for one in reversed(self.events) if isinstance(one, SwitchEvent))
+        if name != next(one for one in switches if one in declared):
             raise switches_accumulate(name, start.time, start.state)
         return False
 

@@ -27,6 +27,7 @@ from zeno_orbits.orbits import (
     EventReturn,
     Multipliers,
     OrbitEvent,
+    caused_releases,
     event_return,
     events_as_listed,
     extrapolated,
@@ -43,6 +44,7 @@ from zeno_orbits.simulation import (
     Event,
     Execution,
     Impact,
+    Release,
     SimulationSettings,
     ZenoPoint,
     simulate,
@@ -73,6 +75,7 @@ class _Period:
 
     Attributes:
         events: Its events.
+        opened: Releases that its last event causes, at the start of the next period.
         arcs: Its arcs.
         start: When it starts [s].
         end: When it ends [s].
@@ -80,6 +83,7 @@ class _Period:
     """
 
     events: tuple[Event, ...]
+    opened: tuple[Release, ...]
     arcs: tuple[Arc, ...]
     start: float
     end: float
@@ -220,12 +224,13 @@ def _split(execution: Execution, section: str, n_returns: int) -> Iterator[_Peri
         if count % n_returns == 0:
             yield _Period(
                 events=execution.events[first : place + 1],
+                opened=(opened := caused_releases(execution.events, place)),
                 arcs=tuple(a for a in execution.arcs if begin <= a.start_time < event.time),
                 start=begin,
                 end=event.time,
                 state=state_after(event),
             )
-            begin, first = event.time, place + 1
+            begin, first = event.time, place + 1 + len(opened)
 
 
 def _said(problem: Problem, event: OrbitEvent) -> tuple[str, float, Vector]:
@@ -339,7 +344,10 @@ def _quantities(
 ) -> dict[str, tuple[float, float]]:
     """Return the range of each quantity of the events of the first period."""
     found = EventQuantities(
-        graph=graph, start=start, period=period.end - period.start, events=period.events
+        graph=graph,
+        start=start,
+        period=period.end - period.start,
+        events=(*period.events, *period.opened),
     )
     return {name: (one.lowest, one.highest) for name, one in found.table().items()}
 

@@ -142,6 +142,21 @@ def events_as_listed(events: Sequence[Event], sequence: Sequence[str]) -> list[E
     return [one for one in events if not (isinstance(one, Release) and one.time in switches)]
 
 
+def caused_releases(events: Sequence[Event], place: int) -> tuple[Release, ...]:
+    """Return the releases that an event causes.
+
+    Args:
+        events: Events in order.
+        place: Index of the event.
+    """
+    found: list[Release] = []
+    for event in events[place + 1 :]:
+        if not isinstance(event, Release) or event.time != events[place].time:
+            break
+        found.append(event)
+    return tuple(found)
+
+
 def sequence_as_listed(events: Sequence[Event], sequence: Sequence[str]) -> tuple[str, ...]:
     """Return the event sequence of a period as an orbit lists it.
 

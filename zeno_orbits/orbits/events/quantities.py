@@ -141,8 +141,8 @@ class EventQuantities:
             graph=graph,
             start=found.start,
             period=found.period,
-            events=found.events,
-            shifts=found.shifts,
+            events=(*found.events, *found.opened),
+            shifts=(*found.shifts, *found.shifts[-1:] * len(found.opened)),
             parameters=tuple(parameters),
         )
 

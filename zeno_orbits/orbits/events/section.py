@@ -19,6 +19,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits.events.event_orbit import (
+    caused_releases,
     orbit_event_name,
     phases_of_events,
     sequence_as_listed,
@@ -152,6 +153,11 @@ class EventReturn:
     events: tuple[Event, ...]
     execution: Execution
     differentiation: GraphShifts
+
+    @property
+    def opened(self) -> tuple[Release, ...]:
+        """Releases that the last event causes, at the start of the next return."""
+        return caused_releases(self.execution.events, len(self.events) - 1)
 
     @property
     def by_state(self) -> Vector:

@@ -124,8 +124,6 @@ class GraphShifts:
             before = self._before(first, here, arcs[0], arcs[0], caused=caused)
             here, bounces = self._after(first, before, arcs[0], arcs[0], bounces, caused=caused)
             crossings.append((first, before, here))
-        if crossings:
-            here = self._launched([first for first, _, _ in crossings], here, arcs[0])
         for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
             if arc.ending is Ending.HORIZON:
                 if to_horizon:
@@ -134,18 +132,17 @@ class GraphShifts:
             start = end = here
             if arc.ending is not Ending.ZENO:
                 here = end = self._end(arc, here, events)
-            crossed: list[Event] = []
+            crossed = False
             while events and events[0].time <= arc.end_time:
-                event, caused = events.pop(0), bool(crossed)
+                event, caused = events.pop(0), crossed
                 before = self._before(event, here, arc, following, caused=caused)
                 here, bounces = self._after(event, before, arc, following, bounces, caused=caused)
                 if isinstance(event, ZenoPoint):
                     before = end = here
                 crossings.append((event, before, here))
-                crossed.append(event)
+                crossed = True
             if not crossed and arc.ending is not Ending.SWITCH:
                 raise _touched(arc)
-            here = self._launched(crossed, here, following)
             yield ArcPassage(arc=arc, start=start, end=end, crossings=tuple(crossings))
             crossings = []
 
@@ -231,7 +228,7 @@ class GraphShifts:
             The state, ``(n_x,)``, and its derivatives, ``(n_x, m)``.
         """
         arc = passage.arc
-        perturbations = self._of(arc, self.graph.stop_names.index(stop))
+        perturbations = self._of(arc, self._index(stop))
         by_state = perturbations.differentials.resting(arc.start_state)[: arc.start_state.size]
         resting = perturbations.dynamics.resting(arc.start_state)
         return resting.state, self._total(by_state, passage.start)
@@ -240,7 +237,7 @@ class GraphShifts:
         start = self._of(arc, self._some_stop(arc)).at_start()
         if not arc.stop:
             return start
-        return self._of(arc, self.graph.stop_names.index(arc.stop)).launched(arc.start_state)
+        return self._of(arc, self._index(arc.stop)).launched(arc.start_state)
 
     def _of(self, arc: Arc, stop: int) -> VariationalEquation:
         """Return the derivatives of a stop in the mode of an arc, with that stop open."""
@@ -274,7 +271,7 @@ class GraphShifts:
         """Return the derivatives of the end of an arc, before any reset."""
         event = events[0] if events and events[0].time <= arc.end_time else None
         if isinstance(event, Impact):
-            stop = self.graph.stop_names.index(event.stop)
+            stop = self._index(event.stop)
             if arc.stop in ("", event.stop):
                 return self._of(arc, stop).flown(arc, start)
             gradient = self._of(arc, stop).differentials.contact(arc.end_state)[GAP]
@@ -284,7 +281,7 @@ class GraphShifts:
                 time=moved.time, state=moved.state, rate=self._total(rate, moved)
             )
         if isinstance(event, Release):
-            stop = self.graph.stop_names.index(event.stop)
+            stop = self._index(event.stop)
             gradient = self._of(arc, stop).differentials.contact(arc.end_state)[MULTIPLIER]
             return self._crossed(arc, start, gradient)
         switch = self._switch_of(arc, event)
@@ -328,7 +325,7 @@ class GraphShifts:
     ) -> tuple[VariationalEquation, Mode, Vector, Vector]:
         """Return the flow of an arc, with the perturbations of its start and its parameters."""
         if arc.stop:
-            perturbations = self._of(arc, self.graph.stop_names.index(arc.stop))
+            perturbations = self._of(arc, self._index(arc.stop))
             v = np.concatenate([start.state, np.zeros((2, start.state.shape[1]))])
             q = np.concatenate([perturbations.parameters, start.rate[None, :]])
             return perturbations, Mode.FREE, v, q
@@ -361,9 +358,12 @@ class GraphShifts:
             # Only the impacts of one stop in one mode accumulate.
             goes_on = [one.impact.stop for one in bounces[-1:]] == [event.stop]
             goes_on = goes_on and arc.closed == following.closed
-            return after, perturbations.joined(bounces if goes_on else [], event, after)
+            bounces = perturbations.joined(bounces if goes_on else [], event, after)
+            if following.stop == event.stop:
+                return after, bounces
+            return self._launched(after, event.time, event.state_plus, following), bounces
         if isinstance(event, ZenoPoint):
-            stop = self.graph.stop_names.index(event.stop)
+            stop = self._index(event.stop)
             perturbations = self._of(following, stop)
             if event.tail == 0.0:
                 impact, shift = bounces[-1].impact, bounces[-1].shift
@@ -372,7 +372,7 @@ class GraphShifts:
         if isinstance(event, Release):
             if caused:
                 return here, bounces
-            stop = self.graph.stop_names.index(event.stop)
+            stop = self._index(event.stop)
             perturbations = self._of(following, stop)
             by_state = perturbations.differentials.resting(arc.end_state)[:n_x]
             return self._moved(here, by_state), []
@@ -380,25 +380,33 @@ class GraphShifts:
         if switch >= self.graph.n_declared:
             return here, bounces
         derivative = self.graph.reset_derivative(switch, event.state_minus, self.chosen)
-        return self._moved(here, derivative), []
+        after = self._moved(here, derivative)
+        return self._launched(after, event.time, event.state_plus, following), []
 
     def _launched(
-        self, events: Sequence[Event], here: SaltationDerivative, following: Arc
+        self, after: SaltationDerivative, time: float, x: Vector, following: Arc
     ) -> SaltationDerivative:
-        """Return the derivatives at the start of an arc from a stop that is left without an impact.
+        """Return the derivatives where the stop that is left after an event is left."""
+        if not following.stop or following.start_time != time:
+            return after
+        return self._on_gap(after, x, self._of(following, self._index(following.stop)))
 
-        Args:
-            events: The events at the start of the arc.
-            here: Derivatives after them.
-            following: The arc.
-        """
-        struck = [event.stop for event in events if isinstance(event, Impact)]
-        if not (events and following.stop) or following.stop in struck:
-            return here
-        stop = self.graph.stop_names.index(following.stop)
-        contact = self._of(following, stop).differentials.contact(following.start_state)
-        rate = self._total(contact[GAP_RATE], here)
-        return SaltationDerivative(time=here.time, state=here.state, rate=rate)
+    def _on_gap(
+        self, here: SaltationDerivative, x: Vector, perturbations: VariationalEquation
+    ) -> SaltationDerivative:
+        """Return the derivatives moved along the free flow to the zero of a gap, with its rate."""
+        contact, rates = perturbations.differentials.contact(x), perturbations.dynamics.free.rate(x)
+        delay = -self._total(contact[GAP], here) / float(contact[GAP][: x.size] @ rates)
+        moved = SaltationDerivative(
+            time=here.time + delay,
+            state=here.state + rates[:, None] * delay,
+            rate=np.zeros_like(here.rate),
+        )
+        rate = self._total(contact[GAP_RATE], moved)
+        return SaltationDerivative(time=moved.time, state=moved.state, rate=rate)
+
+    def _index(self, stop: str) -> int:
+        return self.graph.stop_names.index(stop)
 
     def _struck(self, impact: Impact, arc: Arc, following: Arc) -> VariationalEquation:
         """Return the derivatives of an impact in the mode that keeps its closed stops.
@@ -407,12 +415,12 @@ class GraphShifts:
         """
         kept: list[str] = []
         for name in arc.closed:
-            view = self.graph.view(self.graph.open_mode, self.graph.stop_names.index(name))
+            view = self.graph.view(self.graph.open_mode, self._index(name))
             rate = abs(view.gap_rate(impact.state_plus))
             if name != impact.stop and rate <= _RESTS * abs(impact.approach_rate):
                 kept.append(name)
         closed, _ = self.graph.mode_of(kept, ())
-        return self._at((closed, following.sides), self.graph.stop_names.index(impact.stop))
+        return self._at((closed, following.sides), self._index(impact.stop))
 
     def _before(
         self,
@@ -429,17 +437,11 @@ class GraphShifts:
         """
         if not isinstance(event, Impact) or (here.rate.any() and not caused):
             return here
-        perturbations, x = self._struck(event, arc, following), event.state_minus
-        contact = perturbations.differentials.contact(x)
         if caused:
-            stop = self.graph.stop_names.index(event.stop)
-            rates = self._of(following, stop).dynamics.free.rate(x)
-            delay = -self._total(contact[GAP], here) / float(contact[GAP][: x.size] @ rates)
-            here = SaltationDerivative(
-                time=here.time + delay,
-                state=here.state + rates[:, None] * delay,
-                rate=np.zeros_like(here.rate),
+            return self._on_gap(
+                here, event.state_minus, self._of(following, self._index(event.stop))
             )
+        contact = self._struck(event, arc, following).differentials.contact(event.state_minus)
         rate = self._total(contact[GAP_RATE], here)
         return SaltationDerivative(time=here.time, state=here.state, rate=rate)
 
