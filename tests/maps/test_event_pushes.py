@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
-from tests.reference.event_loop import Accuracy, complementary, simulated
+from tests.reference.event_loop import Accuracy, Contact, Machine, complementary, simulated
 from tests.reference.kneed_walker import motors, walker
 from zeno_orbits.cli import main
 from zeno_orbits.maps import pushed, read_pushes
@@ -203,3 +204,131 @@ def test_the_command_pushes_an_orbit_of_events(tmp_path: Path) -> None:
     launch = math.sqrt(2 * 20.0 * 0.1 / (1 - 0.5**2)) * 0.5
     assert found.least.largest == pytest.approx(launch, rel=2e-3)
     assert sum(math.isfinite(one.largest) for one in found.pushes) == 1
+
+
+# Orbits of events of machines that declare one stop.
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "vibrating_table",
+        "motor_valve",
+        "impact_oscillator",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("forced_oscillator", "torque_pendulum", "solenoid", "motor_cart")
+        ),
+    ],
+)
+def test_a_stable_orbit_of_events_is_pushed_as_the_same_orbit_with_one_stop(name: str) -> None:
+    plain = zo.find_orbit(name).orbit
+    assert plain is not None
+    section = "release stop" if plain.shape.starts_at_release else "impact stop"
+    orbit = zo.find_event_orbit(name, section=section)
+    settings = zo.PushSettings(phases=2, steps=2, reach=0.1)
+    pushes = [zo.largest_push(one, settings=settings) for one in (plain, orbit)]
+    for one, other in zip(pushes[0].pushes, pushes[1].pushes, strict=True):
+        assert one.mode == other.mode
+        assert one.largest == pytest.approx(other.largest, rel=1e-3, nan_ok=True)
+    # A period may also start at its Zeno point.
+    if section == "release stop":
+        orbit = zo.find_event_orbit(name, section="zeno stop")
+        found = zo.largest_push(orbit, settings=replace(settings, phases=1, steps=1))
+        assert found.spectral_radius == pytest.approx(pushes[0].spectral_radius, abs=1e-6)
+
+
+def _oscillator(place: float, speed: float, angle: float, turns: int) -> list[float]:
+    """Return the times of the impacts of the oscillator, from an own event loop [turns]."""
+    values = RESONANT
+    stop = Contact(
+        name="stop",
+        gap=lambda q: float(q[0]),
+        normal=lambda _: np.array([1.0]),
+        restitution=0.8,
+    )
+    turn = 2 * math.pi / values["omega"]
+
+    def force(t: float, q: np.ndarray, v: np.ndarray, *_: object) -> np.ndarray:
+        return values["stop"] - q - 0.1 * v - math.cos(values["omega"] * t + angle)
+
+    machine = Machine(n=1, mass=lambda _: np.eye(1), force=force, contacts=(stop,))
+    run = simulated(machine, (place, speed), turns * turn, accuracy=Accuracy(tolerance=1e-8))
+    assert run.refused is None
+    return [event.time / turn for event in run.events]
+
+
+RESONANT = {"omega": 1.2, "stop": 1.7 / math.hypot(1 - 1.2**2, 0.12)}
+"""An oscillator that either strikes its stop, or stays below it."""
+
+
+@pytest.mark.slow
+def test_the_largest_push_of_an_orbit_of_events_with_one_stop_separates_the_motions() -> None:
+    orbit = zo.find_event_orbit(
+        "impact_oscillator", parameters=RESONANT, start={"cosine": 1.0, "speed": 5.0}
+    )
+    settings = zo.PushSettings(phases=6, steps=24, reach=2.0, error=1e-3)
+    found = zo.largest_push(orbit, settings=settings)
+    lost = [push for push in found.pushes if math.isfinite(push.largest)]
+    assert len(lost) >= 2
+    for push in sorted(lost, key=lambda one: one.largest)[:2]:
+        state = _state_at(orbit, push.phase)
+        angle = math.atan2(state["sine"], state["cosine"])
+        for impulse in (0.99 * push.largest, push.largest + 3 * push.error):
+            speed = state["speed"] + push.direction["distance"] * impulse
+            strikes = _oscillator(state["distance"], speed, angle, 30)
+            assert (max(strikes, default=0.0) > 29) == (impulse < push.largest)
+
+
+def _valley(mirrored: bool) -> zo.Problem:
+    """Return a mass in two valleys between two stops, which starts in one of the valleys."""
+
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        clock = zo.Clock.at(p["omega"])
+        mass = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=v**2 / 2,
+            potential=(q**2 - 1) ** 2,
+            passive_force=-0.3 * v,
+            applied_force=0.5 * clock.cosine,
+            clock=clock,
+            stops=(
+                zo.Stop(name="right", gap=1.1 - q, restitution=0.5),
+                zo.Stop(name="left", gap=1.1 + q, restitution=0.5),
+            ),
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass))
+
+    side = -1.0 if mirrored else 1.0
+    return zo.Problem(
+        name="valley",
+        title="mass in two valleys",
+        source="tests",
+        state_names=("q", "v", "cosine", "sine"),
+        state_units=("m", "m/s", "1", "1"),
+        parameters=(zo.Quantity.positive("omega", 2.0, "rad/s", "frequency"),),
+        gains=(),
+        model=model,
+        starts=({"q": side, "cosine": side},),
+        portraits=(("q", "v"),),
+        amplitude_of="q",
+    )
+
+
+def test_mirror_images_of_an_orbit_have_the_same_pushes() -> None:
+    settings = zo.PushSettings(phases=2, steps=6, reach=1.0, error=1e-3)
+    found: list[list[float]] = []
+    for mirrored in (False, True):
+        problem = _valley(mirrored)
+        orbit = zo.find_event_orbit(problem)
+        assert {name.partition(" ")[2] for name in orbit.sequence} == {
+            "left" if mirrored else "right"
+        }
+        pushes = zo.largest_push(orbit, problem=problem, settings=settings).pushes
+        found.append([push.largest for push in (pushes[::-1] if mirrored else pushes)])
+    # A mirrored push has the other sense. Both senses of a phase follow each other.
+    first = np.array(found[0]).reshape(-1, 2)
+    second = np.array(found[1]).reshape(-1, 2)[::-1]
+    assert second == pytest.approx(first, rel=2e-3, nan_ok=True)

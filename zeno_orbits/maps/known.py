@@ -13,7 +13,8 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.maps.attempt import Accuracy
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
 from zeno_orbits.maps.crossings import Follower, ReleaseRecord
-from zeno_orbits.simulation import MotionEnd, scale_of
+from zeno_orbits.orbits import orbit_event_name
+from zeno_orbits.simulation import Event, Impact, MotionEnd, Release, scale_of
 
 _NEAR = 0.01
 """Distance from an orbit, in units of `1 - rho`, below which the return map is nearly linear."""
@@ -67,6 +68,12 @@ class KnownOrbit:
     @cached_property
     def _arrays(self) -> tuple[Vector, Vector]:
         return np.array(self.states), np.array(self.scale)
+
+    def is_at(self, event: Event) -> bool:
+        """Return True if an event of a motion lies on the section."""
+        if self.section:
+            return orbit_event_name(event) == self.section
+        return isinstance(event, Release if self.at_releases else Impact)
 
     def passes(self, state: Vector) -> bool:
         """Return True if a state on the section is a state of the orbit."""

@@ -47,8 +47,8 @@ from zeno_orbits.model import (
     ProblemFile,
     unknown,
 )
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit, orbit_event_name
-from zeno_orbits.simulation import Arc, Mode, simulate, simulator_in_use, state_after
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.simulation import Mode, simulate, simulator_in_use, state_after
 from zeno_orbits.work import (
     Columns,
     ExecutionPlan,
@@ -323,11 +323,10 @@ def pushed(
         closed: Indices of the stops at zero gap and gap rate.
     """
     after = state.copy()
+    views = [_views(system)[k] for k in closed]
     if isinstance(system, GraphDynamics):
-        views = [system.view(system.open_mode, k) for k in closed]
         matrix = system.delassus(state)[np.ix_(closed, closed)]
     else:
-        views = [system for _ in closed]
         matrix = np.full((len(closed), len(closed)), 1.0 / system.normal_inertia(state))
     speeds = slice(system.n_q, 2 * system.n_q)
     after[speeds] += change
@@ -639,27 +638,30 @@ def _meets(
 ) -> bool:
     """Return True if the start of an orbit is a state of a known orbit."""
     start = np.array(problem.state_vector(orbit.start_state))
-    if not isinstance(orbit, EventOrbit):
-        return known.passes(start)
     # Its period may start at another event.
-    turned = simulate(problem.graph_dynamics(values), start, until=1.5 * orbit.period)
+    turned = simulate(system_of(problem, values), start, until=1.5 * orbit.period)
     return any(
         known.passes(np.asarray(state_after(event)))
         for event in turned.events
-        if orbit_event_name(event) == known.section
+        if known.is_at(event)
     )
 
 
-def _touched(graph: GraphDynamics, arc: Arc, state: Vector) -> tuple[int, ...]:
-    """Return the indices of the stops that are closed in an arc, or at zero gap and gap rate."""
-    touched = list[int]()
-    for k, name in enumerate(graph.stop_names):
-        view = graph.view(graph.open_mode, k)
-        gap, rate = abs(view.gap(state)), abs(view.gap_rate(state))
-        touches = gap <= _TOUCHES * view.own.gap and rate <= _TOUCHES * view.own.gap_rate
-        if touches or name in arc.closed:
-            touched.append(k)
-    return tuple(touched)
+def _touched(system: HybridDynamics | GraphDynamics, state: Vector) -> tuple[int, ...]:
+    """Return the indices of the stops at zero gap and gap rate."""
+    return tuple(
+        k
+        for k, view in enumerate(_views(system))
+        if abs(view.gap(state)) <= _TOUCHES * view.own.gap
+        and abs(view.gap_rate(state)) <= _TOUCHES * view.own.gap_rate
+    )
+
+
+def _views(system: HybridDynamics | GraphDynamics) -> list[HybridDynamics]:
+    """Return the system of each stop, with the other stops open."""
+    if isinstance(system, HybridDynamics):
+        return [system]
+    return [system.view(system.open_mode, k) for k in range(len(system.stop_names))]
 
 
 def _moments(
@@ -673,25 +675,16 @@ def _moments(
     states = motion.states_at(np.array(times))
     mobilities, _ = problem.inverse_masses(values, states)
     _, energies = problem.inverse_masses(values, motion.sampled(40)[1])
-    moments: list[_Moment] = []
-    for k, time in enumerate(times):
-        arc = next(arc for arc in motion.arcs if time < arc.end_time)
-        if isinstance(system, GraphDynamics):
-            closed = _touched(system, arc, states[k])
-        else:
-            # At a release the state is on the stop, with gap rate zero.
-            released = isinstance(orbit, ZenoOrbit) and orbit.shape.starts_at_release
-            closed = (0,) if arc.mode is Mode.LOCKED or (k == 0 and released) else ()
-        moments.append(
-            _Moment(
-                phase=k / phases,
-                state=tuple(states[k].tolist()),
-                closed=closed,
-                mobility=mobilities[k],
-                largest_energy=float(np.max(energies)),
-            )
+    return [
+        _Moment(
+            phase=k / phases,
+            state=tuple(states[k].tolist()),
+            closed=_touched(system, states[k]),
+            mobility=mobilities[k],
+            largest_energy=float(np.max(energies)),
         )
-    return moments
+        for k in range(phases)
+    ]
 
 
 def _each_coordinate(problem: Problem, moments: Sequence[_Moment]) -> list[dict[str, float]]:
