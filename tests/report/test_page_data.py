@@ -247,7 +247,7 @@ def test_what_is_below_the_error_of_a_multiplier_is_shown_as_zero(subject: Subje
     )[0]
     assert found["real part [1]"] == ["-0.5", "0"]
     assert found["imaginary part [1]"] == ["0", "0"]
-    assert found["modulus [1]"] == ["0.5", "0"]
+    assert found["modulus [1]"] == ["0.5", "0 (below rounding)"]
 
 
 def test_every_cell_of_the_residuals(page: str, subject: Subject) -> None:

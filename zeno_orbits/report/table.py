@@ -139,10 +139,12 @@ def shown_multipliers(values: Sequence[complex], error: float, digits: int) -> s
     known = [text for text in every if text != "0"]
     zeros = len(every) - len(known)
     if zeros:
-        known.append(f"{'' if zeros == 1 else f'{zeros} x '}0 (below rounding)")
+        known.append(BELOW_ROUNDING if zeros == 1 else f"{zeros} x {BELOW_ROUNDING}")
     return ", ".join(known)
 
 
+BELOW_ROUNDING = "0 (below rounding)"
+"""A multiplier that is smaller than its error."""
 _NOTHING = 1e-9
 """A multiplier above this value is printed even if its uncertainty is large."""
 

@@ -17,6 +17,7 @@ from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.paths import stops_of
 from zeno_orbits.report.table import (
+    BELOW_ROUNDING,
     BOUNDS,
     Column,
     Table,
@@ -175,11 +176,14 @@ def multipliers_table(certificate: OrbitCertificate) -> Table[Any]:
     def cell(value: float) -> str:
         return shown_multiplier(value, error, 8)
 
+    def size(value: float) -> str:
+        return cell(value) if cell(value) != "0" else BELOW_ROUNDING
+
     columns: list[Column[tuple[int, complex]]] = [
         text_column("number", lambda one: f"{one[0]}"),
         number_column("real part [1]", lambda one: cell(one[1].real)),
         number_column("imaginary part [1]", lambda one: cell(one[1].imag)),
-        number_column("modulus [1]", lambda one: cell(abs(one[1]))),
+        number_column("modulus [1]", lambda one: size(abs(one[1]))),
     ]
     caption = f"Floquet multipliers (error of the largest: {shown_size(error)})"
     return table_of(caption, columns, enumerate(certificate.multipliers, start=1))
