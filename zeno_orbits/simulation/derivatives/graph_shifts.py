@@ -124,6 +124,7 @@ class GraphShifts:
             before = self._before(first, here, arcs[0], arcs[0], caused=caused)
             here, bounces = self._after(first, before, arcs[0], arcs[0], bounces, caused=caused)
             crossings.append((first, before, here))
+        here = self._launched([first for first, _, _ in crossings], here, arcs[0])
         for arc, following in zip(arcs, (*arcs[1:], arcs[-1]), strict=True):
             if arc.ending is Ending.HORIZON:
                 if to_horizon:
@@ -132,17 +133,18 @@ class GraphShifts:
             start = end = here
             if arc.ending is not Ending.ZENO:
                 here = end = self._end(arc, here, events)
-            crossed = False
+            crossed: list[Event] = []
             while events and events[0].time <= arc.end_time:
-                event, caused = events.pop(0), crossed
+                event, caused = events.pop(0), bool(crossed)
                 before = self._before(event, here, arc, following, caused=caused)
                 here, bounces = self._after(event, before, arc, following, bounces, caused=caused)
                 if isinstance(event, ZenoPoint):
                     before = end = here
                 crossings.append((event, before, here))
-                crossed = True
+                crossed.append(event)
             if not crossed and arc.ending is not Ending.SWITCH:
                 raise _touched(arc)
+            here = self._launched(crossed, here, following)
             yield ArcPassage(arc=arc, start=start, end=end, crossings=tuple(crossings))
             crossings = []
 
@@ -358,10 +360,7 @@ class GraphShifts:
             # Only the impacts of one stop in one mode accumulate.
             goes_on = [one.impact.stop for one in bounces[-1:]] == [event.stop]
             goes_on = goes_on and arc.closed == following.closed
-            bounces = perturbations.joined(bounces if goes_on else [], event, after)
-            if following.stop == event.stop:
-                return after, bounces
-            return self._launched(after, event.time, event.state_plus, following), bounces
+            return after, perturbations.joined(bounces if goes_on else [], event, after)
         if isinstance(event, ZenoPoint):
             stop = self._index(event.stop)
             perturbations = self._of(following, stop)
@@ -380,16 +379,27 @@ class GraphShifts:
         if switch >= self.graph.n_declared:
             return here, bounces
         derivative = self.graph.reset_derivative(switch, event.state_minus, self.chosen)
-        after = self._moved(here, derivative)
-        return self._launched(after, event.time, event.state_plus, following), []
+        return self._moved(here, derivative), []
 
     def _launched(
-        self, after: SaltationDerivative, time: float, x: Vector, following: Arc
+        self, events: Sequence[Event], here: SaltationDerivative, following: Arc
     ) -> SaltationDerivative:
-        """Return the derivatives where the stop that is left after an event is left."""
-        if not following.stop or following.start_time != time:
-            return after
-        return self._on_gap(after, x, self._of(following, self._index(following.stop)))
+        """Return the derivatives at the start of a flight from another stop than the last struck.
+
+        Args:
+            events: The events at the start of the arc.
+            here: Derivatives after them.
+            following: The arc.
+        """
+        struck = [event.stop for event in events if isinstance(event, Impact)]
+        if not following.stop or following.stop in struck[-1:] or all(map(self._is_kink, events)):
+            return here
+        perturbations = self._of(following, self._index(following.stop))
+        return self._on_gap(here, following.start_state, perturbations)
+
+    def _is_kink(self, event: Event) -> bool:
+        declared = self.graph.switch_names[: self.graph.n_declared]
+        return isinstance(event, SwitchEvent) and event.name not in declared
 
     def _on_gap(
         self, here: SaltationDerivative, x: Vector, perturbations: VariationalEquation
