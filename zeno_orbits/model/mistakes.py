@@ -17,6 +17,10 @@ _CONDITION = (
     "a condition on a symbol. Write `ca.if_else(q > 0, a, b)` for `a if q > 0 else b`, "
     "`ca.logic_and` for `and`, `ca.fmax` for `max`"
 )
+_NOT_SYMBOLIC = (
+    "a formula of the model holds NaN, as `math.sin(q)` or `float(q)` of a symbol give. "
+    "Write `ca.sin(q)`, or the symbol"
+)
 _TWO_SYMBOLS = {"SX", "MX"}
 _NUMERIC = ("math", "cmath")
 """Modules whose functions turn a symbol into a number."""
@@ -26,10 +30,7 @@ class NotSymbolicError(ValueError):
     """A formula holds NaN, since a numeric function was given a symbol."""
 
     def __init__(self) -> None:
-        super().__init__(
-            "a formula of the model holds NaN, as `math.sin(q)` or `float(q)` of a symbol give. "
-            "Write `ca.sin(q)`, or the symbol."
-        )
+        super().__init__(f"{_NOT_SYMBOLIC}.")
 
 
 def holds_nan(formula: ca.SX) -> bool:
@@ -51,7 +52,11 @@ def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
     if isinstance(error, SyntaxError):
         return str(error.msg), error.lineno
     text = " ".join(str(error).split()).removesuffix(".")
-    line = _line_in_trace(error, file) or _line_of(error, text, file)
+    tree = _tree_of(file)
+    numeric = next(_numeric_calls(tree), None)
+    if isinstance(error, NotSymbolicError) or (text.endswith("it is not finite") and numeric):
+        return _NOT_SYMBOLIC, numeric
+    line = _line_in_trace(error, file) or next(_arguments(tree, _argument_in(text)), None)
     if _NO_TRUTH in text:
         return _CONDITION, line
     if set(re.findall(r"'(\w+)'", text)) >= _TWO_SYMBOLS:
@@ -70,17 +75,18 @@ def _line_in_trace(error: BaseException, file: Path) -> int | None:
     return _line_in_trace(error.__cause__, file)
 
 
-def _line_of(error: BaseException, text: str, file: Path) -> int | None:
-    """Return the line to which an error of a whole problem belongs, if the file shows it."""
+def _tree_of(file: Path) -> ast.AST:
+    """Return the syntax tree of a file, empty if it cannot be read."""
     try:
-        tree = ast.parse(file.read_text(encoding="utf-8"))
+        return ast.parse(file.read_text(encoding="utf-8"))
     except (OSError, SyntaxError, ValueError):
-        return None
-    if isinstance(error, NotSymbolicError):
-        return next(_numeric_calls(tree), None)
+        return ast.Module(body=[], type_ignores=[])
+
+
+def _argument_in(text: str) -> str:
+    """Return the argument that a message names, or an empty text."""
     named = re.search(r"Argument `(\w+)`", text)
-    word = named[1] if named else "starts" if text.startswith("Start ") else ""
-    return next(_arguments(tree, word), None)
+    return named[1] if named else "starts" if text.startswith("Start ") else ""
 
 
 def _numeric_calls(tree: ast.AST) -> Iterator[int]:
