@@ -89,6 +89,16 @@ CASES = {
         ),
         lambda up, right: (20.0 if right else 4.0, 0.1) if up or not right else (12, 0),
     ),
+    "two waves that switch together": Case(
+        lambda q, _, clock: (
+            _wave(clock, 3, -1) + ca.if_else(clock.sine * clock.cosine > 0, 5, 2) + 0.1 * q
+        ),
+        lambda up, right: ((3 if up else -1) + (5 if up == right else 2), 0.1),
+    ),
+    "function of a kink": Case(
+        lambda q, _, clock: ca.fabs(ca.tanh(3 * ca.fabs(clock.sine))) * 0 + _wave(clock, 2, 1) + q,
+        lambda up, _: (2 if up else 1, 1),
+    ),
     "table of a wave": Case(
         lambda q, _, clock: _table(_wave(clock, 1.5, 0.25) + 0.001 * q),
         lambda up, _: (5, 0.004) if up else (0.75, 0.003),
@@ -267,6 +277,56 @@ def test_an_impact_takes_all_sides_anew() -> None:
 
 
 OTHER_ANGLES = ((-0.5, 0.1), (-0.3, -0.2), (-0.4, 0.0), (-0.2, 0.15))
+
+
+def _two_masses(condition: Callable[[Any], Any]) -> zo.Problem:
+    """Return two free masses, which pass their kinks at the same time."""
+
+    def model(p: Any) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        first = ca.if_else(q[0] > 1, 1, 0) + ca.if_else(condition(q) > 0, 1, 0)
+        mass = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.sumsqr(v) / 2,
+            potential=0,
+            passive_force=ca.vertcat(first, 0),
+            gap=q[0] + 9,
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass), p["restitution"])
+
+    return zo.Problem(
+        name="two",
+        title="two masses",
+        source="closed form",
+        state_names=("a", "b", "da", "db"),
+        state_units=("m", "m", "m/s", "m/s"),
+        parameters=(zo.Quantity.restitution(0.5),),
+        gains=(),
+        model=model,
+        starts=({"a": 0.0, "b": -1.0, "da": 1.0, "db": 2.0},),
+        portraits=(("a", "da"),),
+        amplitude_of="a",
+    )
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [lambda q: 3 * q[0] - 3, lambda q: q[0] ** 3 - 1, lambda q: ca.exp(q[0]) - math.e],
+)
+def test_kinks_on_one_surface_are_one_event(condition: Callable[[Any], Any]) -> None:
+    end = zo.simulate(_two_masses(condition), until=2.0)
+    assert end.end_state == pytest.approx([1 + 1 + 1, 3.0, 3.0, 2.0], rel=1e-10)
+    assert len(end.switches) == 1
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [lambda q: q[1] - 1, lambda q: q[0] + q[1] - 2, lambda q: 3 * q[0] - q[1] - 2],
+)
+def test_kinks_on_two_surfaces_at_one_time_are_refused(condition: Callable[[Any], Any]) -> None:
+    with pytest.raises(zo.SimultaneousEventsError, match="switch kink 1 and switch kink 2"):
+        zo.simulate(_two_masses(condition), until=2.0)
 
 
 def _wrapped(kw: float, *, shift: float = 0.1) -> zo.Problem:

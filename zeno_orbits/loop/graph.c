@@ -427,40 +427,56 @@ static int is_zero(const Graph *g, const double *pair, double rounding) {
     return pair[1] < 0.0 && pair[0] <= greater(rounding, -pair[1] * APART * g->m.run->settings.time);
 }
 
-/* Whether two guards are zero on one surface in the mode of the arc: one is a multiple of the other at
-   its start, and their rates are at a state of its end. */
+/* Whether the surfaces of two kinks touch at a state where both fall, so that their slopes are in the
+   ratio of their rates. The order of both events then has no effect to first order. */
 static int is_one_surface(const Graph *g, const Other *one, const Other *other, const double *x) {
-    const double *start = g->m.run->start.state;
-    double a[2], b[2], a_end[2], b_end[2];
-    int k;
-    tape_run(one->value, one->registers, start, a);
-    tape_run(other->value, other->registers, start, b);
-    tape_run(one->value, one->registers, x, a_end);
-    tape_run(other->value, other->registers, x, b_end);
-    for (k = 0; k < 2; k++) {
-        const double first = a[k] * b_end[1], second = b[k] * a_end[1];
-        if (!(fabs(first - second) <= ONE_SURFACE * (fabs(first) + fabs(second)))) return 0;
+    const zl_graph *graph = g->whole->graph;
+    const long long n_x = g->whole->n_x, n = graph->n_switches;
+    double given[2 * ZL_MOST + ZL_GUARDS], told[3 * ZL_GUARDS], a[2], b[2];
+    double largest = 0.0, difference = 0.0;
+    long long k;
+    tape_run(one->value, one->registers, x, a);
+    tape_run(other->value, other->registers, x, b);
+    memcpy(given, x, (size_t)n_x * sizeof(double));
+    for (k = 0; k < n_x; k++) given[n_x + k] = 0.0;
+    for (k = 0; k < n - graph->n_declared; k++)
+        given[2 * n_x + k] = (double)(g->m.run->graph.sides >> k & 1);
+    for (k = 0; k < n_x; k++) {
+        double first, second;
+        given[n_x + k] = settings_of(g, 0)->sizes[k] + fabs(x[k]);
+        shared(g, &graph->switches, graph->switches_place, given, told);
+        given[n_x + k] = 0.0;
+        first = fabs(told[n + one->index] * b[1]);
+        second = fabs(told[n + other->index] * a[1]);
+        largest = greater(largest, first);
+        difference = greater(difference, fabs(first - second));
     }
-    return 1;
+    return difference <= ONE_SURFACE * largest;
 }
 
 static int is_kink(const Graph *g, const Other *other) {
     return other->kind == ZL_SWITCH && other->index >= g->whole->graph->n_declared;
 }
 
-/* The first kink with the surface of a kink that fell: both are crossed by one event. */
+/* The first kink that falls where a kink fell, on one surface: both are crossed by one event. */
 static const Other *first_of_surface(const Graph *g, const Other *fell, const double *x) {
-    const Other *other = g->others.list;
+    const Other *other;
     if (!is_kink(g, fell)) return fell;
-    while (!(is_kink(g, other) && (other == fell || is_one_surface(g, other, fell, x)))) other++;
-    return other;
+    for (other = g->others.list; other != fell; other++) {
+        const Watched *watched = &g->m.run->watched[other - g->others.list];
+        double pair[2];
+        if (!is_kink(g, other) || watched->began_on_guard) continue;
+        tape_run(other->value, other->registers, x, pair);
+        if (is_zero(g, pair, watched->rounding) && is_one_surface(g, other, fell, x)) return other;
+    }
+    return fell;
 }
 
 /* Whether a kink is crossed by the event of the kink that fell. */
 static int is_on_surface_of_found(const Graph *g, const Other *other, const double *x) {
     const long long found = g->m.run->graph.found;
     const Other *fell = found < 0 ? 0 : &g->others.list[found];
-    return fell && is_kink(g, fell) && is_kink(g, other) && is_one_surface(g, fell, other, x);
+    return fell && is_kink(g, fell) && is_kink(g, other) && is_one_surface(g, other, fell, x);
 }
 
 /* Whether an impulse on one of two stops changes the gap rate of the other. */
@@ -866,11 +882,16 @@ static int count_switch(Graph *g, double time, int k, const double *before, cons
 
 /* Refuse a kink that changes the acceleration of the gap in every flight. */
 static int require_continuous(Graph *g, int k, double time, const double *x) {
-    const Graphed *graph = &g->m.run->graph;
-    const long long side = BIT(k - g->whole->graph->n_declared);
-    const Machine one = view_at(g, graph->rest, graph->sides, focus_of(g));
-    const Machine other = view_at(g, graph->rest, graph->sides ^ side, focus_of(g));
-    const double here = number_at(&one, ZL_LIFT, x), there = number_at(&other, ZL_LIFT, x);
+    Graphed *graph = &g->m.run->graph;
+    const long long sides = graph->sides;
+    const Machine one = view_at(g, graph->rest, sides, focus_of(g));
+    Machine other;
+    double here, there;
+    change_side(g, k, x);
+    other = view_at(g, graph->rest, graph->sides, focus_of(g));
+    graph->sides = sides;
+    here = number_at(&one, ZL_LIFT, x);
+    there = number_at(&other, ZL_LIFT, x);
     if (fabs(here - there) > CONTINUOUS * fabs(here))
         return tell_two(&g->m, ZL_SPLITS, time, x, graph->focus, k);
     return GO_ON;

@@ -95,7 +95,7 @@
 /* simulation/graph_run.py */
 #define APART 1e-11
 #define CONTINUOUS 1e-06
-#define ONE_SURFACE 1e-09
+#define ONE_SURFACE 1e-06
 #define GROW 4.0
 #define SHORTEST 0.001
 #define SPENT 1000.0

@@ -393,6 +393,20 @@ class Branched:
     smooth: tuple[ca.SX, ...]
 
 
+def is_smooth(formulas: Sequence[ca.SX]) -> bool:
+    """Return True if no operation of formulas needs to be looked at: a quick answer.
+
+    Args:
+        formulas: The formulas.
+    """
+    flat: Any = ca.veccat(*formulas)
+    function = ca.Function("formulas", symbols_in(flat), [flat])
+    operations = {function.instruction_id(k) for k in range(function.n_instructions())}
+    return operations <= _SMOOTH - _BOUNDED - {ca.OP_HYPOT} | {
+        *(ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
+    }
+
+
 def branched(
     formulas: Sequence[ca.SX],
     states: ca.SX,

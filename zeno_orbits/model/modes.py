@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 import casadi as ca
 
 from zeno_orbits.model.drives.circuits import Drive
-from zeno_orbits.model.kinks import branched, sided
+from zeno_orbits.model.kinks import branched, is_smooth, sided
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch
 from zeno_orbits.model.waveforms import TimeOrder
@@ -123,6 +123,8 @@ def conditions_of(mechanism: HybridLagrangian, drive: Drive, state: ca.SX) -> tu
         ValueError: If a formula jumps without a condition, or holds an unknown operation.
     """
     formulas = [*formulas_of(mechanism).values(), *formulas_of(drive).values()]
+    if is_smooth(formulas):
+        return ()
     gaps = [stop.gap for stop in mechanism.stops] or [mechanism.gap]
     return branched(formulas, state, gaps=gaps).conditions
 

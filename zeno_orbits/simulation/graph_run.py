@@ -89,9 +89,8 @@ _ACCUMULATED = 1e-3
 """Part of the first speed of a sequence below which its impacts accumulate."""
 
 
-_ONE_SURFACE = 1e-9
-"""Relative difference between the ratios of two guards, below which one is a multiple of the other.
-"""
+_ONE_SURFACE = 1e-6
+"""Relative difference between the slopes of two kinks, over their rates, that is rounding."""
 _LOW, _SLOW = 1e-9, 3e-5
 """Gap and gap rate over the problem's own, below which a flight beside another has few digits."""
 _COUPLED = 1e-12
@@ -352,7 +351,8 @@ class GraphRun(ReferenceRun):
         closed = self._closed(start)
         try:
             guards = list(self._guards(start, closed))
-            self.interruption = self._first_of_surface(start, guards, self._earliest(guards, arc))
+            found = self._earliest(guards, arc)
+            self.interruption = self._first_of_surface(guards, found, start.state.size)
         except SimulationError:
             # The arc does not reach its end.
             self.arcs.pop()
@@ -648,16 +648,32 @@ class GraphRun(ReferenceRun):
         return found
 
     def _first_of_surface(
-        self, start: ArcStart, guards: Sequence[_Guard], found: Interruption | None
+        self, guards: Sequence[_Guard], found: Interruption | None, n_x: int
     ) -> Interruption | None:
-        """Return the event of the first kink with the surface of a kink that fell."""
+        """Return the event of the first kink that falls where a kink fell, on one surface."""
         if found is None or found.passage is None or not self._is_kink(found):
             return found
-        x = found.passage.state[: start.state.size]
+        x = found.passage.state[:n_x]
         kinks = [guard for guard in guards if self._is_kink(guard)]
         fell = next(guard for guard in kinks if guard.index == found.index)
-        first = next(one for one in kinks if one is fell or _is_one_surface(one, fell, start, x))
-        return replace(found, index=first.index)
+        for one in kinks[: kinks.index(fell)]:
+            value, rate = one.flow.guard(x)
+            falls = not one.on_guard and self._is_zero(value, rate, one.rounding)
+            if falls and self._is_one_surface(one, fell, x):
+                return replace(found, index=one.index)
+        return found
+
+    def _is_one_surface(self, one: _Guard, other: _Guard, x: Vector) -> bool:
+        """Return True if the surfaces of two kinks touch at a state where both fall.
+
+        Their slopes are then in the ratio of their rates, and the order of both events has no
+        effect to first order.
+        """
+        _, rate = one.flow.guard(x)
+        _, other_rate = other.flow.guard(x)
+        slopes = self.graph.slopes(x, self.sides)
+        first, second = np.abs(slopes[one.index] * other_rate), np.abs(slopes[other.index] * rate)
+        return bool(np.max(np.abs(first - second)) <= _ONE_SURFACE * np.max(first))
 
     def _is_kink(self, event: _Guard | Interruption) -> bool:
         return event.kind is Kind.SWITCH and event.index >= self.graph.n_declared
@@ -725,7 +741,7 @@ class GraphRun(ReferenceRun):
                 continue
             if found is not None and self._is_kink(found) and self._is_kink(guard):
                 first = next(one for one in guards if (one.kind, one.index) == fell)
-                if _is_one_surface(guard, first, start, x):
+                if self._is_one_surface(guard, first, x):
                     continue
             if self._is_zero(*self._value(guard, closed, x), guard.rounding):
                 zero.append(event)
@@ -930,6 +946,7 @@ class GraphRun(ReferenceRun):
         """Refuse a kink that changes the acceleration of the gap in every flight."""
         k = kink - self.graph.n_declared
         other = tuple(one ^ (i == k) for i, one in enumerate(self.sides))
+        other = self.graph.sides_at(x, other, (k,))
         here = self._view(self.rest, self.focus).gap_acceleration(x)
         there = self.graph.view((self.rest, other), self.focus).gap_acceleration(x)
         if abs(here - there) > _CONTINUOUS * abs(here):
@@ -1064,20 +1081,6 @@ class GraphRun(ReferenceRun):
                 if not np.any(pulls) and np.all(rates >= -small):
                     return closed
         raise AssertionError("A positive definite matrix has a solution.")
-
-
-def _is_one_surface(one: _Guard, other: _Guard, start: ArcStart, x: Vector) -> bool:
-    """Return True if two guards are zero on one surface in the mode of an arc.
-
-    One is a multiple of the other at its start, and their rates are at a state of its end.
-    """
-    _, rate = one.flow.guard(x)
-    _, other_rate = other.flow.guard(x)
-    for a, b in zip(one.flow.guard(start.state), other.flow.guard(start.state), strict=True):
-        first, second = a * other_rate, b * rate
-        if not abs(first - second) <= _ONE_SURFACE * (abs(first) + abs(second)):
-            return False
-    return True
 
 
 def _are_coupled(matrix: Vector, j: int, k: int) -> bool:
