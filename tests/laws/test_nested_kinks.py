@@ -192,6 +192,18 @@ def test_all_conditions_take_their_sides_anew_at_every_switch(name: str, in_cont
     )
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["limit of a wave", "limit of a piecewise input", "choice at a limit", "table of a wave"],
+)
+def test_a_rig_takes_all_sides_anew(name: str) -> None:
+    case = CASES[name]
+    rig = zo.Rig(contact=zo.Contact(stiffness=1e4))
+    run = zo.simulate_rig(_problem(case.law), rig, until=7.3, parameters={"restitution": 0.5})
+    want = _truth(case, 7.3, in_contact=False)
+    assert run.states[-1, :3] == pytest.approx(want, rel=1e-7, abs=1e-7)
+
+
 @pytest.mark.parametrize("name", ["limit of a wave", "size of a wave", "table of a wave"])
 def test_multipliers_are_those_of_the_product_of_the_pieces(name: str) -> None:
     case = CASES[name]
