@@ -93,7 +93,7 @@ def report_subject(
     found = any_orbit(orbit)
     known = problem_of(found, problem)
     if isinstance(found, EventOrbit) and trade is not None:
-        raise InputError("Argument `trade` needs a machine with one stop and no switch.")
+        raise InputError("Argument `trade` needs a machine with one stop, no switch and no kink.")
     study = _trade_of(found, trade)
     pushed = _pushes_of(found, known, pushes)
     recovered = _recovery_of(found, known, recovery)

@@ -197,6 +197,6 @@ def _refuse(options: argparse.Namespace, names: dict[str, str]) -> None:
 def needs_one_stop(option: str) -> str:
     """Return the message that refuses an option for orbits of events."""
     return (
-        f"Option `{option}` needs a machine with one stop and no switch, and no objective or bound "
-        "about impacts, in this version: leave it out."
+        f"Option `{option}` needs a machine with one stop, no switch and no kink, and no objective "
+        "or bound about impacts, in this version: leave it out."
     )

@@ -130,7 +130,7 @@ def _one_stop(material: Material) -> HybridDynamics:
     """
     if isinstance(material.dynamics, GraphDynamics):
         raise InputError(
-            f"This figure needs a machine with one stop and no switch, unlike "
+            f"This figure needs a machine with one stop, no switch and no kink, unlike "
             f"`{material.problem.name}`."
         )
     return material.dynamics
