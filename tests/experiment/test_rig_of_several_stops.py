@@ -241,3 +241,39 @@ def test_a_motion_that_slides_along_a_kink_is_refused_by_its_name() -> None:
     rig = zo.Rig(contact=zo.Contact(stiffness=1e4))
     with pytest.raises(zo.SlidingError, match="`kink 1`"):
         zo.simulate_rig(problem, rig, until=10.0)
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+@pytest.mark.parametrize("further", [False, True])
+def test_a_bumper_acts_while_its_stop_is_compressed(factor: int, further: bool) -> None:
+    """A contact lasts half a period of the springs of the stop and the bumper together."""
+
+    def model(p: Any) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        bumper = p["k"] * ca.fmax(-factor * q, 0) / factor
+        kink = ca.fmax(q - 0.7, 0) if further else 0
+        mass = zo.HybridLagrangian.from_energies(
+            q=q, v=v, kinetic=v**2 / 2, potential=0, passive_force=bumper + kink - 1, gap=q
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass), p["restitution"])
+
+    problem = zo.Problem(
+        name="bumper",
+        title="mass on a bumper",
+        source="here",
+        state_names=("q", "v"),
+        state_units=("m", "m/s"),
+        parameters=(
+            zo.Quantity.positive("k", 3e6, "N/m", "bumper"),
+            zo.Quantity.restitution(0.99999),
+        ),
+        gains=(),
+        model=model,
+        starts=({"q": 0.5},),
+        portraits=(("q", "v"),),
+        amplitude_of="q",
+    )
+    assert problem.checked().has_graph == further
+    rig = zo.Rig(contact=zo.Contact(stiffness=1e6))
+    touch = zo.simulate_rig(problem, rig, until=1.5).touches[0]
+    assert touch.end - touch.start == pytest.approx(math.pi / 2e3, rel=1e-3)

@@ -94,16 +94,19 @@ def graph_of_one_stop(one: CompletedSystem, switches: Sequence[Switch] = ()) -> 
     return _graph(one, (stop,), tuple(switches))
 
 
-def system_of_stop(graph: ModeGraph, mode: GraphMode, stop: int) -> CompletedSystem:
+def system_of_stop(
+    graph: ModeGraph, mode: GraphMode, stop: int, beyond: tuple[int, ...] = ()
+) -> CompletedSystem:
     """Return the completed system of an open stop in a mode.
 
     Args:
         graph: The modes of the machine.
         mode: The mode, whose closed stops are constraints.
         stop: Index of the stop.
+        beyond: Indices of compliant stops whose gap is negative.
     """
     closed, sides = mode
-    mechanism, drive, _ = graph.on_branch(sides)
+    mechanism, drive, _ = graph.on_branch(sides, beyond)
     shut = ca.vertcat(mechanism.holonomic, *(graph.stops[k].gap for k in closed))
     restitution = ca.SX(graph.stops[stop].restitution)
     one = replace(mechanism, gap=graph.stops[stop].gap, holonomic=shut)

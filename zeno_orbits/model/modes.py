@@ -44,8 +44,10 @@ class ModeGraph:
     delassus: ca.SX
     resets: tuple[ca.SX, ...]
     state: ca.SX
-    _branches: dict[tuple[bool, ...], _Branch] = field(
-        default_factory=dict["tuple[bool, ...]", "_Branch"], compare=False, repr=False
+    _branches: dict[tuple[tuple[bool, ...], tuple[int, ...]], _Branch] = field(
+        default_factory=dict["tuple[tuple[bool, ...], tuple[int, ...]]", "_Branch"],
+        compare=False,
+        repr=False,
     )
 
     @property
@@ -84,31 +86,37 @@ class ModeGraph:
             return ca.SX(self.switches[switch].guard)
         return self.on_branch(sides)[2][switch - declared]
 
-    def on_branch(self, sides: tuple[bool, ...]) -> _Branch:
-        """Return mechanism, drive and conditions on a branch of the kinks."""
-        if sides not in self._branches:
+    def on_branch(self, sides: tuple[bool, ...], beyond: tuple[int, ...] = ()) -> _Branch:
+        """Return mechanism, drive and conditions on a branch of the kinks.
+
+        Args:
+            sides: The side of every kink.
+            beyond: Indices of compliant stops whose gap is negative.
+        """
+        key = (sides, beyond)
+        if key not in self._branches:
             parts = formulas_of(self.mechanism), formulas_of(self.drive)
-            found = branched(self._kinked, self.state, sides, self._gaps)
+            found = branched(self._kinked, self.state, sides, self._gaps(beyond))
             n = len(parts[0])
-            self._branches[sides] = (
+            self._branches[key] = (
                 replace(self.mechanism, **dict(zip(parts[0], found.formulas[:n], strict=True))),
                 replace(self.drive, **dict(zip(parts[1], found.formulas[n:], strict=True))),
                 found.smooth,
             )
-        return self._branches[sides]
+        return self._branches[key]
 
     def on_sides(self, sides: ca.SX) -> tuple[tuple[ca.SX, ...], tuple[ca.SX, ...]]:
         """Return the conditions of the kinks on given sides, and their derivatives: `sided`."""
-        return sided(self._kinked, self.state, sides, self._gaps)
+        return sided(self._kinked, self.state, sides, self._gaps())
 
     @property
     def _kinked(self) -> list[ca.SX]:
         """The formulas whose kinks are the kinks of the machine."""
         return [*formulas_of(self.mechanism).values(), *formulas_of(self.drive).values()]
 
-    @property
-    def _gaps(self) -> list[ca.SX]:
-        return [stop.gap for stop in self.stops]
+    def _gaps(self, beyond: tuple[int, ...] = ()) -> list[ca.SX]:
+        """Return the gap of every stop with the sign that it has."""
+        return [-one.gap if k in beyond else one.gap for k, one in enumerate(self.stops)]
 
 
 def conditions_of(mechanism: HybridLagrangian, drive: Drive, state: ca.SX) -> tuple[ca.SX, ...]:

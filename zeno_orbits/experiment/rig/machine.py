@@ -75,10 +75,10 @@ class Machine:
     command: ca.Function
     rest: ca.Function
     inertia: ca.Function
-    _branch: Callable[[tuple[bool, ...]], _Parts] = field(repr=False)
+    _branch: Callable[[tuple[bool, ...], tuple[int, ...]], _Parts] = field(repr=False)
     _graph: ModeGraph | None = field(repr=False)
     _branches: dict[tuple[bool, ...], _Parts] = field(
-        default_factory=dict["tuple[bool, ...]", "_Parts"], repr=False
+        default_factory=dict["tuple[tuple[bool, ...], tuple[int, ...]]", "_Parts"], repr=False
     )
     _modes: dict[_Mode, ModeFunctions] = field(
         default_factory=dict["_Mode", "ModeFunctions"], repr=False
@@ -108,9 +108,9 @@ class Machine:
     def _built(
         self, touched: tuple[int, ...], sides: tuple[bool, ...], guard: int, above: bool
     ) -> ModeFunctions:
-        if sides not in self._branches:
-            self._branches[sides] = self._branch(sides)
-        parts = self._branches[sides]
+        if (sides, touched) not in self._branches:
+            self._branches[sides, touched] = self._branch(sides, touched)
+        parts = self._branches[sides, touched]
         rate = parts.rate(touched)
         if guard < len(self.stop_names):
             sign = -1 if guard in touched else 1
@@ -157,10 +157,11 @@ def machine(problem: Problem, rig: Rig) -> Machine:
     p = ca.vertcat(*symbols.values())
     graph = system.graph
 
-    def branch(sides: tuple[bool, ...]) -> _Parts:
+    def branch(sides: tuple[bool, ...], touched: tuple[int, ...]) -> _Parts:
         if graph is None:
             return _Parts(problem, system, rig, p)
-        return _Parts(problem, replace(system_of_stop(graph, ((), sides), 0), graph=graph), rig, p)
+        one = system_of_stop(graph, ((), sides), 0, touched)
+        return _Parts(problem, replace(one, graph=graph), rig, p)
 
     parts = _Parts(problem, system, rig, p)
 
