@@ -31,7 +31,13 @@ LINE = {"x": "m", "dx": "m/s"}
 Formula = Callable[[ca.SX, ca.SX], ca.SX]
 
 
-@pytest.fixture(autouse=True, params=[pytest.param("use", marks=needs_compiler), "never"])
+@pytest.fixture(
+    autouse=True,
+    params=[
+        pytest.param("use", marks=needs_compiler),
+        pytest.param("never", marks=pytest.mark.slow),
+    ],
+)
 def loop(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run every test with the compiled loop and with its reference in Python."""
     monkeypatch.setenv("ZENO_ORBITS_LOOP", request.param)
