@@ -219,9 +219,14 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
     slope = return_jacobian(graph, found)
     least = len(slope)
     phases = phases_of_events([orbit_event_name(event) for event in found.events])
+    # Events of one kind between the same modes have sections of one dimension.
+    causes: dict[tuple[str, tuple[str, ...], tuple[str, ...]], Event] = {}
     for time in {found.events[phase[-1]].time for phase in phases}:
-        _, passed = _section_at(graph, found, _cause_at(found, time), scale)
-        least = min(least, passed.dimension)
+        cause = _cause_at(found, time)
+        before, after = _arcs_at(found, time)
+        causes.setdefault((orbit_event_name(cause), before.closed, after.closed), cause)
+    for cause in causes.values():
+        least = min(least, _section_at(graph, found, cause, scale)[1].dimension)
     return eigenvalues(slope)[:least]
 
 
