@@ -10,6 +10,7 @@ import pytest
 from zeno_orbits.work import (
     decimal_above,
     decimal_below,
+    decimal_between,
     enclosed_decimal,
     enclosing_decimal,
     enclosing_disc,
@@ -127,3 +128,14 @@ def test_a_double_has_all_its_digits() -> None:
 def test_an_interval_that_is_none_is_refused() -> None:
     with pytest.raises(ValueError, match="must not be below"):
         enclosing_decimal(Fraction(1), Fraction(0))
+
+
+def test_a_decimal_between_two_intervals_contains_one_and_lies_in_the_other() -> None:
+    chance = random.Random(4)
+    for number in range(400):
+        low, high = _random_ball(chance)
+        room = (high - low + Fraction(1, 10**9)) / Fraction(10) ** (number % 12)
+        a, b = _read(decimal_between(low, high, low - room, high + room))
+        assert low - room <= a <= low <= high <= b <= high + room
+    with pytest.raises(ValueError, match="must contain"):
+        decimal_between(Fraction(0), Fraction(1), Fraction(0), Fraction(2))

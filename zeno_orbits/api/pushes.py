@@ -75,7 +75,7 @@ def recovery(
     settings: RecoverySettings | None = None,
     on_progress: Progress = silent,
 ) -> Recovery:
-    """Return the recovery of an orbit: its time, its norm, and a ball that maps into itself.
+    """Return the recovery of an orbit: its time, its norm, and a ball whose samples return into it.
 
     The ball is tested by sampling. The result states the bound of the share that leaves it.
 

@@ -18,7 +18,7 @@ def add_recovery(commands: Any) -> None:
         commands,
         "recovery",
         _run_recovery,
-        "compute how fast a disturbance of an orbit decays, and a ball that maps into itself",
+        "compute how fast a disturbance decays, and a ball whose samples return into it",
         [
             "zeno-orbits recovery orbit.json",
             "zeno-orbits recovery orbit.json --decay 1e-3 --samples 3000 -o recovery.json",
