@@ -293,7 +293,7 @@ def ask(door: Door, key: str, bad: Any) -> str:
         return ""
     except (ValueError, TypeError) as error:
         told = str(error)
-        if "\n" in told or len(told) > 600:
+        if "\n" in told or len(told) > 1500:
             return f"it is longer than a line: {told[:200]}"
         if "`" not in told and key not in told:
             return f"it names no argument: {type(error).__name__}: {told}"

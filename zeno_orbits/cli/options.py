@@ -417,14 +417,15 @@ def require_outputs(
         InputError: If an output cannot become a file, or would overwrite another output or an
             input.
     """
-    taken = {path.resolve(): "the one that is read" for path in reads}
+    # `Path.resolve` raises an error for links in a circle.
+    taken = {os.path.realpath(path): "the one that is read" for path in reads}
     for name in (*files, *pictures):
         path = getattr(options, name)
         if path is None:
             continue
         require = require_writable if name in files else require_picture
         require(path, name)
-        other = taken.setdefault(path.resolve(), f"`{name}`")
+        other = taken.setdefault(os.path.realpath(path), f"`{name}`")
         if other != f"`{name}`":
             wanted = f"must be another file than {other}, but both are `{path}`"
             raise InputError(f"Argument `{name}` {wanted}.")

@@ -18,7 +18,6 @@ from zeno_orbits.model.mistakes import account_of
 from zeno_orbits.model.origin import with_origin
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.quantities import unknown
-from zeno_orbits.work import checked
 
 _MOST = 16
 """Number of problems cached per process, with their compiled models."""
@@ -35,7 +34,6 @@ def bundled_problems() -> dict[str, Path]:
     }
 
 
-@checked
 def load_problem(name_or_path: str | Path) -> Problem:
     """Return a problem by its name, or from the Python file (or problem folder) at a path.
 
