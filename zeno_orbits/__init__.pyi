@@ -45,7 +45,6 @@ from .errors import SlidingError as SlidingError
 from .errors import SwitchingTimesError as SwitchingTimesError
 from .errors import ZenoOrbitsError as ZenoOrbitsError
 from .experiment.comparison.comparison import Comparison as Comparison
-from .experiment.comparison.event_comparison import EventComparison as EventComparison
 from .experiment.identification.identification import Identification as Identification
 from .experiment.recordings.recording import Recording as Recording
 from .experiment.recordings.recording import read_recording as read_recording
@@ -152,7 +151,6 @@ __all__ = [
     "Controller",
     "Drawing",
     "EnclosedEvent",
-    "EventComparison",
     "EventOrbit",
     "EventSearchResult",
     "EventSequence",

@@ -5,6 +5,7 @@ from __future__ import annotations
 ALIASES = {
     "Bridge": ("HBridge", "model.rig_parts:HBridge"),
     "Escape": ("StateLimit", "model.quantities:StateLimit"),
+    "EventComparison": ("Comparison", "experiment.comparison.comparison:Comparison"),
     "FastestContraction": ("MinSpectralRadius", "search.objectives:MinSpectralRadius"),
     "LeastEnergy": ("MinEnergy", "search.objectives:MinEnergy"),
     "LeastPeak": ("MinPeak", "search.objectives:MinPeak"),

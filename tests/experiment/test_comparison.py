@@ -271,7 +271,7 @@ def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, problem: Problem)
     for signal, reason in (
         (huge, r"must have values of `theta1` up to 1e\+100, but it has"),
         (metres, "`theta1` in a unit like rad, but it has m"),
-        (other, "must have a signal of the problem"),
+        (other, "must have a signal or a contact channel of the problem"),
         (empty, "lacks values of `theta1`"),
     ):
         recording = Recording(source=None, problem="", time=time, signals=(signal,))

@@ -26,7 +26,6 @@ from zeno_orbits.work import Progress, silent
 if TYPE_CHECKING:
     from zeno_orbits.experiment import (
         Comparison,
-        EventComparison,
         FitParameter,
         Identification,
         MatchedRun,
@@ -72,33 +71,29 @@ def compare(
     t_start: float | None = None,
     t_end: float | None = None,
     on_progress: Progress = silent,
-) -> Comparison | EventComparison:
+) -> Comparison:
     """Return a recording compared with an orbit.
 
     Args:
         orbit: The orbit, or its file.
         recording: The recording, or its file. Signals with the name of a state, motor or output of
-            the problem are compared. For an orbit of a machine with several stops or switches it
-            must have the contact channel of a stop.
+            the problem are compared, and contact channels.
         problem: The orbit's problem. The default is the bundled problem of its name.
         t_start: First time of the recording that counts [s].
         t_end: Last time of the recording that counts [s].
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
-        InputError: If the recording contains no signal of the problem, a signal has a wrong unit,
-            or a contact channel is invalid.
+        InputError: If the recording contains no signal of the problem and no contact channel, a
+            signal has a wrong unit, or a contact channel is invalid.
         SimulationError: If the orbit does not return.
     """
-    from zeno_orbits.experiment import compare_events
     from zeno_orbits.experiment import compare_recording as compared
 
     found = any_orbit(orbit)
     known = problem_of(found, problem)
     data = recording_for(known, recording, t_start, t_end, on_progress)
     on_progress("comparing", None)
-    if isinstance(found, EventOrbit):
-        return compare_events(found, known, data)
     return compared(found, known, data)
 
 
@@ -478,8 +473,8 @@ def recording_for(
 
     if isinstance(recording, str | Path):
         on_progress("reading the recording", None)
-        families = (CONTACT,) if problem.has_graph else ()
-        recording = read_recording(recording, only=tuple(measurable(problem)), families=families)
+        known = tuple(measurable(problem))
+        recording = read_recording(recording, only=known, families=(CONTACT,))
     return crop(recording, t_start, t_end)
 
 

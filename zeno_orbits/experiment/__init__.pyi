@@ -1,6 +1,4 @@
 from .comparison.comparison import Comparison as Comparison
-from .comparison.event_comparison import EventComparison as EventComparison
-from .comparison.event_comparison import compare_events as compare_events
 from .comparison.verdict import ComparisonVerdict as ComparisonVerdict
 from .comparison.comparison import compare_recording as compare_recording
 from .comparison.counterpart import MatchedRun as MatchedRun
@@ -17,7 +15,9 @@ from .identification.identification import fit_parameters as fit_parameters
 from .identification.instruments import default_range as default_range
 from .identification.unknowns import FitParameter as FitParameter
 from .orbit_table import OrbitTable as OrbitTable
+from .orbit_table import PeriodTable as PeriodTable
 from .orbit_table import measurable as measurable
+from .orbit_table import tabulate_events as tabulate_events
 from .orbit_table import tabulate_orbit as tabulate_orbit
 from .recordings.contacts import CONTACT as CONTACT
 from .recordings.contacts import contact_channels as contact_channels

@@ -8,8 +8,9 @@ points between them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.sequences import OrbitSequence, orbit_sequences
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model import Columns, GraphDynamics, HybridDynamics, Problem, dense_function
-from zeno_orbits.orbits import Cycle, ZenoOrbit
+from zeno_orbits.orbits import Cycle, EventOrbit, ZenoOrbit
 from zeno_orbits.search import cycle_near
 from zeno_orbits.simulation import (
     Arc,
@@ -29,8 +31,12 @@ from zeno_orbits.simulation import (
     SimulationSettings,
     signal,
     signal_names,
+    simulate,
+    steady_turn,
 )
 
+STOP = "stop"
+"""Name of the only stop of a machine whose stops have no names."""
 GAP = "gap"
 """Name of the gap signal, which every problem has in addition to its own signals."""
 
@@ -48,6 +54,8 @@ _BESIDE = 1e-4
 """The same at least, however well phases are known."""
 _SURE = 4.0
 """Standard errors of a phase within which it may be off."""
+_PAST = 1e-7
+"""Part of the period of an orbit given as events to simulate further."""
 _LEAST = 24
 """Intervals of an arc at least."""
 _INSIDE = 1e-9
@@ -192,6 +200,10 @@ class PeriodTable:
         nodes: Values of the signals.
         states: The states.
         p: Gains, then parameters.
+        sequences: Sequences of impacts in the period by stop, for the stops that are struck.
+        held: Stops that are closed during the whole period.
+        turn: Time of a turn of the clock [s], or ``None`` without a steady clock.
+        zero: Time of the clock's zero phase since the start of the period [s], or zero.
     """
 
     period: float
@@ -199,6 +211,46 @@ class PeriodTable:
     nodes: CubicColumns
     states: CubicColumns
     p: Vector
+    sequences: Mapping[str, tuple[OrbitSequence, ...]] = field(
+        default_factory=dict[str, tuple[OrbitSequence, ...]]
+    )
+    held: frozenset[str] = frozenset()
+    turn: float | None = None
+    zero: float = 0.0
+
+    @property
+    def accumulates(self) -> bool:
+        """True if impacts accumulate in the period: the orbit is a Zeno orbit."""
+        return any(one.zeno is not None for own in self.sequences.values() for one in own)
+
+    def since_zero(self, time: float) -> float:
+        """Return a time since the last zero phase of the clock, or since the start."""
+        return (time - self.zero) % (self.turn or self.period)
+
+    def parts(self, phases: Vector) -> dict[str, NDArray[np.bool_]]:
+        """Return the parts of the period, as masks of phases. The whole period has no name.
+
+        Args:
+            phases: Phases in periods from the start, ``(n,)``.
+        """
+        if not self.accumulates:
+            return {"": np.ones(len(phases), dtype=np.bool_)}
+        times = phases * self.period
+
+        def within(first: float | None, last: float | None) -> NDArray[np.bool_]:
+            if first is None or last is None:
+                return np.zeros(len(phases), dtype=np.bool_)
+            return (times - first) % self.period < last - first
+
+        sequences = [one for own in self.sequences.values() for one in own]
+        chatter, locked = (
+            np.asarray(np.any(parts, axis=0), dtype=np.bool_)
+            for parts in (
+                [within(one.impacts[0], one.zeno) for one in sequences],
+                [within(one.zeno, one.release) for one in sequences],
+            )
+        )
+        return {"in flight": ~(locked | chatter), "in chatter": chatter & ~locked, "locked": locked}
 
     def at(self, phases: Vector) -> Vector:
         """Return the signals at phases, ``(n, n_s)``.
@@ -330,6 +382,59 @@ def tabulate_orbit(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> 
     return tabulated(dynamics, cycle, measurement(problem, names), p)
 
 
+def tabulate_events(orbit: EventOrbit, problem: Problem, names: Sequence[str]) -> PeriodTable:
+    """Return the period of an orbit given as events, simulated from its start.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        names: Names of the states and outputs to tabulate.
+
+    Raises:
+        SimulationError: If the orbit cannot be simulated.
+    """
+    values = orbit.values(problem)
+    graph = problem.graph_dynamics(values)
+    start = np.array(problem.state_vector(orbit.start_state))
+    # Rounding may delay the event that ends the period.
+    run = simulate(graph, start, until=orbit.period * (1 + _PAST))
+    arcs = [arc for arc in run.arcs if arc.start_time < orbit.period * (1 - _PAST)]
+    states, p = closed_nodes(graph, arcs), np.asarray(values.vector, dtype=np.float64)
+    turn, zero = steady_turn(graph.first, start), 0.0
+    if turn is not None:
+        cosine, sine = start[list(graph.first.clock)]
+        zero = -turn * (math.atan2(sine, cosine) / (2 * math.pi))
+    measured = measurement(problem, names)
+    struck = {stop: own for stop in graph.stop_names if (own := orbit_sequences(orbit, stop))}
+    return PeriodTable(
+        period=orbit.period,
+        measured=measured,
+        nodes=signal_nodes(states, measured, p),
+        states=states,
+        p=p,
+        sequences=struck,
+        held=frozenset(stop for stop in graph.stop_names if all(stop in a.closed for a in arcs)),
+        turn=turn,
+        zero=zero,
+    )
+
+
+def closed_nodes(graph: GraphDynamics, arcs: Sequence[Arc]) -> CubicColumns:
+    """Return the states along the arcs of a period, and after the event that ends the period.
+
+    Args:
+        graph: The graph of modes.
+        arcs: The arcs of the period, in order.
+    """
+    inside = graph_nodes(graph, arcs)
+    # Signals may jump at the event that ends the period.
+    return CubicColumns(
+        times=np.append(inside.times, inside.times[-1]),
+        values=np.concatenate([inside.values, inside.values[:1]]),
+        slopes=np.concatenate([inside.slopes, inside.slopes[:1]]),
+    )
+
+
 def tabulated(
     dynamics: HybridDynamics, cycle: Cycle, measured: Measurement, p: Vector
 ) -> OrbitTable:
@@ -342,8 +447,15 @@ def tabulated(
         p: Gains, then parameters.
     """
     whole = state_nodes(dynamics, cycle.execution.arcs)
-    whole = replace(whole, times=whole.times - cycle.start.time)
+    start = cycle.start.time
+    whole = replace(whole, times=whole.times - start)
+    only = OrbitSequence(
+        impacts=tuple(one.time - start for one in cycle.impacts),
+        zeno=cycle.zeno.time - start,
+        release=cycle.period,
+    )
     return OrbitTable(
+        sequences={STOP: (only,)},
         cycle=cycle,
         period=cycle.period,
         measured=measured,

@@ -21,7 +21,6 @@ from zeno_orbits.cli.options import (
     write_json,
 )
 from zeno_orbits.cli.parsing import read_fit
-from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 
@@ -50,14 +49,9 @@ def add_compare(commands: Any) -> None:
 
 
 def _run_compare(options: argparse.Namespace) -> int:
-    import zeno_orbits as zo
-
     require_outputs(options, files=(), reads=[options.orbit, options.data])
     orbit = api.any_orbit(options.orbit)
     problem = api.problem_of(orbit, options.problem)
-    if isinstance(orbit, zo.EventOrbit) and options.picture is not None:
-        wanted = "must be left out for an orbit of a machine with several stops or switches"
-        raise InputError(f"Argument `picture` {wanted}.")
     with report.ProgressLine(options.interrupts.check) as progress:
         found = api.compare(
             orbit,
@@ -69,7 +63,7 @@ def _run_compare(options: argparse.Namespace) -> int:
         )
     picture: Path | None = options.picture
     drawn: list[Path] = []
-    if isinstance(found, zo.Comparison) and picture is not None and found.deviations is not None:
+    if picture is not None and found.deviations is not None:
         from zeno_orbits.report import plots
 
         drawn = [picture]

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.orbit_table import ROUGHLY, OrbitTable, beside_jumps
+from zeno_orbits.experiment.comparison.estimate import step_of
+from zeno_orbits.experiment.orbit_table import ROUGHLY, PeriodTable, beside_jumps
 from zeno_orbits.experiment.recordings.delays import delays_of
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 
@@ -61,6 +62,10 @@ _LARGE = 20.0
 """A smaller factor may as well come from another machine."""
 _SAME = 0.9
 """A signal in another unit correlates at least so with the orbit's."""
+_STRIDE = 1e-3
+"""Largest step of the fit that is taken without a look at the samples near jumps, in periods."""
+_NOTICED = 4.0
+"""Standard errors of a mean cycle from which its shape is another one."""
 _BACKWARD = 1e-3
 """Correlation by which a recording must be more like the orbit reversed in time."""
 _DIRECTED = 8
@@ -77,12 +82,14 @@ class Likeness:
             shape.
         gain: Ratio of the recorded signal to the orbit's signal.
         suspicion: Probable mistake in the file, or an empty string.
+        differs: Whether the shapes differ by more than noise and rounding.
     """
 
     name: str
     correlation: float
     gain: float
     suspicion: str
+    differs: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,7 +123,7 @@ class Alignment:
 
 
 def aligned(
-    table: OrbitTable, time: Vector, values: Vector, found: Periodicity, names: Sequence[str]
+    table: PeriodTable, time: Vector, values: Vector, found: Periodicity, names: Sequence[str]
 ) -> Alignment:
     """Return the position of the orbit in a recording.
 
@@ -135,7 +142,13 @@ def aligned(
     model = np.asarray(np.fft.irfft(waves, _PHASES, axis=0), dtype=np.float64)
     shift, signs, alike = _coarse(model, data)
     likeness = [
-        _likeness(name, model[:, k], np.roll(data[:, k], shift), bool(signs[k] < 0))
+        _likeness(
+            name,
+            model[:, k],
+            np.roll(data[:, k], shift),
+            bool(signs[k] < 0),
+            _NOTICED * float(found.noise[k]) + step_of(values[k]),
+        )
         for k, name in enumerate(names)
     ]
     ratio = found.period / table.period
@@ -181,7 +194,7 @@ def _coarse(model: Vector, data: Vector) -> tuple[int, Vector, float]:
     return other, signs, float(turned[other]) / len(model[0])
 
 
-def _likeness(name: str, model: Vector, data: Vector, opposed: bool) -> Likeness:
+def _likeness(name: str, model: Vector, data: Vector, opposed: bool, noise: float) -> Likeness:
     a, b = model - model.mean(), data - data.mean()
     own = float(a @ a)
     gain = float(a @ b) / own if own > 0.0 else 0.0
@@ -195,6 +208,7 @@ def _likeness(name: str, model: Vector, data: Vector, opposed: bool) -> Likeness
         correlation=correlation,
         gain=gain,
         suspicion=suspicion,
+        differs=float(np.std(b - a)) > noise,
     )
 
 
@@ -217,24 +231,33 @@ class _Place(NamedTuple):
     period_error: float
 
 
-def _fine(table: OrbitTable, time: Vector, values: Vector, scale: Vector, at: _Place) -> _Place:
+def _fine(table: PeriodTable, time: Vector, values: Vector, scale: Vector, at: _Place) -> _Place:
     """Return the least-squares position of the orbit, near a first estimate."""
     rows = np.unique(np.linspace(0, len(time) - 1, min(len(time), _MOST_ROWS)).astype(np.int64))
     t, y, n_s = time[rows], values[:, rows].T, len(values)
     # Thinned rows contain less information than all rows.
     thinned = math.sqrt(len(t) / len(time))
     release, error, period, unsure = at
+    best, least = at, math.inf
     for _ in range(_STEPS):
         turns, stretch = (t - release) / period, table.period / period
         nodes = table.nodes.with_slopes(np.mod(turns, 1.0) * table.period)
         model, slope = (columns[:, :n_s] for columns in nodes)
+        whole = np.where(np.isfinite(y), y - model, np.nan) / scale
+        cost = float(np.nansum(np.nanvar(whole, axis=0)))
+        if cost > least and abs(release - best.release) > _STRIDE * period:
+            # The slopes alone would move the orbit beyond its jumps.
+            return best._replace(period=period)
+        least = cost
         # A slope does not include a jump, so samples near a jump would shift the fit the wrong way.
         seen = np.isfinite(y) & ~beside_jumps(table, turns, ROUGHLY)[:, :n_s]
         count = np.maximum(seen.sum(axis=0), 1)
         rest = np.where(seen, y - model, 0.0)
         # An offset of an encoder does not shift the time.
         rest = np.where(seen, rest - rest.sum(axis=0) / count, 0.0) / scale
-        moved = np.where(seen, -slope * stretch, 0.0) / scale
+        # The mean slope of a signal that jumps is not zero, and acts as an offset.
+        moved = np.where(seen, -slope * stretch, 0.0)
+        moved = np.where(seen, moved - moved.sum(axis=0) / count, 0.0) / scale
         below = float(np.sum(moved**2))
         if not below > 0.0:
             return _Place(release, math.inf, period, unsure)
@@ -247,6 +270,7 @@ def _fine(table: OrbitTable, time: Vector, values: Vector, scale: Vector, at: _P
         numbers = np.repeat(cycles, n_s)
         scatter = delays_of(numbers, moved.ravel(), rest.ravel()).scatter
         error = max(thinned * white, scatter)
+        best = _Place(release, error, period, unsure)
         release += float(np.clip(late, -0.1 * period, 0.1 * period))
         # The periodic part is equal in all cycles, except at an incomplete cycle.
         n_bins = int(np.clip(len(turns) / (cycles[-1] + 1) / 2, 1, _BINS))
@@ -268,6 +292,7 @@ def _fine(table: OrbitTable, time: Vector, values: Vector, scale: Vector, at: _P
                 variance = max(variance, float(np.sum(each**2)))
             unsure = math.sqrt(variance) / below
             period += float(np.clip(change, -0.1 * period, 0.1 * period))
+        best = best._replace(period_error=unsure)
     return _Place(release, error, period, unsure)
 
 

@@ -1,12 +1,15 @@
 """Comparison of a recording with an orbit: whether both show the same motion, and the deviations.
 
+A stop gives two kinds of evidence: its gap, if the recorded signals determine it, and its contact
+channel. The signals themselves are compared phase by phase.
+
 Source: theory (6.7) to (6.10).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,6 +19,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit, fit_contacts
+from zeno_orbits.experiment.comparison.contact_gaps import contradictions
 from zeno_orbits.experiment.comparison.deviations import N_BINS, Deviations, deviations
 from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
@@ -34,12 +38,18 @@ from zeno_orbits.experiment.comparison.signal_metrics import (
     recorded_portraits_of,
     signal_metrics,
 )
-from zeno_orbits.experiment.comparison.verdict import ComparisonVerdict, contact_finding, differing
-from zeno_orbits.experiment.orbit_table import GAP
+from zeno_orbits.experiment.comparison.verdict import (
+    ComparisonVerdict,
+    Finding,
+    contact_finding,
+    differing,
+)
+from zeno_orbits.experiment.orbit_table import GAP, STOP, OrbitTable, PeriodTable
+from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import Columns, TableRepr
 
 __all__ = ["Comparison", "ComparisonVerdict", "Metric", "compare_recording"]
@@ -69,14 +79,14 @@ class Comparison(TableRepr):
         contacts: Contacts with the stop, if the recorded gap shows a resting level.
         deviations: Deviations by phase, if the recording and the orbit show the same kind of
             motion.
-        reasons: Reasons why the recording shows no Zeno orbit of the machine, most serious first.
+        reasons: Reasons why the recording shows no such orbit of the machine, most serious first.
             It is empty if the recording shows such an orbit.
         unresolved: Reasons why the recording is inconclusive. It is empty for a conclusive
             recording.
         remarks: Further findings.
     """
 
-    orbit: ZenoOrbit
+    orbit: ZenoOrbit | EventOrbit
     problem: Problem
     recording: Recording
     signals: tuple[str, ...]
@@ -113,15 +123,19 @@ class Comparison(TableRepr):
         """Values of the recording and the orbit."""
         if self.overlay is None:
             return ()
-        found, table = self.overlay.found, self.overlay.table
-        period = Estimate(value=found.period, error=found.error)
-        if self.overlay.holds:
-            where = self.overlay.where
-            period = Estimate(value=where.period, error=where.period_error)
+        found, table, where = self.overlay.found, self.overlay.table, self.overlay.where
+        if not self.overlay.holds:
+            return (metric("period", "s", table.period, _period_of(found)),)
+        seen = self.overlay.seen
+        periods = [Estimate(value=where.period, error=where.period_error), seen.period]
+        known = [one for one in periods if one.known and math.isfinite(one.error)]
+        period = min(known, key=lambda one: one.error, default=_period_of(found))
         metrics = [metric("period", "s", table.period, period)]
-        if self.contacts is not None:
-            unit = self.problem.gap_unit
-            metrics += contact_metrics(table, self.contacts, self.overlay.where, unit)
+        if self.contacts is not None and isinstance(table, OrbitTable):
+            metrics += contact_metrics(table, self.contacts, where, self.problem.gap_unit)
+        else:
+            start = Estimate(value=where.release, error=where.error)
+            metrics += seen.metrics(table, start, period, quantities=not any(seen.findings()))
         if self.deviations is not None:
             metrics += signal_metrics(self.problem, self.deviations, self.signals)
             portraits = recorded_portraits_of(self.problem, self.signals)
@@ -133,10 +147,9 @@ class Comparison(TableRepr):
         """Verdict on the recording."""
         if self.reasons:
             return ComparisonVerdict.NO_ORBIT
-        seen = self.overlay is not None and not self.overlay.may_alternate
-        if seen and not self.differences and (self.contacts is None or not self.unresolved):
-            return ComparisonVerdict.THIS_ORBIT
-        return ComparisonVerdict.UNDECIDED if self.unresolved else ComparisonVerdict.OTHER_VALUES
+        if self.unresolved:
+            return ComparisonVerdict.UNDECIDED
+        return ComparisonVerdict.OTHER_VALUES if self.differences else ComparisonVerdict.THIS_ORBIT
 
     @cached_property
     def differences(self) -> tuple[Metric, ...]:
@@ -177,27 +190,35 @@ class Comparison(TableRepr):
         }
 
 
-def compare_recording(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Comparison:
+def compare_recording(
+    orbit: ZenoOrbit | EventOrbit, problem: Problem, recording: Recording
+) -> Comparison:
     """Compare a recording with an orbit.
 
     Args:
         orbit: The orbit.
         problem: Its problem.
         recording: The recording. Signals with the name of a state, a motor or an output of the
-            problem count.
+            problem count, and contact channels.
 
     Raises:
-        InputError: If no signal is known to the problem, or the unit of a signal measures another
-            quantity.
+        InputError: If no signal or channel is known to the problem, the unit of a signal measures
+            another quantity, or a channel is invalid.
         SimulationError: If the orbit is not periodic in simulation.
     """
-    names = shared_signals(problem, recording)
-    remarks = _oddities(recording, problem, names)
+    values = orbit.values(problem)
+    stops = problem.graph_dynamics(values).stop_names if problem.has_graph else (STOP,)
+    channels, titles = contact_channels(recording, stops), contact_names(stops)
+    names = shared_signals(problem, recording, titles)
+    remarks = _oddities(recording, problem, names, titles)
     begun = Comparison(orbit=orbit, problem=problem, recording=recording, signals=names)
     # Portraits need rates in addition to the recorded signals.
     seconds = [one.signals[1] for one in recorded_portraits_of(problem, names)]
-    more = dict.fromkeys([*(name for name in seconds if name not in names), GAP])
-    overlay = lay_over(orbit, problem, recording, names, tuple(more))
+    more = [name for name in seconds if name not in names]
+    more += [] if problem.has_graph else [GAP]
+    overlay = lay_over(
+        orbit, problem, recording, names, also=tuple(dict.fromkeys(more)), channels=channels
+    )
     step = float(np.median(np.diff(recording.time)))
     # The samples of a much slower motion are not few, whatever the orbit's period.
     slow = overlay is not None and overlay.found.period > _FEWEST_SAMPLES**2 * step
@@ -215,29 +236,40 @@ def compare_recording(orbit: ZenoOrbit, problem: Problem, recording: Recording) 
         # Numbers of signals that are mistaken for others would mislead.
         said, why = tuple(remarks), tuple(reasons)
         return replace(begun, overlay=overlay, reasons=why, remarks=said)
-    gap = recorded_gap(overlay.table, problem, recording)
-    contacts = None if gap is None else _contacts(overlay, problem, gap)
-    seen = contact_finding(contacts, overlay, recorded=gap is not None)
-    if contacts is not None and not (seen.reasons or seen.unresolved):
+    contacts, seen = _contact_evidence(overlay, problem, recording, channels)
+    if contacts is not None and not (seen.reasons or seen.unresolved or seen.unseen):
         reasons = overlay.reasons(alike=RELATED)
+    against = (
+        contradictions(problem, values, recording, names, overlay.seen, channels)
+        if problem.has_graph
+        else ()
+    )
     if found.repeats < 1.0 - _STRAY:
         remarks.append(
             f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
         )
-    deviation = deviations(overlay.table, recording.time, overlay.values, overlay.where)
-    remarks += _settling(deviation, recording.time, overlay.where)
+    deviation = (
+        deviations(overlay.table, recording.time, overlay.values, overlay.where) if names else None
+    )
+    if deviation is not None:
+        remarks += _settling(deviation, recording.time, overlay.where)
     compared = replace(
         begun,
         overlay=overlay,
         # Values of a contact fit without contacts would be meaningless.
         contacts=None if seen.reasons else contacts,
         deviations=deviation,
-        reasons=(*reasons, *seen.reasons),
+        reasons=(*reasons, *seen.reasons, *against),
         unresolved=seen.unresolved,
         remarks=tuple(remarks),
     )
     few = tuple(_few_samples(compared, overlay))
-    return replace(compared, unresolved=(*seen.unresolved, *few)) if few else compared
+    unseen = seen.unseen if compared.differences else ()
+    return replace(compared, unresolved=(*seen.unresolved, *unseen, *few))
+
+
+def _period_of(found: Periodicity) -> Estimate:
+    return Estimate(value=found.period, error=found.error)
 
 
 def _few_samples(compared: Comparison, overlay: Overlay) -> Iterator[str]:
@@ -246,23 +278,75 @@ def _few_samples(compared: Comparison, overlay: Overlay) -> Iterator[str]:
         part = f"{100 * overlay.found.alternation:.2g} % of the signals"
         yield f"every other cycle differs by {part}, or is sampled at other phases"
     n = len(compared.recording.time)
-    if n < 2 * N_BINS and compared.differences:
+    if compared.signals and n < 2 * N_BINS and compared.differences:
         # Nearly every bin of the phase has one sample.
         yield f"{n} samples are too few to separate a deviation from noise"
+    if compared.signals and _by_clock_alone(compared.problem, overlay.table, compared.signals):
+        yield f"{', '.join(compared.signals)} depend on the clock alone, and not on the motion"
 
 
-def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> ContactFit | None:
-    """Return the contacts of a gap, or ``None`` if the gap lacks a resting level."""
-    level, where = stop_level(gap), overlay.where
-    if level is None:
-        return None
-    model = gap_model(overlay.table, problem, where.period)
-    return fit_contacts(overlay.time, gap, model, where, level)
+def _by_clock_alone(problem: Problem, table: PeriodTable, names: Sequence[str]) -> bool:
+    """Return True if recorded signals depend on nothing but the clock."""
+    own = [k for k in range(len(problem.state_names)) if k not in problem.clock]
+    slopes = table.measured.derivatives(table.states.values, table.p)
+    return not np.any(slopes[:, : len(names)][:, :, own])
 
 
-def _oddities(recording: Recording, problem: Problem, names: Sequence[str]) -> list[str]:
+def _channel_finding(overlay: Overlay, channels: Mapping[str, Vector]) -> Finding:
+    """Return the findings of the contact channels.
+
+    Args:
+        overlay: The orbit aligned with the recording.
+        channels: Contact channels by the name of their stop.
+    """
+    table = overlay.table
+    reasons, unresolved = overlay.seen.findings()
+    others = {stop: row for stop, row in channels.items() if stop not in table.sequences}
+    other = tuple(
+        f"the contact `{stop}` closes, and the orbit does not touch it"
+        if stop not in table.held
+        else f"the contact `{stop}` opens, and the orbit keeps it closed"
+        for stop, row in others.items()
+        if np.any(row[np.isfinite(row)] != float(stop in table.held))
+    )
+    missing = ", ".join(f"`{stop}`" for stop in table.sequences if stop not in channels)
+    unseen: tuple[str, ...] = () if table.accumulates else (_NO_PHASE,)
+    if missing:
+        unseen = (f"contacts cannot be seen on {missing}: {_no_channel(table)}",)
+        if not overlay.names:
+            unresolved = (*unresolved, *unseen)
+    return Finding(reasons=(*reasons, *other), unresolved=unresolved, unseen=unseen)
+
+
+def _no_channel(table: PeriodTable) -> str:
+    if isinstance(table, OrbitTable):
+        return "its channel, or coordinates that the gap depends on, were not recorded"
+    return "no channel was recorded"
+
+
+_NO_PHASE = "the orbit has no impacts that accumulate, by which the machine could be recognized"
+
+
+def _contact_evidence(
+    overlay: Overlay, problem: Problem, recording: Recording, channels: Mapping[str, Vector]
+) -> tuple[ContactFit | None, Finding]:
+    """Return the contacts of a recorded gap, and what gap or channels tell of the contacts."""
+    table, where = overlay.table, overlay.where
+    gap = recorded_gap(table, problem, recording) if isinstance(table, OrbitTable) else None
+    if gap is None or not isinstance(table, OrbitTable):
+        return None, _channel_finding(overlay, channels)
+    # Without a resting level there is no contact.
+    level = stop_level(gap)
+    model = gap_model(table, problem, where.period)
+    found = None if level is None else fit_contacts(overlay.time, gap, model, where, level)
+    return found, contact_finding(found, table, overlay.time)
+
+
+def _oddities(
+    recording: Recording, problem: Problem, names: Sequence[str], channels: Sequence[str]
+) -> list[str]:
     remarks: list[str] = []
-    others = [name for name in recording.names if name not in names]
+    others = [name for name in recording.names if name not in (*names, *channels)]
     if others:
         remarks.append(f"not signals of the problem, left out: {', '.join(others)}")
     if recording.problem and recording.problem.partition("@")[0] != problem.name.partition("@")[0]:

@@ -21,8 +21,8 @@ from scipy.special import ndtri, stdtrit
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.alignment import Alignment
-from zeno_orbits.experiment.comparison.estimate import Estimate
-from zeno_orbits.experiment.orbit_table import OrbitTable, beside_jumps, jump_width
+from zeno_orbits.experiment.comparison.estimate import Estimate, step_of
+from zeno_orbits.experiment.orbit_table import PeriodTable, beside_jumps, jump_width
 
 N_BINS = 240
 """Bins of the phase."""
@@ -32,8 +32,6 @@ _MOST_GROUPS = 40
 _FEW_CYCLES = 4
 _WHOLE = 0.5
 """Part of its bins that a cycle shows at least, to be held against the others."""
-_EVEN = 1e-3
-"""Part of a step by which multiples of it may differ in a file."""
 _PIECE = 1 << 20
 """Samples that are folded at a time."""
 _INSIDE = 0.975
@@ -72,7 +70,7 @@ class Deviations:
         rounding: Largest rounding error of each signal, half its step, ``(n_s,)``.
     """
 
-    table: OrbitTable
+    table: PeriodTable
     period: float
     sums: Vector
     squares: Vector
@@ -203,7 +201,7 @@ class Deviations:
         return np.where(counts > 0.5, sums / np.maximum(counts, 1.0), np.nan)
 
 
-def deviations(table: OrbitTable, time: Vector, values: Vector, where: Alignment) -> Deviations:
+def deviations(table: PeriodTable, time: Vector, values: Vector, where: Alignment) -> Deviations:
     """Return the deviations of a record from an orbit.
 
     Args:
@@ -243,19 +241,8 @@ def deviations(table: OrbitTable, time: Vector, values: Vector, where: Alignment
         squares=squares.reshape(shape),
         counts=counts.reshape(shape),
         by_cycles=by_cycles,
-        rounding=np.array([_step_of(row) / 2.0 for row in values]),
+        rounding=np.array([step_of(row) / 2.0 for row in values]),
     )
-
-
-def _step_of(row: Vector) -> float:
-    """Return the step of a rounded signal, or 0 if its values are not multiples of a step."""
-    values = np.unique(row[np.isfinite(row)])
-    if len(values) < 2:
-        return 0.0
-    apart = np.diff(values)
-    step = float(np.min(apart))
-    numbers = apart / step
-    return step if np.max(np.abs(numbers - np.rint(numbers))) < _EVEN else 0.0
 
 
 def deviations_between(row: Vector) -> tuple[Vector, Vector]:

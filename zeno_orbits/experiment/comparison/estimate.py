@@ -1,9 +1,16 @@
-"""A number of a recording and how sure it is."""
+"""A number of a recording, its standard error, and the rounding of samples."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+
+_EVEN = 1e-3
+"""Part of a step by which multiples of it may differ in a file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,3 +31,14 @@ class Estimate:
 
 
 UNKNOWN = Estimate(value=math.nan, error=math.nan)
+
+
+def step_of(row: Vector) -> float:
+    """Return the step of a rounded signal, or 0 if its values are not multiples of a step."""
+    values = np.unique(row[np.isfinite(row)])
+    if len(values) < 2:
+        return 0.0
+    apart = np.diff(values)
+    step = float(np.min(apart))
+    numbers = apart / step
+    return step if np.max(np.abs(numbers - np.rint(numbers))) < _EVEN else 0.0

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.contact_edges import (
@@ -18,13 +19,14 @@ from zeno_orbits.experiment.comparison.contact_edges import (
     seen_sequences,
 )
 from zeno_orbits.experiment.comparison.estimate import Estimate
-from zeno_orbits.experiment.comparison.event_reference import (
-    EventTable,
-    OrbitSequence,
-    longest_flight,
-)
 from zeno_orbits.experiment.comparison.metrics import Metric, metric
+from zeno_orbits.experiment.orbit_table import PeriodTable
+from zeno_orbits.experiment.sequences import OrbitSequence, longest_flight
 
+_ALIKE = 2.0
+"""Samples by which a flight and a contact may differ, so that sampling decides what is seen."""
+_DOUBLED = 4.0
+"""Standard errors beyond the sampling from which every other cycle differs."""
 _SHARE = 0.25
 """Part of the orbit's contact phase that a lasting contact lasts at least."""
 
@@ -104,17 +106,6 @@ class SeenEvents:
             span=float(time[-1] - time[0]),
         )
 
-    def model_channel(self, stop: str, n: int) -> Vector:
-        """Return the contact channel of the orbit at even phases, ``(n,)``."""
-        phases = np.arange(n) / n * self.orbit_period
-        found = np.zeros(n)
-        for one in self.stops:
-            for sequence in one.orbit if one.name == stop else ():
-                if sequence.zeno is not None and sequence.release is not None:
-                    since = (phases - sequence.zeno) % self.orbit_period
-                    found[since < sequence.release - sequence.zeno] = 1.0
-        return found
-
     def offset(self, start: float, period: float) -> Estimate:
         """Return the mean delay of first impacts against a start of the orbit's period."""
         late = [
@@ -138,10 +129,13 @@ class SeenEvents:
         reasons: list[str] = []
         unresolved: list[str] = []
         for stop in self.stops:
-            for label, sequence, found in zip(stop.labels(), stop.orbit, stop.seen, strict=True):
+            parts = zip(stop.labels(), stop.orbit, stop.seen, stop.cycles, strict=True)
+            for label, sequence, found, numbers in parts:
                 against, open_ = self._finding(stop, label, sequence, found, partly)
                 reasons += against
                 unresolved += open_
+                if not against and self._alternates(found, np.array(numbers)):
+                    reasons.append(f"every other cycle of `{label}` differs: the period is doubled")
         return tuple(reasons), tuple(unresolved)
 
     def _finding(
@@ -185,8 +179,21 @@ class SeenEvents:
                 return [f"the bounces of `{label}` do not become shorter"], []
         return [], []
 
+    def _alternates(self, found: Sequence[SeenSequence], numbers: NDArray[np.int64]) -> bool:
+        """Return True if the first contacts of even and odd cycles are at different phases.
+
+        If the sampling is synchronous with two periods, it alone moves an edge by up to a sample.
+        """
+        late: Vector = np.array([one.begins[0].middle for one in found])
+        parts = [(late - numbers * self.period.value)[numbers % 2 == k] for k in (0, 1)]
+        if min(map(len, parts)) < 2 or not self.period.known:
+            return False
+        spread = math.hypot(*(float(np.std(one)) / math.sqrt(len(one)) for one in parts))
+        apart = abs(float(np.mean(parts[0]) - np.mean(parts[1])))
+        return apart > self.step + _DOUBLED * spread
+
     def metrics(
-        self, table: EventTable, start: Estimate, period: Estimate, *, quantities: bool
+        self, table: PeriodTable, start: Estimate, period: Estimate, *, quantities: bool
     ) -> list[Metric]:
         """Return the quantities of all sequences.
 
@@ -270,16 +277,16 @@ class _Quantities:
     seen: tuple[SeenSequence, ...]
     step: float
     period: Estimate
-    table: EventTable
+    table: PeriodTable
     start: Estimate
 
     def times(self) -> list[Metric]:
         """Return the first impact, the end of the chatter and the release, since the zero phase."""
-        found = [self._time("impact_time", self.sequence.impacts[0], lambda one: one.begins[0])]
+        found = [self._time("impact_time", self.sequence.impacts[0], self._firsts())]
         if self.sequence.zeno is not None:
-            found.append(self._time("zeno_time", self.sequence.zeno, lambda one: one.begins[-1]))
+            found.append(self._time("zeno_time", self.sequence.zeno, self._lasts()))
         if self.sequence.release is not None:
-            found.append(self._time("release_time", self.sequence.release, lambda one: one.release))
+            found.append(self._time("release_time", self.sequence.release, self._releases()))
         return found
 
     def bounces(self) -> list[Metric]:
@@ -290,43 +297,58 @@ class _Quantities:
         counts = np.array([len(one.begins) - 1 for one in self.seen], dtype=np.float64)
         spread = float(np.std(counts, ddof=1)) / math.sqrt(len(counts)) if len(counts) > 1 else 0.0
         contact = float(np.median([c for one in self.seen for c in one.contacts] or [self.step]))
-        expected = float(np.sum(self.sequence.flights > max(contact, self.step)))
+        flights = self.sequence.flights
+        # Sampling decides whether a flight that is about as long as a contact is seen.
+        unsure = float(np.sum(np.abs(flights - contact) < _ALIKE * self.step))
+        counted = Estimate(value=float(np.mean(counts)), error=math.hypot(spread, unsure))
+        expected = float(np.sum(flights > max(contact, self.step)))
         found = [
-            self._difference(
-                "bounce_time",
-                zeno - impacts[0],
-                [(one.begins[0], one.begins[-1]) for one in self.seen],
-            ),
-            metric(
-                f"{self.label}.bounces",
-                "1",
-                expected,
-                Estimate(value=float(np.mean(counts)), error=spread),
-            ),
+            self._difference("bounce_time", zeno - impacts[0], self._firsts(), self._lasts()),
+            metric(f"{self.label}.bounces", "1", expected, counted),
         ]
         for k in range(int(np.min(counts))):
             own = impacts[k + 1] - impacts[k] if k + 1 < len(impacts) else math.nan
-            pairs = [(one.begins[k], one.begins[k + 1]) for one in self.seen]
-            found.append(self._difference(f"bounce {k + 1}", own, pairs))
+            earlier, later = (
+                np.array([one.begins[j].middle for one in self.seen]) for j in (k, k + 1)
+            )
+            found.append(self._difference(f"bounce {k + 1}", own, earlier, later))
         if self.sequence.release is not None:
-            pairs = [(one.begins[-1], one.release) for one in self.seen]
-            found.append(self._difference("contact_time", self.sequence.release - zeno, pairs))
+            own = self.sequence.release - zeno
+            found.append(self._difference("contact_time", own, self._lasts(), self._releases()))
         return found
 
-    def _difference(self, word: str, own: float, pairs: Sequence[tuple[Edge, Edge]]) -> Metric:
-        values = np.array([later.middle - earlier.middle for earlier, later in pairs])
-        estimate = mean_of(values, 2, self.step)
-        return metric(f"{self.label}.{word}", "s", own, estimate)
+    def _firsts(self) -> Vector:
+        """Return the begin of the first contact in every cycle [s]."""
+        return np.array([one.begins[0].middle for one in self.seen])
 
-    def _time(self, word: str, own: float, edge: Callable[[SeenSequence], Edge]) -> Metric:
-        period, orbit = self.period.value, self.table.orbit
+    def _lasts(self) -> Vector:
+        """Return the end of the bounces in every cycle [s].
+
+        Contacts hide the bounces that are shorter than they are. The orbit's own bounces from the
+        impact with which the lasting contact begins on are added.
+        """
+        impacts, zeno = self.sequence.impacts, self.sequence.zeno or math.nan
+        stretch = self.period.value / self.table.period
+        places = [len(one.begins) - 1 for one in self.seen]
+        hidden = [stretch * (zeno - impacts[k]) if k < len(impacts) else 0.0 for k in places]
+        return np.array([one.begins[-1].middle for one in self.seen]) + hidden
+
+    def _releases(self) -> Vector:
+        """Return the end of the last contact in every cycle [s]."""
+        return np.array([one.release.middle for one in self.seen])
+
+    def _difference(self, word: str, own: float, earlier: Vector, later: Vector) -> Metric:
+        return metric(f"{self.label}.{word}", "s", own, mean_of(later - earlier, 2, self.step))
+
+    def _time(self, word: str, own: float, edges: Vector) -> Metric:
+        period, table = self.period.value, self.table
         # Cycles count from the start nearest to the middle, so an error of the period hardly moves.
-        late = np.array([edge(one).middle for one in self.seen]) - self.start.value
-        turns = np.round((late - own * period / orbit.period) / period)
+        late = edges - self.start.value
+        turns = np.round((late - own * period / table.period) / period)
         values = late - turns * period
         estimate = mean_of(values, 1, self.step).unsure(self.start.error)
         drift = float(np.mean(turns)) * self.period.error
-        wanted = self.table.since_zero(own)
+        wanted = table.since_zero(own)
         since = estimate.value - own + wanted
         told = Estimate(value=since, error=math.hypot(estimate.error, drift))
         return metric(f"{self.label}.{word}", "s", wanted, told)

@@ -7,19 +7,26 @@ Source: theory (6.7), (6.8).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment, aligned
-from zeno_orbits.experiment.orbit_table import OrbitTable, measurable, tabulate_orbit
+from zeno_orbits.experiment.comparison.event_contacts import SeenEvents
+from zeno_orbits.experiment.orbit_table import (
+    PeriodTable,
+    measurable,
+    tabulate_events,
+    tabulate_orbit,
+)
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem, powers_of
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 
 _REPEATS = 0.4
 """Part of the variance that repeats in a record that shows an orbit, at least."""
@@ -29,6 +36,8 @@ RELATED = 0.2
 """Least correlation of other signals if the contacts match a Zeno orbit."""
 _ALTERNATES = 0.02
 """Cycles that differ in turn by this part of the signals' size are of twice the period."""
+_SEVERAL = 0.05
+"""Part of a period by which the orbit's may differ from several periods of a record."""
 _SURE = 4.0
 """Number of standard errors above which a difference is significant."""
 _LARGEST = 1e100
@@ -43,17 +52,19 @@ class Overlay:
         names: Names of the signals that the orbit and the recording share.
         time: Times of the recording, ``(n_t,)`` [s].
         values: Signals of the recording, one row each, ``(n_s, n_t)``.
-        found: Periodicity of the signals.
+        found: Periodicity of the signals, or of the contact channels without signals.
         table: The orbit, whose first signals are the shared signals.
         where: Alignment of the orbit with the recording.
+        seen: Contacts of the channels of stops that the orbit strikes.
     """
 
     names: tuple[str, ...]
     time: Vector
     values: Vector
     found: Periodicity
-    table: OrbitTable
+    table: PeriodTable
     where: Alignment
+    seen: SeenEvents
 
     @property
     def holds(self) -> bool:
@@ -93,7 +104,7 @@ class Overlay:
             if one.suspicion:
                 numbers = f"correlation {one.correlation:.2f}, {abs(one.gain):.4g} times as large"
                 reasons.append(f"`{one.name}` looks like {one.suspicion} ({numbers})")
-            elif one.correlation < alike:
+            elif one.differs and one.correlation < alike:
                 reasons.append(
                     f"`{one.name}` moves differently: its correlation with the orbit is "
                     f"{one.correlation:.2f}"
@@ -109,7 +120,7 @@ class Overlay:
                 f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: the "
                 f"period is doubled, {2 * found.period:.6g} s"
             )
-        unlike = min((one.correlation for one in self.where.likeness), default=1.0) < _LIKE
+        unlike = any(one.differs and one.correlation < _LIKE for one in self.where.likeness)
         reasons += [
             f"the motion repeats after {multiple} of the orbit's periods only"
             for multiple in (2, 3, 4)
@@ -119,11 +130,13 @@ class Overlay:
 
 
 def lay_over(
-    orbit: ZenoOrbit,
+    orbit: ZenoOrbit | EventOrbit,
     problem: Problem,
     recording: Recording,
     names: Sequence[str],
+    *,
     also: Sequence[str] = (),
+    channels: Mapping[str, Vector] | None = None,
 ) -> Overlay | None:
     """Return the overlay of an orbit and a recording, or ``None`` if the recording has no period.
 
@@ -133,32 +146,97 @@ def lay_over(
         recording: The recording.
         names: Names of the common signals, by `shared_signals`.
         also: Names of other signals that the table of the orbit is to hold.
+        channels: Contact channels by the name of their stop. They place the orbit if no signal
+            does.
 
     Raises:
         SimulationError: If the orbit does not return.
     """
-    names = tuple(names)
+    names, channels = tuple(names), channels or {}
     time = recording.time
-    values = np.stack([recording.signal(name).values for name in names])
-    found = periodicity(time, values)
+    values = np.array([recording.signal(name).values for name in names]).reshape(-1, len(time))
+    rows = values if names else np.array(list(channels.values()))
+    found = _periodicity(time, rows, orbit.period)
     if found is None or found.n_cycles < 1.0:
         return None
-    table = tabulate_orbit(orbit, problem, (*names, *also))
-    where = aligned(table, time, values, found, names)
-    return Overlay(names=names, time=time, values=values, found=found, table=table, where=where)
+    if isinstance(orbit, EventOrbit):
+        table = tabulate_events(orbit, problem, (*names, *also))
+    else:
+        table = tabulate_orbit(orbit, problem, (*names, *also))
+    where = aligned(table, time, values, found, names) if names else None
+    period = found.period if where is None else where.period
+    seen = SeenEvents.of(time, channels, table.sequences, table.period, period)
+    if where is None or not math.isfinite(where.error):
+        where = _by_contacts(time, seen, found, where)
+    return Overlay(
+        names=names, time=time, values=values, found=found, table=table, where=where, seen=seen
+    )
 
 
-def shared_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
+def _periodicity(time: Vector, rows: Vector, period: float) -> Periodicity | None:
+    """Return the periodicity of rows: after several of their periods if the orbit has as many.
+
+    Args:
+        time: Increasing times, ``(n_t,)`` [s].
+        rows: Signals or channels, one row each.
+        period: Period of the orbit [s].
+    """
+    found = periodicity(time, rows)
+    turns = 1 if found is None else round(period / found.period)
+    if found is None or turns < 2 or abs(period / found.period / turns - 1.0) > _SEVERAL:
+        return found
+    several = periodicity(time, rows, near=turns * found.period)
+    return found if several is None or several.n_cycles < 1.0 else several
+
+
+def _by_contacts(
+    time: Vector, seen: SeenEvents, found: Periodicity, signals: Alignment | None
+) -> Alignment:
+    """Return the position of an orbit by the edges of contact channels.
+
+    Args:
+        time: Times of the recording, ``(n_t,)`` [s].
+        seen: The contacts.
+        found: Periodicity of the recording.
+        signals: Alignment by signals that do not determine the time, if there are signals.
+    """
+    known = seen.period.known
+    period, error = (seen.period.value, seen.period.error) if known else (found.period, found.error)
+    middle = 0.5 * float(time[0] + time[-1])
+    offset = seen.offset(middle, period)
+    own = Alignment(
+        release=middle + offset.value,
+        error=offset.error,
+        period=period,
+        period_error=error,
+        phase_error=(offset.error + 0.5 * float(np.ptp(time)) / period * error) / period,
+        likeness=(),
+        time_suspicion="",
+        backward=False,
+    )
+    return own if signals is None else replace(own, likeness=signals.likeness)
+
+
+def shared_signals(
+    problem: Problem, recording: Recording, channels: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Return the names of the recorded signals that a problem has.
+
+    Args:
+        problem: The problem.
+        recording: The recording.
+        channels: Names of the contact channels that count as well. No signal is needed beside one.
 
     Raises:
         InputError: If no signal is shared, or one has a unit of another kind or no sound values.
     """
     known = measurable(problem)
     names = tuple(name for name in recording.names if name in known)
-    if not names:
+    if not names and not set(channels) & set(recording.names):
         has = ", ".join(recording.names) or "none"
-        wanted = f"must have a signal of the problem ({', '.join(known)})"
+        listed = ", ".join((*known, *channels))
+        kinds = "signal or a contact channel" if channels else "signal"
+        wanted = f"must have a {kinds} of the problem ({listed})"
         raise InputError(f"Argument `recording` {wanted}, but it has {has}.")
     for name in names:
         signal = recording.signal(name)

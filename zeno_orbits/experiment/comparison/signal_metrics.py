@@ -43,12 +43,7 @@ def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) ->
     """
     units, table = measurable(problem), found.table
     late = delays(found)
-    share = found.phases * table.period
-    parts = {
-        "in flight": share < table.first_impact,
-        "in chatter": (share >= table.first_impact) & (share < table.zeno_time),
-        "locked": share >= table.zeno_time,
-    }
+    parts = table.parts(found.phases)
     for k, name in enumerate(names):
         own, unit = found.fine[:, :, k], units[name]
         # Rounding is no noise: samples at one phase of all cycles may be rounded alike.
@@ -59,7 +54,7 @@ def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) ->
         for part, chosen in parts.items():
             if chosen.any() and np.isfinite(found.average[chosen, k]).any():
                 size = root_mean_square(found, k, chosen)
-                yield metric(f"rms deviation {part} of {name}", unit, 0.0, size)
+                yield metric(f"{f'rms deviation {part}'.rstrip()} of {name}", unit, 0.0, size)
         yield metric(f"greatest deviation of {name}", unit, 0.0, greatest(found, k))
         yield metric(f"delay of {name}", "s", 0.0, late[k])
 
@@ -71,7 +66,7 @@ def recorded_portraits_of(problem: Problem, names: Sequence[str]) -> tuple[Portr
         problem: The problem.
         names: Names of the recorded signals.
     """
-    n_q = problem.compiled().n_q
+    n_q = problem.model(problem.symbols()).n_q
     rates = dict(zip(problem.state_names[n_q : 2 * n_q], problem.state_names[:n_q], strict=True))
     found: list[Portrait] = []
     for first, second in problem.portraits:
@@ -324,7 +319,8 @@ def _delay_alone(found: Deviations, signal: int) -> Estimate:
         data = (found.orbit[:, signal] + average[:, signal])[seen]
         times = found.phases[seen] * table.period
         late = 0.0
-        for _ in range(8):
+        # A signal that jumps allows no shift beyond the bins of its jumps.
+        for _ in range(8 if smooth.all() else 1):
             y, f = sloped(times - late)
             rest = data - y
             below = float(f @ f)
@@ -339,7 +335,14 @@ def _delay_alone(found: Deviations, signal: int) -> Estimate:
     below = float(f @ f)
     # Few cycles may scatter little by chance. White noise gives a lower bound.
     white = math.sqrt(float(f**2 @ found.noises[seen, signal] ** 2)) / below if below else 0.0
-    return _at_least(one, white * stretch)
+    half = float(found.rounding[signal])
+    if not (below and half):
+        return _at_least(one, white * stretch)
+    # Rounding is alike in all cycles at equal phases, and between two steps of the signal.
+    n = float(np.count_nonzero(seen))
+    parts = min(float(np.ptp(found.fine[:, :, signal])) / half + 1.0, n)
+    rounding = half / math.sqrt(3.0 * parts * below / n)
+    return _at_least(one, white * stretch).unsure(rounding * stretch)
 
 
 def portrait_distance(found: Deviations, portrait: Portrait) -> tuple[Estimate, Estimate]:

@@ -9,10 +9,10 @@ from enum import Enum
 
 import numpy as np
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit
 from zeno_orbits.experiment.comparison.metrics import Metric
-from zeno_orbits.experiment.comparison.overlay import Overlay
-from zeno_orbits.experiment.orbit_table import OrbitTable
+from zeno_orbits.experiment.orbit_table import OrbitTable, PeriodTable
 
 _CHANCE = 1e-3
 """Chance by which noise alone makes some quantity of the orbit itself differ."""
@@ -50,29 +50,27 @@ class Finding:
     Attributes:
         reasons: Reasons why the contacts do not match a Zeno orbit, most serious first.
         unresolved: Reasons why the samples are inconclusive.
+        unseen: Reasons why the contacts are not seen, so that signals alone must agree.
     """
 
     reasons: tuple[str, ...] = ()
     unresolved: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
 
 
-def contact_finding(found: ContactFit | None, overlay: Overlay, *, recorded: bool) -> Finding:
+def contact_finding(found: ContactFit | None, table: OrbitTable, time: Vector) -> Finding:
     """Test whether contacts match a Zeno orbit: contact phase and decaying impacts.
 
     Args:
         found: The contacts, or ``None`` if the gap lacks a resting level.
-        overlay: The orbit aligned with the recording.
-        recorded: Whether the gap was recorded.
+        table: The orbit.
+        time: Times of the recording, ``(n_t,)`` [s].
     """
-    table = overlay.table
-    if not recorded:
-        why = "coordinates that the gap depends on were not recorded"
-        return Finding(unresolved=(f"impacts and contact cannot be seen: {why}",))
     own = table.period - table.zeno_time
-    step = float(np.median(np.diff(overlay.time)))
+    step = float(np.median(np.diff(time)))
     if found is None:
         if own < 12.0 * step:
-            return Finding(unresolved=(_too_few("the contact phase", own, step),))
+            return Finding(unseen=(_too_few("the contact phase", own, step),))
         return Finding(reasons=("no contact phase is seen: the gap never rests at its lowest",))
     resolved = found.resolved
     if not resolved.contact:
@@ -83,13 +81,13 @@ def contact_finding(found: ContactFit | None, overlay: Overlay, *, recorded: boo
     if not (resolved.flight and found.speed.known):
         why = _too_few("the flight before the impact", table.first_impact, step)
         return Finding(unresolved=(why,))
-    return _decay(found, overlay, step)
+    return _decay(found, table, step)
 
 
-def _decay(found: ContactFit, overlay: Overlay, step: float) -> Finding:
+def _decay(found: ContactFit, table: OrbitTable, step: float) -> Finding:
     """Test whether the gap consists of flights with decaying impacts, and contact."""
-    times = [one.time for one in overlay.table.cycle.impacts]
-    rebounds = len(times) > 1 and bool(overlay.table.cycle.rescaled_flights)
+    times = [one.time for one in table.cycle.impacts]
+    rebounds = len(times) > 1 and bool(table.cycle.rescaled_flights)
     bounce, resolved = found.restitution, found.resolved
     none = "no decaying sequence of impacts is seen"
     if found.misfit > _MISFIT:
@@ -120,7 +118,7 @@ def _too_few(what: str, length: float, step: float) -> str:
 
 
 def differing(
-    metrics: Sequence[Metric], table: OrbitTable, signals: Sequence[str]
+    metrics: Sequence[Metric], table: PeriodTable, signals: Sequence[str]
 ) -> tuple[Metric, ...]:
     """Return the quantities that differ from the orbit's beyond their errors and chance.
 
@@ -129,13 +127,16 @@ def differing(
         table: The orbit.
         signals: Names of the recorded signals, in the order of the table.
     """
-    measured = [one for one in metrics if one.error > 0.0]
-    found = beyond_chance(measured, lambda one: _size(one, table, signals))
+    # A number of bounces that is equal in all cycles has no error.
+    measured = [one for one in metrics if one.error > 0.0 or one.name.endswith(".bounces")]
+    found = _beyond_chance(measured, lambda one: _size(one, table, signals))
     # Quantities before distances, which only repeat that something differs.
     return tuple(sorted(found, key=lambda one: "deviation" in one.name or "distance" in one.name))
 
 
-def beyond_chance(metrics: Sequence[Metric], size: Callable[[Metric], float]) -> tuple[Metric, ...]:
+def _beyond_chance(
+    metrics: Sequence[Metric], size: Callable[[Metric], float]
+) -> tuple[Metric, ...]:
     """Return the known quantities that differ from the orbit's beyond their errors and chance.
 
     Args:
@@ -155,13 +156,14 @@ def beyond_chance(metrics: Sequence[Metric], size: Callable[[Metric], float]) ->
     )
 
 
-def _size(one: Metric, table: OrbitTable, signals: Sequence[str]) -> float:
+def _size(one: Metric, table: PeriodTable, signals: Sequence[str]) -> float:
     """Return the size of a quantity: of times the period, of signals their range."""
     if one.unit == "s":
         return table.period
     for k, name in enumerate(signals):
         if one.name.endswith(f" of {name}"):
-            return float(np.ptp(table.nodes.values[:, k]))
+            values = table.nodes.values[:, k]
+            return float(np.ptp(values) or np.max(np.abs(values)) or 1.0)
     if one.name == "gap while locked":
         return float(np.ptp(table.nodes.values[:, -1]))
     return max(abs(one.orbit), 1.0 if one.unit == "1" else 0.0)

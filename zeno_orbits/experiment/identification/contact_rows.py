@@ -27,12 +27,12 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.contact_edges import Edge, SeenSequence, mean_of
 from zeno_orbits.experiment.comparison.event_contacts import SeenEvents
-from zeno_orbits.experiment.comparison.event_reference import (
+from zeno_orbits.experiment.identification.predictions import EventTimes
+from zeno_orbits.experiment.sequences import (
     OrbitSequence,
     PlacedSequence,
     placed_sequences,
 )
-from zeno_orbits.experiment.identification.predictions import EventTimes
 
 UNMATCHED = 1e3
 """Residual of an edge or a sequence without its counterpart."""

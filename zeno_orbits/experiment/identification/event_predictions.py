@@ -26,7 +26,7 @@ from zeno_orbits.experiment.orbit_table import (
     CubicColumns,
     Measurement,
     PeriodTable,
-    graph_nodes,
+    closed_nodes,
     signal_nodes,
 )
 from zeno_orbits.model import GraphDynamics, Problem
@@ -141,13 +141,7 @@ def event_period(graph: GraphDynamics, found: EventReturn, measured: Measurement
         measured: The signals.
     """
     arcs = [arc for arc in found.execution.arcs if arc.end_time <= found.period]
-    inside = graph_nodes(graph, arcs)
-    # Signals may jump at the event that ends the period.
-    states = CubicColumns(
-        times=np.append(inside.times, inside.times[-1]),
-        values=np.concatenate([inside.values, inside.values[:1]]),
-        slopes=np.concatenate([inside.slopes, inside.slopes[:1]]),
-    )
+    states = closed_nodes(graph, arcs)
     return EventPeriod(
         period=found.period,
         measured=measured,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,8 +13,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.comparison import compare_recording
-from zeno_orbits.experiment.comparison.event_comparison import Unlaid, event_remarks, lay_events
-from zeno_orbits.experiment.comparison.event_reference import orbit_sequences, shared_event_signals
 from zeno_orbits.experiment.comparison.folding import Folded, folded
 from zeno_orbits.experiment.comparison.overlay import shared_signals
 from zeno_orbits.experiment.identification.contact_rows import (
@@ -33,11 +31,10 @@ from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.orbit_table import (
     OrbitTable,
     PeriodTable,
-    measurable,
     measurement,
     tabulate_orbit,
 )
-from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
+from zeno_orbits.experiment.recordings.contacts import contact_names
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import ParameterValues, Problem
@@ -98,8 +95,8 @@ def prepared(
         on_progress: Called with each stage.
 
     Raises:
-        InputError: If the recording of a machine with several stops or switches has neither a
-            signal of the problem nor a contact channel, or a channel is invalid.
+        InputError: If the recording has neither a signal of the problem nor a contact channel, or a
+            channel is invalid.
         UnfittableError: If no orbit exists at the start, or the recording does not resemble it.
     """
     own = _prepared_events if problem.has_graph else _prepared_cycle
@@ -120,9 +117,8 @@ def _prepared_cycle(
         raise refusal(f"an orbit to fit is missing at the start: {closing.detail.rstrip('.')}")
     on_progress("laying the recording over it", None)
     names, begun = shared_signals(problem, recording), closing.orbit
-    unknowns, likely = _likely(
-        unknowns, recording, names, lambda: tabulate_orbit(begun, problem, names)
-    )
+    table = tabulate_orbit(begun, problem, names)
+    unknowns, likely = _likely(unknowns, recording, names, lambda: table)
     instruments, errors = unknowns.instruments(names), unknowns.start
     first = compare_recording(begun, problem, likely)
     laid = first.overlay
@@ -136,7 +132,7 @@ def _prepared_cycle(
         return orbit_of(table.cycle, problem, values)
 
     return Prepared(
-        orbits=Predictions(problem, unknowns, measurement(problem, laid.names), laid.table.cycle),
+        orbits=Predictions(problem, unknowns, measurement(problem, laid.names), table.cycle),
         samples=folded(laid.time, instruments.read(laid.values.T, errors).T, laid.where),
         contacts=NO_CONTACTS,
         found=replace(laid.found, period=laid.where.period, error=laid.where.period_error),
@@ -157,10 +153,7 @@ def _prepared_events(
 ) -> Prepared:
     """Return the beginning of a fit of a machine with several stops or switches."""
     stops = problem.graph_dynamics(begin).stop_names
-    channels = contact_channels(recording, stops)
-    names = shared_event_signals(problem, recording)
-    titles = dict(zip(stops, contact_names(stops), strict=True))
-    _require_channels(problem, recording, names, channels, titles)
+    names = shared_signals(problem, recording, contact_names(stops))
     on_progress("looking for the orbit at the start", None)
     changing = [problem.names[place] for place in unknowns.places]
     try:
@@ -170,9 +163,6 @@ def _prepared_events(
         raise refusal(f"{missing}: {str(error).rstrip('.')}") from error
     on_progress("laying the recording over it", None)
     start = event_orbit_of(problem, begin, first)
-    for stop in channels:
-        if not orbit_sequences(start, stop):
-            raise refusal(f"the orbit at the start does not strike `{stop}`, the recording does")
     signals = measurement(problem, names)
     unknowns, likely = _likely(
         unknowns,
@@ -180,72 +170,32 @@ def _prepared_events(
         names,
         lambda: event_period(problem.graph_dynamics(begin), first, signals),
     )
-    laid = lay_events(start, problem, likely, names, channels, partly=True)
-    if isinstance(laid, Unlaid):
-        raise refusal(laid.reason)
-    reasons = (*laid.against, *laid.unlike) or laid.unresolved
-    if reasons:
-        raise refusal("; ".join(reasons))
+    compared = compare_recording(start, problem, likely)
+    laid = compared.overlay
+    if compared.reasons or laid is None:
+        raise refusal("; ".join(compared.reasons or compared.unresolved))
+    against, unresolved = laid.seen.findings(partly=True)
+    if against or unresolved:
+        raise refusal("; ".join(against or unresolved))
     _require_cycles(laid.found)
-    period, place, time = laid.period, laid.place.start, recording.time
-    where = Alignment(
-        release=place.value,
-        error=place.error,
-        period=period.value,
-        period_error=period.error,
-        phase_error=math.hypot(place.error, period.error * laid.found.n_cycles / 2) / period.value,
-        likeness=(),
-        time_suspicion="",
-        backward=False,
-    )
-    values = [recording.signal(name).values for name in names]
-    rows = np.stack(values) if values else np.zeros((0, len(time)))
+    period = compared.metrics[0]
+    where = replace(laid.where, period=period.data, period_error=period.error)
 
     def orbit(table: EventPeriod, values: ParameterValues) -> EventOrbit:
         return event_orbit_of(problem, values, table.found)
 
+    instruments, errors = unknowns.instruments(names), unknowns.start
     return Prepared(
         orbits=EventPredictions(problem, unknowns, signals, first),
-        samples=folded(time, rows, where),
-        contacts=contact_rows(laid.seen, place.value, period.value, period.error),
-        found=replace(laid.found, period=period.value, error=period.error),
+        samples=folded(laid.time, instruments.read(laid.values.T, errors).T, where),
+        contacts=contact_rows(laid.seen, where.release, where.period, where.period_error),
+        found=replace(laid.found, period=where.period, error=where.period_error),
         where=where,
-        time=time,
-        remarks=event_remarks(recording, problem, names, tuple(titles.values())),
+        time=laid.time,
+        remarks=compared.remarks,
         restitution=math.nan,
         orbit_of=orbit,
     )
-
-
-def _require_channels(
-    problem: Problem,
-    recording: Recording,
-    names: Sequence[str],
-    channels: Mapping[str, Vector],
-    titles: Mapping[str, str],
-) -> None:
-    """Refuse a recording without a signal or contact of the problem.
-
-    Args:
-        problem: The problem.
-        recording: The recording.
-        names: Names of its signals.
-        channels: Its contact channels by their stops.
-        titles: Names of the contact channels of all stops.
-
-    Raises:
-        InputError: If nothing is recorded, or a contact channel is constant.
-    """
-    if not names and not channels:
-        listed = ", ".join((*measurable(problem), *titles.values()))
-        has = ", ".join(recording.names) or "none"
-        wanted = f"must have a signal or a contact channel of the problem ({listed})"
-        raise InputError(f"Argument `recording` {wanted}, but it has {has}.")
-    for stop, channel in channels.items():
-        values = channel[np.isfinite(channel)]
-        if not len(values) or np.ptp(values) == 0.0:
-            lacks = f"has a contact channel `{titles[stop]}` that never changes"
-            raise InputError(f"Argument `recording` {lacks}: leave it out.")
 
 
 def _likely(

@@ -41,7 +41,7 @@ def contact_names(stops: Sequence[str]) -> tuple[str, ...]:
 def contact_channels(recording: Recording, stops: Sequence[str]) -> dict[str, Vector]:
     """Return the contact channels of a recording, name of the stop to values, ``(n_t,)``.
 
-    A missing value is NaN. Stops without a channel are left out.
+    A missing value is NaN. Stops without a channel, or without a value in it, are left out.
 
     Args:
         recording: The recording.
@@ -69,5 +69,6 @@ def contact_channels(recording: Recording, stops: Sequence[str]) -> dict[str, Ve
             value = f"{values[odd][0]:.6g}" if np.any(odd) else f"the unit {signal.unit}"
             wanted = f"must have only 0 and 1 in its contact channel `{name}`"
             raise InputError(f"Argument `recording` {wanted}, but it has {value}.")
-        found[known[name]] = values
+        if np.any(np.isfinite(values)):
+            found[known[name]] = values
     return found

@@ -69,6 +69,7 @@ class Periodicity:
     alternation_noise: float
     paired: bool
     template: NDArray[np.complex128]
+    noise: Vector
 
     @property
     def n_harmonics(self) -> int:
@@ -86,15 +87,17 @@ class Periodicity:
         return np.real(waves @ self.template.T)
 
 
-def periodicity(time: Vector, values: Vector) -> Periodicity | None:
+def periodicity(time: Vector, values: Vector, *, near: float | None = None) -> Periodicity | None:
     """Return the period of signals, or ``None`` if the record is too short or not periodic.
 
     Args:
         time: Increasing times, ``(n_t,)`` [s].
         values: One row per signal, ``(n_s, n_t)``. A missing sample is NaN.
+        near: Value that the period is near, by default the first large peak of the
+            autocorrelation or a part of it [s].
     """
     grid = _gathered(time, values)
-    period = _first_period(grid)
+    period = _first_period(grid) if near is None else near
     if period is None:
         return None
     longest = grid.times[-1]
@@ -106,7 +109,7 @@ def periodicity(time: Vector, values: Vector) -> Periodicity | None:
         if stretch >= longest:
             break
         stretch *= _GROWTH
-    return _described(grid, _undivided(grid, period))
+    return _described(grid, period if near is not None else _undivided(grid, period))
 
 
 def _undivided(grid: _Grid, period: float) -> float:
@@ -341,7 +344,14 @@ def _described(grid: _Grid, period: float) -> Periodicity:
         alternation_noise=math.sqrt(max(noise, 0.0)),
         paired=_widest(grid, 2.0 * period) <= 0.25 / (2 * _HARMONICS),
         template=np.column_stack([constant, grid.scale[:, None] * waves]).astype(np.complex128),
+        noise=grid.scale * [_noise_of(one) for one in fits],
     )
+
+
+def _noise_of(wave: _Wave) -> float:
+    """Return the root mean square of the fitted harmonics of white noise like the residual."""
+    n, n_waves = len(wave.rest), len(wave.amplitudes)
+    return math.sqrt(float(wave.rest @ wave.rest) / max(n - n_waves, 1) * n_waves / max(n, 1))
 
 
 def _alternation(wave: _Wave, n_harmonics: int) -> tuple[float, float]:

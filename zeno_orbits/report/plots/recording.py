@@ -17,12 +17,13 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import (
     Comparison,
     Deviations,
-    OrbitTable,
+    PeriodTable,
     Portrait,
     measurable,
     recorded_portraits_of,
 )
 from zeno_orbits.model import Problem
+from zeno_orbits.orbits import EventOrbit
 from zeno_orbits.report.plots.panels import is_wide, panels_of
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS
 from zeno_orbits.report.symbols import label_of, quantity_label
@@ -82,10 +83,15 @@ def plot_comparison(
             last = k == n - 1 or not panels.is_own
             ax.tick_params(labelbottom=last)
             if last:
-                ax.set_xlabel("phase from release [own periods]")
+                ax.set_xlabel(f"phase from {_start_of(found)} [own periods]")
     for ax, portrait in zip(panels.axes[2 * n :], portraits, strict=True):
         _draw_portrait(ax, problem, deviations, portrait)
     return panels.finished()
+
+
+def _start_of(found: Comparison) -> str:
+    """Return the event at which the orbit's period starts."""
+    return found.orbit.section if isinstance(found.orbit, EventOrbit) else "release"
 
 
 def _draw_signal(
@@ -111,15 +117,21 @@ def _draw_deviation(ax: Axes, found: Deviations, k: int) -> None:
     ax.axhline(0.0, color=_ORBIT["color"], lw=_ORBIT["lw"], zorder=1)
 
 
-def _shade(ax: Axes, table: OrbitTable) -> None:
-    """Shade the locked phase and mark the impacts."""
-    zeno = table.zeno_time / table.period
-    ax.axvspan(0.0, zeno, color=TINTS[Mode.FREE], lw=0, zorder=0)
-    ax.axvspan(zeno, 1.0, color=TINTS[Mode.LOCKED], lw=0, zorder=0)
-    start = table.cycle.start.time
-    for impact in table.cycle.impacts:
-        at = (impact.time - start) / table.period
-        ax.axvline(at, color=INK, lw=0.5, ls=(0, (3, 2)), zorder=1)
+def _shade(ax: Axes, table: PeriodTable) -> None:
+    """Shade the phases in contact and the other phases, and mark the impacts."""
+    ax.axvspan(0.0, 1.0, color=TINTS[Mode.FREE], lw=0, zorder=0)
+    for one in (one for own in table.sequences.values() for one in own):
+        for time in one.impacts:
+            at = time % table.period / table.period
+            ax.axvline(at, color=INK, lw=0.5, ls=(0, (3, 2)), zorder=1)
+        if one.zeno is not None and one.release is not None:
+            begin = one.zeno % table.period / table.period
+            end = begin + (one.release - one.zeno) / table.period
+            # A contact beyond the end of the period continues at its start.
+            for turn in (0.0, 1.0):
+                span = (max(begin - turn, 0.0), min(end - turn, 1.0))
+                if span[0] < span[1]:
+                    ax.axvspan(*span, color=TINTS[Mode.LOCKED], lw=0, zorder=0)
     ax.set_xlim(0.0, 1.0)
 
 

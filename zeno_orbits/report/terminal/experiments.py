@@ -23,7 +23,6 @@ from zeno_orbits.report.terminal.console import print_lines, print_table
 if TYPE_CHECKING:
     from zeno_orbits.experiment import (
         Comparison,
-        EventComparison,
         FittedParameter,
         Identification,
         Metric,
@@ -143,7 +142,7 @@ def print_contacts(
     print_lines([f"Simulated, not measured: {counted(len(contacts), 'contact')} of {name}."])
 
 
-def print_comparison(found: Comparison | EventComparison) -> None:
+def print_comparison(found: Comparison) -> None:
     """Print the verdict on a recording, and its quantities next to the orbit's quantities."""
     print_lines(_verdict(found))
 
@@ -173,23 +172,27 @@ _NAMED = 4
 """Differing quantities that are named."""
 
 
-def _verdict(found: Comparison | EventComparison) -> list[str]:
+def _verdict(found: Comparison) -> list[str]:
     """Return the verdict in words."""
     from zeno_orbits.experiment import ComparisonVerdict
 
     if found.verdict is ComparisonVerdict.THIS_ORBIT:
         return ["The recording shows this orbit: all quantities agree within their errors."]
+    overlay = found.overlay
+    kind = "a Zeno orbit" if overlay is None or overlay.table.accumulates else "an orbit"
+    named = [f"  {one.name} {_beside(one)}" for one in found.differences[:_NAMED]]
+    others = len(found.differences) - len(named)
+    values = [*named, *([f"  and {others} more"] if others else [])]
     if found.verdict is ComparisonVerdict.UNDECIDED:
         why = (f"  {one}." for one in found.unresolved)
-        return ["The recording cannot decide whether the machine moves on a Zeno orbit:", *why]
+        if not values:
+            return [f"The recording cannot decide whether the machine moves on {kind}:", *why]
+        other = f"and cannot decide whether it shows {kind} of this machine with other values"
+        return ["The recording does not show this orbit:", *values, f"{other}:", *why]
     if found.verdict is ComparisonVerdict.NO_ORBIT:
         why = (f"  {one}." for one in found.reasons)
-        return ["The recording does not show a Zeno orbit of this machine:", *why]
-    named = found.differences[:_NAMED]
-    others = len(found.differences) - len(named)
-    values = [f"  {one.name} {_beside(one)}" for one in named]
-    rest = [f"  and {others} more"] if others else []
-    return ["The recording shows a Zeno orbit of this machine with other values:", *values, *rest]
+        return [f"The recording does not show {kind} of this machine:", *why]
+    return [f"The recording shows {kind} of this machine with other values:", *values]
 
 
 def _beside(one: Metric) -> str:

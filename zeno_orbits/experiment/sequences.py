@@ -1,27 +1,15 @@
-"""An orbit of events as a recording shows it: sequences of impacts, and signals by phase."""
+"""Sequences of impacts in the period of an orbit, stop by stop."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
-from zeno_orbits.experiment.orbit_table import measurable
-from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model import Problem, powers_of
 from zeno_orbits.orbits import EventOrbit
-from zeno_orbits.simulation import simulate, steady_turn
-
-_PHASES = 4096
-"""Phases at which the signals of the orbit are evaluated."""
-_PAST = 1e-9
-"""Part of the period to simulate further, so that rounding cuts off no phase."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,103 +132,3 @@ def longest_flight(sequences: Sequence[OrbitSequence], period: float) -> float:
     least = min(free, default=period)
     bounces = [float(flight) for one in sequences for flight in one.flights]
     return math.sqrt(max(bounces) * least) if bounces else least / 2
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class EventTable:
-    """The signals of an orbit by phase.
-
-    Attributes:
-        orbit: The orbit.
-        problem: Its problem.
-        names: Names of the signals: states and outputs.
-        values: The signals at even phases from the start of the period, ``(n, n_s)``.
-        turn: Time of a turn of the clock [s], or ``None`` without a steady clock.
-        zero: Time of the clock's zero phase since the start of the period [s], or zero.
-    """
-
-    orbit: EventOrbit
-    problem: Problem
-    names: tuple[str, ...]
-    values: Vector
-    turn: float | None
-    zero: float
-
-    @cached_property
-    def is_smooth(self) -> NDArray[np.bool_]:
-        """Whether each signal is smooth around each phase, ``(n, n_s)``."""
-        steps = np.abs(np.diff(np.concatenate([self.values, self.values[:1]]), axis=0))
-        jumps = steps > 0.02 * np.maximum(np.ptp(self.values, axis=0), 1e-300)
-        width = len(self.values) // 100
-        kernel = np.ones(2 * width + 1)
-        near = [
-            np.convolve(np.concatenate([one[-width:], one, one[:width]]), kernel, "valid") > 0
-            for one in jumps.T.astype(np.float64)
-        ]
-        found = np.zeros(self.values.shape, dtype=np.bool_)
-        for k, one in enumerate(near):
-            found[:, k] = ~one
-        return found
-
-    def since_zero(self, time: float) -> float:
-        """Return a time since the last zero phase of the clock, or since the start."""
-        turn = self.turn or self.orbit.period
-        return (time - self.zero) % turn
-
-
-def shared_event_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
-    """Return the names of the recorded states and outputs of a machine with several stops.
-
-    Raises:
-        InputError: If a signal has a unit of another kind, or no values.
-    """
-    known = measurable(problem)
-    names = tuple(name for name in recording.names if name in known)
-    for name in names:
-        signal = recording.signal(name)
-        if powers_of(signal.unit) != powers_of(known[name]):
-            wanted = f"must have `{name}` in a unit like {known[name]}"
-            raise InputError(f"Argument `recording` {wanted}, but it has {signal.unit}.")
-        if not np.any(np.isfinite(signal.values)):
-            raise InputError(f"Argument `recording` lacks values of `{name}`.")
-    return names
-
-
-def event_table(orbit: EventOrbit, problem: Problem, names: Sequence[str]) -> EventTable:
-    """Return the signals of an orbit by phase.
-
-    Args:
-        orbit: The orbit.
-        problem: Its problem.
-        names: Names of states and outputs.
-
-    Raises:
-        SimulationError: If the orbit cannot be simulated.
-    """
-    values = orbit.values(problem)
-    graph = problem.graph_dynamics(values)
-    start = np.array(problem.state_vector(orbit.start_state))
-    run = simulate(graph, start, until=orbit.period * (1 + _PAST))
-    times = np.arange(_PHASES) / _PHASES * orbit.period
-    states = run.states_at(times)
-    outputs = [output.name for output in problem.outputs]
-    table = problem.output_values(values, states) if outputs else np.zeros((_PHASES, 0))
-    columns = [
-        states[:, problem.state_names.index(name)]
-        if name in problem.state_names
-        else table[:, outputs.index(name)]
-        for name in names
-    ]
-    turn = steady_turn(graph.first, start)
-    zero = 0.0
-    if turn is not None:
-        cosine, sine = start[list(graph.first.clock)]
-        zero = -turn * (math.atan2(sine, cosine) / (2 * math.pi))
-    return EventTable(
-        orbit=orbit,
-        problem=problem,
-        names=tuple(names),
-        values=np.array(columns).T if columns else np.zeros((_PHASES, 0)),
-        turn=turn,
-        zero=zero,
-    )
