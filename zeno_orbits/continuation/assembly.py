@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -150,16 +150,28 @@ class _Names:
         section = self.setup.section
         if located.kind not in ENDS.values():
             return ""
+        if located.rest:
+            rest, scale = np.array(located.rest), self.setup.metric.scale
+            rest[np.abs(rest) < _ZERO * scale] = 0.0
+            named = self._state(rest).items()
+            return "rests at " + ", ".join(f"{name} = {value:.6g}" for name, value in named)
         of_period = (SpecialPointKind.AMPLITUDE_ZERO, SpecialPointKind.PERIOD_INFINITE)
         if section is ImpactReturns and self.setup.n_returns > ONE_RETURN:
             number = self._number_of_impact(located)
             return "" if located.kind in of_period else f"impact {number} of {self.setup.n_returns}"
         if not isinstance(section, EventSection):
             return ""
-        sequence, place = section.sequence, located.place % len(section.sequence)
+        if located.kind in of_period:
+            return ""
+        sequence = section.sequence
+        turn, place = divmod(located.place, len(sequence))
+        several = self.setup.n_returns > ONE_RETURN
+        where = f", return {turn + 1} of {self.setup.n_returns}" if several else ""
+        if located.name:
+            return f"{_entering(located)} before {sequence[place]}{where}"
         if located.kind in (SpecialPointKind.EVENTS_MEET, SpecialPointKind.LOCK_VANISHES):
-            return f"{sequence[place - 1]} and {sequence[place]}"
-        return "" if located.kind in of_period else sequence[place]
+            return f"{sequence[place - 1]} and {sequence[place]}{where}"
+        return f"{sequence[place]}{where}"
 
     def _number_of_impact(self, located: Located) -> int:
         """Return the number, from 1, of the impact that ends a return.
@@ -194,18 +206,30 @@ class _Names:
     def _margins(self, margins: Mapping[Margin, float]) -> dict[str, float]:
         """Return margins by name. The name has the number of the return if there are several."""
         section = self.setup.section
-        if isinstance(section, EventSection) and self.setup.n_returns == ONE_RETURN:
-            return {_named(margin, section.sequence): value for margin, value in margins.items()}
-        return {
-            margin.loss.value
-            if self.setup.n_returns == ONE_RETURN
-            else f"{margin.loss.value}, return {margin.place + 1}": value
-            for margin, value in margins.items()
-        }
+        sequence = section.sequence if isinstance(section, EventSection) else ("",)
+        found: dict[str, float] = {}
+        for margin, value in margins.items():
+            turn, place = divmod(margin.place, len(sequence))
+            of_return = margin.loss in (MarginKind.AMPLITUDE, *_OF_PERIOD)
+            event = "" if of_return else sequence[place]
+            before = f"{margin.name} before {event}" if margin.name else event
+            several = self.setup.n_returns > ONE_RETURN
+            parts = (margin.loss.value, before, f"return {turn + 1}" if several else "")
+            found[", ".join(filter(None, parts))] = value
+        return found
 
 
-def _named(margin: Margin, sequence: Sequence[str]) -> str:
-    """Return the name of a margin with its event."""
-    if margin.loss in (MarginKind.AMPLITUDE, MarginKind.FREQUENCY):
-        return margin.loss.value
-    return f"{margin.loss.value}, {sequence[margin.place % len(sequence)]}"
+_ZERO = 1e-9
+"""Size of a state that is zero, over its scale."""
+_OF_PERIOD = (MarginKind.FREQUENCY, MarginKind.STALL)
+"""Margins of the period."""
+
+
+def _entering(located: Located) -> str:
+    """Return the event that enters the event sequence at an end."""
+    kinds = {
+        SpecialPointKind.EARLIER_GRAZING: "impact",
+        SpecialPointKind.EARLIER_RELEASE: "release",
+        SpecialPointKind.EVENTS_MEET: "release",
+    }
+    return f"{kinds.get(located.kind, 'switch')} {located.name}"

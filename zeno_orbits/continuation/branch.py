@@ -30,6 +30,7 @@ from zeno_orbits.continuation.special_points.subdivision import (
 from zeno_orbits.continuation.special_points.test_functions import with_course
 from zeno_orbits.errors import ZenoOrbitsError, counted
 from zeno_orbits.orbits import (
+    Margin,
     MarginKind,
     PathStep,
     StepControl,
@@ -155,7 +156,7 @@ class _Follower:
         self.returns, self.metric, self.box, self.steps = returns, metric, box, steps
         self.patience, self.on_progress, self.excluded = patience, on_progress, excluded
         self.special: list[tuple[int, Located]] = []
-        self.tried: dict[MarginKind, float] = {}
+        self.tried: dict[Margin, float] = {}
         self.doubt = 0.0
 
     def advance(self, points: Sequence[BranchPoint], step: float) -> PathStep[BranchPoint, _End]:
@@ -295,7 +296,7 @@ class _Follower:
         for threat in self._threats(points):
             if threat.distance > distance:
                 continue
-            key = threat.margin.loss
+            key = threat.margin
             if threat.distance > 0.5 * self.tried.get(key, np.inf):
                 continue
             self.tried[key] = threat.distance

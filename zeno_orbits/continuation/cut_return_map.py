@@ -152,13 +152,14 @@ def cut_after(returns: ReturnMap, place: int, n_impacts: int) -> ReturnMap:
 
     Args:
         returns: Map from release to release, of one or several returns.
-        place: Index of the truncated return, from 0. The return of an event sequence is truncated
-            at every Zeno point.
+        place: Place of the margin of the contact phase, from 0. The return of an event sequence is
+            truncated at every Zeno point.
         n_impacts: Number of its impacts before the plastic reset.
     """
     if isinstance(returns, Composed):
         maps = list(returns.maps)
-        maps[place] = cut_after(maps[place], 0, n_impacts)
+        turn, inside = divmod(place, returns.base.n_places)
+        maps[turn] = cut_after(maps[turn], inside, n_impacts)
         return Composed(maps=tuple(maps))
     if isinstance(returns, EventReturns):
         return CutEventReturns(whole=returns, n_impacts=n_impacts)

@@ -53,7 +53,7 @@ def locate_end(
         found = _better(found, returns, metric, points, replace(threat, margin=cause))
     kinds = {ENDS[margin.loss]: None for margin in (cause, *others)}
     name, *also = kinds
-    return replace(found, kind=name, place=cause.place, also=tuple(also))
+    return replace(found, kind=name, place=cause.place, name=cause.name, also=tuple(also))
 
 
 def _located(
@@ -117,7 +117,9 @@ def _multipliers(used: Sequence[BranchPoint], gone: Margin) -> tuple[tuple[compl
 
 
 _HALVINGS = 12
-_NODES = 7
+_SMALLER = 0.1
+"""Part to which the margin of a motion that stalls is reduced: powers of it need not be whole."""
+_NODES, _LINE = 7, 2
 _GOOD = 1e-11
 
 
@@ -126,8 +128,12 @@ def _approach(
 ) -> Located:
     """Return the limit of a sequence of points along which a margin is halved repeatedly."""
     nodes, unit = [before, last], last.found.time
-    patience, stalls = metric.horizon / unit, margin.loss is MarginKind.FREQUENCY
+    patience = metric.horizon / unit
+    stalls = margin.loss in (MarginKind.FREQUENCY, MarginKind.STALL)
     best: tuple[float, Vector, Sequence[BranchPoint]] | None = None
+    # The powers of a saddle's margin may be close to one, so only lines through two points count.
+    most = _LINE if margin.loss is MarginKind.STALL else _NODES
+    before_last: Vector | None = None
     for _ in range(_HALVINGS):
         metric = metric.waiting_for(nodes[-1].found.time, longer=patience)
         try:
@@ -136,13 +142,16 @@ def _approach(
             if best is None:
                 raise
             break
-        used = nodes[-_NODES:]
-        if len(used) < 4:
+        used = nodes[-most:]
+        if len(nodes) < 4:
             continue
         values = [node.found.margins[margin] for node in used]
         times = [0.0 if stalls else node.found.time / unit for node in used]
         rows = np.array([np.append(node.z, time) for node, time in zip(used, times, strict=True)])
         limit, change = neville(np.array(values), rows)
+        if most == _LINE:
+            change = math.inf if before_last is None else np.abs(limit - before_last)
+            before_last = limit
         error = float(np.max(change))
         if best is None or error < best[0]:
             best = (error, limit, used)
@@ -155,9 +164,15 @@ def _approach(
     error, limit, used = best
     error += _noise(returns, metric, nodes, margin)
     multipliers, change = _multipliers(used, margin)
+    rest = ()
+    if margin.loss is MarginKind.STALL:
+        x, s = nodes[-1].x, nodes[-1].s
+        saddle = returns.saddle(x, s, horizon=patience * nodes[-1].found.time)
+        rest = () if saddle is None else tuple(saddle.state.tolist())
     return Located(
         kind=ENDS[margin.loss],
         point=nodes[-1],
+        rest=rest,
         z=limit[:-1],
         period=math.inf if stalls else float(limit[-1]) * unit,
         error=error * metric.unit,
@@ -198,7 +213,7 @@ def _halved(
     used = nodes[-4:]
     values = np.array([node.found.margins[margin] for node in used])
     rows = np.array([node.z for node in used])
-    part = 0.5
+    part = _SMALLER if margin.loss is MarginKind.STALL else 0.5
     last = nodes[-1]
     for _ in range(6):
         target, _ = neville(values - part * values[-1], rows)

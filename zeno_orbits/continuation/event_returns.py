@@ -25,6 +25,7 @@ from zeno_orbits.orbits import (
     EventSection,
     Line,
     Margin,
+    Saddle,
     Section,
     event_return,
     extrapolated,
@@ -32,6 +33,7 @@ from zeno_orbits.orbits import (
     margins_of_return,
     on_section,
     relaxed_settings,
+    saddle_of_return,
 )
 from zeno_orbits.simulation import (
     Completion,
@@ -54,6 +56,11 @@ class EventReturns:
     line: Line
     settings: SimulationSettings
     section: EventSection
+
+    @property
+    def n_places(self) -> int:
+        """Number of events in the event sequence."""
+        return len(self.section.sequence)
 
     def dynamics(self, s: float) -> GraphDynamics:
         """Return the graph of modes at a position on the line.
@@ -114,6 +121,12 @@ class EventReturns:
         return self.differentiated(
             graph, found, LazyMargins(lambda: margins_of_return(graph, found))
         )
+
+    def saddle(self, x: Vector, s: float, *, horizon: float) -> Saddle | None:
+        """Return the saddle near the slowest state of the motion from a state, or ``None``."""
+        graph = self.dynamics(s)
+        found = self.returned(graph, x, horizon=horizon, completion=extrapolated(self.settings))
+        return saddle_of_return(graph, found)
 
     def returned(
         self, graph: GraphDynamics, x: Vector, *, horizon: float, completion: Completion

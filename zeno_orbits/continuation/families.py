@@ -31,6 +31,8 @@ class SpecialPointKind(Enum):
     EARLIER_RELEASE = "earlier release"
     EVENTS_MEET = "two events meet"
     SWITCH_LOST = "switch not transversal"
+    SWITCH_ENTERS = "switch enters"
+    ARMING = "arming changes"
     AMPLITUDE_ZERO = "amplitude zero"
     PERIOD_INFINITE = "period to infinity"
     BOUND = "end of the range"

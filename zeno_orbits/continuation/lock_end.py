@@ -173,12 +173,16 @@ def _telling_cuts(
 ) -> Iterator[tuple[int, BranchPoint]]:
     """Yield the numbers of impacts, in ascending order, whose truncation has a positive margin.
 
-    The distance of the end can be estimated from such a margin.
+    The distance of the end can be estimated from such a margin. A truncation to fewer impacts than
+    another stop has in a row changes the event sequence.
     """
     n, cut = 2, Margin(loss=MarginKind.CUT, place=place)
     while n < _MOST_IMPACTS:
-        point = correct(cut_after(returns, place, n), metric, last.z, last.tangent)
-        if point.found.margins[cut] > 0.0:
+        try:
+            point = correct(cut_after(returns, place, n), metric, last.z, last.tangent)
+        except ZenoOrbitsError:
+            point = None
+        if point is not None and point.found.margins[cut] > 0.0:
             yield n, point
         n = max(n + 1, round(1.2 * n))
 

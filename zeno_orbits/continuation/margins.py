@@ -7,7 +7,7 @@ Theory (5.8).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,15 +22,19 @@ from zeno_orbits.orbits import Margin, MarginKind
 ENDS = {
     MarginKind.AMPLITUDE: SpecialPointKind.AMPLITUDE_ZERO,
     MarginKind.FREQUENCY: SpecialPointKind.PERIOD_INFINITE,
+    MarginKind.STALL: SpecialPointKind.PERIOD_INFINITE,
     MarginKind.LOCK: SpecialPointKind.LOCK_VANISHES,
     MarginKind.ACCELERATION: SpecialPointKind.THEOREM_LOST,
+    MarginKind.RELEASE_RATE: SpecialPointKind.RELEASE_LOST,
+    MarginKind.SWITCH_RATE: SpecialPointKind.SWITCH_LOST,
+    MarginKind.EVENTS: SpecialPointKind.EVENTS_MEET,
     MarginKind.FIRST_IMPACT: SpecialPointKind.GRAZING,
     MarginKind.NEAR_MISS: SpecialPointKind.EARLIER_GRAZING,
     MarginKind.LATER_IMPACT: SpecialPointKind.LATER_GRAZING,
-    MarginKind.RELEASE_RATE: SpecialPointKind.RELEASE_LOST,
     MarginKind.ADHESION: SpecialPointKind.EARLIER_RELEASE,
-    MarginKind.EVENTS: SpecialPointKind.EVENTS_MEET,
-    MarginKind.SWITCH_RATE: SpecialPointKind.SWITCH_LOST,
+    MarginKind.OPENING: SpecialPointKind.EVENTS_MEET,
+    MarginKind.ARMED: SpecialPointKind.ARMING,
+    MarginKind.SWITCH_MISS: SpecialPointKind.SWITCH_ENTERS,
 }
 """Kind of the end at which a margin vanishes."""
 
@@ -53,13 +57,22 @@ _ENTAILED: dict[MarginKind, dict[MarginKind, float]] = {
         MarginKind.FIRST_IMPACT: 3.0,
         MarginKind.ACCELERATION: 2.0,
         MarginKind.AMPLITUDE: 3.0,
+        MarginKind.EVENTS: 1.0,
     },
+    MarginKind.SWITCH_RATE: {MarginKind.SWITCH_RATE: 1.0, MarginKind.EVENTS: 1.0},
+    MarginKind.EVENTS: {MarginKind.EVENTS: 1.5, MarginKind.FIRST_IMPACT: 1.5},
     MarginKind.LOCK: {MarginKind.ACCELERATION: 1.0, MarginKind.ADHESION: 2.0},
 }
 """Margins that vanish with another margin, each with its power of that margin (theory (5.8)).
 
-The amplitude vanishes with the release rate if the state changes only in the flight.
+The amplitude vanishes with the release rate if the state changes only in the flight. A guard that
+does not cross zero loses two events, which meet before.
 """
+_LATER = (MarginKind.RELEASE_RATE, MarginKind.SWITCH_RATE, MarginKind.EVENTS)
+"""Margins whose consequences are at the next event."""
+_BESIDE = (MarginKind.OPENING, MarginKind.SWITCH_MISS)
+"""Margins that are no cause where an event of the event sequence is lost. A kink of a speed is near
+zero at an impact that grazes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +143,7 @@ def _n_returns(stage: Stage) -> int:
     return 1 + max((margin.place for margin in stage.margins), default=0)
 
 
-def consequences(margin: Margin, n_returns: int) -> dict[Margin, float]:
+def consequences(margin: Margin, n_returns: int, known: Iterable[Margin]) -> dict[Margin, float]:
     """Return the margins that vanish with another margin, each with its power of that margin.
 
     If the amplitude vanishes, all margins that are not times vanish in proportion. If the release
@@ -139,13 +152,16 @@ def consequences(margin: Margin, n_returns: int) -> dict[Margin, float]:
 
     Args:
         margin: The margin that vanishes.
-        n_returns: Number of returns per period.
+        n_returns: Number of returns per period, or of events.
+        known: The margins to choose from.
     """
-    later = margin.loss is MarginKind.RELEASE_RATE
+    later = margin.loss in _LATER
     place = (margin.place + later) % n_returns
+    powers = _ENTAILED.get(margin.loss, {})
     return {
-        Margin(loss=loss, place=place): power
-        for loss, power in _ENTAILED.get(margin.loss, {}).items()
+        one: powers[one.loss]
+        for one in known
+        if one.loss in powers and one.place == place and one != margin
     }
 
 
@@ -155,10 +171,8 @@ def _without_consequences(
     """Return threats without the consequences of others, according to their joint decrease."""
     left = dict(found)
     for margin, threat in found.items():
-        for consequence, power in consequences(margin, n_returns).items():
-            lesser = left.get(consequence)
-            if lesser is None:
-                continue
+        for consequence, power in consequences(margin, n_returns, tuple(left)).items():
+            lesser = left[consequence]
             if _TOGETHER < power * threat.fall / lesser.fall < 1 / _TOGETHER:
                 del left[consequence]
     return sorted(left.values(), key=lambda threat: threat.distance)
@@ -186,11 +200,12 @@ def causes(way: Sequence[Stage], gone: Margin) -> tuple[Margin, ...]:
     entailed = {
         margin
         for cause, power in powers.items()
-        for margin, factor in consequences(cause, _n_returns(way[-1])).items()
-        if margin in powers and abs(powers[margin] / (factor * power) - 1) < _POWER
+        for margin, factor in consequences(cause, _n_returns(way[-1]), powers).items()
+        if abs(powers[margin] / (factor * power) - 1) < _POWER
     }
     order = list(ENDS)
     left = [margin for margin in powers if margin not in entailed and margin.loss in ENDS]
+    left = [margin for margin in left if margin.loss not in _BESIDE] or left
     return tuple(sorted(left, key=lambda margin: (order.index(margin.loss), margin.place)))
 
 

@@ -33,8 +33,10 @@ from zeno_orbits.orbits import (
     Margin,
     MarginKind,
     ReturnDerivative,
+    Saddle,
     Section,
     differentials_of,
+    nearest_saddle,
     project_to_section,
     relaxed_settings,
     return_derivative,
@@ -120,6 +122,11 @@ class ReturnMap(Protocol):
         """The line."""
         ...
 
+    @property
+    def n_places(self) -> int:
+        """Number of places of its margins."""
+        ...
+
     def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
         """Return the motion from a state of the section to the next.
 
@@ -163,6 +170,16 @@ class ReturnMap(Protocol):
         """
         ...
 
+    def saddle(self, x: Vector, s: float, *, horizon: float) -> Saddle | None:
+        """Return the saddle near the slowest state of the motion from a state, or ``None``.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            s: Position on the line.
+            horizon: Longest time to wait [s].
+        """
+        ...
+
     def loosened(self) -> ReturnMap:
         """Return the same map at a looser tolerance. The change is an error estimate."""
         ...
@@ -198,6 +215,11 @@ class SectionReturns:
     settings: SimulationSettings
     rows: ClassVar[tuple[int, ...]]
 
+    @property
+    def n_places(self) -> int:
+        """Number of places of its margins."""
+        return 1
+
     def dynamics(self, s: float) -> HybridDynamics:
         """Return the system at a position on the line."""
         return _system_at(self.compiled, tuple(self.line.at(s).tolist()), get_ident())
@@ -214,6 +236,12 @@ class SectionReturns:
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         """Return the state of the section nearest to a state."""
         return project_to_section(self.dynamics(s), self.rows, x, scale)
+
+    def saddle(self, x: Vector, s: float, *, horizon: float) -> Saddle | None:
+        """Return the saddle near the slowest state of the motion from a state, or ``None``."""
+        dynamics = self.dynamics(s)
+        run = simulate(dynamics, x, until=horizon, settings=self.settings)
+        return saddle_of_arcs(dynamics, run.arcs)
 
     def moved_to(self, line: Line) -> Self:
         """Return the same map along another line."""
@@ -263,6 +291,7 @@ class ReleaseReturns(SectionReturns):
             Margin(loss=MarginKind.FIRST_IMPACT): -found.first_rate.value,
             Margin(loss=MarginKind.RELEASE_RATE): -dynamics.multiplier_rate(found.end),
         }
+        margins.update(_stall(dynamics, arcs, found.period.value))
         kept = _least_kept(dynamics, run)
         if kept is not None:
             margins[Margin(loss=MarginKind.LATER_IMPACT)] = kept
@@ -288,6 +317,30 @@ LOOSER = 30.0
 """Factor on the tolerances for the second computation of a point."""
 PATIENCE = 4.0
 """Longest time to wait for a return, in periods of the start."""
+
+
+def saddle_of_arcs(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> Saddle | None:
+    """Return the saddle near the slowest state of a motion, or ``None``.
+
+    Args:
+        dynamics: The system.
+        arcs: Arcs of the motion.
+    """
+    if dynamics.clock:
+        # A clock does not rest.
+        return None
+    sizes = dynamics.own.states(len(arcs[0].start_state))
+    return nearest_saddle(
+        arcs, lambda arc: dynamics.locked if arc.mode is Mode.LOCKED else dynamics.free, sizes
+    )
+
+
+def _stall(dynamics: HybridDynamics, arcs: Sequence[Arc], time: float) -> dict[Margin, float]:
+    """Return the margin of a motion that stalls at a saddle, if one is near."""
+    saddle = saddle_of_arcs(dynamics, arcs)
+    if saddle is None:
+        return {}
+    return {Margin(loss=MarginKind.STALL): float(np.exp(-saddle.rate * time))}
 
 
 def _least_gap(dynamics: HybridDynamics, flight: Arc) -> float | None:
@@ -323,6 +376,11 @@ class OnSection:
         """The line of parameters."""
         return self.base.line
 
+    @property
+    def n_places(self) -> int:
+        """Number of places of its margins."""
+        return self.base.n_places
+
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         """Return the section around one of its states."""
         return self.base.frame(x, s, scale)
@@ -330,6 +388,10 @@ class OnSection:
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         """Return the state of the section nearest to a state."""
         return self.base.projected(x, s, scale)
+
+    def saddle(self, x: Vector, s: float, *, horizon: float) -> Saddle | None:
+        """Return the saddle near the slowest state of the motion from a state, or ``None``."""
+        return self.base.saddle(x, s, horizon=horizon)
 
     def restitution(self, s: float, place: int = 0) -> float:
         """Return the coefficient of restitution of the stop of a margin."""
@@ -350,6 +412,11 @@ class Composed(OnSection):
     def base(self) -> ReturnMap:
         """The return map with the same section and line."""
         return self.maps[0]
+
+    @property
+    def n_places(self) -> int:
+        """Number of places of its margins."""
+        return len(self.maps) * self.base.n_places
 
     def moved_to(self, line: Line) -> Composed:
         """Return the same map along another line."""
@@ -376,7 +443,7 @@ class Composed(OnSection):
             end=end,
             by_state=by_state,
             by_parameter=by_parameter,
-            margins=LazyMargins(lambda: _placed(margins)),
+            margins=LazyMargins(lambda: _placed(margins, self.base.n_places)),
             volume=_product(volumes),
             turns=turns,
         )
@@ -411,22 +478,30 @@ class ImpactReturns(SectionReturns):
         after = motion_of(perturbations, run, perturbations.launched(x)).of(arc).after
         n_x = x.size
         end = project_to_section(dynamics, IMPACT_ROWS, impact.state_plus, dynamics.own.states(n_x))
-        margins = {
-            Margin(loss=MarginKind.FREQUENCY): 1 / impact.time,
-            Margin(loss=MarginKind.FIRST_IMPACT): -impact.approach_rate,
-        }
-        least = least_inside(arc, dynamics.gap, dynamics.gap_rate)
-        if least is not None:
-            margins[Margin(loss=MarginKind.NEAR_MISS)] = least
         return DifferentiatedReturn(
             time=impact.time,
             end=end,
             by_state=after.state[:, :n_x],
             by_parameter=after.state[:, n_x:] @ line.slopes,
-            margins=margins,
+            margins=LazyMargins(lambda: _margins_of_flight(dynamics, arc, impact)),
             volume=_volume(dynamics, perturbations, arc, impact),
             turns=turns_of_clock(dynamics, x, impact.time),
         )
+
+
+def _margins_of_flight(
+    dynamics: HybridDynamics, arc: Arc, impact: Impact
+) -> Mapping[Margin, float]:
+    """Return the margins of a flight from an impact to the next."""
+    margins = {
+        Margin(loss=MarginKind.FREQUENCY): 1 / impact.time,
+        Margin(loss=MarginKind.FIRST_IMPACT): -impact.approach_rate,
+        **_stall(dynamics, [arc], impact.time),
+    }
+    least = _least_gap(dynamics, arc)
+    if least is not None:
+        margins[Margin(loss=MarginKind.NEAR_MISS)] = least
+    return margins
 
 
 def turns_of_clock(dynamics: HybridDynamics, x: Vector, time: float) -> float:
@@ -441,11 +516,11 @@ def turns_of_clock(dynamics: HybridDynamics, x: Vector, time: float) -> float:
     return time / turn if turn else 0.0
 
 
-def _placed(margins: Sequence[Mapping[Margin, float]]) -> Mapping[Margin, float]:
-    """Return the margins of several returns, each with the index of its return."""
+def _placed(margins: Sequence[Mapping[Margin, float]], n_places: int) -> Mapping[Margin, float]:
+    """Return the margins of several returns, those of each return after those before it."""
     return {
-        replace(key, place=place): value
-        for place, one in enumerate(margins)
+        replace(key, place=turn * n_places + key.place): value
+        for turn, one in enumerate(margins)
         for key, value in one.items()
     }
 

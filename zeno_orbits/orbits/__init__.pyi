@@ -23,6 +23,7 @@ from .events.margins import Margin as Margin
 from .events.margins import contact_view as contact_view
 from .events.margins import contacts_of as contacts_of
 from .events.margins import margins_of_return as margins_of_return
+from .events.margins import saddle_of_return as saddle_of_return
 from .events.event_orbit import EventOrbit as EventOrbit
 from .events.event_orbit import OrbitEvent as OrbitEvent
 from .events.event_orbit import caused_releases as caused_releases
@@ -61,6 +62,8 @@ from .looser_run import relaxed_settings as relaxed_settings
 from .monodromy import differentials_of as differentials_of
 from .monodromy import ReturnDerivative as ReturnDerivative
 from .monodromy import return_derivative as return_derivative
+from .saddle import Saddle as Saddle
+from .saddle import nearest_saddle as nearest_saddle
 from .orbit import OrbitImpact as OrbitImpact
 from .orbit import OrbitPhase as OrbitPhase
 from .orbit import ZenoOrbit as ZenoOrbit

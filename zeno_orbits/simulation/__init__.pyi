@@ -43,6 +43,7 @@ from .signals import Extent as Extent
 from .signals import Signal as Signal
 from .signals import extent_of as extent_of
 from .signals import least_inside as least_inside
+from .signals import lows_inside as lows_inside
 from .signals import peaks as peaks
 from .signals import signal as signal
 from .signals import signal_names as signal_names

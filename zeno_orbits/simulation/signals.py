@@ -152,11 +152,21 @@ def least_inside(arc: Arc, value: Scalar, rate: Scalar) -> float | None:
         value: The function of the state.
         rate: Its time derivative along the arc.
     """
+    return min((value(x) for x in lows_inside(arc, rate)), default=None)
+
+
+def lows_inside(arc: Arc, rate: Scalar) -> list[Vector]:
+    """Return the states of the local minima of a function inside an arc, ``(n_x,)`` each.
+
+    Args:
+        arc: An arc with a flow.
+        rate: The time derivative of the function along the arc.
+    """
     from scipy.optimize import brentq
 
     duration = arc.duration
     if duration <= 0.0:
-        return None
+        return []
     inside = np.linspace(_EDGE * duration, (1 - _EDGE) * duration, _LEAST_SAMPLES)
     own = arc.flow_times
     inside = np.union1d(inside, own[(own > inside[0]) & (own < inside[-1])])
@@ -166,10 +176,10 @@ def least_inside(arc: Arc, value: Scalar, rate: Scalar) -> float | None:
         return arc.flow_state_at(t)[:n_x]
 
     rates = [rate(x) for x in arc.flow_states_at(inside)[:, :n_x]]
-    found: list[float] = []
+    found: list[Vector] = []
     for k in range(len(inside) - 1):
         if rates[k] < 0.0 <= rates[k + 1]:
             left, right = float(inside[k]), float(inside[k + 1])
             root = float(brentq(lambda t: rate(state(t)), left, right, xtol=1e-14))
-            found.append(value(state(root)))
-    return min(found) if found else None
+            found.append(state(root))
+    return found

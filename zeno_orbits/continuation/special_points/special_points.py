@@ -39,6 +39,8 @@ class Located:
         multiplier_error: Estimated error of the multipliers.
         margins: Margins of the orbit. At an end, they are the limits.
         place: Index of the return that causes an end, from 0.
+        name: Name of the stop or switch that enters at an end, if there is one.
+        rest: The rest point at which a motion stalls, ``(n_x,)``. Empty if it is not known.
         path: Points of the family on the way to an end, in order.
         also: Other kinds of an end of codimension two.
     """
@@ -52,6 +54,8 @@ class Located:
     multipliers: tuple[complex, ...]
     multiplier_error: float = math.inf
     place: int = 0
+    name: str = ""
+    rest: tuple[float, ...] = ()
     path: tuple[BranchPoint, ...] = ()
     also: tuple[SpecialPointKind, ...] = ()
 

@@ -6,22 +6,28 @@ A family keeps its event sequence. It ends where a margin vanishes.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 
 import numpy as np
 
+from zeno_orbits.arrays import Scalar, Vector
+from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.orbits.events.event_orbit import orbit_event_name, phases_of_events
 from zeno_orbits.orbits.events.section import EventReturn, fall_at
+from zeno_orbits.orbits.saddle import Saddle, nearest_saddle
 from zeno_orbits.simulation import (
     Arc,
+    Ending,
+    Event,
     Impact,
     Release,
     SwitchEvent,
     ZenoPoint,
-    least_inside,
+    lows_inside,
     state_before,
 )
 
@@ -32,21 +38,26 @@ class MarginKind(Enum):
     ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return, in the
     problem's characteristic scales. It is smooth along a family, and zero at an equilibrium. The
     amplitude that a problem names is `orbit_amplitude`. ``FREQUENCY`` is the inverse of the time of
-    a return. It is zero if a motion stalls, so that its period tends to infinity.
+    a return. It is zero if a motion stalls, so that its period tends to infinity. ``STALL`` falls
+    in proportion to the distance of the parameter from such an end at a saddle.
     """
 
     AMPLITUDE = "amplitude"
     FREQUENCY = "returns per second"
+    STALL = "exponential of minus the time of a return over that of the nearest saddle"
     LOCK = "locked time"
     ACCELERATION = "acceleration onto the stop at the Zeno point"
     FIRST_IMPACT = "speed of the first impact"
-    NEAR_MISS = "least gap before the first impact"
+    NEAR_MISS = "least gap of an open stop"
     LATER_IMPACT = "speed of a later impact, relative to the flight before it"
     RELEASE_RATE = "rate of the multiplier at the release"
-    ADHESION = "least multiplier on the locked arc"
+    ADHESION = "least multiplier of a closed stop"
+    OPENING = "pull on a stop that a jump of the forces opens"
     CUT = "distance from the separatrix of the impacts"
     EVENTS = "time since the previous event"
     SWITCH_RATE = "rate of the guard at a switch"
+    SWITCH_MISS = "least guard of a switch that does not act"
+    ARMED = "arming of a switch where its guard falls through zero"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,15 +66,17 @@ class Margin:
 
     Attributes:
         loss: Its kind.
-        place: Index of the return, from 0.
+        place: Index of the return, from 0, or of the event in the event sequence.
+        name: Name of the stop or switch, if its event is not in the event sequence.
     """
 
     loss: MarginKind
     place: int = 0
+    name: str = ""
 
 
 def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margin, float]:
-    """Return the distances of a return from the loss of an event.
+    """Return the distances of a return from every change of its event sequence.
 
     The place of a margin is the index of its event in the event sequence.
 
@@ -72,24 +85,39 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
         found: The return.
     """
     arcs = [arc for arc in found.execution.arcs if arc.start_time < found.period]
+    phases = phases_of_events([orbit_event_name(event) for event in found.events])
     states = np.array([found.start, *(state_before(event) for event in found.events)])
-    ranges = np.delete(np.ptp(states, axis=0), graph.first.clock)
+    flights = {found.events[phase[0]].time for phase in phases}
+    inside = [
+        arc.flow_state_at(part * arc.duration)[None, : found.start.size]
+        for arc in arcs
+        if arc.trajectory is not None and arc.end_time in flights
+        for part in _PARTS
+    ]
+    # A state may be the same at every event.
+    ranges = np.delete(np.ptp(np.concatenate([states, *inside]), axis=0), graph.first.clock)
     sizes = np.delete(graph.own.states(found.start.size), graph.first.clock)
     margins = {
         Margin(loss=MarginKind.AMPLITUDE): float(np.max(ranges / sizes)),
         Margin(loss=MarginKind.FREQUENCY): 1 / found.period,
     }
+    saddle = saddle_of_return(graph, found)
+    if saddle is not None:
+        margins[Margin(loss=MarginKind.STALL)] = float(np.exp(-saddle.rate * found.period))
     before = 0.0
-    phases = phases_of_events([orbit_event_name(event) for event in found.events])
-    ends = [found.events[phase[-1]].time for phase in phases]
+    contacts = contacts_of(found)
+    # The end of a contact phase has a law of its own, theory (5.7).
+    locked = {contact.place for contact in contacts}
     for place, phase in enumerate(phases):
         first, event = found.events[phase[0]], found.events[phase[-1]]
-        if not isinstance(event, Release):
-            # The end of a contact phase has a law of its own, theory (5.7).
+        if place not in locked:
             margins[Margin(loss=MarginKind.EVENTS, place=place)] = first.time - before
         before = event.time
         if isinstance(first, Impact):
             margins[Margin(loss=MarginKind.FIRST_IMPACT, place=place)] = -first.approach_rate
+        kept = _least_kept(graph, [found.events[k] for k in phase])
+        if kept is not None:
+            margins[Margin(loss=MarginKind.LATER_IMPACT, place=place)] = kept
         if isinstance(event, Release | SwitchEvent):
             rate = fall_at(graph, arcs, event)
             if rate is not None:
@@ -99,14 +127,49 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
                     else MarginKind.SWITCH_RATE
                 )
                 margins[Margin(loss=loss, place=place)] = rate
-    for contact in contacts_of(found):
+    for contact in contacts:
         margins[Margin(loss=MarginKind.LOCK, place=contact.place)] = contact.duration
-    for arc in arcs:
-        place = bisect_left(ends, arc.end_time)
-        for loss, value in _least_guards(graph, arc):
-            key = Margin(loss=loss, place=place)
-            margins[key] = min(value, margins.get(key, value))
+    for key, value in _margins_outside(graph, found, arcs, phases):
+        margins[key] = min(value, margins.get(key, value))
     return margins
+
+
+_PARTS = (0.25, 0.5, 0.75)
+"""Fractions of an arc at which states are compared. Since they are fixed, the range is smooth."""
+
+
+def saddle_of_return(graph: GraphDynamics, found: EventReturn) -> Saddle | None:
+    """Return the saddle near the slowest state of a return, or ``None``.
+
+    Args:
+        graph: The graph of modes.
+        found: The return.
+    """
+    if graph.first.clock:
+        # A clock does not rest.
+        return None
+
+    def flow_of(arc: Arc) -> FlowWithEvent:
+        mode, stop = graph.some_stop(graph.mode_of(arc.closed, arc.sides))
+        view = graph.view(mode, stop)
+        return view.locked if graph.stop_names[stop] in arc.closed else view.free
+
+    arcs = [arc for arc in found.execution.arcs if arc.start_time < found.period]
+    return nearest_saddle(arcs, flow_of, graph.own.states(found.start.size))
+
+
+def _least_kept(graph: GraphDynamics, events: Sequence[Event]) -> float | None:
+    """Return the least ratio of impact speed to initial speed over the flights of a phase.
+
+    It tends to one as impacts accumulate, and to zero only if an impact grazes.
+    """
+    impacts = [event for event in events if isinstance(event, Impact)]
+    kept: list[float] = []
+    for one, other in pairwise(impacts):
+        view = graph.view(graph.open_mode, graph.stop_names.index(one.stop))
+        if view.restitution > 0.0:
+            kept.append(-other.approach_rate / view.speed_after(one.approach_rate))
+    return min(kept, default=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +203,7 @@ def contacts_of(found: EventReturn) -> list[ContactPhase]:
         release = found.events[phase[-1]]
         if not isinstance(release, Release) or not isinstance(zeno, ZenoPoint):
             continue
-        impact = earlier[-1] if earlier else None
+        impact = next((one for one in reversed(earlier) if isinstance(one, Impact)), None)
         if zeno.stop == release.stop and isinstance(impact, Impact):
             wait = release.time - zeno.time + (0.0 if place else found.period)
             contacts.append(ContactPhase(place=place, last_impact=impact, zeno=zeno, duration=wait))
@@ -161,20 +224,186 @@ def contact_view(graph: GraphDynamics, found: EventReturn, contact: ContactPhase
     return graph.view((tuple(k for k in closed if k != stop), sides), stop)
 
 
-def _least_guards(graph: GraphDynamics, arc: Arc) -> list[tuple[MarginKind, float]]:
-    """Return the least gaps of open stops, and multipliers of closed ones, inside an arc."""
-    if arc.trajectory is None:
-        return []
-    closed, sides = graph.mode_of(arc.closed, arc.sides)
-    found: list[tuple[MarginKind, float]] = []
-    for k in range(len(graph.stop_names)):
-        if k in closed:
-            view = graph.holding((closed, sides), k)
-            least = least_inside(arc, view.multiplier, view.multiplier_rate)
-            loss = MarginKind.ADHESION
-        else:
-            view = graph.view((closed, sides), k)
-            least, loss = least_inside(arc, view.gap, view.gap_rate), MarginKind.NEAR_MISS
-        if least is not None:
-            found.append((loss, least))
+# Events outside the event sequence.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Guard:
+    """A condition that holds along an arc, and whose loss is an event outside the event sequence.
+
+    Attributes:
+        value: The condition, positive along the arc.
+        rate: Its rate along the arc.
+        zero: Level at which the condition is zero: its own event ends or begins the arc there.
+        is_above: Whether it holds above zero. A declared switch acts where its guard falls.
+        is_declared: Whether it belongs to a declared switch.
+    """
+
+    value: Scalar
+    rate: Scalar
+    zero: float
+    is_above: bool = True
+    is_declared: bool = False
+
+
+_Key = tuple[MarginKind, str]
+"""Kind of a margin, and the name of its stop or switch."""
+
+_ZERO, _JUMP = 1e-12, 1e-6
+"""Size of a condition that is zero, over its scale, and least relative change that is a jump."""
+
+
+def _margins_outside(
+    graph: GraphDynamics, found: EventReturn, arcs: Sequence[Arc], phases: Sequence[Sequence[int]]
+) -> Iterator[tuple[Margin, float]]:
+    """Yield the distances of a return from events that are not in its event sequence.
+
+    A condition is nearest to zero inside an arc, or at an event that turns its rate or makes it
+    jump.
+    """
+    ends = [found.events[phase[-1]].time for phase in phases]
+    flown = [arc for arc in arcs if arc.trajectory is not None]
+    places = [bisect_left(ends, arc.end_time) for arc in flown]
+    accumulating = _accumulating(found.events, phases)
+    conditions = [_conditions(graph, arc, accumulating) for arc in flown]
+
+    def is_armed(key: _Key, x: Vector) -> bool:
+        if key[0] is not MarginKind.SWITCH_MISS:
+            return True
+        switch = graph.switch_names.index(key[1])
+        return switch >= graph.n_declared or graph.guards(x)[2][switch] > 0.0
+
+    for arc, place, known in zip(flown, places, conditions, strict=True):
+        for key, guard in known.items():
+            for x in lows_inside(arc, guard.rate):
+                if is_armed(key, x):
+                    yield Margin(loss=key[0], place=place, name=key[1]), guard.value(x)
+    for k, after in enumerate(flown):
+        before, place = flown[k - 1], places[k - 1]
+        for key, guard in conditions[k - 1].items():
+            other = conditions[k].get(key)
+            x, y = before.end_state, after.start_state
+            if other is None or not is_armed(key, x):
+                continue
+            left, right = guard.value(x), other.value(y)
+            ended, began = left <= guard.zero, right <= other.zero
+            falls, rises = guard.rate(x) < 0.0, other.rate(y) > 0.0
+            turns = guard.is_above != other.is_above
+            jumps = turns or abs(right - left) > _JUMP * max(left, right)
+            # The tail of a Zeno point lies between two arcs that do not meet.
+            jumps = jumps and (after.start_time == before.end_time or k == 0)
+            blind = guard.is_declared and jumps
+            lost = guard.is_above or not blind
+            if falls and not ended and lost and (jumps or (rises and not began)):
+                yield Margin(loss=key[0], place=place, name=key[1]), left
+            if rises and not began and jumps and not (blind and other.is_above):
+                yield Margin(loss=key[0], place=places[k], name=key[1]), right
+    yield from _of_contacts(graph, found, flown, places)
+    yield from _of_arming(graph, found, arcs, ends)
+
+
+def _accumulating(
+    events: Sequence[Event], phases: Sequence[Sequence[int]]
+) -> list[tuple[float, float, set[str]]]:
+    """Return the first and last time of impacts that accumulate, and the kinks in their flights."""
+    found: list[tuple[float, float, set[str]]] = []
+    for phase in phases:
+        members = [events[k] for k in phase]
+        kinks = {event.name for event in members if isinstance(event, SwitchEvent)}
+        if len(phase) > 1 and kinks:
+            found.append((members[0].time, members[-1].time, kinks))
     return found
+
+
+def _conditions(
+    graph: GraphDynamics, arc: Arc, accumulating: Sequence[tuple[float, float, set[str]]]
+) -> dict[_Key, _Guard]:
+    """Return the gaps of open stops, multipliers of closed ones, and guards of switches."""
+    mode = graph.mode_of(arc.closed, arc.sides)
+    found: dict[_Key, _Guard] = {}
+    for k, name in enumerate(graph.stop_names):
+        if k in mode[0]:
+            view = graph.holding(mode, k)
+            zero = _ZERO * view.own.multiplier
+            guard = _Guard(value=view.multiplier, rate=view.multiplier_rate, zero=zero)
+            found[MarginKind.ADHESION, name] = guard
+        else:
+            view = graph.view(mode, k)
+            guard = _Guard(value=view.gap, rate=view.gap_rate, zero=_ZERO * view.own.gap)
+            found[MarginKind.NEAR_MISS, name] = guard
+    if not graph.switch_names:
+        return found
+    middle = arc.flow_state_at(arc.duration / 2)[: arc.start_state.size]
+    guards, levels, _ = graph.guards(middle)
+    absorbed = {
+        name
+        for begin, end, names in accumulating
+        if begin <= arc.start_time < end
+        for name in names
+    }
+    for switch, name in enumerate(graph.switch_names):
+        if name in absorbed:
+            continue
+        is_declared = switch < graph.n_declared
+        is_above = guards[switch] > 0.0 if is_declared else arc.sides[switch - graph.n_declared]
+        flow = graph.guard_flow(mode, switch, bool(is_above))
+        found[MarginKind.SWITCH_MISS, name] = _Guard(
+            value=lambda x, flow=flow: flow.guard(x)[0],
+            rate=lambda x, flow=flow: flow.guard(x)[1],
+            zero=_LEVELS * float(levels[switch]),
+            is_above=bool(is_above),
+            is_declared=is_declared,
+        )
+    return found
+
+
+_LEVELS = 1e3
+"""Rounding levels at which the guard of a switch is zero."""
+
+
+def _of_contacts(
+    graph: GraphDynamics, found: EventReturn, arcs: Sequence[Arc], places: Sequence[int]
+) -> Iterator[tuple[Margin, float]]:
+    """Yield the margins of plastic contacts that begin, and of contacts that a jump opens."""
+    switched = {event.time for event in found.events if isinstance(event, SwitchEvent)}
+    for k, after in enumerate(arcs):
+        before = arcs[k - 1]
+        closed, sides = graph.mode_of(after.closed, after.sides)
+        for name in set(after.closed) - set(before.closed):
+            stop = graph.stop_names.index(name)
+            view, x = graph.holding((closed, sides), stop), after.start_state
+            if view.restitution == 0.0 and view.multiplier_rate(x) > 0.0:
+                place = places[k - 1]
+                yield Margin(loss=MarginKind.ACCELERATION, place=place), -view.gap_acceleration(x)
+        for name in set(before.closed) - set(after.closed):
+            stop = graph.stop_names.index(name)
+            if before.ending is Ending.RELEASE:
+                continue
+            held = graph.holding(graph.mode_of(before.closed, before.sides), stop)
+            if held.multiplier_rate(before.end_state) < 0.0:
+                pressed = held.multiplier(before.end_state)
+                yield Margin(loss=MarginKind.ADHESION, place=places[k - 1], name=name), pressed
+            if before.ending is Ending.SWITCH and before.end_time in switched:
+                pull = -graph.view((closed, sides), stop).multiplier(after.start_state)
+                yield Margin(loss=MarginKind.OPENING, place=places[k - 1], name=name), pull
+
+
+def _of_arming(
+    graph: GraphDynamics, found: EventReturn, arcs: Sequence[Arc], ends: Sequence[float]
+) -> Iterator[tuple[Margin, float]]:
+    """Yield how far declared switches are armed where they act, and not armed where they do not."""
+    acts = {event.time: event for event in found.events if isinstance(event, SwitchEvent)}
+    for arc in arcs:
+        if arc.ending is not Ending.SWITCH:
+            continue
+        guards, levels, armed = graph.guards(arc.end_state)
+        event, place = acts.get(arc.end_time), bisect_left(ends, arc.end_time)
+        for switch in range(graph.n_declared):
+            name = graph.switch_names[switch]
+            if event is not None and event.name == name:
+                yield Margin(loss=MarginKind.ARMED, place=place, name=name), float(armed[switch])
+            elif event is None and abs(guards[switch]) <= _LEVELS * levels[switch]:
+                mode = graph.mode_of(arc.closed, arc.sides)
+                if graph.guard_flow(mode, switch, above=True).guard(arc.end_state)[1] < 0.0:
+                    key = Margin(loss=MarginKind.ARMED, place=place, name=name)
+                    yield key, -float(armed[switch])

@@ -45,6 +45,8 @@ _MARKS: dict[SpecialPointKind, dict[str, Any]] = {
     SpecialPointKind.EARLIER_RELEASE: {"marker": "p", "mfc": "#009E73"},
     SpecialPointKind.EVENTS_MEET: {"marker": "d", "mfc": "#D55E00"},
     SpecialPointKind.SWITCH_LOST: {"marker": "s", "mfc": "#7F7F7F", "ms": 5.5},
+    SpecialPointKind.SWITCH_ENTERS: {"marker": "d", "mfc": "#7F7F7F"},
+    SpecialPointKind.ARMING: {"marker": "p", "mfc": "#7F7F7F"},
     SpecialPointKind.AMPLITUDE_ZERO: {"marker": "o", "mfc": "white"},
     SpecialPointKind.REJOINS: {"marker": ".", "mfc": INK},
     SpecialPointKind.GAVE_UP: {"marker": "x", "mfc": INK},

@@ -37,11 +37,15 @@ _LOST = {
     MarginKind.AMPLITUDE: "the amplitude is zero",
     MarginKind.LOCK: "the locked arc before `{}` vanishes",
     MarginKind.FIRST_IMPACT: "the first impact of `{}` grazes",
+    MarginKind.LATER_IMPACT: "a later impact of `{}` grazes",
     MarginKind.RELEASE_RATE: "`{}` is not transversal",
     MarginKind.SWITCH_RATE: "`{}` is not transversal",
     MarginKind.EVENTS: "`{}` meets the event before it",
     MarginKind.NEAR_MISS: "a stop is touched before `{}`",
     MarginKind.ADHESION: "contact ends before `{}`",
+    MarginKind.OPENING: "contact does not end at `{}`",
+    MarginKind.ARMED: "the arming at `{}` changes",
+    MarginKind.SWITCH_MISS: "a switch acts before `{}`",
     MarginKind.FREQUENCY: "the period tends to infinity",
 }
 """Losses at an event. A cause precedes the margins that vanish with it (theory (5.8))."""
@@ -109,7 +113,9 @@ class EventWays:
             radius = max(map(abs, multipliers_of_return(graph, found)), default=0.0)
             if not radius < 1.0:
                 raise StepError(f"The orbit is not stable: its spectral radius is {radius:.6g}")
-            margins = {_name(one): value for one, value in margins_of_return(graph, found).items()}
+            margins: dict[str, float] = {}
+            for one, value in margins_of_return(graph, found).items():
+                margins[_name(one)] = min(value, margins.get(_name(one), value))
             margins[_ATTRACTION] = 1.0 - radius
             return LinePoint(part=part, start=found.start, orbit=found, margins=margins)
 
