@@ -427,6 +427,46 @@ def test_a_kink_or_switch_enters_where_its_condition_is_just_zero(name: str) -> 
     assert end.error < 1e-9
 
 
+# A switch whose arming changes where its guard falls through zero.
+
+
+@pytest.mark.parametrize(
+    ("level", "amplitude", "at", "detail"),
+    [
+        (0.9, 0.9, -0.3, "switch latch before impact wall"),
+        (0.9, 0.8, -0.2, "switch latch before impact wall"),
+        (-0.9, 0.9, -0.3, "switch latch"),
+    ],
+)
+def test_the_arming_of_a_switch_changes_where_a_flight_says(
+    level: float, amplitude: float, at: float, detail: str
+) -> None:
+    ended = (Kind.ARMING, detail)
+    case = Case(
+        force=_oscillator,
+        walls={"wall": (1, 0.0, 0.8)},
+        parameters={"omega": 2.6, "A": amplitude, "c": 0.05, "level": level},
+        parameter="level",
+        box=(-1.0, 1.0),
+        first=ended if level > 0.0 else None,
+        last=None if level > 0.0 else ended,
+        start=_SLOW,
+        switches=lambda m: (
+            zo.Switch(
+                name="latch", guard=m.x - at, armed=m.cosine - m.p["level"], v_after=0.9 * m.v
+            ),
+        ),
+    )
+    (end,) = named(case)
+    solution, begin, until = flown(case, end).pieces[0]
+    # The flight from the wall passes the place before a switch can change it.
+    times = np.linspace(begin, until, 400)
+    passed = next(t for t in times if solution(t)[0] < at)
+    time = brentq(lambda t: solution(t)[0] - at, begin, passed, xtol=1e-13)
+    phase = np.arctan2(end.at.state["sine"], end.at.state["cosine"])
+    assert end.at.value == pytest.approx(np.cos(phase + 2.6 * time), abs=1e-8)
+
+
 # A motion that stalls at a saddle: a mass on a hill, kicked uphill where it passes a place.
 
 

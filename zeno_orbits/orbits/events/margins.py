@@ -401,7 +401,7 @@ def _of_arming(
         for switch in range(graph.n_declared):
             name = graph.switch_names[switch]
             if event is not None and event.name == name:
-                yield Margin(loss=MarginKind.ARMED, place=place, name=name), float(armed[switch])
+                yield Margin(loss=MarginKind.ARMED, place=place), float(armed[switch])
             elif event is None and abs(guards[switch]) <= _LEVELS * levels[switch]:
                 mode = graph.mode_of(arc.closed, arc.sides)
                 if graph.guard_flow(mode, switch, above=True).guard(arc.end_state)[1] < 0.0:
