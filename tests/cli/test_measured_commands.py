@@ -65,6 +65,23 @@ def test_the_examples_of_identify_run(folder: Path) -> None:
     assert read_orbit(folder / "fitted_orbit.json").parameters["R"] == pytest.approx(3.0, rel=0.02)
 
 
+@pytest.mark.slow
+def test_an_orbit_gives_its_values_to_identify(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    values = ("--set", "Kp=2.2", "--set", "R=2.9")
+    assert ask("search", "motor_pendulum", *values, "-o", "orbit.json").code == YES
+    noise = ("--t-end", "28", "--rate", "200", "--noise", "1e-3")
+    assert ask("simulate", "motor_pendulum", *values, *noise, "-o", "data.csv").code == YES
+    words = ("identify", "orbit.json", "data.csv", "--t-start", "12", "--fit", "R")
+    answer = ask(*words, "--orbit", "fitted.json")
+    assert answer.code == YES, answer.err
+    fitted = read_orbit(tmp_path / "fitted.json")
+    assert fitted.gains["Kp"] == 2.2
+    assert fitted.parameters["R"] == pytest.approx(2.9, rel=0.02)
+
+
 def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
     text = (folder / "data.csv").read_text()
     (folder / "data.csv").write_text(text.replace("theta1 [rad]", "theta1 [deg]"))

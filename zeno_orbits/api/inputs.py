@@ -181,6 +181,36 @@ def as_orbit(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
     return orbit if isinstance(orbit, ZenoOrbit) else read_orbit(orbit)
 
 
+def problem_or_orbit(
+    word: str, numbers: Numbers
+) -> tuple[Problem, dict[str, float], dict[str, float]]:
+    """Return a problem with gains and parameters, given by its name or by a file of its orbit.
+
+    Args:
+        word: A problem's name or file, or an orbit's file. An orbit gives its own values.
+        numbers: Name to value, which override those of the orbit.
+
+    Returns:
+        The problem, and the gains and parameters that differ from its defaults.
+    """
+    if Path(word).suffix != ".json":
+        problem = known_problem(word)
+        return problem, *split_numbers(problem, numbers)
+    orbit = any_orbit(word)
+    problem = problem_of(orbit)
+    defaults = problem.values(gains=orbit.gains).parameters
+    # Other derived parameters follow from the ones that are given.
+    own = {
+        one.name: orbit.parameters[one.name]
+        for one in problem.parameters
+        if one.default is not None and orbit.parameters[one.name] != one.default
+    }
+    if problem.values(gains=orbit.gains, parameters=own).parameters != orbit.parameters:
+        own = {k: value for k, value in orbit.parameters.items() if value != defaults[k]}
+    gains, parameters = split_numbers(problem, numbers)
+    return problem, {**orbit.gains, **gains}, {**own, **parameters}
+
+
 def any_orbit(orbit: ZenoOrbit | EventOrbit | str | Path) -> ZenoOrbit | EventOrbit:
     """Return the orbit given by a file of any format, or the orbit itself."""
     if isinstance(orbit, ZenoOrbit | EventOrbit):

@@ -150,13 +150,12 @@ def _folded_example(command: str) -> str:
     return " \\\n".join(lines)
 
 
-def add_problem(parser: argparse.ArgumentParser) -> None:
+_PROBLEM = "a problem's name (NAME@FIDELITY for a reduced model) or Python file"
+
+
+def add_problem(parser: argparse.ArgumentParser, meaning: str = _PROBLEM) -> None:
     """Add the problem, its gains and its parameters."""
-    parser.add_argument(
-        "problem",
-        metavar="PROBLEM",
-        help="a problem's name (NAME@FIDELITY for a reduced model) or Python file",
-    )
+    parser.add_argument("problem", metavar="PROBLEM", help=meaning)
     add_values(parser)
 
 

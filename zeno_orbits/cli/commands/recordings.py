@@ -14,7 +14,6 @@ from zeno_orbits.cli.options import (
     add_orbit,
     add_problem,
     add_recording,
-    numbers_of,
     print_json,
     require_outputs,
     say_written,
@@ -88,6 +87,7 @@ def add_identify(commands: Any) -> None:
         "does not show an orbit of the problem",
         [
             "zeno-orbits identify motor_pendulum data.csv --t-start 12 --fit R,restitution",
+            "zeno-orbits identify orbit.json data.csv --t-start 12 --fit R,restitution",
             "zeno-orbits identify motor_pendulum data.csv --t-start 12 --set R=3.2 --fit R=2:4 "
             "-o fitted.json --orbit fitted_orbit.json",
             "zeno-orbits identify motor_pendulum data.csv --t-start 12 "
@@ -96,7 +96,7 @@ def add_identify(commands: Any) -> None:
             "--fit R,restitution,current.gain,theta1.offset,clock_rate",
         ],
     )
-    add_problem(parser)
+    add_problem(parser, "a problem's name or Python file, or the file of an orbit near the data")
     add_recording(parser)
     parser.add_argument(
         "--fit",
@@ -114,14 +114,19 @@ def add_identify(commands: Any) -> None:
 def _run_identify(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
 
-    problem = api.known_problem(options.problem)
-    problem.values(**numbers_of(problem, options))
+    problem, gains, parameters = api.problem_or_orbit(options.problem, options.set)
+    problem.values(gains=gains, parameters=parameters)
     require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
     with report.ProgressLine(options.interrupts.check) as progress:
         recording = api.recording_for(problem, options.data, options.since, options.to, progress)
         fit = {"+".join(names): box for names, box in options.fit}
         found = api.identify(
-            problem, recording, fit, **numbers_of(problem, options), on_progress=progress
+            problem,
+            recording,
+            fit,
+            gains=gains,
+            parameters=parameters,
+            on_progress=progress,
         )
     if options.output is not None:
         write_json(found, options.output)
