@@ -77,7 +77,7 @@ class Machine:
     inertia: ca.Function
     _branch: Callable[[tuple[bool, ...], tuple[int, ...]], _Parts] = field(repr=False)
     _graph: ModeGraph | None = field(repr=False)
-    _branches: dict[tuple[bool, ...], _Parts] = field(
+    _branches: dict[tuple[tuple[bool, ...], tuple[int, ...]], _Parts] = field(
         default_factory=dict["tuple[tuple[bool, ...], tuple[int, ...]]", "_Parts"], repr=False
     )
     _modes: dict[_Mode, ModeFunctions] = field(
