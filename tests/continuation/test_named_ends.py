@@ -427,6 +427,23 @@ def test_a_kink_or_switch_enters_where_its_condition_is_just_zero(name: str) -> 
     assert end.error < 1e-9
 
 
+# A plastic impact after which the force pulls: the mass leaves at once.
+
+
+def test_a_plastic_impact_opens_its_stop_until_the_force_after_it_is_zero() -> None:
+    case = Case(
+        force=lambda m: -1 - 0.2 * m.v + m.p["A"] * m.cosine,
+        walls={"floor": (-1, 0.0, 0.0)},
+        parameters={"omega": 1.0, "A": 4.5},
+        box=(3.9, 4.6),
+        first=(Kind.EVENTS_MEET, "impact floor and release floor"),
+        start={"x": 0.1, "cosine": 1.0},
+    )
+    (end,) = named(case)
+    assert end.at.value * end.at.state["cosine"] == pytest.approx(1.0, abs=1e-9)
+    assert closes(end, flown(case, end))
+
+
 # A switch whose arming changes where its guard falls through zero.
 
 

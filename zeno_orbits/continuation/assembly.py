@@ -167,6 +167,8 @@ class _Names:
         turn, place = divmod(located.place, len(sequence))
         several = self.setup.n_returns > ONE_RETURN
         where = f", return {turn + 1} of {self.setup.n_returns}" if several else ""
+        if located.name and located.kind is SpecialPointKind.EVENTS_MEET:
+            return f"{sequence[place]} and release {located.name}{where}"
         if located.name:
             return f"{_entering(located)} before {sequence[place]}{where}"
         if located.kind in (SpecialPointKind.EVENTS_MEET, SpecialPointKind.LOCK_VANISHES):
@@ -212,7 +214,8 @@ class _Names:
             turn, place = divmod(margin.place, len(sequence))
             of_return = margin.loss in (MarginKind.AMPLITUDE, *_OF_PERIOD)
             event = "" if of_return else sequence[place]
-            before = f"{margin.name} before {event}" if margin.name else event
+            word = "after" if margin.loss is MarginKind.OPENING else "before"
+            before = f"{margin.name} {word} {event}" if margin.name else event
             several = self.setup.n_returns > ONE_RETURN
             parts = (margin.loss.value, before, f"return {turn + 1}" if several else "")
             found[", ".join(filter(None, parts))] = value
@@ -230,6 +233,5 @@ def _entering(located: Located) -> str:
     kinds = {
         SpecialPointKind.EARLIER_GRAZING: "impact",
         SpecialPointKind.EARLIER_RELEASE: "release",
-        SpecialPointKind.EVENTS_MEET: "release",
     }
     return f"{kinds.get(located.kind, 'switch')} {located.name}"

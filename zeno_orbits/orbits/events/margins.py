@@ -52,7 +52,7 @@ class MarginKind(Enum):
     LATER_IMPACT = "speed of a later impact, relative to the flight before it"
     RELEASE_RATE = "rate of the multiplier at the release"
     ADHESION = "least multiplier of a closed stop"
-    OPENING = "pull on a stop that a jump of the forces opens"
+    OPENING = "pull on a stop that a jump of the force or an impact opens"
     CUT = "distance from the separatrix of the impacts"
     EVENTS = "time since the previous event"
     SWITCH_RATE = "rate of the guard at a switch"
@@ -89,7 +89,7 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
     states = np.array([found.start, *(state_before(event) for event in found.events)])
     flights = {found.events[phase[0]].time for phase in phases}
     inside = [
-        arc.flow_state_at(part * arc.duration)[None, : found.start.size]
+        _inside(arc, part)[None]
         for arc in arcs
         if arc.trajectory is not None and arc.end_time in flights
         for part in _PARTS
@@ -136,6 +136,11 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
 
 _PARTS = (0.25, 0.5, 0.75)
 """Fractions of an arc at which states are compared. Since they are fixed, the range is smooth."""
+
+
+def _inside(arc: Arc, part: float) -> Vector:
+    # The flow of a rescaled flight has further states.
+    return arc.flow_state_at(part * arc.duration)[: arc.start_state.size]
 
 
 def saddle_of_return(graph: GraphDynamics, found: EventReturn) -> Saddle | None:
@@ -249,8 +254,9 @@ class _Guard:
 _Key = tuple[MarginKind, str]
 """Kind of a margin, and the name of its stop or switch."""
 
-_ZERO, _JUMP = 1e-12, 1e-6
-"""Size of a condition that is zero, over its scale, and least relative change that is a jump."""
+_ZERO, _JUMP, _EDGE = 1e-12, 1e-6, 1e-3
+"""Size of a condition that is zero, over its scale, least relative change that is a jump, and part
+of an arc next to its ends, where the sign of a rate is taken."""
 
 
 def _margins_outside(
@@ -287,7 +293,9 @@ def _margins_outside(
                 continue
             left, right = guard.value(x), other.value(y)
             ended, began = left <= guard.zero, right <= other.zero
-            falls, rises = guard.rate(x) < 0.0, other.rate(y) > 0.0
+            # Its rate may be zero at the event itself, as that of a gap at a kink of the speed.
+            falls = guard.rate(_inside(before, 1 - _EDGE)) < 0.0
+            rises = other.rate(_inside(after, _EDGE)) > 0.0
             turns = guard.is_above != other.is_above
             jumps = turns or abs(right - left) > _JUMP * max(left, right)
             # The tail of a Zeno point lies between two arcs that do not meet.
@@ -333,8 +341,7 @@ def _conditions(
             found[MarginKind.NEAR_MISS, name] = guard
     if not graph.switch_names:
         return found
-    middle = arc.flow_state_at(arc.duration / 2)[: arc.start_state.size]
-    guards, levels, _ = graph.guards(middle)
+    guards, levels, _ = graph.guards(_inside(arc, 0.5))
     absorbed = {
         name
         for begin, end, names in accumulating
@@ -364,28 +371,35 @@ _LEVELS = 1e3
 def _of_contacts(
     graph: GraphDynamics, found: EventReturn, arcs: Sequence[Arc], places: Sequence[int]
 ) -> Iterator[tuple[Margin, float]]:
-    """Yield the margins of plastic contacts that begin, and of contacts that a jump opens."""
+    """Yield the margins of plastic contacts that begin, and of contacts that end without a release.
+
+    A jump of the force opens a stop, and so does a plastic impact after which the force pulls.
+    """
     switched = {event.time for event in found.events if isinstance(event, SwitchEvent)}
+    struck = {event.time: event.stop for event in found.events if isinstance(event, Impact)}
     for k, after in enumerate(arcs):
-        before = arcs[k - 1]
+        before, place = arcs[k - 1], places[k - 1]
         closed, sides = graph.mode_of(after.closed, after.sides)
         for name in set(after.closed) - set(before.closed):
-            stop = graph.stop_names.index(name)
-            view, x = graph.holding((closed, sides), stop), after.start_state
+            view, x = (
+                graph.holding((closed, sides), graph.stop_names.index(name)),
+                after.start_state,
+            )
             if view.restitution == 0.0 and view.multiplier_rate(x) > 0.0:
-                place = places[k - 1]
                 yield Margin(loss=MarginKind.ACCELERATION, place=place), -view.gap_acceleration(x)
-        for name in set(before.closed) - set(after.closed):
-            stop = graph.stop_names.index(name)
-            if before.ending is Ending.RELEASE:
-                continue
-            held = graph.holding(graph.mode_of(before.closed, before.sides), stop)
-            if held.multiplier_rate(before.end_state) < 0.0:
-                pressed = held.multiplier(before.end_state)
-                yield Margin(loss=MarginKind.ADHESION, place=places[k - 1], name=name), pressed
-            if before.ending is Ending.SWITCH and before.end_time in switched:
-                pull = -graph.view((closed, sides), stop).multiplier(after.start_state)
-                yield Margin(loss=MarginKind.OPENING, place=places[k - 1], name=name), pull
+        opened = set(before.closed) if before.ending is not Ending.RELEASE else set[str]()
+        for name in opened - set(after.closed):
+            mode, x = graph.mode_of(before.closed, before.sides), before.end_state
+            held = graph.holding(mode, graph.stop_names.index(name))
+            if held.multiplier_rate(x) < 0.0:
+                yield Margin(loss=MarginKind.ADHESION, place=place, name=name), held.multiplier(x)
+        if before.end_time not in switched:
+            opened = {struck[before.end_time]} if before.end_time in struck else set[str]()
+        for name in opened - set(after.closed):
+            view = graph.view((closed, sides), graph.stop_names.index(name))
+            if name in before.closed or view.restitution == 0.0:
+                pull = -view.multiplier(after.start_state)
+                yield Margin(loss=MarginKind.OPENING, place=place, name=name), pull
 
 
 def _of_arming(
