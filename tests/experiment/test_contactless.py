@@ -247,12 +247,14 @@ def test_the_command_prints_words_and_draws(tmp_path: Path) -> None:
     _, orbit = _orbit("wheel")
     (tmp_path / "wheel.py").write_text(FILE)
     zo.write_event_orbit(orbit, tmp_path / "orbit.json")
+    short = _recording("wheel", (wheel_motion(),), cycles=0.4)
     answers = {
-        "The recording shows this orbit": (wheel_motion(), YES),
-        "The recording does not show this orbit": (wheel_motion(0.09), NO),
+        "The recording shows this orbit": (_recording("wheel", (wheel_motion(),)), YES),
+        "The recording does not show this orbit": (_recording("wheel", (wheel_motion(0.09),)), NO),
+        "The recording does not show an orbit of this machine": (short, NO),
     }
-    for words, (motion, code) in answers.items():
-        zo.write_recording(_recording("wheel", (motion,)), tmp_path / "data.csv")
+    for words, (recording, code) in answers.items():
+        zo.write_recording(recording, tmp_path / "data.csv")
         command = ("compare", tmp_path / "orbit.json", tmp_path / "data.csv")
         words_of = (*command, "--problem", tmp_path / "wheel.py", "--plot", tmp_path / "p.png")
         answer = ask(*words_of)
@@ -260,6 +262,9 @@ def test_the_command_prints_words_and_draws(tmp_path: Path) -> None:
         lines = answer.out.splitlines()
         assert words in lines[0]
         assert "Zeno" not in answer.out
+        if recording is short:
+            assert "Nothing was drawn" in answer.out
+            continue
         assert code == YES or lines[1].strip().startswith("period 0.8575")
         assert (tmp_path / "p.png").stat().st_size > 10_000
         (tmp_path / "p.png").unlink()

@@ -33,6 +33,7 @@ def test_a_comparison_prints_each_number_in_its_column(capsys: pytest.CaptureFix
         metrics=metrics,
         recording=recording(),
         remarks=("rough",),
+        is_zeno=True,
         verdict=ComparisonVerdict.OTHER_VALUES,
         differences=metrics[:1],
     )
@@ -56,6 +57,7 @@ def test_a_comparison_that_is_a_no_says_why(capsys: pytest.CaptureFixture[str]) 
         metrics=(),
         recording=recording(),
         remarks=(),
+        is_zeno=True,
         verdict=ComparisonVerdict.NO_ORBIT,
         reasons=("no impact is seen",),
     )

@@ -118,6 +118,13 @@ class Comparison(TableRepr):
         """Position of the orbit in the recording, if that repeats."""
         return None if self.overlay is None else self.overlay.where
 
+    @property
+    def is_zeno(self) -> bool:
+        """True if impacts accumulate in the orbit."""
+        if isinstance(self.orbit, ZenoOrbit):
+            return True
+        return any(event.name.startswith("zeno ") for event in self.orbit.events)
+
     @cached_property
     def metrics(self) -> tuple[Metric, ...]:
         """Values of the recording and the orbit."""

@@ -178,8 +178,10 @@ def _verdict(found: Comparison) -> list[str]:
 
     if found.verdict is ComparisonVerdict.THIS_ORBIT:
         return ["The recording shows this orbit: all quantities agree within their errors."]
-    overlay = found.overlay
-    kind = "a Zeno orbit" if overlay is None or overlay.table.accumulates else "an orbit"
+    kind = "a Zeno orbit" if found.is_zeno else "an orbit"
+    if found.verdict is ComparisonVerdict.NO_ORBIT:
+        why = (f"  {one}." for one in found.reasons)
+        return [f"The recording does not show {kind} of this machine:", *why]
     named = [f"  {one.name} {_beside(one)}" for one in found.differences[:_NAMED]]
     others = len(found.differences) - len(named)
     values = [*named, *([f"  and {others} more"] if others else [])]
@@ -189,9 +191,6 @@ def _verdict(found: Comparison) -> list[str]:
             return [f"The recording cannot decide whether the machine moves on {kind}:", *why]
         other = f"and cannot decide whether it shows {kind} of this machine with other values"
         return ["The recording does not show this orbit:", *values, f"{other}:", *why]
-    if found.verdict is ComparisonVerdict.NO_ORBIT:
-        why = (f"  {one}." for one in found.reasons)
-        return [f"The recording does not show {kind} of this machine:", *why]
     return [f"The recording shows {kind} of this machine with other values:", *values]
 
 
