@@ -12,7 +12,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import zeno_orbits as zo
 from tests.support.certificates import mutants
@@ -261,3 +263,73 @@ def _scaled(text: str, factor: Fraction | int) -> str:
     """Return a number of a certificate times a factor, rounded to a multiple of 2^-200."""
     units = round(_value(text) * factor * 2**200)
     return f"{'-' if units < 0 else ''}0x{abs(units):x}p-200"
+
+
+# Convergence, with an own integration of the contactor at the bundled values.
+
+
+def _free(_: float, y: Any) -> list[float]:
+    x, v, i, c, s = y
+    wide = 1 + 500.0 * x
+    force = 4.0 - 2000.0 * x - 4.0 * v - 0.5 * 500.0 * i**2 / 2 / wide**2
+    swept = -0.5 * 500.0 / wide**2 * v
+    current = (5.0 + 5.0 * c - 20.0 * i - swept * i) * wide / 0.5
+    return [v, force / 0.05, current, -60.0 * s, 60.0 * c]
+
+
+def _held(_: float, y: Any) -> list[float]:
+    _, _, i, c, s = y
+    return [0.0, 0.0, (5.0 + 5.0 * c - 20.0 * i) / 0.5, -60.0 * s, 60.0 * c]
+
+
+def _turn(sine: float, e: float = 0.3) -> tuple[float, float, Any]:
+    """Return the duration of a turn from a release, its next sine, and the states on the way."""
+    current = math.sqrt(2 * 4.0 / (0.5 * 500.0))
+
+    def hit(_: float, y: Any) -> float:
+        return y[0]
+
+    def freed(_: float, y: Any) -> float:
+        return y[2] - current
+
+    for event in (hit, freed):
+        event.terminal, event.direction = True, -1  # type: ignore[attr-defined]
+    options: dict[str, Any] = {"rtol": 1e-11, "atol": 1e-13, "method": "DOP853", "max_step": 1e-3}
+    y: Any = [0.0, 0.0, current, -math.sqrt(1 - sine**2), sine]
+    states, time, step = [], 0.0, 1e-3
+    while True:
+        run = solve_ivp(_free, (0, step), y, **options)
+        y, time = run.y[:, -1], time + step
+        states.append(run.y)
+        run = solve_ivp(_free, (0, 1), y, events=hit, **options)
+        states.append(run.y)
+        y, time = run.y_events[0][0].copy(), time + run.t_events[0][0]
+        y[:2] = 0.0, -e * y[1]
+        fall = -_free(0, y)[1]
+        assert fall > 0
+        step = 0.6 * y[1] / fall
+        if step < 1e-8:
+            break
+    y[1] = 0.0
+    run = solve_ivp(_held, (0, 1), y, events=freed, **options)
+    states.append(run.y)
+    return time + run.t_events[0][0], run.y_events[0][0][4], np.concatenate(states, axis=1)
+
+
+def test_executions_from_a_printed_set_converge_as_the_document_defines(proof: zo.Proof) -> None:
+    assert proof.basin_box is not None
+    middle, _, half = proof.basin_box.contained()["sine"].partition(" +- ")
+    known = float(proof.as_json()["start_state"]["sine"].partition(" +- ")[0])
+    _, _, orbit = _turn(known)
+    sizes = np.ptp(orbit, axis=1)[:, None]
+    for side in (-1.0, 0.3, 1.0):
+        sine, distances, times = float(middle) + side * float(half), list[float](), list[float]()
+        for _ in range(3):
+            time, sine, states = _turn(sine)
+            assert abs(sine - float(middle)) < float(half)
+            off = [np.min(np.max(np.abs(orbit - x[:, None]) / sizes, axis=0)) for x in states.T]
+            distances.append(max(off))
+            times.append(abs(time - math.tau / 60.0))
+        # The multiplier is 0.025: two more turns bring the motion to the orbit's own sampling.
+        assert times[2] < 1e-2 * times[0]
+        assert distances[2] < 0.05 * distances[0] + 5e-3
