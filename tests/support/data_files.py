@@ -65,7 +65,7 @@ def contents_by_kind(problem: str) -> dict[str, Any]:
             "parameters": {"m": 1.0},
         }
         | {"period": 2.0, "spectral_radius": 0.5, "phases": 1, "steps": 1, "reach": 1.0}
-        | {"error": 0.01, "until": 10.0, "least": None, "versions": {}},
+        | {"error": 0.01, "until": 10.0, "least": _PUSH, "versions": {}},
         "recovery.json": {"norm": [[1.0]], "problem": problem, "gains": {}, "parameters": {}}
         | {"period": 2.0, "spectral_radius": 0.5, "contraction": 0.5, "part": 0.1, "periods": 1}
         | {
@@ -75,7 +75,7 @@ def contents_by_kind(problem: str) -> dict[str, Any]:
             "extents": {"q": 0.1, "v": 0.0},
         }
         | {"units": {"q": "m", "v": "m/s"}, "tests": 1, "samples": 10, "confidence": 0.9}
-        | {"lost_share": 0.2, "error": 0.01, "seed": 0, "versions": {}},
+        | {"lost_share": 1 - 0.05**0.1, "error": 0.01, "seed": 0, "versions": {}},
         "trade.json": {"problem": problem, "work": "until 1 s", "truth": "closed form"}
         | {"truth_error": 1e-12, "trials": []},
         "map.json": _map() | {"problem": problem},
