@@ -99,7 +99,7 @@ PROBLEM = Problem(
     ),
     gains=(),
     model=model,
-    starts=({"z": 9e-4, "cosine": 1.0},),
+    starts=({"z": lambda p: p["d"], "cosine": 1.0},),
     portraits=(("z", "dz"), ("z", "flux")),
     amplitude_of="z",
     outputs=(

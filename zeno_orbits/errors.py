@@ -121,6 +121,10 @@ class SimulationError(ZenoOrbitsError):
         self.execution: Any = None
 
 
+class StepLimitError(SimulationError):
+    """The execution needs more steps than it may take."""
+
+
 class StepSizeError(SimulationError):
     """The step size fell to rounding level, or the flow is not finite any more."""
 

@@ -28,10 +28,9 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.loop import whole_source
 from zeno_orbits.loop.source import FLAGS, HERE, LIBRARIES
-from zeno_orbits.model.numeric import graph_dynamics
+from zeno_orbits.model.numeric import admission, graph_dynamics
 from zeno_orbits.simulation import (
     accumulations,
-    admission,
     arc_follower,
     event_rules,
     graph_run,
@@ -103,7 +102,7 @@ RULES: dict[str, float] = {
     "MOST_CORRECTIONS": rescaled_flight._MOST_CORRECTIONS,
     "CLOSE": rescaled_flight._CLOSE,
     "SWITCH_ZERO": graph_dynamics._ZERO,
-    "OFF": admission.OFF,
+    "START_OFF": admission.START_OFF,
     "APART": graph_run._APART,
     "CONTINUOUS": graph_run._CONTINUOUS,
     "ONE_SURFACE": graph_run._ONE_SURFACE,

@@ -322,7 +322,7 @@ def _system(
         raise InputError("Arguments `state` and `start` exclude each other: leave out one.")
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
-    begin = known.initial_state(start) if state is None else _vector(state)
+    begin = known.initial_state(start, values) if state is None else _vector(state)
     if known.has_graph:
         return known.graph_dynamics(values), begin
     return known.dynamics(values), begin

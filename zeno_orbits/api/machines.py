@@ -181,7 +181,7 @@ def simulate_rig(
         known,
         values,
         parts,
-        known.initial_state(start),
+        known.initial_state(start, values),
         end,
         seed=whole("seed", seed),
         settings=settings or rig_settings(parts),

@@ -251,7 +251,7 @@ def work_precision(
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
-    state = known.initial_state(start)
+    state = known.initial_state(start, values)
     chosen = settings or (QUICK if quick else WorkPrecisionSettings())
     if until is not None:
         chosen = replace(chosen, until=until)

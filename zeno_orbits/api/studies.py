@@ -317,7 +317,8 @@ def map_plane(
     known = known_problem(problem)
     fixed = {"gains": dict(named_numbers("gains", gains))}
     fixed["parameters"] = dict(named_numbers("parameters", parameters))
-    begin = known.initial_state(start)
+    begin = known.state_vector(known.starts[0] if start is None else start, known.values(**fixed))
+    is_declared = start is None and orbit is None
     if orbit is not None:
         orbit = any_orbit(orbit)
         values = orbit.values(problem_of(orbit, known))
@@ -335,6 +336,7 @@ def map_plane(
         gains=fixed["gains"],
         parameters=fixed["parameters"],
         start=begin,
+        is_declared=is_declared,
         until=until,
     )
     maps.require_free_states(plane, start or {})
@@ -364,5 +366,6 @@ def attractor_of(
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
-    (found,) = attractors_at(known, [values], start=start)
+    begin = dict(zip(known.state_names, known.initial_state(start, values), strict=True))
+    (found,) = attractors_at(known, [values], start=begin)
     return found

@@ -389,7 +389,7 @@ def values_of(problem: zo.Problem, options: argparse.Namespace) -> zo.ParameterV
 
 def start_of(problem: zo.Problem, options: argparse.Namespace) -> tuple[float, ...]:
     """Return the initial state that was given, ``(n_x,)``."""
-    return problem.initial_state(options.start or None)
+    return problem.initial_state(options.start or None, values_of(problem, options))
 
 
 def orbit_and_problem(options: argparse.Namespace) -> tuple[zo.ZenoOrbit, zo.Problem]:

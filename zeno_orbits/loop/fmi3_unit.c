@@ -9,7 +9,7 @@ enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };
 enum { PENDING = 64, ROOM = ZL_AT_ONCE + 2, ESTIMATES = 64 };
 
-#define OFF_CIRCLE 1e-9 /* of a clock, as in simulation/admission.py */
+#define OFF_CIRCLE 1e-9 /* of a clock, as in model/numeric/admission.py */
 
 /* Value references: time, states, parameters, then these. With several stops the last three follow for
    every stop. */
@@ -206,7 +206,7 @@ static int begin(Unit *unit) {
     reached->arc[8] = 0.0;
     if (problem->graph) return OK;
     zl_evaluate(problem, unit->run, ZL_GAP, reached->state, gap);
-    if (gap[0] >= -greater(OFF, own->contact) * own->gap) return OK;
+    if (gap[0] >= -greater(START_OFF, own->contact) * own->gap) return OK;
     return fail_at(unit, "The state is inside of the stop", reached->time);
 }
 

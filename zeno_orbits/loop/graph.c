@@ -1183,7 +1183,7 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
     for (k = 0; k < n; k++) {
         const zl_settings *settings = settings_of(g, k);
         const double contact = settings->contact;
-        const double small = was_closed & BIT(k) ? greater(OFF, contact) : contact;
+        const double small = was_closed & BIT(k) ? greater(START_OFF, contact) : contact;
         int is_on, falls;
         gap_of(g, k, x, gap);
         is_on = gap[0] >= -small * settings->gap;
@@ -1392,7 +1392,7 @@ static int admit_to_graph(Graph *g) {
     for (k = 0; k < table->n_stops; k++) {
         const zl_settings *settings = settings_of(g, k);
         gap_of(g, k, x, gap);
-        if (gap[0] < -greater(OFF, settings->contact) * settings->gap) {
+        if (gap[0] < -greater(START_OFF, settings->contact) * settings->gap) {
             run->detail.number = gap[0];
             return tell(&g->m, ZL_INSIDE, 0.0, x, k);
         }

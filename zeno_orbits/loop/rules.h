@@ -89,8 +89,8 @@
 /* model/numeric/graph_dynamics.py */
 #define SWITCH_ZERO 1e-12
 
-/* simulation/admission.py */
-#define OFF 1e-09
+/* model/numeric/admission.py */
+#define START_OFF 1e-09
 
 /* simulation/graph_run.py */
 #define APART 1e-11

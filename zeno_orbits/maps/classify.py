@@ -19,7 +19,14 @@ from zeno_orbits.maps.event_point import EventPoint, known_event_orbit
 from zeno_orbits.maps.known import KnownOrbit, distinct_orbits, known_orbit
 from zeno_orbits.maps.point import Point
 from zeno_orbits.maps.sure_point import sure_attractor
-from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem, own_time
+from zeno_orbits.model import (
+    GraphDynamics,
+    HybridDynamics,
+    ParameterValues,
+    Problem,
+    Start,
+    own_time,
+)
 from zeno_orbits.simulation import OSCILLATIONS, WAITING, bounds_of, turns_in
 from zeno_orbits.work import Progress, silent
 
@@ -31,7 +38,7 @@ def attractors_at(
     problem: Problem,
     settings: Sequence[ParameterValues],
     *,
-    start: Mapping[str, float] | None = None,
+    start: Start | None = None,
     until: float | None = None,
     bounds: Mapping[str, float] | None = None,
     accuracy: Accuracy | None = None,
@@ -45,6 +52,7 @@ def attractors_at(
         problem: The problem.
         settings: Values of its gains and parameters at each point.
         start: Initial state of all motions. The default is the problem's first initial state.
+            Formulas among its entries are evaluated at every point.
         until: Longest simulated time [s]. The default is the `usual_time`.
         bounds: Largest modulus of coordinates by name. Beyond it a motion diverges. The default is
             the limit that the problem declares, or 20 pi for other coordinates.
@@ -60,9 +68,9 @@ def attractors_at(
         )
     if not settings:
         return ()
-    state = np.array(problem.initial_state(start))
-    time = usual_time(problem, settings, state) if until is None else until
-    motions = [(values, state) for values in settings]
+    begin = problem.starts[0] if start is None else start
+    motions = [(values, np.array(problem.state_vector(begin, values))) for values in settings]
+    time = usual_time(problem, settings, motions[0][1]) if until is None else until
     return attractors_from(
         problem, motions, until=time, bounds=bounds, accuracy=accuracy, on_progress=on_progress
     )

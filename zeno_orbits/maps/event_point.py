@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, RunawayError, SimulationError
+from zeno_orbits.errors import InputError, RunawayError, SimulationError, counted
 from zeno_orbits.maps.approach import Approach, is_approached, steps_towards
 from zeno_orbits.maps.attempt import Accuracy
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
@@ -49,13 +49,15 @@ from zeno_orbits.simulation import (
     is_still,
     outcome_of,
     scale_of,
-    simulate,
+    simulated_at_most,
     state_after,
     transient_settings,
 )
 
 _FIRST, _LONGER = 12.0, 4.0
 """First simulated time in units of the problem's slowest time, and factor of the next one."""
+_STEPS = 20_000
+"""Most steps of the first simulation. The slowest time may be far longer than a period."""
 _REMEMBERED = 40
 """Number of the last returns that are compared."""
 _APART = 0.2
@@ -103,17 +105,25 @@ class EventPoint:
         """Simulate the motion and return its attractor."""
         far = tuple(self._bounds[: self._graph.n_q].tolist())
         settings = transient_settings(self._accuracy.motion, far)
-        time = _FIRST * own_time(self._graph.first, self._start)
+        time, steps = _FIRST * own_time(self._graph.first, self._start), _STEPS
         try:
             while True:
                 time = min(time, self._until)
-                motion = simulate(self._graph, self._start, until=time, settings=settings)
+                motion, is_cut = simulated_at_most(
+                    self._graph, self._start, until=time, most_steps=steps, settings=settings
+                )
                 found = self._classified(motion)
                 if found is not None:
                     return found
-                if time == self._until:
+                if time == self._until and not is_cut:
                     return self._at_last(motion)
-                time *= _LONGER
+                if is_cut and steps >= settings.most_steps:
+                    most = counted(settings.most_steps, "step")
+                    detail = f"The motion needs more than {most}"
+                    return Attractor(fate=AttractorClass.FAILED, detail=detail)
+                steps *= int(_LONGER)
+                if not is_cut:
+                    time *= _LONGER
         except RunawayError as error:
             escaped = error.coordinate or error.reason.split()[0]
             return Attractor(fate=AttractorClass.ESCAPE, escaped=escaped)
@@ -171,10 +181,7 @@ class EventPoint:
     ) -> Attractor | None:
         """Return the stable orbit of `n` returns that the motion approaches."""
         before, now = returns[-1 - n], returns[-1]
-        arc = next((arc for arc in motion.arcs if arc.start_time >= now.time), None)
-        if arc is None:
-            return None
-        mode = SectionMode.of(arc, section)
+        mode = SectionMode.after(motion, section, now.time, before.time)
         try:
             found = self._near(section, now.state, n, now.time - before.time, mode)
             found = shortest_return(self._graph, found, SimulationSettings())
@@ -236,7 +243,7 @@ class EventPoint:
             return found
         last = next(one for one in reversed(found.events) if orbit_event_name(one) == usual)
         try:
-            mode = SectionMode.after(found.execution, last)
+            mode = SectionMode.after(found.execution, usual, last.time)
             n = _count(found, usual)
             return self._near(usual, state_after(last), n, found.period, mode)
         except SimulationError:

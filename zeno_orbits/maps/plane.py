@@ -77,6 +77,8 @@ class Plane:
         parameters: Parameters that differ from their defaults, likewise. Derived values are derived
             at every point.
         start: Initial state of every motion, ``(n_x,)``, except the states of the axes.
+        is_declared: Whether it is the problem's first start, whose formulas are then evaluated at
+            every point.
         until: Longest simulated time of a motion [s], or ``None`` for the usual time of the slowest
             corner.
         known: Orbits with which motions are compared, only for a plane of two states.
@@ -88,6 +90,7 @@ class Plane:
     gains: Mapping[str, float] = field(default_factory=dict[str, float])
     parameters: Mapping[str, float] = field(default_factory=dict[str, float])
     start: tuple[float, ...]
+    is_declared: bool = False
     until: float | None = None
     known: tuple[KnownOrbit, ...] = ()
 
@@ -163,7 +166,10 @@ class Plane:
         """
         problem = self.problem
         point = {self.x.name: x, self.y.name: y}
-        names = zip(problem.state_names, self.start, strict=True)
+        start = self.start
+        if self.is_declared:
+            start = problem.state_vector(problem.starts[0], self.values(x, y))
+        names = zip(problem.state_names, start, strict=True)
         return np.array(
             [value if name in problem.names else point.get(name, value) for name, value in names]
         )

@@ -30,6 +30,10 @@ from .library import load_reference as load_reference
 from .library import locate_problem as locate_problem
 from .library import recorded_problem as recorded_problem
 from .drives.motors import MotorBank as MotorBank
+from .numeric.admission import START_OFF as START_OFF
+from .numeric.admission import inside_stop as inside_stop
+from .numeric.admission import require_admissible as require_admissible
+from .numeric.admission import require_start as require_start
 from .numeric.calls import Call as Call
 from .numeric.columns import Columns as Columns
 from .numeric.compiled import CompiledSystem as CompiledSystem
@@ -68,6 +72,7 @@ from .rig_parts import Sensors as Sensors
 from .rig_parts import rig_with_numbers as rig_with_numbers
 from .rig_parts import without_parts as without_parts
 from .scale import CharacteristicScales as CharacteristicScales
+from .starts import Start as Start
 from .scale import UNIT_SCALES as UNIT_SCALES
 from .units import powers_of as powers_of
 from .units import unit_quotient as unit_quotient

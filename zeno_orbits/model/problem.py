@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,6 +37,7 @@ from zeno_orbits.model.quantities import (
     unknown,
 )
 from zeno_orbits.model.rig_parts import Rig
+from zeno_orbits.model.starts import Start, require_starts, state_of
 from zeno_orbits.model.stops import Stop
 from zeno_orbits.model.units import energy_unit, require_coherent
 from zeno_orbits.model.validation import (
@@ -89,7 +90,8 @@ class Problem(Declared):
         gains: Feedback gains, whose ranges are the default search box. May be empty.
         model: Function from named symbols (gains and parameters) to the completed system.
         starts: Initial states from which the problem may settle to an orbit, as values by name. A
-            missing state is zero.
+            missing state is zero. A value may be a formula of the gains and parameters, as in
+            ``{"z": lambda p: p["d"]}``.
         portraits: Pairs of state names to draw against each other.
         amplitude_of: State whose amplitude a search may prescribe.
         derive: Function from the given and default values to the parameters without a default.
@@ -112,7 +114,7 @@ class Problem(Declared):
     parameters: tuple[Quantity, ...]
     gains: tuple[Quantity, ...]
     model: Callable[[Mapping[str, ca.SX]], CompletedSystem]
-    starts: tuple[Mapping[str, float], ...]
+    starts: tuple[Start, ...]
     portraits: tuple[tuple[str, str], ...]
     amplitude_of: str
     derive: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None
@@ -330,7 +332,7 @@ class Problem(Declared):
                 wanted = "must appear in the model or an output"
                 raise InputError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
         require_coherent(self.units | {f"gap of {name}": u for name, u in self.gap_units.items()})
-        starts = [self.state_vector(start) for start in self.starts]
+        starts = [self.state_vector(start, values) for start in self.starts]
         units = self.state_units
         dynamics = self.dynamics(values) if system.graph is None else self._first_stop(values)
         require_sound_numbers(system, symbols, values.vector, dynamics, units, starts)
@@ -342,11 +344,17 @@ class Problem(Declared):
         """Return the dynamics of the first of several stops, if no two are one.
 
         Raises:
-            InputError: If two stops are one at a start.
+            InputError: If two stops are one at a start, or a start is inside of a stop.
         """
+        from zeno_orbits.model.numeric.admission import require_outside
+
         graph = self.graph_dynamics(values)
-        for start in self.starts:
-            equal = graph.equal_stops(np.array(self.state_vector(start)))
+        for number, start in enumerate(self.starts, start=1):
+            x = np.array(self.state_vector(start, values))
+            for k, name in enumerate(graph.stop_names):
+                view = graph.view(graph.open_mode, k)
+                require_outside(view, x, 0.0, name, subject=f"Start {number}")
+            equal = graph.equal_stops(x)
             if equal is not None:
                 raise InputError(
                     f"Argument `stops` must hold different stops, but `{equal[0]}` and "
@@ -556,31 +564,86 @@ class Problem(Declared):
         units = [*states, *((symbols[name], self.units[name]) for name in self.names)]
         return {stop.name: stop.unit or unit_of(stop.gap, units) for stop in stops}
 
-    def state_vector(self, named: Mapping[str, float]) -> tuple[float, ...]:
+    def state_vector(
+        self, named: Start, values: ParameterValues | None = None
+    ) -> tuple[float, ...]:
         """Return the state with the named entries, the others zero, ``(n_x,)``.
 
         Args:
             named: State name to value, as in ``starts`` or an orbit's ``release_state``.
+            values: Values at which formulas among the entries are evaluated, by default the
+                defaults of the problem.
 
         Raises:
             InputError: If a name is not a state of the problem or a value is not a finite number.
         """
-        given = named_numbers("start", named)
-        for name in given:
-            if name not in self.state_names:
-                raise InputError(unknown("state", name, self.state_names))
-        return tuple(finite_number(name, given.get(name, 0.0)) for name in self.state_names)
+        return state_of(named, self.state_names, lambda: (values or self.values()).numbers)
 
-    def initial_state(self, start: Mapping[str, float] | None = None) -> tuple[float, ...]:
+    def initial_state(
+        self, start: Start | None = None, values: ParameterValues | None = None
+    ) -> tuple[float, ...]:
         """Return the state with the named entries, or the first start of the problem, ``(n_x,)``.
 
         Args:
             start: Values by state name, or ``None`` for the first initial state.
+            values: Values at which the problem's start must be admissible. By default it is
+                evaluated at the defaults, where a problem is checked when it is loaded.
 
         Raises:
-            InputError: If a name is not a state of the problem or a value is not a finite number.
+            InputError: If a name is not a state of the problem, a value is not a finite number, or
+                the problem's start is not admissible.
         """
-        return self.state_vector(self.starts[0] if start is None else start)
+        if start is not None:
+            return self.state_vector(start, values)
+        if values is None:
+            return self.state_vector(self.starts[0])
+        return self._declared(self.starts[0], values)
+
+    def admissible_starts(self, values: ParameterValues) -> tuple[tuple[float, ...], ...]:
+        """Return the problem's initial states that are admissible, each ``(n_x,)``.
+
+        Args:
+            values: Values of every gain and parameter.
+
+        Raises:
+            InputError: If there is none. The message is about the first one.
+        """
+        found: list[tuple[float, ...]] = []
+        refusal: InputError | None = None
+        for start in self.starts:
+            try:
+                found.append(self._declared(start, values))
+            except InputError as error:
+                refusal = refusal or error
+        if refusal is not None and not found:
+            raise refusal
+        return tuple(found)
+
+    def _declared(self, start: Start, values: ParameterValues) -> tuple[float, ...]:
+        """Return a start of the problem at values, if it is admissible there.
+
+        Raises:
+            InputError: If it is not admissible. The message holds both remedies.
+        """
+        from zeno_orbits.model.numeric.admission import require_start
+
+        try:
+            x = self.state_vector(start, values)
+        except InputError as error:
+            raise InputError(f"{error} Pass a start (`start`, --initial).") from error
+        system = self.graph_dynamics(values) if self.has_graph else self.dynamics(values)
+        try:
+            require_start(system, np.array(x), 0.0)
+        except InputError as error:
+            entries = zip(self.state_names, x, strict=True)
+            told = ", ".join(f"{name}={value:g}" for name, value in entries if name in start)
+            reason = str(error).removeprefix("Argument `state` ").rstrip(".")
+            raise InputError(
+                f"The declared start ({told or 'all states zero'}) {reason}, at these parameter "
+                "values. Pass a start (`start`, --initial), or declare it as a formula of "
+                'parameters, such as {"q": lambda p: p["d"]}.'
+            ) from error
+        return x
 
 
 _MOST = 16
@@ -620,7 +683,7 @@ def _compiled_graph(problem: Problem) -> CompiledGraph:
         graph=graph,
         symbols=symbols,
         state_names=problem.state_names,
-        starts=tuple(problem.state_vector(start) for start in problem.starts),
+        starts=partial(_starts_at, problem, 0),
         state_units=problem.state_units,
     )
 
@@ -642,19 +705,35 @@ def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
         system = transform(system)
         extra = system.state.numel() - len(names)
         names = (*names, *(f"ledger{k}" for k in range(extra)))
-    appended = (0.0,) * (len(names) - len(problem.state_names))
-    starts = tuple((*problem.state_vector(start), *appended) for start in problem.starts)
     compiled = compile_system(system, symbols, names)
+    starts = partial(_starts_at, problem, len(names) - len(problem.state_names))
     return replace(compiled, starts=starts, state_units=problem.state_units)
+
+
+def _starts_at(
+    problem: Problem, n_more: int, p: Sequence[float] | Vector
+) -> tuple[tuple[float, ...], ...]:
+    """Return the initial states at a parameter vector, each ``(n_x,)`` with zeros after it.
+
+    Where a formula fails, no motion starts. Then the scales are those at the defaults.
+    """
+    n_gains, numbers = len(problem.gains), [float(one) for one in p]
+    values = ParameterValues(
+        gains=dict(zip(problem.names[:n_gains], numbers, strict=False)),
+        parameters=dict(zip(problem.names[n_gains:], numbers[n_gains:], strict=True)),
+    )
+    try:
+        states = [problem.state_vector(start, values) for start in problem.starts]
+    except InputError:
+        states = [problem.state_vector(start) for start in problem.starts]
+    return tuple((*state, *(0.0,) * n_more) for state in states)
 
 
 def _require_states(problem: Problem) -> None:
     """Refuse starts, portraits and an amplitude that name no state."""
     states = problem.state_names
-    if not problem.starts:
-        raise InputError("Argument `starts` must hold a state to start from, but it is empty.")
+    require_starts(problem.starts, states)
     for argument, named in (
-        *(("starts", name) for start in problem.starts for name in start),
         *(("portraits", name) for pair in problem.portraits for name in pair),
         ("amplitude_of", problem.amplitude_of),
     ):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -126,10 +126,11 @@ def _places(search: SearchProblem) -> list[ParameterValues]:
 
 def _attractors(search: SearchProblem) -> tuple[Attractor, ...]:
     """Return the attractors at the points of a search."""
+    starts = search.initial_states or search.problem.starts
     return _settled(
         search.problem,
         tuple(place.vector for place in _places(search)),
-        tuple(map(search.problem.state_vector, search.initial_states)),
+        tuple(tuple(start.items()) for start in starts),
         search.settings.settling.horizon,
     )
 
@@ -138,7 +139,7 @@ def _attractors(search: SearchProblem) -> tuple[Attractor, ...]:
 def _settled(
     problem: Problem,
     places: tuple[tuple[float, ...], ...],
-    starts: tuple[tuple[float, ...], ...],
+    starts: tuple[tuple[tuple[str, Any], ...], ...],
     until: float | None,
 ) -> tuple[Attractor, ...]:
     """Return the attractor at each point, from the first initial state that leads to an orbit."""
@@ -153,10 +154,9 @@ def _settled(
     found: list[Attractor | None] = [None] * len(values)
     for start in starts:
         left = [k for k, one in enumerate(found) if one is None or one.fate not in PHASE]
-        named = dict(zip(problem.state_names, start, strict=True))
         some = [values[k] for k in left]
         try:
-            seen = attractors_at(problem, some, start=named, until=until, accuracy=ACCURACY)
+            seen = attractors_at(problem, some, start=dict(start), until=until, accuracy=ACCURACY)
         except ZenoOrbitsError as error:
             seen = tuple(Attractor(fate=AttractorClass.FAILED, detail=str(error)) for _ in left)
         for k, one in zip(left, seen, strict=True):

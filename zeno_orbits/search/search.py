@@ -104,7 +104,7 @@ def search_orbits(
         bounds=tuple(bounds),
         near=near,
         shape=shape,
-        initial_states=tuple(initial_states) or problem.starts,
+        initial_states=tuple(initial_states),
         settings=settings or SearchSettings(),
         on_progress=on_progress,
     )

@@ -32,7 +32,8 @@ class SearchProblem:
         bounds: Bounds that the orbit must satisfy.
         near: A known orbit to start from.
         shape: The shape of the orbit. By default any shape is accepted.
-        initial_states: Initial states of the simulations that find orbits, name to value.
+        initial_states: Initial states of the simulations that find orbits, name to value. If it is
+            empty, they are those of the problem.
         sizes: Name to size of a free value. Its changes are measured in units of this size.
         order: Indices of the scan points at which it starts, in order. ``None`` before a scan.
         settings: Limits and tolerances of the search.
@@ -56,6 +57,18 @@ class SearchProblem:
     def compiled(self) -> CompiledSystem:
         """The functions of the problem."""
         return self.problem.compiled()
+
+    def starts_at(self, values: ParameterValues) -> tuple[tuple[float, ...], ...]:
+        """Return the initial states of the simulations, each ``(n_x,)``.
+
+        Args:
+            values: The values of the simulations.
+
+        Raises:
+            InputError: If no start of the problem is admissible at the values.
+        """
+        given = tuple(self.problem.state_vector(start) for start in self.initial_states)
+        return given or self.problem.admissible_starts(values)
 
     @property
     def seeks_optimum(self) -> bool:

@@ -105,9 +105,8 @@ def beside(search: SearchProblem, start: SearchStart, solution: SimulatedSolutio
 def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
     """Return a period to which the problem converges, or the reason of a failure."""
     dynamics = search.dynamics(values)
-    starts = [search.problem.state_vector(start) for start in search.initial_states]
     settling = run_to_attractor(
-        dynamics, starts, search.settings.settling, search.shape, search.problem
+        dynamics, search.starts_at(values), search.settings.settling, search.shape, search.problem
     )
     cycle = settling.cycle
     if cycle is None:

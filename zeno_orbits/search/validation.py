@@ -103,11 +103,12 @@ _NUDGED = 1.01
 
 def _turn(search: SearchProblem, numbers: Mapping[str, float]) -> float | None:
     """Return the period of the clock at given values [s], or ``None`` without a steady clock."""
+    values = search.values.replaced(numbers)
     try:
-        dynamics = search.dynamics(search.values.replaced(numbers))
+        dynamics, start = search.dynamics(values), search.starts_at(values)[0]
     except InputError:
         return None
-    return steady_turn(dynamics, np.array(search.problem.state_vector(search.initial_states[0])))
+    return steady_turn(dynamics, np.array(start))
 
 
 def _check_multipliers(search: SearchProblem) -> None:
@@ -120,7 +121,7 @@ def _check_multipliers(search: SearchProblem) -> None:
     if not (bounded or isinstance(search.objective, MinSpectralRadius)):
         return
     dynamics = search.dynamics(search.values)
-    start = np.array(search.problem.state_vector(search.initial_states[0]))
+    start = np.array(search.starts_at(search.values)[0])
     shape = search.shape or (search.near.shape if search.near is not None else None)
     if len(start) - dynamics.holonomic(start).size > len(RELEASE_ROWS):
         return

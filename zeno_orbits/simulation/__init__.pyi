@@ -59,6 +59,7 @@ from .settings import SimulationSettings as SimulationSettings
 from .settings import SimulationTask as SimulationTask
 from .simulator import by_reference as by_reference
 from .simulator import simulate as simulate
+from .simulator import simulated_at_most as simulated_at_most
 from .simulator import simulator_in_use as simulator_in_use
 from .derivatives.tangent import course_of as course_of
 from .derivatives.tangent import EventMotions as EventMotions

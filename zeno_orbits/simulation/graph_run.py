@@ -36,9 +36,8 @@ from zeno_orbits.integrators import (
     Termination,
     follow_steps,
 )
-from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
+from zeno_orbits.model import START_OFF, GraphDynamics, GraphMode, HybridDynamics, require_start
 from zeno_orbits.simulation.accumulations import Accumulations
-from zeno_orbits.simulation.admission import OFF, require_admissible, require_outside
 from zeno_orbits.simulation.arc_follower import ArcStart, launched
 from zeno_orbits.simulation.event_rules import stop_holds
 from zeno_orbits.simulation.execution import (
@@ -236,12 +235,10 @@ class GraphRun(ReferenceRun):
             InputError: If the state is not admissible. The message contains the reason.
         """
         if checked:
-            require_admissible(self.graph.first, x)
+            require_start(self.graph, x, self.settings.contact)
         self.sides = (True,) * (len(self.graph.switch_names) - self.graph.n_declared)
         self._take_sides(x)
         self._look((), 0)
-        for k, name in enumerate(self.graph.stop_names):
-            require_outside(self._view((), k), x, self.settings.contact, name)
         return self._placed(0.0, x, None)
 
     # What the reference asks of a run that has more than one stop.
@@ -987,7 +984,7 @@ class GraphRun(ReferenceRun):
         contact = self.settings.contact
         for k, name in enumerate(self.graph.stop_names):
             view = self._view((), k)
-            small = max(OFF, contact) if was_closed is None or k in was_closed else contact
+            small = max(START_OFF, contact) if was_closed is None or k in was_closed else contact
             gap, rate = view.gap(x), view.gap_rate(x)
             is_on = gap >= -small * view.own.gap
             falls = rate < -small * view.own.gap_rate

@@ -10,6 +10,7 @@ from zeno_orbits.errors import (
     SimulationError,
     SimultaneousEventsError,
     SlidingError,
+    StepLimitError,
     counted,
 )
 
@@ -22,7 +23,7 @@ def too_many_steps(most: int, time: float, state: Vector) -> SimulationError:
         time: When [s].
         state: State there.
     """
-    return SimulationError(
+    return StepLimitError(
         f"The execution needs more than {counted(most, 'step')}: "
         "raise `most_steps` (--max-steps), or simulate a shorter time",
         time=time,

@@ -15,8 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import PenetrationError
 from zeno_orbits.integrators import FlowWithEvent, SteppedTrajectory, Trajectory
-from zeno_orbits.model import CharacteristicScales, HybridDynamics
-from zeno_orbits.simulation.admission import require_admissible, require_outside
+from zeno_orbits.model import CharacteristicScales, HybridDynamics, require_start
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
 from zeno_orbits.simulation.execution import (
@@ -157,8 +156,7 @@ class ReferenceRun:
         """
         dynamics, small, small_rate = self.dynamics, self.small_gap, self.small_rate
         if checked:
-            require_admissible(dynamics, x)
-            require_outside(dynamics, x, self.settings.contact)
+            require_start(dynamics, x, self.settings.contact)
         rate = dynamics.gap_rate(x)
         if dynamics.gap(x) > small:
             return ArcStart(mode=Mode.FREE, time=0.0, state=x)

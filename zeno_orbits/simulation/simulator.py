@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError, any_number
+from zeno_orbits.errors import InputError, SimulationError, StepLimitError, any_number
 from zeno_orbits.integrators import Engine
 from zeno_orbits.loop import loop_library
 from zeno_orbits.model import GraphDynamics, HybridDynamics
@@ -76,6 +77,36 @@ def simulate(
     if graph is not None:
         return by_graph_loop(task, graph) or by_graph(task, graph)
     return by_loop(task) if serves(task) else by_reference(task)
+
+
+def simulated_at_most(
+    dynamics: HybridDynamics | GraphDynamics,
+    state: Sequence[float] | Vector,
+    *,
+    until: float,
+    most_steps: int,
+    settings: SimulationSettings,
+) -> tuple[Execution, bool]:
+    """Return the execution until a time or a number of steps, and whether the steps ended it.
+
+    Args:
+        dynamics: As for `simulate`.
+        state: As for `simulate`.
+        until: End time [s].
+        most_steps: Largest number of steps. Those of the settings may be fewer.
+        settings: Accuracy.
+
+    Raises:
+        InputError: As for `simulate`.
+        SimulationError: If the execution cannot be continued, or has no event in these steps.
+    """
+    fewer = replace(settings, most_steps=min(most_steps, settings.most_steps))
+    try:
+        return simulate(dynamics, state, until=until, settings=fewer), False
+    except StepLimitError as error:
+        if error.execution is None:
+            raise
+        return error.execution, True
 
 
 def by_graph_loop(task: SimulationTask, graph: GraphDynamics) -> Execution | None:

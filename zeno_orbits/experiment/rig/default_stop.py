@@ -23,7 +23,7 @@ from zeno_orbits.model import (
     Rig,
 )
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
-from zeno_orbits.simulation import Execution, Mode, simulate
+from zeno_orbits.simulation import Execution, Mode, SimulationSettings, simulated_at_most
 
 PENETRATION = 1e-3
 """Penetration of a default stop at most, in parts of the highest gap."""
@@ -33,6 +33,8 @@ _SLOWEST = 1e-6
 """Speed, in parts of the greatest impact's, below which damping grows no further."""
 _TIMES = 20.0
 """Time that a motion is followed to find its impacts, in the problem's own."""
+_STEPS = 100_000
+"""Steps after which it is not followed further: that time may be far longer than a period."""
 
 
 def default_rig(
@@ -58,7 +60,7 @@ def default_rig(
         return Rig(contact=_stop(problem, orbit.values(problem), start, orbit.period))
     known = values or problem.values()
     until = _TIMES * time_scale_of(problem, known)
-    return Rig(contact=_stop(problem, known, problem.initial_state(), until))
+    return Rig(contact=_stop(problem, known, problem.initial_state(None, known), until))
 
 
 def _stop(
@@ -73,7 +75,13 @@ def _stop(
         slowest=usual.slowest * own.gap_rate,
     )
     try:
-        motion = simulate(dynamics if graph is None else graph, start, until=until)
+        motion, _ = simulated_at_most(
+            dynamics if graph is None else graph,
+            start,
+            until=until,
+            most_steps=_STEPS,
+            settings=SimulationSettings(),
+        )
     except SimulationError:
         return sized
     loads = _loads(dynamics, motion) if graph is None else list(_loads_of_stops(graph, motion))

@@ -103,7 +103,10 @@ def time_scale_of(problem: Problem, values: ParameterValues) -> float:
     """
     if not problem.has_graph:
         return problem.dynamics(values).own.time
-    return own_time(problem.graph_dynamics(values).first, np.array(problem.initial_state()))
+    return own_time(
+        problem.graph_dynamics(values).first,
+        np.array(problem.state_vector(problem.starts[0], values)),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

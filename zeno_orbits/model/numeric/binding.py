@@ -58,11 +58,10 @@ def bind(
     def scaling() -> CharacteristicScales:
         if scale is not None:
             return scale()
-        if not compiled.starts:
+        starts = compiled.starts(p)
+        if not starts:
             return UNIT_SCALES
-        return own_scale(
-            plain, compiled.starts, compiled.state_units, compiled.clock, compiled.further
-        )
+        return own_scale(plain, starts, compiled.state_units, compiled.clock, compiled.further)
 
     formulas = BoundFormulas(system=compiled, values=p, parts=plain.formula_parts)
     return replace(

@@ -31,6 +31,7 @@ from zeno_orbits.model.numeric.differentials import (
     DifferentiableFunctions,
 )
 from zeno_orbits.model.scale import CharacteristicScales
+from zeno_orbits.model.starts import Starts, no_starts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +54,7 @@ class CompiledSystem:
         energy: ``(x, p) -> energy`` [J].
         holonomic: ``(x, p) -> (eta, eta_rate)``.
         motors: ``(x, p) -> (current, voltage)`` of every motor, each ``(n_M,)``.
-        starts: Initial states of the problem, if they are known, each ``(n_x,)``.
+        starts: From ``p`` to the initial states of the problem, if they are known.
         state_units: Units of the states of the problem.
         further: Indices of the states of circuits and additional states, except currents of motors.
         is_balanced: Whether all powers are given, so that the energy balance can be checked.
@@ -74,7 +75,7 @@ class CompiledSystem:
     energy: ca.Function
     holonomic: ca.Function
     motors: ca.Function
-    starts: tuple[tuple[float, ...], ...] = ()
+    starts: Starts = no_starts
     state_units: tuple[str, ...] = ()
     further: tuple[int, ...] = ()
     is_balanced: bool = True

@@ -30,6 +30,7 @@ from zeno_orbits.model.numeric.compiled_flow import (
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import CharacteristicScales
+from zeno_orbits.model.starts import Starts
 
 _ZERO = 1e-12
 """Part of a switch's size below which its guard counts as zero."""
@@ -50,14 +51,14 @@ class CompiledGraph:
         graph: The graph in symbols.
         symbols: Named parameters, in the order of ``p``.
         state_names: Name of each state.
-        starts: Initial states of the problem, each ``(n_x,)``.
+        starts: From ``p`` to the initial states of the problem.
         state_units: Units of the states.
     """
 
     graph: ModeGraph
     symbols: Mapping[str, ca.SX]
     state_names: tuple[str, ...]
-    starts: tuple[tuple[float, ...], ...]
+    starts: Starts
     state_units: tuple[str, ...]
     _systems: dict[_Stop, CompiledSystem] = field(
         default_factory=dict["_Stop", CompiledSystem], repr=False
@@ -296,7 +297,12 @@ class GraphDynamics:
             system = compiled.system(self.open_mode, stop)
             branch = partial(self._on_branch, stop) if compiled.graph.conditions else None
             self._scales[stop] = own_scale(
-                view, compiled.starts, compiled.state_units, system.clock, system.further, branch
+                view,
+                compiled.starts(self.p),
+                compiled.state_units,
+                system.clock,
+                system.further,
+                branch,
             )
         return self._scales[stop]
 

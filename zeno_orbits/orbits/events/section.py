@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
+from statistics import linear_regression
 
 import numpy as np
 
@@ -71,6 +72,9 @@ _MOST_RETURNS = 200
 _NEARER, _SETTLED = 10.0, 1e-6
 """A motion repeats after the fewest returns whose distance is at most this many times the smallest,
 or this distance."""
+_SEEN, _CLEARLY, _CLOSE = 12, 1.0, 1e-3
+"""Fewest returns by which a motion converges, least fall of the logarithm of their distances, and
+distance from the orbit at which Newton's method is sure to converge."""
 _ONE_START = 2e-6
 """Relative distance of the starts of an orbit that was closed over fewer returns."""
 
@@ -106,15 +110,22 @@ class SectionMode:
         return cls(closed=first.closed, sides=first.sides, stop=stop, released=released)
 
     @classmethod
-    def after(cls, execution: Execution, event: Event) -> SectionMode | None:
-        """Return the mode just after an event, ``None`` if the execution ends there.
+    def after(cls, execution: Execution, section: str, *times: float) -> SectionMode | None:
+        """Return the mode just after an event.
 
         Args:
             execution: The execution.
-            event: One of its events.
+            section: Name of the event.
+            times: When it occurs [s]. The first time after which the execution goes on counts.
+
+        Returns:
+            The mode, or ``None`` if the execution ends at all times.
         """
-        first = next((arc for arc in execution.arcs if arc.start_time >= event.time), None)
-        return first and cls.of(first, orbit_event_name(event))
+        for time in times:
+            first = next((arc for arc in execution.arcs if arc.start_time >= time), None)
+            if first is not None:
+                return cls.of(first, section)
+        return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -375,7 +386,10 @@ def section_of_family(found: EventReturn) -> tuple[EventSection, Vector]:
     if isinstance(release, Release) and name == f"zeno {release.stop}":
         name, sequence = sequence[0], (*sequence[1:], sequence[0])
         n_returns = sequence.count(name)
-        mode, x = SectionMode.after(found.execution, release) or mode, np.asarray(release.state)
+        mode, x = (
+            SectionMode.after(found.execution, name, release.time) or mode,
+            np.asarray(release.state),
+        )
     return EventSection(name=name, n_returns=n_returns, sequence=sequence, mode=mode), x
 
 
@@ -551,7 +565,7 @@ def at_section(
         n_returns=names.count(section),
         guess=found.period,
         settings=settings,
-        mode=SectionMode.after(found.execution, event),
+        mode=SectionMode.after(found.execution, section, event.time),
     )
 
 
@@ -622,7 +636,7 @@ class NearReturn:
 
     Attributes:
         state: The state, ``(n_x,)``.
-        mode: The mode just after the event, if the motion goes on.
+        mode: The mode just after the event, if the motion goes on after it or the return before.
         section: Name of the event.
         n_returns: Number of such events until the motion nearly returns.
         period: Time until then [s].
@@ -652,7 +666,8 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     names = [orbit_event_name(event) for event in execution.events]
     if not names:
         raise SimulationError(
-            "The motion strikes no stop and passes no switch",
+            "The motion strikes no stop and passes no switch: simulate for longer (`until`, "
+            "--max-time), or start elsewhere (`start`, --initial)",
             time=execution.end_time,
             state=tuple(execution.end_state.tolist()),
         )
@@ -685,14 +700,14 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         n = int(np.argmax(away <= max(_NEARER * np.min(away), _SETTLED)))
         return NearReturn(
             state=state_after(last),
-            mode=SectionMode.after(execution, last),
+            mode=SectionMode.after(execution, chosen, last.time, earlier[n].time),
             section=chosen,
             n_returns=n + 1,
             period=last.time - earlier[n].time,
         )
     raise SimulationError(
         "The motion does not nearly repeat: simulate for longer (`until`, --max-time), or start "
-        "nearer to an orbit",
+        "nearer to an orbit (`start`, --initial)",
         time=execution.end_time,
         state=tuple(execution.end_state.tolist()),
     )
@@ -705,6 +720,43 @@ def _limits(names: Sequence[str]) -> dict[str, str]:
         names: Names of all events in order.
     """
     return {names[k]: names[phase[-1]] for phase in phases_of_events(names) for k in phase[:-1]}
+
+
+def settles_at(execution: Execution, graph: GraphDynamics, section: str | None) -> float | None:
+    """Return the time at which a motion is near an orbit, extrapolated from its returns [s].
+
+    The distances of successive returns fall by the largest multiplier that is seen. The distance
+    from the orbit is their sum.
+
+    Args:
+        execution: An execution that may settle.
+        graph: The graph of modes.
+        section: Name of the event of the section. By default it is chosen.
+
+    Returns:
+        The time, or ``None`` if the distances do not fall clearly in the second half.
+    """
+    late = [one for one in execution.events if one.time > execution.end_time / 2]
+    sections = event_sections(replace(execution, events=tuple(late)), graph)
+    chosen = section or next(iter(sections), "")
+    marks = [one for one in late if orbit_event_name(one) == chosen]
+    if len(marks) < _SEEN:
+        return None
+    scale = largest_states(execution.arcs, graph)
+    states = np.array([state_after(one) for one in marks]) / scale
+    most = min(_MOST_RETURNS, len(marks) // 3)
+    apart = np.max(np.abs(states[-1 - most : -1] - states[-1]), axis=1)[::-1]
+    n = 1 + int(np.argmin(apart))
+    away = np.log(np.max(np.abs(states[n:] - states[:-n]), axis=1).clip(_SETTLED**2))
+    since = [one.time - marks[-1].time for one in marks[n:]]
+    slope, level = linear_regression(since, away.tolist())
+    rough = float(np.std(away - level - slope * np.array(since)))
+    fallen = slope * (marks[n].time - marks[-1].time)
+    if not fallen > max(_CLEARLY, rough):
+        return None
+    period = marks[-1].time - marks[-1 - n].time
+    distance = level - math.log(-math.expm1(slope * period))
+    return marks[-1].time + max(distance - math.log(_CLOSE), 0.0) / -slope
 
 
 def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:

@@ -142,7 +142,7 @@ def _transient(problem: Problem, values: ParameterValues) -> Execution | None:
     dynamics = problem.dynamics(values)
     for start in problem.starts:
         try:
-            state = problem.state_vector(start)
+            state = problem.state_vector(start, values)
             return simulate(dynamics, state, until=_TRANSIENT, impacts=_IMPACTS)
         except SimulationError:
             continue

@@ -65,12 +65,12 @@ def plot_zeno_set(
     speed_unit = unit_quotient(problem.gap_unit, "s")
     acceleration_unit = unit_quotient(speed_unit, "s").replace("^2", "$^2$")
     acceleration = rf"$\ddot h$ [{acceleration_unit}]"
-    reach = _reach(problem, execution, up)
+    reach = _reach(problem, dynamics, execution, up)
     if across is None:
         _draw_curve(ax, dynamics, base, up, reach)
         ax.set(xlabel=label_of(problem, up), ylabel=acceleration)
     else:
-        reaches = (_reach(problem, execution, across), reach)
+        reaches = (_reach(problem, dynamics, execution, across), reach)
         filled = _draw_plane(ax, dynamics, base, (across, up), reaches)
         if filled is not None:
             panels.figure.colorbar(filled, ax=ax, pad=0.02).set_label(acceleration)
@@ -88,9 +88,17 @@ def has_zeno_region(dynamics: HybridDynamics) -> bool:
 def _base(problem: Problem, dynamics: HybridDynamics) -> Vector:
     """Return zero if that is on the stop, else the coordinates of the problem's first start."""
     base = np.zeros(len(dynamics.state_names))
-    if problem.starts and abs(dynamics.gap(base)) > 1e-12:
-        base[: dynamics.n_q] = problem.initial_state()[: dynamics.n_q]
+    if abs(dynamics.gap(base)) > 1e-12:
+        base[: dynamics.n_q] = _starts(problem, dynamics)[0][: dynamics.n_q]
     return base
+
+
+def _starts(problem: Problem, dynamics: HybridDynamics) -> Sequence[Sequence[float]]:
+    """Return the starts of the problem at the values of its dynamics."""
+    formulas = dynamics.formulas
+    if formulas is None:
+        return [problem.initial_state()]
+    return formulas.system.starts(formulas.values)
 
 
 def _on_stop(dynamics: HybridDynamics, base: Vector, chosen: Mapping[int, float]) -> Vector:
@@ -178,12 +186,14 @@ def _overlay_orbit(
     mark_completion(ax, execution, (across, up))
 
 
-def _reach(problem: Problem, execution: Execution | None, index: int) -> float:
+def _reach(
+    problem: Problem, dynamics: HybridDynamics, execution: Execution | None, index: int
+) -> float:
     """Return the range of an axis: half a turn, else the range of the execution or the starts."""
     if problem.state_units[index] == "rad":
         return math.pi
     if execution is not None:
         seen = np.concatenate([arc.sampled()[1][:, index] for arc in execution.arcs])
     else:
-        seen = np.array([problem.state_vector(start)[index] for start in problem.starts])
+        seen = np.array(_starts(problem, dynamics))[:, index]
     return 1.2 * float(np.max(np.abs(seen), initial=0.0)) or 1.0

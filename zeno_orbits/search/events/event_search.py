@@ -7,12 +7,12 @@ simulation. `gains` varies values.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError, SimulationError, counted
 from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, own_time
 from zeno_orbits.orbits import (
     EventOrbit,
@@ -24,16 +24,25 @@ from zeno_orbits.orbits import (
     multipliers_of_return,
     near_return,
     orbit_event_name,
+    settles_at,
     shortest_return,
 )
 from zeno_orbits.search.homotopy.line import LinePoint, follow_line, values_on_line
 from zeno_orbits.search.shooting.closing import named
-from zeno_orbits.simulation import Execution, SimulationSettings, simulate, state_before
+from zeno_orbits.simulation import (
+    Execution,
+    SimulationSettings,
+    simulated_at_most,
+    state_before,
+)
 from zeno_orbits.work import Progress, silent, versions
 
-_TIMES = (25.0, 100.0, 400.0)
-"""Simulated times in units of the problem's slowest time, until the motion nearly repeats."""
-
+_FIRST, _LONGEST, _LONGER = 25.0, 400.0, 4.0
+"""First and longest simulated time in units of the problem's slowest time, and factor of a longer
+one. The longest is longer for a motion whose returns converge."""
+_STEPS, _MORE = 20_000, 5
+"""Most steps of the first simulation, and factor of the next ones. The slowest time may be far
+longer than a period."""
 
 _FROM_ORBIT = StepControl(
     first=1.0, longest=1.0, shortest=1e-3, most=200, growth=2.0, shrinkage=0.5
@@ -61,7 +70,8 @@ def settled_event_orbit(
         start: State name to initial value, by default each start of the problem in turn.
         section: Name of the event at which the period starts and ends, such as ``zeno knee``. By
             default it is chosen.
-        until: Longest time to settle [s]. The default is 400 of the problem's slowest oscillations.
+        until: Longest time to settle [s]. The default is 400 of the problem's slowest oscillations,
+            or longer for a motion whose returns converge.
         simulation: Accuracy.
         on_progress: Called with the stage.
 
@@ -195,27 +205,84 @@ def settled_return(
         InputError: If the section does not occur.
     """
     graph, settings = problem.graph_dynamics(values), simulation or SimulationSettings()
-    starts = problem.starts if start is None else (start,)
+    if start is None:
+        starts = problem.admissible_starts(values)
+    else:
+        starts = (problem.state_vector(start, values),)
     trouble: SimulationError | None = None
     for begin in starts:
-        x = np.array(problem.state_vector(begin))
-        slowest = own_time(graph.first, x)
-        times = [part * slowest for part in _TIMES] if until is None else [until]
-        for time in times:
-            on_progress("settling", None)
+        on_progress("settling", None)
+        for motion, is_cut in _motions(graph, np.array(begin), section, until, settings):
+            if isinstance(motion, SimulationError):
+                trouble = motion
+                break
+            chosen = section
+            if section is None and changing:
+                chosen = _fixed_event(graph, motion, indices_of(values, changing))
             try:
-                motion = simulate(graph, x, until=time, settings=settings)
-                chosen = section
-                if section is None and changing:
-                    chosen = _fixed_event(graph, motion, indices_of(values, changing))
                 return _closed(graph, motion, chosen, settings)
             except SimulationError as error:
-                trouble = error
-                if error.execution is not None:
-                    break
+                trouble = _many_steps(motion, settings) if is_cut else error
+            except InputError:
+                # The event of the section may follow later.
+                if not is_cut:
+                    raise
     if trouble is None:
         raise AssertionError("A problem has a start.")
     raise trouble
+
+
+def _motions(
+    graph: GraphDynamics,
+    x: Vector,
+    section: str | None,
+    until: float | None,
+    settings: SimulationSettings,
+) -> Iterator[tuple[Execution | SimulationError, bool]]:
+    """Yield longer and longer motions from a state, and whether the number of steps ended them.
+
+    The last one is the error of a motion that cannot be continued.
+
+    Args:
+        graph: The graph of modes.
+        x: The state, ``(n_x,)``.
+        section: Name of the event of the section, or ``None``.
+        until: Longest time [s], or ``None`` for one that follows from the motion.
+        settings: Accuracy.
+    """
+    slowest = own_time(graph.first, x)
+    longest = _LONGEST * slowest if until is None else until
+    time = _FIRST * slowest if until is None else until
+    steps = _STEPS if until is None else settings.most_steps
+    while True:
+        try:
+            motion, is_cut = simulated_at_most(
+                graph, x, until=time, most_steps=steps, settings=settings
+            )
+        except SimulationError as error:
+            yield error, False
+            return
+        yield motion, is_cut
+        if until is not None or (is_cut and steps >= settings.most_steps):
+            return
+        settled = settles_at(motion, graph, section) or 0.0
+        longest = max(longest, settled)
+        if not is_cut and time >= longest:
+            return
+        if not is_cut:
+            time = min(settled if settled > time else _LONGER * time, longest)
+        steps = min(_MORE * steps, settings.most_steps)
+
+
+def _many_steps(motion: Execution, settings: SimulationSettings) -> SimulationError:
+    """Return the error of a motion that takes all steps without settling."""
+    return SimulationError(
+        f"The motion does not settle to an orbit within {counted(settings.most_steps, 'step')}: "
+        "simulate for a shorter time (`until`, --max-time), or start nearer to an orbit (`start`, "
+        "--initial)",
+        time=motion.end_time,
+        state=tuple(motion.end_state.tolist()),
+    )
 
 
 def indices_of(values: ParameterValues, names: Sequence[str]) -> tuple[int, ...]:

@@ -8,7 +8,6 @@ with the checker.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -129,7 +128,7 @@ def _closed(
         try:
             on_progress("simulating", None)
             if near is None:
-                cycle = _settled(dynamics, problem, settled, wanted, simulation)
+                cycle = _settled(dynamics, problem, values, settled, wanted, simulation)
             else:
                 x = place_on_section(
                     dynamics, near.shape, np.array(problem.state_vector(near.start_state))
@@ -174,11 +173,12 @@ class _NoGuessError(ZenoOrbitsError):
 def _settled(
     dynamics: HybridDynamics,
     problem: Problem,
+    values: ParameterValues,
     settled: float,
     wanted: EventSequence | None,
     simulation: SimulationSettings,
 ) -> Cycle:
-    starts: Sequence[tuple[float, ...]] = [problem.state_vector(x) for x in problem.starts]
+    starts = problem.admissible_starts(values)
     tolerance = Tolerance(
         relative=max(simulation.tolerance.relative, _ROUGH),
         absolute=max(simulation.tolerance.absolute, _ROUGH),

@@ -14,8 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.integrators import RungeKutta, Step, Tolerance, not_finite, too_small
 from zeno_orbits.loop import Detail, LoopRun, RunSettings, binding, program_of
-from zeno_orbits.model import CharacteristicScales
-from zeno_orbits.simulation.admission import require_admissible, require_outside
+from zeno_orbits.model import CharacteristicScales, require_start
 from zeno_orbits.simulation.compiled.steps import loop_steps
 from zeno_orbits.simulation.execution import Event, Execution
 from zeno_orbits.simulation.interruptions import (
@@ -194,8 +193,7 @@ def _begun(task: SimulationTask, *, records: bool = True) -> LoopRun:
     if formulas is None or program is None:
         raise ValueError("Argument `task` must have formulas that the compiled loop supports.")
     if not task.goes_on:
-        require_admissible(dynamics, task.state)
-        require_outside(dynamics, task.state, task.settings.contact)
+        require_start(dynamics, task.state, task.settings.contact)
     settings = _filled_settings(task)
     settings.records = int(records)
     return LoopRun(program, settings, formulas.values, task.state)

@@ -31,8 +31,14 @@ from zeno_orbits.loop import (
     loop_library,
     program_or_reason,
 )
-from zeno_orbits.model import CharacteristicScales, CompiledGraph, GraphDynamics, ModeFunctions
-from zeno_orbits.simulation.admission import inside_stop, require_admissible
+from zeno_orbits.model import (
+    CharacteristicScales,
+    CompiledGraph,
+    GraphDynamics,
+    ModeFunctions,
+    inside_stop,
+    require_admissible,
+)
 from zeno_orbits.simulation.compiled.executions import (
     COMPLETIONS,
     curve_limit,

@@ -6,9 +6,11 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import HybridDynamics, constraint_sizes
+from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.numeric.own_scale import constraint_sizes
 
-OFF = 1e-9
+START_OFF = 1e-9
 """Part of the size of a constraint, a gap or a gap rate by which a first state may miss zero.
 
 A state at an event of another run carries the error of that run.
@@ -34,7 +36,14 @@ def require_admissible(dynamics: HybridDynamics, x: Vector) -> None:
     _require_constraints(dynamics, x)
 
 
-def require_outside(dynamics: HybridDynamics, x: Vector, contact: float, stop: str = "") -> None:
+def require_outside(
+    dynamics: HybridDynamics,
+    x: Vector,
+    contact: float,
+    stop: str = "",
+    *,
+    subject: str = "Argument `state`",
+) -> None:
     """Reject a state inside of a stop, beyond the error of another run.
 
     Args:
@@ -42,24 +51,46 @@ def require_outside(dynamics: HybridDynamics, x: Vector, contact: float, stop: s
         x: The state.
         contact: Relative threshold below which a gap counts as zero.
         stop: Name of the stop, empty for a machine with one stop.
+        subject: Subject of the message.
 
     Raises:
         InputError: If the gap is below zero.
     """
     gap = dynamics.gap(x)
-    if gap < -max(OFF, contact) * dynamics.own.gap:
-        raise inside_stop(gap, stop)
+    if gap < -max(START_OFF, contact) * dynamics.own.gap:
+        raise inside_stop(gap, stop, subject)
 
 
-def inside_stop(gap: float, stop: str = "") -> InputError:
+def require_start(system: HybridDynamics | GraphDynamics, x: Vector, contact: float) -> None:
+    """Reject a first state that is not admissible.
+
+    Args:
+        system: The system, or its graph of modes.
+        x: The state.
+        contact: Relative threshold below which a gap counts as zero.
+
+    Raises:
+        InputError: If the state is not admissible. The message contains the reason.
+    """
+    if isinstance(system, HybridDynamics):
+        require_admissible(system, x)
+        require_outside(system, x, contact)
+        return
+    require_admissible(system.first, x)
+    for k, name in enumerate(system.stop_names):
+        require_outside(system.view(system.open_mode, k), x, contact, name)
+
+
+def inside_stop(gap: float, stop: str = "", subject: str = "Argument `state`") -> InputError:
     """Return the error of a first state inside of a stop.
 
     Args:
         gap: The gap.
         stop: Name of the stop, empty for a machine with one stop.
+        subject: Subject of the message.
     """
     where = f" at the stop `{stop}`" if stop else ""
-    return InputError(f"Argument `state` must have a gap >= 0{where}, but it is {gap:.6g}.")
+    return InputError(f"{subject} must have a gap >= 0{where}, but it is {gap:.6g}.")
 
 
 def _require_constraints(dynamics: HybridDynamics, x: Vector) -> None:
@@ -69,11 +100,11 @@ def _require_constraints(dynamics: HybridDynamics, x: Vector) -> None:
         InputError: If the state violates its constraints. The message contains the deviation.
     """
     off = np.abs(dynamics.holonomic(x))
-    if dynamics.own.least == 1.0 and not np.any(off > OFF):
+    if dynamics.own.least == 1.0 and not np.any(off > START_OFF):
         return
-    if not np.any(off > OFF * constraint_sizes(dynamics, x)):
+    if not np.any(off > START_OFF * constraint_sizes(dynamics, x)):
         return
-    if dynamics.clock and off[-1] > OFF:
+    if dynamics.clock and off[-1] > START_OFF:
         names = " and ".join(f"`{dynamics.state_names[k]}`" for k in dynamics.clock)
         seen = " and ".join(f"{x[k]:g}" for k in dynamics.clock)
         message = f"must have {names} on the unit circle, as a clock, but they are {seen}"
