@@ -239,7 +239,8 @@ def test_objectives_about_impacts_refuse_a_machine_without_them() -> None:
     # An oscillator whose force does not lift it off its stop.
     still = ("search", "impact_oscillator", "--vary", "A=0.01:0.02", "--objective", "impacts")
     assert ask(*still, "--max-time", "60").err.splitlines() == [
-        "zeno-orbits: The motion strikes no stop and passes no switch (at t = 60 s)"
+        "zeno-orbits: The motion strikes no stop and passes no switch: simulate for longer "
+        "(`until`, --max-time), or start elsewhere (`start`, --initial) (at t = 60 s)"
     ]
     stop = ("search", "relay", "--vary", "U=20:24", "--objective", "bounce=roof")
     assert_refused(ask(*stop), "--objective bounce=roof", "closed, open")

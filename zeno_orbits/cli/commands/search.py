@@ -164,7 +164,7 @@ def _add_effort(parser: argparse.ArgumentParser) -> None:
         type=read_number,
         metavar="T",
         help="longest time for a motion to repeat [s] (default: about 100 periods of "
-        "the problem's clock, or of its slowest oscillation)",
+        "the problem's clock, or of its slowest oscillation; longer while it converges)",
     )
     parser.add_argument(
         "--n-starts",
