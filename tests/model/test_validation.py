@@ -132,7 +132,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "start beyond the stop": (
         *(MOTOR, '{"angle": 0.0}', '{"angle": -0.1}'),
-        "Start 1 lies inside the stop, where the gap is below 0: -0.1",
+        "Start 1 must have a gap >= 0, but it is -0.1",
     ),
     "start off the clock": (
         *(FORCED, '{"cosine": 1.0}', '{"x": 1.0}'),
@@ -302,7 +302,7 @@ def test_a_start_is_beyond_the_stop_by_a_part_of_how_far_the_problem_goes(units:
         return in_units(replace(table, starts=({"height": -part * REACH, "cosine": 1.0},)), units)
 
     assert start(0.9e-9).checked()
-    with pytest.raises(ValueError, match="Start 1 lies inside the stop"):
+    with pytest.raises(ValueError, match="Start 1 must have a gap >= 0"):
         start(1.1e-9).checked()
 
 

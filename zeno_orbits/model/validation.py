@@ -220,8 +220,8 @@ def _require_admissible(
     gap = dynamics.gap(x)
     if gap < -_OFF * reach.gap:
         raise ValueError(
-            f"Start {number} lies inside the stop, where the gap is below 0: {gap:.6g}. Change the "
-            "start, or the sign of the gap."
+            f"Start {number} must have a gap >= 0, but it is {gap:.6g}. Change the start, or the "
+            "sign of the gap."
         )
     off = dynamics.holonomic(x)
     if np.any(np.abs(off) > _OFF * constraint_sizes(dynamics, x, reach.sizes(len(x)))):
