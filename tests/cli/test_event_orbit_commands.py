@@ -20,7 +20,7 @@ def test_simulate_names_stops_and_switches() -> None:
     for words in ("impact knee", "Zeno point knee +-", "switch heel strike", "2 switches"):
         assert words in answer.out
     events = ask("simulate", "kneed_walker", "--t-end", "1.2", "--json").data["events"]
-    assert {event["event"] for event in events} == {"impact", "zeno_point", "switch"}
+    assert {event["event"] for event in events} == {"impact", "zeno_point", "switch", "release"}
     assert events[0]["stop"] == "knee"
     assert events[-1]["switch"] == "heel strike"
 

@@ -117,7 +117,7 @@ def test_a_problem_of_ones_own_is_searched_verified_and_drawn(machine: Path, her
     ("text", "words"),
     [
         ("raise RuntimeError('two\\nlines')", ("RuntimeError", "two lines")),
-        ("def broken(:\n    pass\n", ("SyntaxError",)),
+        ("def broken(:\n    pass\n", ("line 1: invalid syntax",)),
         ("import a_module_that_is_nowhere\n", ("a_module_that_is_nowhere",)),
         ("PROBLEM = 3\n", ("PROBLEM",)),
         ("", ("PROBLEM",)),

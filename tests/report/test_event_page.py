@@ -34,7 +34,7 @@ def _curves(page: str) -> dict[str, Any]:
 def test_the_page_tells_the_events_in_their_order_with_times_and_multipliers() -> None:
     orbit, page = _orbit("kneed_walker"), _page("kneed_walker")
     assert "Zeno periodic orbit" in page
-    story = page.index("impacts accumulate at the stop “knee”")
+    story = page.index("the impacts on the stop “knee” end in contact (Zeno point)")
     assert story < page.index("the switch “heel strike”")
     zeno = next(event for event in orbit.events if event.name == "zeno knee")
     assert f"{zeno.time:.10g}" in page

@@ -735,7 +735,7 @@ def _circle_error(units: Units, angle: float = 0.5) -> float:
     scaled = start * units.state(CIRCLE.states)
     compiled = replace(
         CIRCLE.compiled,
-        starts=(tuple(scaled.tolist()),),
+        starts=lambda _p: (tuple(scaled.tolist()),),
         state_units=("m", "m", "m/s", "m/s"),
     )
     bob = bind(compiled, list(units.numbers(numbers, CIRCLE.parameters).values()))

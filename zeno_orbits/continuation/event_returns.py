@@ -153,6 +153,7 @@ class EventReturns:
             mode=self.section.mode,
             completion=completion,
             sequence=self.section.sequence,
+            openings=self.section.openings,
         )
 
     def differentiated(

@@ -247,7 +247,8 @@ def _fine(table: PeriodTable, time: Vector, values: Vector, scale: Vector, at: _
         cost = float(np.nansum(np.nanvar(whole, axis=0)))
         if cost > least and abs(release - best.release) > _STRIDE * period:
             # The slopes alone would move the orbit beyond its jumps.
-            return best._replace(period=period)
+            release = (release + best.release) / 2
+            continue
         least = cost
         # A slope does not include a jump, so samples near a jump would shift the fit the wrong way.
         seen = np.isfinite(y) & ~beside_jumps(table, turns, ROUGHLY)[:, :n_s]

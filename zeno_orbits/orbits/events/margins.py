@@ -273,23 +273,23 @@ def _margins_outside(
     accumulating = _accumulating(found.events, phases)
     conditions = [_conditions(graph, arc, accumulating) for arc in flown]
 
-    def is_armed(key: _Key, x: Vector) -> bool:
+    def is_armed(key: _Key, x: Vector, arc: Arc) -> bool:
         if key[0] is not MarginKind.SWITCH_MISS:
             return True
         switch = graph.switch_names.index(key[1])
-        return switch >= graph.n_declared or graph.guards(x)[2][switch] > 0.0
+        return switch >= graph.n_declared or graph.guards(x, arc.sides)[2][switch] > 0.0
 
     for arc, place, known in zip(flown, places, conditions, strict=True):
         for key, guard in known.items():
             for x in lows_inside(arc, guard.rate):
-                if is_armed(key, x):
+                if is_armed(key, x, arc):
                     yield Margin(loss=key[0], place=place, name=key[1]), guard.value(x)
     for k, after in enumerate(flown):
         before, place = flown[k - 1], places[k - 1]
         for key, guard in conditions[k - 1].items():
             other = conditions[k].get(key)
             x, y = before.end_state, after.start_state
-            if other is None or not is_armed(key, x):
+            if other is None or not is_armed(key, x, before):
                 continue
             left, right = guard.value(x), other.value(y)
             ended, began = left <= guard.zero, right <= other.zero
@@ -341,7 +341,7 @@ def _conditions(
             found[MarginKind.NEAR_MISS, name] = guard
     if not graph.switch_names:
         return found
-    guards, levels, _ = graph.guards(_inside(arc, 0.5))
+    guards, levels, _ = graph.guards(_inside(arc, 0.5), arc.sides)
     absorbed = {
         name
         for begin, end, names in accumulating
@@ -410,7 +410,7 @@ def _of_arming(
     for arc in arcs:
         if arc.ending is not Ending.SWITCH:
             continue
-        guards, levels, armed = graph.guards(arc.end_state)
+        guards, levels, armed = graph.guards(arc.end_state, arc.sides)
         event, place = acts.get(arc.end_time), bisect_left(ends, arc.end_time)
         for switch in range(graph.n_declared):
             name = graph.switch_names[switch]

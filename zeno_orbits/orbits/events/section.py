@@ -137,12 +137,14 @@ class EventSection:
         n_returns: Number of such events in a period.
         sequence: Event sequence of a period.
         mode: The mode just after the event.
+        openings: The releases that other events cause, by `openings_of`.
     """
 
     name: str
     n_returns: int
     sequence: tuple[str, ...]
     mode: SectionMode
+    openings: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,6 +260,7 @@ def event_return(
     mode: SectionMode | None = None,
     completion: Completion | None = None,
     sequence: Sequence[str] | None = None,
+    openings: Sequence[str] | None = None,
 ) -> EventReturn:
     """Return the n-th next event of a kind after a start, with derivatives.
 
@@ -273,6 +276,7 @@ def event_return(
         completion: Method by which Zeno points are reached. It must resolve the impacts. The
             default is the extrapolation of the settings.
         sequence: The event sequence that the return must have. The default is any.
+        openings: The releases that other events cause, by `openings_of`. The default is any.
 
     Raises:
         SimulationError: If the event does not follow within a few times the guess, or the event
@@ -306,6 +310,8 @@ def event_return(
             time=end,
             state=tuple(x.tolist()),
         )
+    if openings is not None and openings_of(events) != tuple(openings):
+        raise SimulationError("Another event opens a stop", time=end, state=tuple(x.tolist()))
     return EventReturn(
         start=start,
         end=state_after(events[-1]),
@@ -369,6 +375,24 @@ def _on_constraints(graph: GraphDynamics, x: Vector) -> Vector:
     return x
 
 
+def openings_of(events: Sequence[Event]) -> tuple[str, ...]:
+    """Return the releases that other events cause, with these events, in alphabetical order.
+
+    A release that meets a switching time is caused by the switch beyond it. The event sequence is
+    the same on both sides, and the return is not smooth.
+
+    Args:
+        events: Events in order.
+    """
+    return tuple(
+        sorted(
+            f"{orbit_event_name(first)}, {orbit_event_name(then)}"
+            for first, then in pairwise(events)
+            if isinstance(then, Release) and then.time == first.time
+        )
+    )
+
+
 def section_of_family(found: EventReturn) -> tuple[EventSection, Vector]:
     """Return the section on which a family is followed, and the state of an orbit on it.
 
@@ -390,7 +414,14 @@ def section_of_family(found: EventReturn) -> tuple[EventSection, Vector]:
             SectionMode.after(found.execution, name, release.time) or mode,
             np.asarray(release.state),
         )
-    return EventSection(name=name, n_returns=n_returns, sequence=sequence, mode=mode), x
+    section = EventSection(
+        name=name,
+        n_returns=n_returns,
+        sequence=sequence,
+        mode=mode,
+        openings=openings_of(found.events),
+    )
+    return section, x
 
 
 def largest_states(arcs: Sequence[Arc], graph: GraphDynamics) -> Vector:
@@ -769,8 +800,8 @@ def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:
 def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
     """Return the events that may serve as a section, the best first.
 
-    A switch that is armed on its guard after its reset would occur again at the start. A start
-    after a switch or an impact that opens a stop lacks the release, which follows at once.
+    A switch that is armed on its guard after its reset would occur again at the start. An impact
+    that opens another stop comes last: the release follows at once, in the next period.
 
     Args:
         execution: The execution.
@@ -794,5 +825,5 @@ def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
         for event, following in pairwise(execution.events)
         if isinstance(following, Release) and following.time == event.time
     }
-    best = [name for name in (*switches, *zenos, *impacts) if name not in opening]
-    return list(dict.fromkeys([*best, *zenos, *impacts, *others]))
+    whole = [name for name in (*zenos, *impacts) if name not in opening]
+    return list(dict.fromkeys([*switches, *whole, *zenos, *impacts, *others]))
