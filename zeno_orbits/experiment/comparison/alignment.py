@@ -25,7 +25,7 @@ from zeno_orbits.experiment.recordings.periodicity import Periodicity
 
 _PHASES = 720
 _MOST_ROWS = 60_000
-_STEPS = 6
+_STEPS = 12
 _TELLING = 4
 """Smallest number of cycles from which their scatter gives an error estimate."""
 _BINS = 240
@@ -64,6 +64,8 @@ _SAME = 0.9
 """A signal in another unit correlates at least so with the orbit's."""
 _STRIDE = 1e-3
 """Largest step of the fit that is taken without a look at the samples near jumps, in periods."""
+_WORSE = 1.5
+"""Ratio of two sums of squares from which the position of the smaller one is kept."""
 _NOTICED = 4.0
 """Standard errors of a mean cycle from which its shape is another one."""
 _BACKWARD = 1e-3
@@ -238,14 +240,16 @@ def _fine(table: PeriodTable, time: Vector, values: Vector, scale: Vector, at: _
     # Thinned rows contain less information than all rows.
     thinned = math.sqrt(len(t) / len(time))
     release, error, period, unsure = at
-    best, least = at, math.inf
+    best, least, refused = at, math.inf, False
+    nearest, lowest = at, math.inf
     for _ in range(_STEPS):
         turns, stretch = (t - release) / period, table.period / period
         nodes = table.nodes.with_slopes(np.mod(turns, 1.0) * table.period)
         model, slope = (columns[:, :n_s] for columns in nodes)
         whole = np.where(np.isfinite(y), y - model, np.nan) / scale
         cost = float(np.nansum(np.nanvar(whole, axis=0)))
-        if cost > least and abs(release - best.release) > _STRIDE * period:
+        refused = cost > least and abs(release - best.release) > _STRIDE * period
+        if refused:
             # The slopes alone would move the orbit beyond its jumps.
             release = (release + best.release) / 2
             continue
@@ -272,6 +276,8 @@ def _fine(table: PeriodTable, time: Vector, values: Vector, scale: Vector, at: _
         scatter = delays_of(numbers, moved.ravel(), rest.ravel()).scatter
         error = max(thinned * white, scatter)
         best = _Place(release, error, period, unsure)
+        if cost < lowest:
+            nearest, lowest = best, cost
         release += float(np.clip(late, -0.1 * period, 0.1 * period))
         # The periodic part is equal in all cycles, except at an incomplete cycle.
         n_bins = int(np.clip(len(turns) / (cycles[-1] + 1) / 2, 1, _BINS))
@@ -294,6 +300,8 @@ def _fine(table: PeriodTable, time: Vector, values: Vector, scale: Vector, at: _
             unsure = math.sqrt(variance) / below
             period += float(np.clip(change, -0.1 * period, 0.1 * period))
         best = best._replace(period_error=unsure)
+    if refused or least > _WORSE * lowest:
+        return nearest._replace(period=period, period_error=unsure)
     return _Place(release, error, period, unsure)
 
 
