@@ -396,3 +396,43 @@ def test_the_command_fails_with_the_reason(table: zo.ZenoOrbit, file: Path) -> N
     answer = ask("verify", file, "--rigorous")
     assert answer.code == NO
     assert "Rigorous: not enclosed: `impact_time`: impact 1 of phase 1 is enclosed" in answer.out
+
+
+@pytest.mark.parametrize(("sign", "offset"), [(-1, 0.0), (-1, 0.25), (1, -0.5)])
+def test_a_gap_against_its_coordinate_is_enclosed_with_the_signs_of_the_states(
+    sign: int, offset: float
+) -> None:
+    # A ball on a shaken table: the coordinate may point downward, from any origin.
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        clock = zo.Clock.at(p["omega"])
+        ball = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=p["m"] * v**2 / 2,
+            potential=sign * p["m"] * p["g"] * q,
+            gap=sign * q + offset,
+            applied_force=sign * p["m"] * p["A"] * p["omega"] ** 2 * clock.sine,
+            clock=clock,
+        )
+        return zo.hybrid_system(ball, zo.no_drive(ball), p["restitution"])
+
+    known = zo.load_problem("vibrating_table")
+    problem = replace(
+        known,
+        model=model,
+        starts=({"height": -sign * offset, "cosine": 1.0},),
+        outputs=(),
+        drawing=None,
+        origin=None,
+    )
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
+    first = orbit.impacts[0]
+    assert sign * first.state_minus["speed"] < 0.0
+    found = zo.enclose_period(orbit, problem=problem)
+    assert found.enclosed, found.verdict()
+    flipped = {**first.state_minus, "speed": -first.state_minus["speed"]}
+    phase = orbit.phases[0]
+    impacts = (replace(phase.impacts[0], state_minus=flipped), *phase.impacts[1:])
+    false = replace(orbit, phases=(replace(phase, impacts=impacts), *orbit.phases[1:]))
+    assert not zo.enclose_period(false, problem=problem).enclosed

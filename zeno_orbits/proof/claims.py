@@ -71,6 +71,7 @@ def own_state(system: BallSystem, y: Sequence[Ball]) -> list[Ball]:
     state = [value * unit for value, unit in zip(y, system.units, strict=True)]
     if coordinate is not None:
         state[system.gap] = (state[system.gap] - system.gap_offset) * coordinate.sign
+        state[system.rate] *= coordinate.sign
     return state
 
 
