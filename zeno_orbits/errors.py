@@ -364,3 +364,17 @@ def shortened(text: str) -> str:
     """Return a text for a message: on one line, and cut if it is long."""
     text = " ".join(text.split())
     return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
+
+
+def require_counts(**counts: int) -> None:
+    """Refuse counts below one.
+
+    Args:
+        **counts: Counts by the name of their argument.
+
+    Raises:
+        InputError: If a count is below one. The message names it.
+    """
+    for name, count in counts.items():
+        if count < 1:
+            raise InputError(f"Argument `{name}` must be at least 1, but it is {shown(count)}.")

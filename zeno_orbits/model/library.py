@@ -137,7 +137,7 @@ def _declared(path: Path) -> Problem:
 def _require_sound(path: Path, problem: Problem) -> None:
     try:
         problem.checked()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         file = path / "model.py" if path.is_dir() else path
         raise ProblemFileError(file, *account_of(error, file)) from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -53,7 +54,9 @@ class CharacteristicScales:
 
     def flight_weights(self, n_x: int) -> tuple[float, ...]:
         """Return the same of a rescaled flight: the states, the scaled gap and its rate."""
-        return (*self.weights(n_x), 1 / (self.gap_acceleration * self.least), 1 / self.least)
+        # A gap acceleration may be so small that the product is zero.
+        size = max(self.gap_acceleration * self.least, sys.float_info.min)
+        return (*self.weights(n_x), 1 / size, 1 / self.least)
 
     def rates(self, n_q: int, n_x: int) -> Vector:
         """Return the size of the rate of each state, ``(n_x,)``.

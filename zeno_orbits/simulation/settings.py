@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import require_counts
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.zeno.completion import Completion, ZenoPassage
@@ -36,6 +37,11 @@ class SimulationSettings(Checked):
     far: float | tuple[float, ...] = math.inf
     most_impacts: int = 100_000
     most_steps: int = 2_000_000
+
+    def __post_init__(self) -> None:
+        """Refuse values of a wrong kind, and numbers below one."""
+        Checked.__post_init__(self)
+        require_counts(most_impacts=self.most_impacts, most_steps=self.most_steps)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

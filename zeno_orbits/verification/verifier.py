@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError, require_counts
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import (
@@ -58,6 +58,11 @@ class VerificationSettings(Checked):
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
     cuts: tuple[float, ...] = (3e-2, 3e-3, 3e-4, 3e-5)
     use_reference: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse values of a wrong kind, and no period."""
+        Checked.__post_init__(self)
+        require_counts(n_periods=self.n_periods)
 
 
 OrbitType = TypeVar("OrbitType", ZenoOrbit, EventOrbit)
