@@ -277,7 +277,7 @@ def test_an_entry_of_the_wrong_type_is_named(
 
 def test_a_newer_format_is_refused_before_anything_else(tmp_path: Path) -> None:
     text = json.dumps({"format": 4})
-    words = "its format 4 is newer than 2, the newest this version reads"
+    words = "its format 4 is newer than 3, the newest this version reads"
     assert words in _refusal(tmp_path, text)
 
 

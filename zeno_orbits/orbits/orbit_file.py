@@ -194,7 +194,7 @@ def _format(entries: Mapping[str, Any]) -> int:
         machine = "a machine with several stops or switches"
         raise _ContradictionError(f"its format {number} is of {machine} (`read_event_orbit`)")
     if number > FORMAT:
-        newest = f"{FORMAT}, the newest this version reads"
+        newest = f"{EVENT_FORMAT}, the newest this version reads"
         raise _ContradictionError(f"its format {number} is newer than {newest}")
     return number
 

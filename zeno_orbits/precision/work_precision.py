@@ -195,7 +195,7 @@ def read_work_precision(path: Path) -> WorkPrecision:
     Raises:
         InputError: If the file is missing, truncated or of a wrong type.
     """
-    wanted = f"Trade file `{path}` is not an output of `trade -o`:"
+    wanted = f"Trade file `{path}` is not an output of `work-precision -o`:"
     try:
         found = from_plain(_File, read_json(path))
     except EntryError as error:

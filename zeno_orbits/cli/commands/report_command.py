@@ -50,7 +50,7 @@ def add_report(commands: Any) -> None:
         "--trade",
         type=Path,
         metavar="TRADE.json",
-        help="also show the figures of this file, written by `trade -o`",
+        help="also show the figures of this file, written by `work-precision -o`",
     )
     parser.add_argument(
         "--pushes",

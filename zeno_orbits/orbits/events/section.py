@@ -284,7 +284,13 @@ def event_return(
     """
     start = x if mode is None else on_section(graph, x, mode)
     exact = replace(settings, completion=completion or extrapolated(settings))
-    execution = simulate(graph, start, until=_WAIT * guess, settings=exact)
+    try:
+        execution = simulate(graph, start, until=_WAIT * guess, settings=exact)
+    except InputError as error:
+        # An iterate of Newton's method may lie inside of a stop.
+        raise SimulationError(
+            f"A return cannot start: {error}", time=0.0, state=tuple(start.tolist())
+        ) from error
     times = _times_of(execution, section, guess)
     if len(times) < n_returns or times[n_returns - 1] == execution.end_time:
         execution = simulate(graph, start, until=_LONGEST * guess, settings=exact)
