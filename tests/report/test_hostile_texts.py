@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from tests.support.commands import ask
 from tests.support.data_files import contents_by_kind, reading_commands
 from zeno_orbits.maps import read_map, write_map
@@ -46,9 +47,7 @@ def _spoiled(data: Any, text: str, chosen: int, count: list[int]) -> Any:
     return data
 
 
-@pytest.mark.parametrize(
-    "text", [COMMANDS[0], *(pytest.param(one, marks=pytest.mark.slow) for one in COMMANDS[1:])]
-)
+@pytest.mark.parametrize("text", fast(1, COMMANDS))
 def test_no_text_of_a_file_commands_the_terminal(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,7 +93,8 @@ def test_tables_and_sentences_show_a_command_as_its_escape(
 
 
 @pytest.mark.parametrize(
-    "name", ["$x^{2$", "$", "$$", r"$\frac{$", "a $ b", r"$\nope$", "$^^$", "x$_$", "$x_1$", "%"]
+    "name",
+    fast(3, ["$x^{2$", "$", "a $ b", r"$\frac{$", "$$", r"$\nope$", "$^^$", "x$_$", "$x_1$", "%"]),
 )
 def test_an_axis_of_any_name_is_drawn(name: str, tmp_path: Path) -> None:
     found = zo.parameter_map("bouncing_ball", x=("g", 5, 10, 2), y=("m", 1, 2, 2))
@@ -132,7 +132,7 @@ print(mpl.rcParams["animation.ffmpeg_path"], mpl.rcParams["font.size"])
 """
 
 
-@pytest.mark.parametrize("kind", ["settings", "pipe", "nonsense"])
+@pytest.mark.parametrize("kind", fast(1, ["settings", "pipe", "nonsense"]))
 def test_settings_of_matplotlib_in_the_current_folder_are_not_obeyed(
     kind: str, tmp_path: Path
 ) -> None:
@@ -149,7 +149,7 @@ def test_settings_of_matplotlib_in_the_current_folder_are_not_obeyed(
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("backend", ["nonsense", "module://nonsense", "agg", ""])
+@pytest.mark.parametrize("backend", fast(1, ["nonsense", "module://nonsense", "agg", ""]))
 def test_a_picture_needs_no_backend(backend: str, tmp_path: Path) -> None:
     _python(tmp_path, DRAWS, MPLBACKEND=backend)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
