@@ -15,11 +15,17 @@ import pytest
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler, task_of
 from tests.support.commands import NO, YES, ask
-from tests.support.mechanisms import numeric
 from tests.support.one_stop import one_stop_problems
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Tolerance
 from zeno_orbits.loop import LoopRun, Program, binding, loop_library, problem_source, program_of
-from zeno_orbits.model import CompiledSystem, HybridLagrangian
+from zeno_orbits.model import (
+    CompiledSystem,
+    HybridLagrangian,
+    bind,
+    compile_system,
+    hybrid_system,
+    no_drive,
+)
 from zeno_orbits.simulation import SimulationSettings, SimulationTask, run_settings
 
 pytestmark = [needs_compiler, pytest.mark.usefixtures("own_cache")]
@@ -98,38 +104,34 @@ def _tasks(name: str, until: float) -> Sequence[SimulationTask]:
 
 
 def _ball_in_everything() -> SimulationTask:
-    """Return a ball under a force that holds every operation, of which many call functions."""
-    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    """Return a ball under a force that holds every operation, of which many call functions.
+
+    Operations with a jump or a kink act on a parameter: of the states they are events.
+    """
+    q, v, k = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("k")
     small = q / (1 + q**2)
-    parts = [
+    smooth = [
         *(f(small) for f in (ca.sin, ca.cos, ca.tan, ca.asin, ca.acos, ca.atan, ca.sinh, ca.cosh)),
         *(f(small) for f in (ca.tanh, ca.asinh, ca.atanh, ca.exp, ca.expm1, ca.log1p, ca.erf)),
-        *(f(10 * v) for f in (ca.fabs, ca.sign, ca.floor, ca.ceil)),
-        *(ca.acosh(1.5 + q**2), ca.log(2 + q), ca.sqrt(1 + v**2), ca.fabs(v) ** 2.5, 1 / (2 + q)),
-        *(
-            ca.atan2(v, 1 + q**2),
-            ca.hypot(q, v),
-            ca.fmin(q, 0.3),
-            ca.fmax(v, -0.2),
-            ca.fmod(v, 0.7),
-        ),
-        *(
-            ca.copysign(q, v),
-            ca.remainder(v, 0.3),
-            ca.if_else(v < q, v, q),
-            ca.if_else(v <= -q, 1, v),
-        ),
-        *(ca.logic_and(v > 0, q > 0.1), ca.logic_or(v > 0.4, q > 0.2), ca.logic_not(v > 0.1)),
+        *(ca.acosh(1.5 + q**2), ca.log(2 + q), ca.sqrt(1 + v**2), 1 / (2 + q), ca.hypot(q, 1 + v)),
         *(2 * v, -q * v, q * v - v**2, q - v * q, (1 + v**2) ** (0.5 + q**2)),
     ]
+    others = [
+        *(f(10 * k) for f in (ca.fabs, ca.sign, ca.floor, ca.ceil)),
+        *(ca.fabs(k) ** 2.5, ca.atan2(k, -0.2), ca.fmin(k, 0.3), ca.fmax(k, -0.2)),
+        *(ca.fmod(k, 0.25), ca.copysign(k, -1 - k), ca.remainder(k, 0.3)),
+        *(ca.if_else(k < 0.2, k, 1), ca.if_else(k <= 0.37, 1, k)),
+        *(ca.logic_and(k > 0, k > 0.1), ca.logic_or(k > 0.4, k > 0.2), ca.logic_not(k > 0.1)),
+    ]
+    parts = [*smooth, *(part * v for part in others)]
     weights = np.random.default_rng(5).uniform(-0.05, 0.05, len(parts))
     force = sum((w * part for w, part in zip(weights.tolist(), parts, strict=True)), ca.SX(0))
     ball = HybridLagrangian.from_energies(
         q=q, v=v, kinetic=v**2 / 2, potential=9.81 * q, gap=q, passive_force=force
     )
-    return SimulationTask(
-        dynamics=numeric(ball, restitution=0.6), state=np.array([0.5, 0.1]), until=1.5
-    )
+    system = hybrid_system(ball, no_drive(ball), ca.SX(0.6))
+    dynamics = bind(compile_system(system, {"k": k}, ("q", "v")), (0.37,))
+    return SimulationTask(dynamics=dynamics, state=np.array([0.5, 0.1]), until=1.5)
 
 
 @pytest.mark.slow
