@@ -218,9 +218,6 @@ def test_a_false_channel_is_refused(name: str, value: float, words: str) -> None
         zo.compare(_orbit(), replace(_recording(), signals=(signal,)))
 
 
-@pytest.mark.xfail(
-    reason="known fault: systematic errors of 8 and 10 standard errors", strict=False
-)
 @pytest.mark.slow
 def test_bounce_times_of_recordings_of_the_rig_are_within_two_errors() -> None:
     found = scores(settled(periods=3), RATE, NOISE, range(100, 112))

@@ -284,7 +284,7 @@ class _Quantities:
         """Return the first impact, the end of the chatter and the release, since the zero phase."""
         found = [self._time("impact_time", self.sequence.impacts[0], self._firsts())]
         if self.sequence.zeno is not None:
-            found.append(self._time("zeno_time", self.sequence.zeno, self._lasts()))
+            found.append(self._time("zeno_time", self.sequence.zeno, self._lasts(), self._doubt()))
         if self.sequence.release is not None:
             found.append(self._time("release_time", self.sequence.release, self._releases()))
         return found
@@ -303,7 +303,9 @@ class _Quantities:
         counted = Estimate(value=float(np.mean(counts)), error=math.hypot(spread, unsure))
         expected = float(np.sum(flights > max(contact, self.step)))
         found = [
-            self._difference("bounce_time", zeno - impacts[0], self._firsts(), self._lasts()),
+            self._difference(
+                "bounce_time", zeno - impacts[0], self._firsts(), self._lasts(), self._doubt()
+            ),
             metric(f"{self.label}.bounces", "1", expected, counted),
         ]
         for k in range(int(np.min(counts))):
@@ -314,7 +316,11 @@ class _Quantities:
             found.append(self._difference(f"bounce {k + 1}", own, earlier, later))
         if self.sequence.release is not None:
             own = self.sequence.release - zeno
-            found.append(self._difference("contact_time", own, self._lasts(), self._releases()))
+            found.append(
+                self._difference(
+                    "contact_time", own, self._lasts(), self._releases(), self._doubt()
+                )
+            )
         return found
 
     def _firsts(self) -> Vector:
@@ -324,29 +330,41 @@ class _Quantities:
     def _lasts(self) -> Vector:
         """Return the end of the bounces in every cycle [s].
 
-        Contacts hide the bounces that are shorter than they are. The orbit's own bounces from the
-        impact with which the lasting contact begins on are added.
+        Contacts hide the bounces that are shorter than they are. Rigid bodies make all of them, a
+        compliant stop none: half of their time is added.
         """
+        return np.array([one.begins[-1].middle for one in self.seen]) + self._hidden() / 2
+
+    def _doubt(self) -> float:
+        """Return the error of the end of the bounces that the hidden ones leave [s]."""
+        return float(np.mean(self._hidden())) / 2
+
+    def _hidden(self) -> Vector:
+        """Return the time of the orbit's bounces in the lasting contact, in every cycle [s]."""
         impacts, zeno = self.sequence.impacts, self.sequence.zeno or math.nan
         stretch = self.period.value / self.table.period
         places = [len(one.begins) - 1 for one in self.seen]
-        hidden = [stretch * (zeno - impacts[k]) if k < len(impacts) else 0.0 for k in places]
-        return np.array([one.begins[-1].middle for one in self.seen]) + hidden
+        return np.array(
+            [stretch * (zeno - impacts[k]) if k < len(impacts) else 0.0 for k in places]
+        )
 
     def _releases(self) -> Vector:
         """Return the end of the last contact in every cycle [s]."""
         return np.array([one.release.middle for one in self.seen])
 
-    def _difference(self, word: str, own: float, earlier: Vector, later: Vector) -> Metric:
-        return metric(f"{self.label}.{word}", "s", own, mean_of(later - earlier, 2, self.step))
+    def _difference(
+        self, word: str, own: float, earlier: Vector, later: Vector, doubt: float = 0.0
+    ) -> Metric:
+        estimate = mean_of(later - earlier, 2, self.step).unsure(doubt)
+        return metric(f"{self.label}.{word}", "s", own, estimate)
 
-    def _time(self, word: str, own: float, edges: Vector) -> Metric:
+    def _time(self, word: str, own: float, edges: Vector, doubt: float = 0.0) -> Metric:
         period, table = self.period.value, self.table
         # Cycles count from the start nearest to the middle, so an error of the period hardly moves.
         late = edges - self.start.value
         turns = np.round((late - own * period / table.period) / period)
         values = late - turns * period
-        estimate = mean_of(values, 1, self.step).unsure(self.start.error)
+        estimate = mean_of(values, 1, self.step).unsure(self.start.error).unsure(doubt)
         drift = float(np.mean(turns)) * self.period.error
         wanted = table.since_zero(own)
         since = estimate.value - own + wanted
