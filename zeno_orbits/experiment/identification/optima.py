@@ -44,6 +44,12 @@ _SAME = 5.0
 """Optima that differ by fewer standard errors are one."""
 _RIVAL = 0.1
 """Relative excess of the measure up to which another optimum is reported."""
+_ROUNDS = 3
+"""Rounds of starts around the best optimum at most."""
+_ASIDE = 0.1
+"""Relative distance of these starts."""
+_BETTER = 1e-3
+"""Relative decrease of the measure that makes an optimum a better one."""
 _FEWEST = 1e-7
 """Noise at least, in parts of a signal's range."""
 _PROFILE = 6
@@ -104,20 +110,32 @@ def global_fit(
     Raises:
         SimulationError: If no start leads to an orbit.
     """
-    tried: list[tuple[Vector, Orbits]] = []
-    for number, start in enumerate(starts):
-        on_progress("looking for optima", number / len(starts))
+
+    def rough(start: Vector) -> list[tuple[Vector, Orbits]]:
         try:
             own = orbits.starting_at(start)
             x, _ = rough_fit(own, samples, found, start, contacts)
             own.table(x)
         except SimulationError:
-            continue
-        tried.append((x, own))
+            return []
+        return [(x, own)]
+
+    tried: list[tuple[Vector, Orbits]] = []
+    for number, start in enumerate(starts):
+        on_progress("looking for optima", number / len(starts))
+        tried += rough(start)
     if not tried:
         raise SimulationError("No start leads to an orbit", time=0.0, state=())
     noise = np.min([_noise(own, samples, x) for x, own in tried], axis=0)
     measures = [_measure(own, samples, found, x, noise, contacts) for x, own in tried]
+    for number in range(_ROUNDS):
+        on_progress("looking for optima near the best", number / _ROUNDS)
+        best, least = tried[int(np.argmin(measures))][0], min(measures)
+        near = [one for start in _beside(best, orbits.unknowns) for one in rough(start)]
+        tried += near
+        measures += [_measure(own, samples, found, x, noise, contacts) for x, own in near]
+        if min(measures) > (1.0 - _BETTER) * least:
+            break
     order: list[int] = [int(k) for k in np.argsort(measures)]
     best_x, best_orbits = tried[order[0]]
     answer = fit(best_orbits, samples, found, best_x, on_progress, contacts)
@@ -144,6 +162,21 @@ def global_fit(
         pass
     near = [x for x, measure in rivals if measure < (1.0 + _RIVAL) * least]
     return answer, best_orbits, tuple(x for x in near if _is_new(x, [answer.x], answer))
+
+
+def _beside(x: Vector, unknowns: Unknowns) -> list[Vector]:
+    """Return unknowns on both sides of a point along each unknown, at its phase.
+
+    An orbit whose jumps are one bounce off has a local optimum of its own.
+    """
+    low, high = unknowns.bounds
+    found: list[Vector] = []
+    for k, readings in enumerate(unknowns.readings):
+        for factor in () if readings else (1.0 - _ASIDE, 1.0 + _ASIDE):
+            other = x.copy()
+            other[k] = np.clip(factor * x[k], low[k], high[k])
+            found.append(other)
+    return found
 
 
 def _is_new(x: Vector, known: Sequence[Vector], answer: Fit) -> bool:
