@@ -198,17 +198,17 @@ def problem_or_orbit(
         return problem, *split_numbers(problem, numbers)
     orbit = any_orbit(word)
     problem = problem_of(orbit)
-    defaults = problem.values(gains=orbit.gains).parameters
+    values = orbit.values(problem)
     # Other derived parameters follow from the ones that are given.
     own = {
-        one.name: orbit.parameters[one.name]
+        one.name: values.parameters[one.name]
         for one in problem.parameters
-        if one.default is not None and orbit.parameters[one.name] != one.default
+        if one.default is not None and values.parameters[one.name] != one.default
     }
-    if problem.values(gains=orbit.gains, parameters=own).parameters != orbit.parameters:
-        own = {k: value for k, value in orbit.parameters.items() if value != defaults[k]}
+    follows = problem.values(gains=values.gains, parameters=own).parameters
+    own |= {k: value for k, value in values.parameters.items() if value != follows[k]}
     gains, parameters = split_numbers(problem, numbers)
-    return problem, {**orbit.gains, **gains}, {**own, **parameters}
+    return problem, {**values.gains, **gains}, {**own, **parameters}
 
 
 def any_orbit(orbit: ZenoOrbit | EventOrbit | str | Path) -> ZenoOrbit | EventOrbit:
