@@ -153,7 +153,7 @@ FORCES: dict[str, Callable[[ca.SX], ca.SX]] = {
     "inverse root": lambda d: -((1 + d) ** -0.5),
     "broken power": lambda d: (1 + d) ** 0.7,
     "power of a number": lambda d: 2**d,
-    "angle": lambda d: ca.atan2(d, 1 + d),
+    "angle": lambda d: ca.atan2(d, 1 + d**2),
     "length": lambda d: ca.hypot(d, 1),
 }
 """Forces that rise with the distance, from every analytic operation."""

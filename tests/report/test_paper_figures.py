@@ -783,15 +783,18 @@ def test_bad_input_is_one_line_and_writes_nothing(
 
 
 @pytest.mark.slow
-def test_a_film_that_was_asked_for_needs_a_drawing(
-    orbit_file: Path, monkeypatch: pytest.MonkeyPatch, problem: Problem
-) -> None:
-    bare = replace(problem, drawing=None)
-    monkeypatch.setattr("zeno_orbits.api.inputs.load_problem", lambda _: bare)
-    code, _, err = ask("figures", orbit_file, "-o", "f", "--kind", "animation")
+def test_a_film_that_was_asked_for_needs_a_drawing(orbit_file: Path, problem: Problem) -> None:
+    bare = orbit_file.with_name("bare.py")
+    bare.write_text(
+        "from dataclasses import replace\n"
+        "import zeno_orbits as zo\n"
+        f"PROBLEM = replace(zo.load_problem({problem.name!r}), drawing=None)\n"
+    )
+    asked = ("figures", orbit_file, "--problem", bare, "-o", "f")
+    code, _, err = ask(*asked, "--kind", "animation")
     assert code == MISUSE
     assert "must have a drawing" in err
-    code, out, _ = ask("figures", orbit_file, "-o", "f", "--kind", "graph")
+    code, out, _ = ask(*asked, "--kind", "graph")
     assert code == YES
     assert "machine" not in out
 
