@@ -19,6 +19,7 @@ import pytest
 from scipy.linalg import expm
 
 import zeno_orbits as zo
+from tests.loop.agreement import needs_compiler
 from tests.reference.relay_by_hand import D, E, M, period_by_hand, relay_by_hand
 from zeno_orbits.orbits import event_return
 
@@ -172,16 +173,129 @@ def test_derivatives_with_respect_to_times_and_levels_are_exact(n: int) -> None:
     assert found.by_state[:2, :2] == pytest.approx(expm(FLOW * PERIOD), abs=LOCATED)
 
 
-@pytest.mark.parametrize("part", [1e-3, 1e-5])
-def test_a_short_pulse_acts_as_its_impulse(part: float) -> None:
-    times = (0.3 * PERIOD, (0.3 + part) * PERIOD)
-    levels = (0.5, 0.5 + 1.0 / (part * PERIOD), 0.5)
+# Narrow pulses.
+
+ROUNDED = 4e-15
+"""Rounding of times and of the clock, over the part of the period that is a pulse."""
+Wave = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+def pulses(*begins: float) -> Callable[[float], Wave]:
+    """Return pulses of unit impulse between levels that differ, by their part of the period."""
+
+    def wave(part: float) -> Wave:
+        times = [(begin + k * part) * PERIOD for begin in begins for k in (0, 1)]
+        levels = [0.5]
+        for k in range(len(begins)):
+            levels += [1 / (times[2 * k + 1] - times[2 * k]), 0.3 - 0.2 * k]
+        return tuple(levels), tuple(times)
+
+    return wave
+
+
+def side_by_side(part: float) -> Wave:
+    """Return three pulses without a pause between them."""
+    width = part * PERIOD
+    return (0.0, 1 / width, -0.5 / width, 2 / width, 0.1), tuple(
+        0.4 * PERIOD + k * width for k in range(4)
+    )
+
+
+def across_the_start(part: float) -> Wave:
+    """Return a pulse around the start of the period."""
+    push, width = 1 / (part * PERIOD), part * PERIOD
+    return (push, 0.2, push), (width / 2, PERIOD - width / 2)
+
+
+def pause(part: float) -> Wave:
+    """Return a level that a pulse interrupts."""
+    begin, end = 0.6 * PERIOD, (0.6 + part) * PERIOD
+    return (0.5, 0.5 - 1 / (end - begin), 0.5), (begin, end)
+
+
+WAVES: dict[str, Callable[[float], Wave]] = {
+    "one": pulses(0.3),
+    "three": pulses(0.1, 0.35, 0.8),
+    "side by side": side_by_side,
+    "across the start": across_the_start,
+    "pause": pause,
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("part", [1e-1, 3e-3, 1e-5, 1e-7, 1e-9])
+@pytest.mark.parametrize("name", WAVES)
+def test_a_short_pulse_acts_as_its_impulse(name: str, part: float) -> None:
+    levels, times = WAVES[name](part)
     problem = oscillator(lambda clock, _: zo.piecewise(clock, levels, times), {})
-    run = zo.simulate(problem, until=PERIOD, start={"x": 0.1, "cosine": 1.0})
-    wanted = followed(levels, times, np.array([0.1, 0.0]), 0.0, PERIOD)
-    # The ends of a pulse of half length `a` in phase are zeros known to rounding over `a`.
-    assert run.end_state[:2] == pytest.approx(wanted, abs=LOCATED + 1e-15 / part**2)
-    assert len(run.switches) == 2
+    wanted = followed(levels, times, np.array([0.1, 0.0]), 0.0, 1.5 * PERIOD)
+    run = zo.simulate(problem, until=1.5 * PERIOD, start={"x": 0.1, "cosine": 1.0})
+    assert run.end_state[:2] == pytest.approx(wanted, abs=LOCATED + ROUNDED / part)
+
+
+@pytest.mark.parametrize("loop", [pytest.param("use", marks=needs_compiler), "never"])
+@pytest.mark.parametrize("part", [1e-2, 1e-4, 1e-6, 1e-8])
+def test_a_run_may_start_with_a_short_pulse(
+    part: float, loop: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The first arc ends in its first step, on the other side of the switch where it starts.
+    monkeypatch.setenv("ZENO_ORBITS_LOOP", loop)
+    levels, times = WAVES["one"](part)
+    problem = oscillator(lambda clock, _: zo.piecewise(clock, levels, times), {})
+    angle, until = OMEGA * times[0], 0.3 * PERIOD
+    start = {"x": 0.1, "cosine": math.cos(angle), "sine": math.sin(angle)}
+    wanted = followed(levels, times, np.array([0.1, 0.0]), times[0], times[0] + until)
+    run = zo.simulate(problem, until=until, start=start)
+    assert run.end_state[:2] == pytest.approx(wanted, abs=LOCATED + ROUNDED / part)
+
+
+@pytest.mark.parametrize("part", [1e-2, 1e-6, 1e-9])
+def test_the_reference_in_python_sees_a_short_pulse(
+    part: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZENO_ORBITS_LOOP", "never")
+    levels, times = WAVES["one"](part)
+    problem = oscillator(lambda clock, _: zo.piecewise(clock, levels, times), {})
+    wanted = followed(levels, times, np.array([0.1, 0.0]), 0.0, 0.5 * PERIOD)
+    run = zo.simulate(problem, until=0.5 * PERIOD, start={"x": 0.1, "cosine": 1.0})
+    assert run.end_state[:2] == pytest.approx(wanted, abs=LOCATED + ROUNDED / part)
+
+
+@pytest.mark.parametrize(
+    "part", [3e-3, *(pytest.param(one, marks=pytest.mark.slow) for one in (1e-4, 1e-5, 1e-7))]
+)
+def test_orbits_and_maps_of_short_pulses_have_their_closed_form(part: float) -> None:
+    levels, times = pulses(0.3)(part)
+    problem = oscillator(
+        lambda clock, p: zo.piecewise(clock, levels, (p["t"], p["t"] + part * PERIOD)),
+        {"t": times[0]},
+    )
+    orbit = zo.find_event_orbit(problem)
+    wanted = sorted(map(complex, np.linalg.eigvals(expm(FLOW * PERIOD))), key=lambda mu: mu.imag)
+    found = sorted(orbit.floquet_multipliers, key=lambda mu: mu.imag)
+    assert orbit.period == pytest.approx(PERIOD, abs=LOCATED)
+    assert found == pytest.approx(wanted, abs=1e-9)
+    assert orbit.certificate["passed"]
+    # Over two periods the state is the same: the orbit is that of all its pulses.
+    x = np.array([orbit.start_state["x"], orbit.start_state["v"]])
+    begin = math.atan2(orbit.start_state["sine"], orbit.start_state["cosine"]) / OMEGA % PERIOD
+    assert followed(levels, times, x, begin, begin + PERIOD) == pytest.approx(x, abs=1e-8)
+    plane = zo.parameter_map(problem, x=("t", 0.5, 1.5, 2), y=("x", 0.0, 1.0, 2))
+    for one in plane.attractors:
+        radii = [abs(mu) for mu in one.multipliers]
+        assert radii == pytest.approx([math.exp(-C * PERIOD / 2)] * 2, abs=1e-8)
+
+
+@pytest.mark.parametrize("width", [5e-10, 1e-12, 1e-15])
+def test_a_pulse_in_the_rounding_of_its_phase_is_refused(width: float) -> None:
+    words = r"at least 2e-10 of its period apart, but .* s above (`t1` = )?1 s"
+    with pytest.raises(ValueError, match=words):
+        oscillator(
+            lambda clock, _: zo.piecewise(clock, (0.0, 1 / width, 0.0), (1.0, 1.0 + width)), {}
+        ).checked()
+    gains = gains_of((0.0, 1.0, 0.0), (1.0, 2.0))
+    with pytest.raises(zo.SwitchingTimesError, match=words):
+        zo.simulate(oscillator(switched(2), gains), until=1.0, gains={"t2": 1.0 + width})
 
 
 def test_harmonics_are_a_fourier_sum() -> None:

@@ -113,6 +113,19 @@ def test_a_machine_with_nested_kinks_gives_the_same_digits() -> None:
     assert numbers[:3] == pytest.approx([2 * math.pi, *y[:2]], rel=1e-9)
 
 
+def test_a_short_pulse_is_not_lost_in_exported_code() -> None:
+    width = 1e-7
+    force = f"zo.piecewise(clock, (0, {1 / width!r}, 0), (1.0, 1.0 + {width!r}))"
+    Path("pulsed.py").write_text(NESTED.replace(FORCE, force), encoding="utf-8")
+    found = _events_of("pulsed.py", "--t-end", "7")
+    assert found == _expected("pulsed.py", 7.0)
+    # The impulse is 1 N s, and the rounding of its ends is 1e-15 s.
+    kind, numbers = found[1]
+    assert kind.startswith("switch")
+    assert numbers[:3] == pytest.approx([1.0 + width, 0.0, 1.0], abs=1e-7)
+
+
+FORCE = "table(ca.fmin(1, wave))"
 NESTED = """
 import casadi as ca
 import zeno_orbits as zo

@@ -27,6 +27,7 @@ from .engines import engine_refusal as engine_refusal
 from .engines import engine_named as engine_named
 from .events import SteppedTrajectory as SteppedTrajectory
 from .flow import Corrected as Corrected
+from .following import LEAVES as LEAVES
 from .following import follow_steps as follow_steps
 from .flow import FIRST_ITERATIONS as FIRST_ITERATIONS
 from .flow import FlowWithEvent as FlowWithEvent

@@ -134,6 +134,19 @@ static int follow_all(Step *step) {
     return LEG_GOES_ON;
 }
 
+/* Whether a guard that has not risen from its zero may have been left before the leg ends. */
+static int may_be_left(const Machine *m, const double *end, int found) {
+    const zl_run *run = m->run;
+    int k;
+    for (k = 0; k < m->others->n; k++) {
+        double pair[2];
+        if (k == found || !run->watched[k].on_guard) continue;
+        pair_in_leg(m, k, end, pair);
+        if (run->watched[k].after[0] < 0.0 || pair[0] < 0.0) return 1;
+    }
+    return 0;
+}
+
 /* Look at the other guards in a step. The earliest fall before a time ends the leg. Where anything is
    in doubt, every guard has to be followed: LEG_IN_DOUBT. */
 static int look_beside(Step *step, double until, int is_last) {
@@ -156,14 +169,12 @@ static int look_beside(Step *step, double until, int is_last) {
         }
     }
     if (found >= 0) {
-        /* A guard that has not risen from its zero may have been left before. */
-        for (k = 0; k < n; k++)
-            if (k != found && run->watched[k].on_guard && run->watched[k].after[0] < 0.0)
-                return LEG_IN_DOUBT;
+        if (may_be_left(m, run->watched[found].end, found)) return LEG_IN_DOUBT;
         run->graph.found = found;
         return LEG_FELL_BESIDE;
     }
-    for (k = 0; k < n && !is_last; k++)
+    if (is_last) return may_be_left(m, leg->end, -1) ? LEG_IN_DOUBT : LEG_GOES_ON;
+    for (k = 0; k < n; k++)
         if (passes(&run->watched[k], step->curve.size)) {
             const int is_clear = !leg->on_guard || step->guard_after[0] > leg->rounding;
             if (m->others->list[k].kind != ZL_SWITCH || !is_clear) return LEG_IN_DOUBT;

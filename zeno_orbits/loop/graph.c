@@ -678,15 +678,38 @@ static int conclude(Graph *g) {
     return land_at(g, time, x, run->leg.unit * x[n_x + 1]);
 }
 
+/* A switch that an arc leaves on its wrong side, if it ends in its first step; else -1. */
+static int left_within(const Graph *g) {
+    const zl_run *run = g->m.run;
+    const int found = (int)run->graph.found;
+    const double duration = run->graph.horizon * run->leg.unit;
+    const double *end = run->leg.end;
+    int k;
+    if (found >= 0)
+        end = run->watched[found].launched > 0.0 ? run->side.end : run->watched[found].end;
+    for (k = 0; k < g->others.n; k++) {
+        const Other *other = &g->others.list[k];
+        const Watched *watched = &run->watched[k];
+        double pair[2];
+        if (k == found || other->kind != ZL_SWITCH || !watched->began_on_guard) continue;
+        tape_run(other->value, other->registers, end, pair);
+        if (pair[0] < -greater(LEAVES * fabs(pair[1]) * duration, watched->rounding)) return k;
+    }
+    return -1;
+}
+
 /* Go on to find the guard that falls first, of those that have been followed to their ends. */
 static int decide(Graph *g) {
     zl_run *run = g->m.run;
     Graphed *graph = &run->graph;
     const double last = run->leg.horizon - run->leg.late;
+    int k;
     while (graph->next_guard < g->others.n) {
-        const int k = (int)graph->next_guard++;
-        const Watched *watched = &run->watched[k];
-        const Other *other = &g->others.list[k];
+        const Watched *watched;
+        const Other *other;
+        k = (int)graph->next_guard++;
+        watched = &run->watched[k];
+        other = &g->others.list[k];
         if (watched->launched > 0.0) {
             /* Another stop is just left: its flight is followed in rescaled time. */
             const Machine side = view_at(g, closed_at_start(g), graph->sides, other->index);
@@ -721,6 +744,11 @@ static int decide(Graph *g) {
             graph->found = k;
             graph->horizon = watched->at;
         }
+    }
+    k = left_within(g);
+    if (k >= 0) {
+        run->watched[k].outcome = IS_LEFT;
+        graph->found = k;
     }
     return conclude(g);
 }
@@ -1360,16 +1388,16 @@ static int fly_on(Graph *g) {
     return begin_arc(g, FLIGHT_ARC);
 }
 
-/* Whether the switching times of all piecewise inputs increase. */
+/* Whether the switching times of all piecewise inputs are apart. */
 static int are_in_order(const Graph *g) {
     const zl_graph *graph = g->whole->graph;
-    const long long n = graph->orders.n_outputs / 2;
-    double times[2 * ZL_ORDERS], none = 0.0;
+    const long long n = graph->orders.n_outputs / 3;
+    double times[3 * ZL_ORDERS], none = 0.0;
     long long k;
     if (!n) return 1;
     shared(g, &graph->orders, graph->orders_place, &none, times);
     for (k = 0; k < n; k++)
-        if (!(times[n + k] > times[k])) return 0;
+        if (!(times[n + k] > times[2 * n + k])) return 0;
     return 1;
 }
 

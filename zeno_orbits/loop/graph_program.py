@@ -74,7 +74,7 @@ class GraphFormulas:
             `armed`)``.
         delassus: ``(x, p) -> J W J^T`` of all stops.
         resets: ``(x, p) -> x`` after each declared switch.
-        orders: ``p -> (lower times, upper times)`` of piecewise inputs.
+        orders: ``p -> (lower times, upper times, least upper times)`` of waveforms.
     """
 
     n_x: int

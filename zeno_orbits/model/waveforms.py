@@ -23,22 +23,29 @@ Formula = ca.SX | float
 
 _DEPTH = 32
 """Depth to which two levels are compared."""
+LEAST_PART = 2e-10
+"""Part of the period between two switching times at least. The phase has an error of 1e-16 periods,
+so an impulse of this length is exact to 1e-6."""
 
 
 @checked
 def piecewise(clock: Clock, levels: Sequence[Formula], times: Sequence[Formula]) -> ca.SX:
     r"""Return a periodic input with constant levels between switching times.
 
-    With the period :math:`T = 2\pi/\omega` of the clock and :math:`0 < t_1 < \dots < t_n < T`, the
-    input is `levels[0]` until :math:`t_1`, `levels[k]` until :math:`t_{k+1}`, and `levels[n]` until
-    `T`. It switches at 0 too, unless the first and the last level are the same formula.
+    Let :math:`T = 2\pi/\omega` be the period of the clock and :math:`0 < t_1 < \dots < t_n < T`.
+    All of these times are apart by at least ``2e-10 T``. The input is `levels[0]` until
+    :math:`t_1`, `levels[k]` until :math:`t_{k+1}`, and `levels[n]` until `T`. It switches at 0 too,
+    unless the first and the last level are the same formula.
 
     Half of the switches open an interval and half of them close one. Switch `i` of `2 h` opens the
     interval up to switch `i + h`, with middle `m` and half length `a` in phase. Its condition
 
-    .. math:: (c \cos m + s \sin m - \cos a) / \sin a > 0
+    .. math:: (\tan(a/2)\,|z + z_m|^2 - \cot(a/2)\,|z - z_m|^2)/4 > 0,\qquad z = (c, s)
 
-    is zero at its two ends only, with slopes of one. So every switch changes one condition, and the
+    compares the distances from the middle :math:`z_m = (\cos m, \sin m)` and from the opposite
+    phase. On the circle it equals :math:`(\cos(\omega t - m) - \cos a) / \sin a`, but it has no
+    digits to lose in a short interval. It is zero at its two ends only, with slopes of one, and a
+    small error of the radius does not move them. So every switch changes one condition, and the
     conditions determine the level. An odd number of switches is completed by one without effect in
     the middle of the last level.
 
@@ -64,9 +71,9 @@ def piecewise(clock: Clock, levels: Sequence[Formula], times: Sequence[Formula])
     period = clock.period
     bounds = [ca.SX(0), *between, period]
     for lower, upper in pairwise(bounds):
-        late = upper <= lower
-        if late.is_constant() and float(late):
-            raise ValueError(_out_of_order(lower, upper, float(lower), float(upper)))
+        for late in (upper <= lower, upper - lower < LEAST_PART * period):
+            if late.is_constant() and float(late):
+                raise ValueError(_out_of_order(lower, upper, float(lower), float(upper)))
     instants = list(between)
     if not ca.is_equal(values[0], values[-1], _DEPTH):
         instants.insert(0, ca.SX(0))
@@ -98,8 +105,10 @@ def _selected(clock: Clock, values: Sequence[ca.SX], instants: Sequence[ca.SX]) 
 def _inside(clock: Clock, start: ca.SX, end: ca.SX) -> ca.SX:
     """Return the condition that the clock is between two times."""
     middle, length = clock.frequency * (start + end) / 2, clock.frequency * (end - start) / 2
-    projection = clock.cosine * ca.cos(middle) + clock.sine * ca.sin(middle)
-    return (projection - ca.cos(length)) / ca.sin(length) > 0
+    phase = ca.vertcat(ca.cos(middle), ca.sin(middle))
+    far, near = ca.sumsqr(clock.state + phase), ca.sumsqr(clock.state - phase)
+    half = ca.tan(length / 2)
+    return (half * far - near / half) / 4 > 0
 
 
 @checked
@@ -149,22 +158,28 @@ class TimeOrder:
     lower: ca.SX
     upper: ca.SX
 
-    def require(self, lower: float, upper: float) -> None:
+    def require(self, lower: float, upper: float, least: float) -> None:
         """Refuse times out of order.
 
         Args:
             lower: Value of the lower time [s].
             upper: Value of the upper time [s].
+            least: Least value of the upper time [s].
 
         Raises:
-            SwitchingTimesError: If the times do not increase.
+            SwitchingTimesError: If the times do not increase by the least part of the period.
         """
-        if not upper > lower:
+        if not upper > least:
             message = _out_of_order(self.lower, self.upper, lower, upper)
             raise SwitchingTimesError(message, lower, upper)
 
 
 def _out_of_order(lower: ca.SX, upper: ca.SX, low: float, high: float) -> str:
+    if high > low:
+        return (
+            f"Argument `times` of a waveform must be at least {LEAST_PART:g} of its period apart, "
+            f"but {_told(upper, high)} is only {high - low:.2g} s above {_told(lower, low)}."
+        )
     return (
         "Argument `times` of a waveform must increase from 0 to its period, but "
         f"{_told(upper, high)} is not above {_told(lower, low)}."

@@ -28,6 +28,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import PenetrationError, SimulationError, StepSizeError
 from zeno_orbits.integrators import (
+    LEAVES,
     BoxedStep,
     FlowWithEvent,
     Segment,
@@ -642,7 +643,23 @@ class GraphRun(ReferenceRun):
                 duration, late = passage.duration, 0.0
                 if guard.launched is not None:
                     duration *= guard.launched / arc.time_unit
-        return found
+        return self._left_within(guards, found, arc, duration * arc.time_unit) or found
+
+    def _left_within(
+        self, guards: Sequence[_Guard], found: Interruption | None, arc: Arc, duration: float
+    ) -> Interruption | None:
+        """Return a switch that an arc leaves on its wrong side, if it ends in its first step."""
+        end = arc.end_state
+        if found is not None and found.passage is not None:
+            end = found.passage.state[: arc.start_state.size]
+        for guard in guards:
+            is_found = found is not None and (guard.kind, guard.index) == (found.kind, found.index)
+            if guard.kind is not Kind.SWITCH or not guard.on_guard or is_found:
+                continue
+            value, rate = guard.flow.guard(end)
+            if value < -max(LEAVES * abs(rate) * duration, guard.rounding):
+                return Interruption(kind=guard.kind, index=guard.index, passage=None)
+        return None
 
     def _first_of_surface(
         self, guards: Sequence[_Guard], found: Interruption | None, n_x: int

@@ -31,6 +31,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import CharacteristicScales
 from zeno_orbits.model.starts import Starts
+from zeno_orbits.model.waveforms import LEAST_PART
 
 _ZERO = 1e-12
 """Part of a switch's size below which its guard counts as zero."""
@@ -141,11 +142,14 @@ class CompiledGraph:
 
     @cached_property
     def times(self) -> ca.Function:
-        """``p -> (lower times, upper times)`` of all orders of switching times."""
+        """``p -> (lower times, upper times, least upper times)`` of all orders of waveforms."""
         orders = self.graph.time_orders
         lower = ca.vertcat(*(one.lower for one in orders))
         upper = ca.vertcat(*(one.upper for one in orders))
-        return dense_function("times", [self._parameters], [lower, upper])
+        # The largest time is the period of the clock.
+        apart = LEAST_PART * ca.mmax(upper)
+        least = ca.vertcat(*(one.lower + apart for one in orders))
+        return dense_function("times", [self._parameters], [lower, upper, least])
 
     @cached_property
     def delassus(self) -> ca.Function:
@@ -205,9 +209,9 @@ class GraphDynamics:
         self.compiled = compiled
         self.p = np.array(values, dtype=np.float64)
         if compiled.graph.time_orders:
-            lower, upper = (one.full().ravel() for one in compiled.times(self.p))
+            lower, upper, least = (one.full().ravel() for one in compiled.times(self.p))
             for k, order in enumerate(compiled.graph.time_orders):
-                order.require(float(lower[k]), float(upper[k]))
+                order.require(float(lower[k]), float(upper[k]), float(least[k]))
         self.state_names = compiled.state_names
         graph = compiled.graph
         self.stop_names = tuple(stop.name for stop in graph.stops)
