@@ -73,7 +73,7 @@ class GraphType(ctypes.Structure):
     _fields_ = [
         *((name, _count) for name in ("n_stops", "n_declared", "n_switches", "n_views", "n_sides")),
         *((name, _count) for name in ("n_numbers", "switches_place", "delassus_place")),
-        ("orders_place", _count),
+        *((name, _count) for name in ("orders_place", "first_clock", "end_clock")),
         *((name, TapeType) for name in ("switches", "delassus", "orders")),
         *((name, _address) for name in ("resets", "reset_places", "view_keys", "view_places")),
         *((name, _address) for name in ("views", "side_keys", "sides")),

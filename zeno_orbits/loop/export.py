@@ -146,6 +146,7 @@ class _Arrays:
             *(formulas.n_stops, formulas.n_declared, formulas.n_switches, len(views), len(sides)),
             program.n_numbers,
             *map(program.place_of, shared),
+            *formulas.clock,
         )
         entries = (
             *map(str, counts),

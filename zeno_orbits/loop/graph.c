@@ -149,19 +149,21 @@ static int is_above(const Graph *g, int k) {
 /* Take the side of every kink anew, each on the sides of the kinks before it. A zero keeps the side,
    and so does the kink that has just been crossed, if there is one. */
 static void take_kinks(Graph *g, const double *x, int crossed) {
-    const int n = (int)g->whole->graph->n_switches;
-    int first = (int)g->whole->graph->n_declared, k;
+    const int first = (int)g->whole->graph->n_declared, n = (int)g->whole->graph->n_switches;
+    long long taken = crossed < 0 ? 0 : BIT(crossed);
+    int k;
     do {
         double formulas[ZL_GUARDS], levels[ZL_GUARDS];
         switches_at(g, x, formulas, levels, 0);
         for (k = first; k < n; k++)
-            if (k != crossed && fabs(formulas[k]) > levels[k] &&
+            if (!(taken & BIT(k)) && fabs(formulas[k]) > levels[k] &&
                 (formulas[k] > 0.0) != is_above(g, k))
                 break;
-        /* Later conditions may depend on this one. */
-        if (k < n) g->m.run->graph.sides ^= BIT(k - g->whole->graph->n_declared);
-        first = k + 1;
-    } while (first < n);
+        if (k == n) return;
+        /* Later conditions may depend on this one, and so may the use of earlier ones. */
+        g->m.run->graph.sides ^= BIT(k - first);
+        taken |= BIT(k);
+    } while (1);
 }
 
 /* Go to the other side of a switch. Conditions that depend on a kink may change as well. */
@@ -443,6 +445,8 @@ static int is_one_surface(const Graph *g, const Other *one, const Other *other, 
         given[2 * n_x + k] = (double)(g->m.run->graph.sides >> k & 1);
     for (k = 0; k < n_x; k++) {
         double first, second;
+        /* The clock has one direction, which the rates contain. */
+        if (graph->first_clock <= k && k < graph->end_clock) continue;
         given[n_x + k] = settings_of(g, 0)->sizes[k] + fabs(x[k]);
         shared(g, &graph->switches, graph->switches_place, given, told);
         given[n_x + k] = 0.0;
@@ -532,16 +536,40 @@ static int main_is_zero(const Graph *g, int main, const double *x) {
     return is_zero(g, pair, run->small_gap);
 }
 
+/* Whether stops open on the other side of a kink as well, which falls with them. The flow does not
+   change at a release, so their order has no effect if no stop is pressed beyond the kink. */
+static int opens_beyond(Graph *g, int kink, long long stops, double const *x) {
+    Graphed *graph = &g->m.run->graph;
+    const long long sides = graph->sides, closed = closed_at_start(g);
+    const int n = (int)g->whole->graph->n_stops;
+    int k, all_open = 1;
+    change_side(g, kink, x);
+    for (k = 0; k < n && all_open; k++) {
+        const zl_settings *settings = settings_of(g, k);
+        const double rounding = settings->contact * settings->multiplier;
+        double pair[2];
+        Machine m;
+        if (!(stops & BIT(k))) continue;
+        m = holding(g, closed, k);
+        evaluate_at(&m, ZL_GUARD + ZL_LOCKED, x, pair);
+        all_open = is_zero(g, pair, rounding) || pair[0] < -rounding;
+    }
+    graph->sides = sides;
+    return all_open;
+}
+
 /* Find the event at the end of an arc, of all events whose guards are zero there: its place in the
    list of the others, or -1 for the stop that the run looks at. A switch that is not armed, or rises,
    is no event. A kink changes no state, and an impact does not depend on it. Impacts on stops that
-   are not coupled change nothing for each other. */
+   are not coupled change nothing for each other. A kink comes before a release that takes place on
+   both of its sides. */
 static int event_at_end(Graph *g, int main, double time, const double *x, long long *chosen) {
     const zl_run *run = g->m.run;
     const zl_graph *graph = g->whole->graph;
     const long long found = run->graph.found, focus = run->graph.focus;
-    long long places[ZL_GUARDS + 1], kinds[ZL_GUARDS + 1], indices[ZL_GUARDS + 1], struck = 0;
-    int n = 0, k, all_commute = 1, first = -1;
+    long long places[ZL_GUARDS + 1], kinds[ZL_GUARDS + 1], indices[ZL_GUARDS + 1];
+    long long struck = 0, opened = 0;
+    int n = 0, k, all_commute = 1, first = -1, n_switches = 0, kink = -1;
     for (k = -2; k <= g->others.n; k++) {
         /* What fell comes first, the stop that the run looks at last. */
         const long long place = k == -2 ? found : k == g->others.n ? -1 : k;
@@ -572,10 +600,20 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
         } else if (kinds[n] != ZL_SWITCH || indices[n] < graph->n_declared) {
             all_commute = 0;
         }
+        if (kinds[n] == ZL_RELEASE) opened |= BIT(indices[n]);
+        if (kinds[n] == ZL_SWITCH) {
+            n_switches++;
+            kink = n;
+        }
         n++;
     }
     if (n) *chosen = places[0];
     if (n < 2) return GO_ON;
+    if (!struck && n_switches == 1 && indices[kink] >= graph->n_declared &&
+        opens_beyond(g, (int)indices[kink], opened, x)) {
+        *chosen = places[kink];
+        return GO_ON;
+    }
     if (first < 0 || !all_commute)
         return coincide(g, (int)kinds[0], indices[0], (int)kinds[1], indices[1], time, x);
     *chosen = places[first];

@@ -75,6 +75,7 @@ class GraphFormulas:
         delassus: ``(x, p) -> J W J^T`` of all stops.
         resets: ``(x, p) -> x`` after each declared switch.
         orders: ``p -> (lower times, upper times, least upper times)`` of waveforms.
+        clock: Index of the first state of the clock, and of the first state after the clock.
     """
 
     n_x: int
@@ -87,6 +88,7 @@ class GraphFormulas:
     delassus: ca.Function
     resets: Sequence[ca.Function]
     orders: ca.Function
+    clock: tuple[int, int]
 
 
 class GraphProgram(TapedProblem):
@@ -200,6 +202,8 @@ class GraphProgram(TapedProblem):
             switches_place=self._places[id(self.switches)],
             delassus_place=self._places[id(self.delassus)],
             orders_place=self._places[id(self.orders)],
+            first_clock=self.formulas.clock[0],
+            end_clock=self.formulas.clock[1],
             **{name: ctypes.addressof(array) for name, array in tables.items()},
         )
         fill_tape(table.switches, self.switches)

@@ -79,10 +79,11 @@ struct zl_graph {
     long long n_stops, n_declared, n_switches, n_views, n_sides;
     long long n_numbers;                      /* of a run, apart from its settings and parameters */
     long long switches_place, delassus_place, orders_place;
+    long long first_clock, end_clock;         /* the states of the clock */
     /* Of a state, the sizes of its entries and the sides of kinks: formulas, their sizes, `armed`. */
     zl_tape switches;
     zl_tape delassus; /* J W J' of all stops */
-    zl_tape orders;   /* of switching times: all that must be below, then all that must be above */
+    zl_tape orders;   /* of switching times: lower, upper, and least upper times */
     const zl_tape *resets;                    /* the state after each declared switch */
     const long long *reset_places;
     const long long *view_keys, *view_places; /* ZL_VIEW_KEY; places of numbers */

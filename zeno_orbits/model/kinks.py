@@ -8,7 +8,7 @@ jump without a condition are refused, and so are operations that are unknown her
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import chain
@@ -36,6 +36,13 @@ _SMOOTH = frozenset(
 """Operations that are smooth where they are finite."""
 _BOUNDED = frozenset({ca.OP_ATAN, ca.OP_TANH, ca.OP_ERF})
 """Smooth operations that jump where their argument has a pole."""
+_PARTIAL = frozenset(
+    {
+        *(ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_DIV, ca.OP_INV),
+        *(ca.OP_ASIN, ca.OP_ACOS, ca.OP_ACOSH, ca.OP_ATANH, ca.OP_ERFINV),
+    }
+)
+"""Operations that are undefined for some arguments."""
 _LOGIC = frozenset({ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO})
 _JUMPS = frozenset(
     {ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_EQ, ca.OP_NE, *_LOGIC}
@@ -60,6 +67,9 @@ class _Value:
         varies: Whether the value depends on the states on some branch. A value that depends on
             nothing but the sides of kinks does not vary.
         quotient: Numerator and denominator of a quotient, else empty.
+        is_partial: Whether the value may be undefined for some states.
+        reads: For the kinks whose condition may be undefined, 1 if the value depends on the side of
+            the kink on this branch. A kink that is missing has no influence.
     """
 
     written: ca.SX
@@ -67,6 +77,8 @@ class _Value:
     slopes: ca.SX
     varies: bool = False
     quotient: tuple[_Value, ...] = ()
+    is_partial: bool = False
+    reads: Mapping[int, ca.SX] = field(default_factory=dict[int, ca.SX])
 
 
 @dataclass(slots=True, kw_only=True)
@@ -113,33 +125,46 @@ class _Walk:
                 if one.slopes.nnz():
                     slopes = slopes + factor * one.slopes
         quotient = tuple(parts) if operation == ca.OP_DIV else ()
+        varies = any(one.varies for one in parts)
+        reads = [one.reads for one in parts]
+        if operation == ca.OP_IF_ELSE_ZERO:
+            reads[1] = _chosen_reads(parts[0].smooth, reads[1], {})
         return _Value(
             _result(operation, [one.written for one in parts]),
             _result(operation, [one.smooth for one in parts]),
             slopes,
-            varies=any(one.varies for one in parts),
+            varies=varies,
             quotient=(self.number(1.0), *parts) if operation == ca.OP_INV else quotient,
+            is_partial=any(one.is_partial for one in parts)
+            or (operation in _PARTIAL and parts[operation == ca.OP_DIV].varies),
+            reads=_union(reads),
         )
 
-    def side(self, condition: _Value, at_zero: bool = True) -> ca.SX:
-        """Return the side of a condition, 1 where it is positive, and keep a new condition."""
+    def side(self, condition: _Value, at_zero: bool = True) -> tuple[ca.SX, int | None]:
+        """Return the side of a condition, 1 where it is positive, and keep a new condition.
+
+        Returns:
+            The side, and the index of the condition, ``None`` for a condition that is decided.
+        """
         if condition.written.is_constant():
             value = float(condition.written)
-            return ca.SX(int(value > 0.0 or (value == 0.0 and at_zero)))
+            return ca.SX(int(value > 0.0 or (value == 0.0 and at_zero))), None
         for k, known in enumerate(self.conditions):
             if ca.is_equal(known.written, condition.written, _DEPTH):
-                return self._side_of(k)
+                return self.side_of(k), k
             if ca.is_equal(known.written, -condition.written, _DEPTH):
-                return 1 - self._side_of(k)
+                return 1 - self.side_of(k), k
         for gap in self.gaps:
             factor = _factor(condition.written, gap)
             if factor != 0.0:
-                return ca.SX(int(factor > 0.0))
+                return ca.SX(int(factor > 0.0)), None
         self.conditions.append(condition)
         self.at_zero.append(at_zero)
-        return self._side_of(len(self.conditions) - 1)
+        k = len(self.conditions) - 1
+        return self.side_of(k), k
 
-    def _side_of(self, k: int) -> ca.SX:
+    def side_of(self, k: int) -> ca.SX:
+        """Return the side of a condition, 1 where it is positive."""
         return self.sides[k] if k < len(self.sides) else ca.SX(1)
 
     def chosen(
@@ -152,13 +177,24 @@ class _Walk:
         at_zero: bool = True,
     ) -> _Value:
         """Return the first value where a condition is positive, and else the last one."""
-        side = self.side(condition, at_zero)
+        side, k = self.side(condition, at_zero)
+        reads = [_chosen_reads(side, first.reads, last.reads), condition.reads]
+        if k is not None and self.conditions[k].is_partial:
+            reads.append({k: ca.SX(1)})
         return _Value(
             written,
             _picked(side, first.smooth, last.smooth),
             _picked(side, first.slopes, last.slopes) if self.has_slopes else self._no_slopes(),
             varies=first.varies or last.varies,
+            is_partial=first.is_partial or last.is_partial,
+            reads=_union(reads),
         )
+
+    def is_read(self, k: int, entries: Sequence[_Value]) -> ca.SX:
+        """Return 1 if a formula depends on the side of a kink, or if its condition is defined."""
+        if not self.conditions[k].is_partial:
+            return ca.SX(1)
+        return _union([one.reads for one in entries]).get(k, ca.SX(0))
 
     def on_branch(self, operation: int, parts: Sequence[_Value]) -> _Value:
         """Return the result of an operation on the branch.
@@ -300,6 +336,28 @@ def _picked(side: ca.SX, first: ca.SX, last: ca.SX) -> ca.SX:
     return picked
 
 
+def _union(reads: Sequence[Mapping[int, ca.SX]]) -> Mapping[int, ca.SX]:
+    """Return the kinks on which one of several values depends."""
+    found: dict[int, ca.SX] = {}
+    for k, is_read in chain(*(one.items() for one in reads)):
+        known = found.get(k, ca.SX(0))
+        if known.is_zero() or is_read.is_one():
+            found[k] = is_read
+        elif not known.is_one():
+            found[k] = ca.fmax(known, is_read)
+    return found
+
+
+def _chosen_reads(
+    side: ca.SX, first: Mapping[int, ca.SX], last: Mapping[int, ca.SX]
+) -> Mapping[int, ca.SX]:
+    """Return the kinks on which the first value on side 1, or the last one on side 0, depends."""
+    if side.is_constant():
+        return first if float(side) else last
+    none = ca.SX(0)
+    return {k: _picked(side, first.get(k, none), last.get(k, none)) for k in {*first, *last}}
+
+
 def _factor(formula: ca.SX, gap: ca.SX) -> float:
     """Return the number of which a formula is the product with a gap, or zero."""
     symbols = symbols_in(ca.vertcat(formula, gap))
@@ -385,7 +443,8 @@ class Branched:
     Attributes:
         formulas: The formulas, smooth, in the shapes of the given formulas.
         conditions: The condition of every kink as written.
-        smooth: The same conditions on the branch.
+        smooth: The same conditions on the branch. A condition that may be undefined there, and on
+            whose side nothing depends, gets the sign of its side: 1 or -1.
     """
 
     formulas: tuple[ca.SX, ...]
@@ -430,7 +489,8 @@ def branched(
         states=states, sides=[ca.SX(int(one)) for one in sides], has_slopes=False, gaps=gaps
     )
     flat: Any = ca.veccat(*(ca.densify(one) for one in formulas))
-    entries = ca.vertcat(*(one.smooth for one in _walked(walk, flat)))
+    walked = _walked(walk, flat)
+    entries = ca.vertcat(*(one.smooth for one in walked))
     found: list[ca.SX] = []
     first = 0
     for one in formulas:
@@ -440,7 +500,10 @@ def branched(
     return Branched(
         formulas=tuple(found),
         conditions=tuple(one.written for one in walk.conditions),
-        smooth=tuple(one.smooth for one in walk.conditions),
+        smooth=tuple(
+            ca.SX(2 * walk.side_of(k) - 1) if walk.is_read(k, walked).is_zero() else one.smooth
+            for k, one in enumerate(walk.conditions)
+        ),
     )
 
 
@@ -460,15 +523,19 @@ def sided(
     Returns:
         The conditions, and their derivatives with respect to the states, each ``(1, n_x)``. A
         condition that is zero on a whole branch, as that of ``fmin(x, 1) >= 1``, gets the sign of
-        its side: 1 or -1.
+        its side: 1 or -1. So does one that may be undefined where nothing depends on its side.
     """
     walk = _Walk(states=states, sides=ca.vertsplit(sides), has_slopes=True, gaps=gaps)
-    _walked(walk, ca.veccat(*(ca.densify(one) for one in formulas)))
+    walked = _walked(walk, ca.veccat(*(ca.densify(one) for one in formulas)))
     values: list[ca.SX] = []
-    for one, at_zero in zip(walk.conditions, walk.at_zero, strict=True):
+    slopes: list[ca.SX] = []
+    for k, (one, at_zero) in enumerate(zip(walk.conditions, walk.at_zero, strict=True)):
         is_flat = ca.logic_and(one.smooth == 0, ca.sum2(ca.fabs(one.slopes)) == 0)
-        values.append(ca.if_else(is_flat, 1.0 if at_zero else -1.0, one.smooth))
-    return tuple(values), tuple(one.slopes for one in walk.conditions)
+        value = ca.if_else(is_flat, 1.0 if at_zero else -1.0, one.smooth)
+        is_read = walk.is_read(k, walked)
+        values.append(_picked(is_read, value, 2 * walk.side_of(k) - 1))
+        slopes.append(_picked(is_read, one.slopes, ca.SX(*one.slopes.shape)))
+    return tuple(values), tuple(slopes)
 
 
 def _walked(walk: _Walk, flat: Any) -> list[_Value]:

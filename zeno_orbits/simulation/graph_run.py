@@ -370,10 +370,25 @@ class GraphRun(ReferenceRun):
             end = found.passage.state
         if arc.ending is not Ending.HORIZON:
             kind, index = self._event_at(start, arc, guards, closed)
+            if found is None and kind is Kind.SWITCH:
+                found = self._at_end(arc, end)
             if found is not None and (kind, index) != (found.kind, found.index):
                 self.interruption = replace(found, kind=kind, index=index, cut=True)
                 self.arcs[-1] = arc = replace(arc, ending=_ENDINGS[kind])
         return arc, end
+
+    def _at_end(self, arc: Arc, end: Vector) -> Interruption:
+        """Return the event of the stop that the run looks at as one that ends its arc early.
+
+        Raises:
+            AssertionError: If the arc has no flow.
+        """
+        if arc.trajectory is None:
+            raise AssertionError("An arc that ends at a guard has a flow.")
+        passage = SegmentResult(
+            outcome=Termination.FALL, duration=arc.duration, state=end, trajectory=arc.trajectory
+        )
+        return Interruption(kind=Kind.MULTIPLIER, index=self.focus, passage=passage)
 
     def is_clear(self, limit: ZenoLimit) -> bool:
         """Return True if no other guard falls on the way to a Zeno point.
@@ -740,7 +755,8 @@ class GraphRun(ReferenceRun):
 
         A switch that is not armed, or rises, is no event. A kink changes no state, and an impact
         does not depend on it: its side is taken after the impact. Impacts on stops that are not
-        coupled change nothing for each other, so their order has no effect.
+        coupled change nothing for each other, so their order has no effect. A kink comes before a
+        release that takes place on both of its sides.
 
         Raises:
             SimultaneousEventsError: If the order of two events matters. It names both events.
@@ -765,6 +781,9 @@ class GraphRun(ReferenceRun):
         impacts = [index for kind, index in events if kind is Kind.GAP]
         if len(events) < 2:
             return (events or zero)[0]
+        kinks = [index for kind, index in events if kind is Kind.SWITCH]
+        if not impacts and self._opens_beyond(kinks, events, closed, x):
+            return Kind.SWITCH, kinks[0]
         if not impacts or not all(
             kind is Kind.GAP or (kind is Kind.SWITCH and index >= self.graph.n_declared)
             for kind, index in events
@@ -774,6 +793,35 @@ class GraphRun(ReferenceRun):
         impacts.sort()
         self._require_apart(impacts, closed, arc.end_time, x)
         return Kind.GAP, impacts[0]
+
+    def _opens_beyond(
+        self,
+        kinks: Sequence[int],
+        events: Sequence[tuple[Kind, int]],
+        closed: tuple[int, ...],
+        x: Vector,
+    ) -> bool:
+        """Return True if one kink falls, and all others are stops that open on both its sides.
+
+        The flow does not change at a release, so the order of the kink and of the releases has no
+        effect if no stop is pressed beyond the kink.
+        """
+        if len(kinks) != 1 or kinks[0] < self.graph.n_declared:
+            return False
+        mode = closed, self._beyond(kinks[0], x)
+        for _, stop in [event for event in events if event[0] is Kind.MULTIPLIER]:
+            view = self.graph.holding(mode, stop)
+            value, rate = view.multiplier(x), view.multiplier_rate(x)
+            rounding = self.settings.contact * view.own.multiplier
+            if not (self._is_zero(value, rate, rounding) or value < -rounding):
+                return False
+        return True
+
+    def _beyond(self, kink: int, x: Vector) -> tuple[bool, ...]:
+        """Return the sides of all kinks beyond one of them, which is zero at a state."""
+        k = kink - self.graph.n_declared
+        sides = tuple(one ^ (i == k) for i, one in enumerate(self.sides))
+        return self.graph.sides_at(x, sides, (k,))
 
     def _main_is_zero(self, start: ArcStart, x: Vector) -> bool:
         """Return True if the guard of the stop that the run looks at falls through zero here."""
@@ -904,12 +952,10 @@ class GraphRun(ReferenceRun):
 
     def _change_side(self, switch: int, x: Vector) -> None:
         """Go to the other side of a switch. Conditions that depend on a kink may change as well."""
-        kink = switch - self.graph.n_declared
-        if kink < 0:
+        if switch < self.graph.n_declared:
             self.above = tuple(one ^ (k == switch) for k, one in enumerate(self.above))
         else:
-            sides = tuple(one ^ (k == kink) for k, one in enumerate(self.sides))
-            self.sides = self.graph.sides_at(x, sides, (kink,))
+            self.sides = self._beyond(switch, x)
 
     def _switched(self, start: ArcStart, time: float, x: Vector, s: int) -> ArcStart | None:
         """Apply a switch whose guard fell through zero.
@@ -958,9 +1004,7 @@ class GraphRun(ReferenceRun):
 
     def _require_continuous(self, kink: int, time: float, x: Vector) -> None:
         """Refuse a kink that changes the acceleration of the gap in every flight."""
-        k = kink - self.graph.n_declared
-        other = tuple(one ^ (i == k) for i, one in enumerate(self.sides))
-        other = self.graph.sides_at(x, other, (k,))
+        other = self._beyond(kink, x)
         here = self._view(self.rest, self.focus).gap_acceleration(x)
         there = self.graph.view((self.rest, other), self.focus).gap_acceleration(x)
         if abs(here - there) > _CONTINUOUS * abs(here):

@@ -339,6 +339,8 @@ class GraphDynamics:
     def slopes(self, x: Vector, sides: tuple[bool, ...]) -> Vector:
         """Return sizes of the derivatives of all guards with respect to the states.
 
+        Those with respect to the clock are zero: it has one direction, which the rates contain.
+
         Args:
             x: The state, ``(n_x,)``.
             sides: The side of every kink.
@@ -346,7 +348,9 @@ class GraphDynamics:
         Returns:
             The changes of the guards over the size of each state, ``(n_switches, n_x)``.
         """
-        sizes = np.diag(self.own.states(x.size) + np.abs(x))
+        every = self.own.states(x.size) + np.abs(x)
+        every[list(self.compiled.system(self.open_mode, 0).clock)] = 0.0
+        sizes = np.diag(every)
         return np.transpose([self._switches(x, size, sides)[1] for size in sizes]) / _ZERO
 
     def sides_at(
@@ -364,17 +368,17 @@ class GraphDynamics:
     def _sides_at(
         self, x: Vector, size: Vector, before: tuple[bool, ...], crossed: Sequence[int]
     ) -> tuple[bool, ...]:
-        sides, n, first = list(before), self.n_declared, 0
-        while first < len(sides):
+        sides, n, taken = list(before), self.n_declared, {*crossed}
+        while len(taken) < len(sides):
             guards, rounding, _ = self._switches(x, size, sides)
             clear = np.abs(guards[n:]) > rounding[n:]
             moved = clear & ((guards[n:] > 0.0) != sides)
-            changed = [k for k in np.flatnonzero(moved) if k >= first and k not in crossed]
+            changed = [k for k in np.flatnonzero(moved) if k not in taken]
             if not changed:
                 break
-            # Later conditions may depend on this one.
+            # Later conditions may depend on this one, and so may the use of earlier ones.
             sides[changed[0]] = not sides[changed[0]]
-            first = int(changed[0]) + 1
+            taken.add(int(changed[0]))
         return tuple(sides)
 
     def guard_gradient(

@@ -346,7 +346,8 @@ def _made(compiled: CompiledGraph) -> GraphProgram | str:
     if len(graph.time_orders) > binding.ORDERS:
         return f"it has {len(graph.time_orders)} pairs of switching times, and the loop takes fewer"
     first = View((), 0, (True,) * len(graph.conditions))
-    program = program_or_reason(compiled.system((first.closed, first.sides), 0))
+    system = compiled.system((first.closed, first.sides), 0)
+    program, clock = program_or_reason(system), system.clock
     if isinstance(program, str):
         return program
     formulas = GraphFormulas(
@@ -360,6 +361,7 @@ def _made(compiled: CompiledGraph) -> GraphProgram | str:
         delassus=compiled.delassus,
         resets=compiled.resets,
         orders=compiled.times,
+        clock=(clock[0], clock[-1] + 1) if clock else (0, 0),
     )
     try:
         made = GraphProgram(library, formulas)

@@ -1,0 +1,300 @@
+"""Kinks at the time of another kink, of a release or of an impact, and kinks that are undefined.
+
+A force that depends on the time alone has integrals as its truth: the speed is the integral of the
+force, the height the integral of the speed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.linalg import expm
+
+import zeno_orbits as zo
+from tests.loop.agreement import needs_compiler
+from tests.support.mechanisms import machine_of
+
+ca: Any = casadi
+
+_integral: Any = quad
+LOCATED = 1e-10
+"""Of times and states: a hundred times the tolerance of the integrator."""
+T0, UNTIL, G = 0.7, 1.2, 9.81
+"""Time at which events meet, end of the runs [s], and a weight [m/s2]."""
+S0, C0 = math.sin(T0), math.cos(T0)
+Force = Callable[[Any, Any, zo.Clock], Any]
+Truth = Callable[[float], float]
+
+
+@pytest.fixture(
+    autouse=True,
+    params=[
+        pytest.param("use", marks=needs_compiler),
+        pytest.param("never", marks=pytest.mark.slow),
+    ],
+)
+def loop(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run every test with the compiled loop and with its reference in Python."""
+    monkeypatch.setenv("ZENO_ORBITS_LOOP", request.param)
+
+
+def driven(force: Force, *start: float, e: float = 0.5) -> zo.Problem:
+    """Return masses over a floor each, at rest at some heights, under forces of a clock."""
+    n = len(start)
+
+    def model(p: Mapping[str, Any]) -> zo.CompletedSystem:
+        q, v, clock = ca.SX.sym("q", n), ca.SX.sym("v", n), zo.Clock.at(ca.SX(1.0))
+        mechanism = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.sumsqr(v) / 2,
+            potential=ca.SX(0),
+            applied_force=force(q, v, clock) + 0 * q,
+            clock=clock,
+            stops=tuple(zo.Stop(name=f"s{k}", gap=q[k], restitution=p["e"]) for k in range(n)),
+        )
+        return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
+
+    states = {f"x{k}": "m" for k in range(n)} | {f"v{k}": "m/s" for k in range(n)}
+    problem = machine_of(model, states | {"cosine": "1", "sine": "1"}, {"e": e})
+    heights = {f"x{k}": height for k, height in enumerate(start)}
+    return replace(problem, starts=({"cosine": 1.0, **heights},))
+
+
+def moved(force: Truth, height: float, begin: float = 0.0, speed: float = 0.0) -> list[float]:
+    """Return height and speed at the end of a run under a force of the time."""
+    options: dict[str, Any] = {"points": [T0], "epsabs": 1e-13, "epsrel": 1e-13}
+    gained: Any = _integral(force, begin, UNTIL, **options)[0]
+
+    def moment(time: float) -> float:
+        return (UNTIL - time) * force(time)
+
+    rise: Any = _integral(moment, begin, UNTIL, **options)[0]
+    return [height + speed * (UNTIL - begin) + rise, speed + gained]
+
+
+def step(condition: Any, high: float = 1.0) -> Any:
+    """Return a level where a condition holds, and else zero."""
+    return ca.if_else(condition, high, 0)
+
+
+def wave(clock: zo.Clock, time: float, level: float) -> Any:
+    """Return a piecewise input with a level from a time on."""
+    return zo.piecewise(clock, (0.0, level), (time,))
+
+
+# Two kinks of the clock at one time.
+
+MEETING: dict[str, tuple[Force, Truth]] = {
+    "steps": (
+        lambda _q, _v, c: step(c.sine > S0) + step(c.cosine < C0, 2),
+        lambda t: 3.0 * (t > T0),
+    ),
+    "step and corner": (
+        lambda _q, _v, c: step(c.cosine < C0) + ca.fabs(c.sine - S0),
+        lambda t: (t > T0) + abs(math.sin(t) - S0),
+    ),
+    "corners": (
+        lambda _q, _v, c: ca.fmax(c.sine, S0) - ca.fmin(c.cosine, C0),
+        lambda t: max(math.sin(t), S0) - min(math.cos(t), C0),
+    ),
+    "three": (
+        lambda _q, _v, c: (
+            step(c.sine > S0) + step(c.cosine < C0, 2) + step(c.sine > S0 / C0 * c.cosine, 4)
+        ),
+        lambda t: 7.0 * (t > T0),
+    ),
+    "waveforms": (
+        lambda _q, _v, c: wave(c, T0, 2.0) + zo.piecewise(c, (0.0, 1.0, 3.0), (T0, 5.0)),
+        lambda t: 3.0 * (t > T0),
+    ),
+    "one within the other": (
+        lambda _q, _v, c: ca.fmin(2, step(c.sine > S0, 5)) * step(c.cosine < C0),
+        lambda t: 2.0 * (t > T0),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MEETING)
+def test_kinks_of_the_clock_may_meet(name: str) -> None:
+    force, truth = MEETING[name]
+    run = zo.simulate(driven(force, 2.0), until=UNTIL)
+    assert run.end_state[:2] == pytest.approx(moved(truth, 2.0), abs=LOCATED)
+    assert [one.time for one in run.switches] == pytest.approx([T0], abs=LOCATED)
+
+
+def test_an_orbit_with_waveforms_that_meet_has_the_multipliers_of_its_flow() -> None:
+    def force(q: Any, v: Any, clock: zo.Clock) -> Any:
+        both = wave(clock, 2.0, 1.0) * (1 + 0.2 * q) + wave(clock, 2.0, 3.0)
+        return both - q - 0.3 * v - 5
+
+    orbit = zo.find_event_orbit(driven(lambda q, v, c: force(q - 9, v, c), 9.0))
+    turn = 2 * math.pi
+    flows = [np.array([[0, 1], [-1 + 0.2 * up, -0.3]]) for up in (0, 1)]
+    period: Any = expm(flows[1] * (turn - 2.0)) @ expm(flows[0] * 2.0)
+    wanted: list[complex] = np.linalg.eigvals(period).tolist()
+    assert sorted(map(abs, orbit.floquet_multipliers)) == pytest.approx(
+        sorted(map(abs, wanted)), abs=1e-9
+    )
+    assert orbit.certificate["passed"]
+
+
+MATTERS: dict[str, tuple[Force, float]] = {
+    "clock and speed": (lambda _q, v, c: 1 + step(c.sine > S0) + step(v > T0), 2.0),
+    "clock and height": (lambda q, _v, c: 2 + step(c.sine > S0) + step(q > 2 + T0**2), 2.0),
+    "speed and height": (lambda q, v, _c: 2 + step(v > 2 * T0) + step(q > 2 + T0**2), 2.0),
+}
+
+
+@pytest.mark.parametrize("name", MATTERS)
+def test_kinks_of_other_states_that_meet_are_refused(name: str) -> None:
+    force, height = MATTERS[name]
+    with pytest.raises(zo.SimultaneousEventsError, match="coincide to rounding: switch kink"):
+        zo.simulate(driven(force, height), until=UNTIL)
+
+
+# A release at a kink.
+
+
+def pull(clock: zo.Clock) -> Any:
+    """Return a force that presses a mass to its floor until the time at which events meet."""
+    return 3 * (clock.sine - S0)
+
+
+def pulled(t: float) -> float:
+    """Return the same force at a time."""
+    return 3 * (math.sin(t) - S0)
+
+
+RELEASES: dict[str, tuple[Force, Truth]] = {
+    "corner": (
+        lambda _q, _v, c: pull(c) + 2 * ca.fmax(c.sine - S0, 0),
+        lambda t: pulled(t) + 2 * max(math.sin(t) - S0, 0),
+    ),
+    "size": (
+        lambda _q, _v, c: pull(c) + ca.fabs(c.sine - S0),
+        lambda t: pulled(t) + abs(math.sin(t) - S0),
+    ),
+    "corner of the cosine": (
+        lambda _q, _v, c: pull(c) - ca.fmin(c.cosine - C0, 0),
+        lambda t: pulled(t) - min(math.cos(t) - C0, 0),
+    ),
+    "a step upwards": (
+        lambda _q, _v, c: pull(c) + step(c.sine > S0, 2),
+        lambda t: pulled(t) + 2.0 * (t > T0),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RELEASES)
+def test_a_stop_may_open_at_a_kink(name: str) -> None:
+    force, truth = RELEASES[name]
+    run = zo.simulate(driven(force, 0.0), until=UNTIL)
+    assert [one.time for one in run.releases] == pytest.approx([T0], abs=LOCATED)
+    assert run.end_state[:2] == pytest.approx(moved(truth, 0.0, begin=T0), abs=LOCATED)
+
+
+def test_a_kink_of_another_mass_may_meet_a_release() -> None:
+    def force(_q: Any, _v: Any, clock: zo.Clock) -> Any:
+        return ca.vertcat(pull(clock), step(clock.cosine < C0, 4))
+
+    run = zo.simulate(driven(force, 0.0, 1.0), until=UNTIL)
+    low, high = (
+        moved(pulled, 0.0, begin=T0),
+        moved(lambda t: 4.0 * (t > T0), 1.0),
+    )
+    wanted = [low[0], high[0], low[1], high[1]]
+    assert run.end_state[:4] == pytest.approx(wanted, abs=LOCATED)
+    assert [one.time for one in run.releases] == pytest.approx([T0], abs=LOCATED)
+
+
+PRESSED: dict[str, Force] = {
+    "step": lambda _q, _v, c: pull(c) + step(c.sine > S0, -2),
+    "corner": lambda _q, _v, c: pull(c) - 7 * ca.fmax(c.sine - S0, 0),
+    "size": lambda _q, _v, c: pull(c) - 4 * ca.fabs(c.sine - S0) + 4 * ca.fmax(S0 - c.sine, 0),
+}
+
+
+@pytest.mark.parametrize("name", PRESSED)
+def test_a_release_at_a_kink_beyond_which_the_stop_is_pressed_is_refused(name: str) -> None:
+    with pytest.raises(zo.SimultaneousEventsError, match="release s0"):
+        zo.simulate(driven(PRESSED[name], 0.0), until=UNTIL)
+
+
+# An impact at a kink.
+
+FALL = math.sqrt(2 / G)
+"""Time of a fall from one meter [s]."""
+IMPACTS: dict[str, Force] = {
+    "clock": lambda _q, _v, c: step(c.sine > math.sin(FALL)) - G,
+    "corner of the clock": lambda _q, _v, c: step(c.cosine < math.cos(FALL)) - G,
+    "speed and clock": lambda _q, v, c: (
+        step(c.sine > math.sin(FALL)) - 5 * ca.fmin(v + G * FALL, 0) - G
+    ),
+}
+
+
+@pytest.mark.parametrize("name", IMPACTS)
+def test_a_mass_may_strike_its_floor_at_a_kink(name: str) -> None:
+    run = zo.simulate(driven(IMPACTS[name], 1.0), until=0.8)
+    later, speed = 0.8 - FALL, 0.5 * G * FALL
+    wanted = [speed * later - (G - 1) * later**2 / 2, speed - (G - 1) * later]
+    assert [one.time for one in run.impacts] == pytest.approx([FALL], abs=LOCATED)
+    assert run.end_state[:2] == pytest.approx(wanted, abs=LOCATED)
+
+
+# Kinks that are undefined.
+
+UNDEFINED: dict[str, tuple[Force, Truth]] = {
+    "root": (
+        lambda _q, _v, c: ca.if_else(c.sine > S0, ca.fmin(1, 9 * ca.sqrt(c.sine - 0.3)), 0),
+        lambda t: 1.0 * (t > T0),
+    ),
+    "logarithm": (
+        lambda _q, _v, c: ca.if_else(c.sine < S0, 2, ca.fmax(-3, ca.log(c.sine - 0.6) - 9)),
+        lambda t: 2.0 if t < T0 else -3.0,
+    ),
+    "arc sine": (
+        lambda _q, _v, c: ca.if_else(c.cosine > C0, ca.fabs(c.cosine), ca.fabs(ca.asin(c.cosine))),
+        lambda t: math.cos(t) if t < T0 else math.asin(math.cos(t)),
+    ),
+    "never chosen": (
+        lambda q, _v, _c: ca.if_else(q > -1, 1, ca.fmax(ca.sqrt(-1 - q), 2)),
+        lambda _t: 1.0,
+    ),
+    "two levels": (
+        lambda _q, _v, c: ca.if_else(
+            c.sine > S0,
+            ca.if_else(ca.sqrt(c.sine - 0.4) > 0.1, ca.fmin(ca.log(c.sine - 0.4), 5), 7),
+            1,
+        ),
+        lambda t: math.log(math.sin(t) - 0.4) if t > T0 else 1.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNDEFINED)
+def test_a_kink_may_be_undefined_where_it_has_no_effect(name: str) -> None:
+    force, truth = UNDEFINED[name]
+    run = zo.simulate(driven(force, 9.0), until=UNTIL)
+    assert run.end_state[:2] == pytest.approx(moved(truth, 9.0), abs=LOCATED)
+
+
+NOT_A_NUMBER: dict[str, Force] = {
+    "root": lambda _q, _v, c: step(ca.sqrt(c.sine - 0.3) > 0.1),
+    "logarithm": lambda _q, _v, c: ca.if_else(c.sine < S0, step(ca.log(c.sine - 0.6) < 9), 1),
+    "arc sine": lambda _q, _v, c: ca.sign(ca.asin(2 * c.cosine)),
+}
+
+
+@pytest.mark.parametrize("name", NOT_A_NUMBER)
+def test_an_undefined_kink_that_has_an_effect_is_refused(name: str) -> None:
+    with pytest.raises(zo.SimulationError, match="must be a number, but it is NaN"):
+        zo.simulate(driven(NOT_A_NUMBER[name], 9.0), until=UNTIL)
