@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import casadi
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.mechanisms import machine_of
 from tests.support.random_formulas import BINARY, JUMPS, UNARY, random_formula
 from zeno_orbits.model.kinks import branched, sided
 from zeno_orbits.model.operations import without_calls
@@ -157,3 +159,102 @@ def test_a_kink_that_lies_on_a_stop_is_no_kink() -> None:
     assert machine(-ca.fmax(q - d, 0)).graph is None
     assert machine(-ca.fmax(3 * (q - d), 0)).graph is None
     assert len(machine(-ca.fmax(q - 0.9 * d, 0)).graph.conditions) == 1
+
+
+ROOTS: dict[str, tuple[Callable[[Any], Any], int]] = {
+    "of a multiple": (lambda x: ca.sqrt(3 * x[0] ** 2), 1),
+    "of a parameter times a square": (lambda x: ca.sqrt(ca.exp(P) * x[0] ** 2), 1),
+    "of a product": (lambda x: ca.sqrt(4 * x[0] * x[0] * (1 + x[1] ** 2)), 1),
+    "of a quotient": (lambda x: ca.sqrt(x[0] ** 2 / (1 + x[1] ** 2)), 1),
+    "of a sum": (lambda x: ca.sqrt(2 * x[0] ** 2 + x[0] ** 2 / 3), 1),
+    "of two squares": (lambda x: ca.sqrt(2 * x[0] ** 2 * x[1] ** 2), 1),
+    "of a power": (lambda x: ca.sqrt(2 * x[0] ** 6), 1),
+    "power 1.5": (lambda x: (2 * x[0] ** 2) ** 1.5, 1),
+    "of a fourth power": (lambda x: ca.sqrt(2 * x[0] ** 4), 0),
+    "of another length": (lambda x: ca.sqrt(x[0] ** 2 + 2 * x[1] ** 2), 0),
+    "without a zero": (lambda x: ca.sqrt(x[0] ** 2 + 1), 0),
+}
+
+
+@pytest.mark.parametrize("name", ROOTS)
+def test_a_root_of_a_square_is_a_kink(name: str) -> None:
+    formula, n = ROOTS[name]
+    written = formula(X)
+    conditions = branched([written], X).conditions
+    assert len(conditions) == n
+    original = ca.Function("original", [X, P], [written])
+    guards = [ca.Function("guard", [X, P], [one]) for one in conditions]
+    for x in np.random.default_rng(0).normal(size=(20, 3)):
+        sides = tuple(bool(guard(x, 0.3) > 0) for guard in guards)
+        smooth = branched([written], X, sides).formulas[0]
+        there = ca.Function("there", [X, P], [smooth, ca.jacobian(smooth, X)])
+        assert float(there(x, 0.3)[0]) == pytest.approx(float(original(x, 0.3)), rel=1e-13)
+        # Beyond the zero of its base, the branch goes on with its sign.
+        turned = np.array([-x[0], x[1], x[2]])
+        expected = (-1) ** n * float(original(x, 0.3))
+        assert float(there(turned, 0.3)[0]) == pytest.approx(expected, rel=1e-13)
+
+
+def _driven(force: Callable[[Any, Any], Any], start: dict[str, float]) -> zo.Problem:
+    def model(p: Any) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        mass = zo.HybridLagrangian.from_energies(
+            q=q, v=v, kinetic=v**2 / 2, potential=0 * q, passive_force=force(q, v), gap=q
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass), p["restitution"])
+
+    problem = machine_of(model, {"q": "m", "v": "m/s"}, {"restitution": 0.5})
+    return replace(problem, starts=(start,))
+
+
+DRAGS: dict[str, Callable[[Any], Any]] = {
+    "root of a multiple": lambda v: ca.sqrt(0.04 * v**2) * v,
+    "root of a product": lambda v: ca.sqrt(v * 0.04 * v) * v,
+}
+
+
+@pytest.mark.parametrize("name", DRAGS)
+def test_drag_by_a_root_of_a_square_moves_in_closed_form(name: str) -> None:
+    # Rising: v' = -g - k v^2, v = c tan(a - b t), c = sqrt(g/k), b = sqrt(g k). Falling: -c tanh.
+    g, k, up = 9.81, 0.2, 6.0
+    c, b = math.sqrt(g / k), math.sqrt(g * k)
+    top = math.atan(up / c) / b
+    height = 1.0 + math.log(1 + up**2 / c**2) / (2 * k)
+    fall = math.acosh(math.exp(k * height)) / b
+    run = zo.simulate(
+        _driven(lambda _, v: -g - DRAGS[name](v), {"q": 1.0, "v": up}), until=top + fall + 0.1
+    )
+    assert run.impacts[0].time == pytest.approx(top + fall, abs=1e-11)
+    assert run.impacts[0].approach_rate == pytest.approx(-c * math.tanh(b * fall), abs=1e-10)
+    assert run.switches[0].time == pytest.approx(top, abs=1e-11)
+
+
+POLES: dict[str, Callable[[Any, Any], Any]] = {
+    "fmin": lambda q, _v: ca.fmin(1, 1 / (q - 3)),
+    "nested": lambda _q, v: ca.fmax(-1, ca.fmin(1, 1 / v)),
+    "comparison": lambda q, _v: ca.if_else(1 / (q - 3) > 0, 1, 2),
+    "sign": lambda _q, v: ca.sign(1 / v),
+    "tangent": lambda _q, v: ca.fmin(1, ca.tan(v)),
+    "odd power": lambda _q, v: ca.fmin(1, v ** (-3)),
+    "a product": lambda q, v: ca.fmin(1, q / (v * (1 + q**2))),
+}
+
+
+@pytest.mark.parametrize("name", POLES)
+def test_a_condition_that_jumps_at_a_pole_is_refused_when_the_problem_is_loaded(name: str) -> None:
+    with pytest.raises(ValueError, match="of a quotient, which jumps where a denominator"):
+        _driven(POLES[name], {"q": 1.0}).checked()
+
+
+WITHOUT_A_JUMP: dict[str, Callable[[Any, Any], Any]] = {
+    "above the stop": lambda q, _v: ca.fmin(1, 1 / (q + 0.3)),
+    "a power above the stop": lambda q, _v: ca.fmin(1, 1 / (2 * q + 0.3) ** 3),
+    "even": lambda q, _v: ca.fmin(1, 1 / (q - 0.3) ** 2),
+    "positive in its form": lambda _q, v: ca.fmin(1, v / (1 + ca.fabs(v))),
+    "of a parameter": lambda _q, v: ca.fmin(1, v / 0.2),
+}
+
+
+@pytest.mark.parametrize("name", WITHOUT_A_JUMP)
+def test_a_quotient_without_a_jump_is_kept(name: str) -> None:
+    _driven(WITHOUT_A_JUMP[name], {"q": 1.0}).checked()

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
-from itertools import chain
+from functools import cache, reduce
+from itertools import chain, combinations
 from typing import Any
 
 import casadi as ca
@@ -34,6 +34,8 @@ _SMOOTH = frozenset(
     }
 )
 """Operations that are smooth where they are finite."""
+_ROOTS = frozenset({ca.OP_SQRT, ca.OP_POW, ca.OP_CONSTPOW})
+"""Smooth operations that have a kink where their argument is zero as a square is."""
 _BOUNDED = frozenset({ca.OP_ATAN, ca.OP_TANH, ca.OP_ERF})
 """Smooth operations that jump where their argument has a pole."""
 _PARTIAL = frozenset(
@@ -68,6 +70,8 @@ class _Value:
             nothing but the sides of kinks does not vary.
         quotient: Numerator and denominator of a quotient, else empty.
         is_partial: Whether the value may be undefined for some states.
+        factors: Factors of a product, else empty.
+        square: A base and a factor, if the value is the square of the base times the factor.
         reads: For the kinks whose condition may be undefined, 1 if the value depends on the side of
             the kink on this branch. A kink that is missing has no influence.
     """
@@ -78,6 +82,8 @@ class _Value:
     varies: bool = False
     quotient: tuple[_Value, ...] = ()
     is_partial: bool = False
+    factors: tuple[_Value, ...] = ()
+    square: tuple[_Value, ...] = ()
     reads: Mapping[int, ca.SX] = field(default_factory=dict[int, ca.SX])
 
 
@@ -120,8 +126,8 @@ class _Walk:
         """Return the result of a smooth operation."""
         slopes = self._no_slopes()
         if self.has_slopes and any(one.slopes.nnz() for one in parts):
-            factors = _partials(operation, len(parts)).call([one.smooth for one in parts])
-            for factor, one in zip(factors, parts, strict=True):
+            partials = _partials(operation, len(parts)).call([one.smooth for one in parts])
+            for factor, one in zip(partials, parts, strict=True):
                 if one.slopes.nnz():
                     slopes = slopes + factor * one.slopes
         quotient = tuple(parts) if operation == ca.OP_DIV else ()
@@ -129,6 +135,9 @@ class _Walk:
         reads = [one.reads for one in parts]
         if operation == ca.OP_IF_ELSE_ZERO:
             reads[1] = _chosen_reads(parts[0].smooth, reads[1], {})
+        factors: tuple[_Value, ...] = ()
+        if operation == ca.OP_MUL:
+            factors = tuple(chain(*(one.factors or (one,) for one in parts)))
         return _Value(
             _result(operation, [one.written for one in parts]),
             _result(operation, [one.smooth for one in parts]),
@@ -138,13 +147,57 @@ class _Walk:
             is_partial=any(one.is_partial for one in parts)
             or (operation in _PARTIAL and parts[operation == ca.OP_DIV].varies),
             reads=_union(reads),
+            factors=factors,
+            square=self._squared(operation, parts, factors) if varies else (),
         )
+
+    def _squared(
+        self, operation: int, parts: Sequence[_Value], factors: Sequence[_Value]
+    ) -> tuple[_Value, ...]:
+        """Return the base of a square and its factor, or nothing: products of squares are squares.
+
+        Of several squares with one base, the factors of a sum add up.
+        """
+        first, last = parts[0], parts[-1]
+        if operation == ca.OP_SQ:
+            return first, self.number(1.0)
+        for one, other in combinations(range(len(factors)), 2):
+            if factors[one].varies and _are_equal(factors[one], factors[other]):
+                rest = [part for k, part in enumerate(factors) if k not in (one, other)]
+                return factors[one], reduce(self._product, rest, self.number(1.0))
+        if operation in (ca.OP_POW, ca.OP_CONSTPOW) and last.written.is_constant():
+            half = float(last.written) / 2.0
+            if half.is_integer() and half > 0.0:
+                return self.made(operation, [first, self.number(half)]), self.number(1.0)
+        if operation in (ca.OP_NEG, ca.OP_TWICE) and first.square:
+            base, factor = first.square
+            return base, self.made(operation, [factor])
+        if operation in (ca.OP_ADD, ca.OP_SUB) and first.square and last.square:
+            (base, factor), (other, further) = first.square, last.square
+            if _are_equal(base, other):
+                return base, self.made(operation, [factor, further])
+        if operation == ca.OP_MUL and first.square and last.square:
+            return tuple(
+                self.made(ca.OP_MUL, pair) for pair in zip(first.square, last.square, strict=True)
+            )
+        if operation == ca.OP_MUL and last.square:
+            first, last = last, first
+        if operation in (ca.OP_MUL, ca.OP_DIV) and first.square:
+            base, factor = first.square
+            return base, self.made(operation, [factor, last])
+        return ()
+
+    def _product(self, one: _Value, other: _Value) -> _Value:
+        return self.made(ca.OP_MUL, [one, other])
 
     def side(self, condition: _Value, at_zero: bool = True) -> tuple[ca.SX, int | None]:
         """Return the side of a condition, 1 where it is positive, and keep a new condition.
 
         Returns:
             The side, and the index of the condition, ``None`` for a condition that is decided.
+
+        Raises:
+            ValueError: If the condition may change its sign at a pole.
         """
         if condition.written.is_constant():
             value = float(condition.written)
@@ -158,6 +211,13 @@ class _Walk:
             factor = _factor(condition.written, gap)
             if factor != 0.0:
                 return ca.SX(int(factor > 0.0)), None
+        if _has_pole(condition.written, self.states, self.gaps):
+            raise ValueError(
+                "Argument `model`: a formula holds a comparison, `fmin` or `fmax` of a quotient, "
+                "which jumps where a denominator of the states is zero: compare the numerator with "
+                "a multiple of the denominator, or write a denominator that is positive in its "
+                "form, as `1 + q**2`."
+            )
         self.conditions.append(condition)
         self.at_zero.append(at_zero)
         k = len(self.conditions) - 1
@@ -216,7 +276,25 @@ class _Walk:
             return self._length(*parts)
         if operation in _KINKS and varies:
             return self._kinked(operation, parts)
+        if operation in _ROOTS and varies and parts[0].square:
+            return self._root(operation, parts)
         return self.made(operation, parts)
+
+    def _root(self, operation: int, parts: Sequence[_Value]) -> _Value:
+        """Return a power of a square times a factor, with the size of the base: a kink."""
+        exponent = 0.5
+        if operation != ca.OP_SQRT:
+            if not parts[1].written.is_constant():
+                return self.made(operation, parts)
+            exponent = float(parts[1].written)
+        if exponent.is_integer():
+            return self.made(operation, parts)
+        base, factor = parts[0].square
+        size = base if _is_positive(base.written, zero=True) else self.on_branch(ca.OP_FABS, [base])
+        if exponent != 0.5:
+            size = self.made(ca.OP_POW, [size, self.number(2.0 * exponent)])
+        root = self.made(ca.OP_MUL, [size, self.on_branch(operation, [factor, *parts[1:]])])
+        return replace(root, written=_result(operation, [one.written for one in parts]))
 
     def _require_decided(self, operation: int, parts: Sequence[_Value]) -> None:
         """Refuse an operation that jumps with the states, other than by a comparison.
@@ -328,6 +406,10 @@ class _Walk:
         )
 
 
+def _are_equal(one: _Value, other: _Value) -> bool:
+    return bool(ca.is_equal(one.written, other.written, _DEPTH))
+
+
 def _picked(side: ca.SX, first: ca.SX, last: ca.SX) -> ca.SX:
     """Return the first value on side 1 and the last one on side 0, whatever the other one is."""
     if side.is_constant():
@@ -386,8 +468,16 @@ def _partials(operation: int, n: int) -> Any:
     return ca.Function("partials", parts, [ca.jacobian(result, one) for one in parts])
 
 
-def _has_pole(formula: ca.SX, states: ca.SX) -> bool:
-    """Return True if a denominator in a formula depends on the states and may be zero."""
+def _has_pole(formula: ca.SX, states: ca.SX, gaps: Sequence[ca.SX] | None = None) -> bool:
+    """Return True if a denominator in a formula depends on the states and may be zero.
+
+    Args:
+        formula: The formula.
+        states: The states.
+        gaps: Formulas that are not negative. If they are given, only a pole counts at which the
+            formula may change its sign.
+    """
+    changes_sign = gaps is not None
     seen: set[int] = set()
     waiting: list[Any] = [formula]
     while waiting:
@@ -406,9 +496,43 @@ def _has_pole(formula: ca.SX, states: ca.SX) -> bool:
             below = parts[-1:]
         else:
             below = parts[:1] if is_power and not _is_positive(parts[1], zero=True) else []
-        if any(ca.depends_on(one, states) and not _is_positive(one) for one in below):
-            return True
+        for one in chain(*map(_factors, below)):
+            if ca.depends_on(one, states) and not (
+                _is_positive(one, zero=changes_sign)
+                or any(_is_above(one, gap, states) for gap in gaps or ())
+            ):
+                return True
     return False
+
+
+def _factors(formula: Any) -> list[Any]:
+    """Return the factors of a product, and the base of a power with an odd exponent."""
+    operation = formula.op()
+    if operation == ca.OP_MUL:
+        return [*_factors(formula.dep(0)), *_factors(formula.dep(1))]
+    if operation in (ca.OP_POW, ca.OP_CONSTPOW) and formula.dep(1).is_constant():
+        is_even = (float(formula.dep(1)) / 2.0).is_integer()
+        return [formula.dep(0) ** 2] if is_even else _factors(formula.dep(0))
+    return [formula]
+
+
+def _is_above(formula: ca.SX, gap: ca.SX, states: ca.SX) -> bool:
+    """Return True if a formula is a positive multiple of a gap plus a positive parameter."""
+    by_formula, by_gap = (ca.jacobian(one, states).T for one in (formula, gap))
+    shared = [k for k in range(states.numel()) if not by_gap[k].is_zero()]
+    if not shared or by_formula[shared[0]].is_zero():
+        return False
+    factor: Any = by_formula[shared[0]] / by_gap[shared[0]]
+    rest: Any = formula - factor * gap
+    varied = ca.vertcat(ca.jacobian(rest, states).T, ca.jacobian(factor, states).T)
+    symbols = symbols_in(ca.vertcat(formula, gap))
+    found: Any = ca.Function("rest", symbols, [rest, factor, ca.norm_inf(varied)])
+    points = np.random.default_rng(0).uniform(0.5, 2.0, (_POINTS, len(symbols)))
+    values = [[float(one) for one in found(*point)] for point in points.tolist()]
+    return all(
+        left > 0.0 and scale > 0.0 and abs(slope) <= _SAME * (1.0 + abs(scale))
+        for left, scale, slope in values
+    )
 
 
 def _is_positive(formula: Any, *, zero: bool = False) -> bool:
@@ -461,7 +585,7 @@ def is_smooth(formulas: Sequence[ca.SX]) -> bool:
     flat: Any = ca.veccat(*formulas)
     function = ca.Function("formulas", symbols_in(flat), [flat])
     operations = {function.instruction_id(k) for k in range(function.n_instructions())}
-    return operations <= _SMOOTH - _BOUNDED - {ca.OP_HYPOT} | {
+    return operations <= _SMOOTH - _BOUNDED - _ROOTS - {ca.OP_HYPOT} | {
         *(ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
     }
 
@@ -569,7 +693,7 @@ def _of_conditions(function: Any) -> set[int]:
         operation = function.instruction_id(k)
         takes = operation not in (ca.OP_INPUT, ca.OP_CONST)
         sources.append([last[place] for place in function.instruction_input(k)] if takes else [])
-        if operation in _KINKS | _BOUNDED | {ca.OP_HYPOT}:
+        if operation in _KINKS | _BOUNDED | _ROOTS | {ca.OP_HYPOT}:
             needed.add(k)
         if operation != ca.OP_OUTPUT:
             last.update((place, k) for place in function.instruction_output(k))
