@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import casadi
@@ -18,6 +19,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import zeno_orbits as zo
+from tests.support.nested_kinks import FORCES, half_periods, nested_problem
 from tests.support.random_machines import RandomMachine
 from zeno_orbits.arrays import Vector
 
@@ -213,6 +215,26 @@ def test_multipliers_are_those_of_the_product_of_the_pieces(name: str) -> None:
     got = np.array(orbit.floquet_multipliers)
     assert orbit.period == pytest.approx(4.0, rel=1e-10)
     assert np.sort(np.abs(got))[::-1][:3] == pytest.approx(np.sort(np.abs(want))[::-1], abs=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORCES)
+def test_maps_and_orbits_have_the_multipliers_of_nested_kinks(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "nested.py"
+    file.write_text(nested_problem(FORCES[name][0]), encoding="utf-8")
+    up, down = half_periods(name)
+    eigenvalues: Any = np.linalg.eigvals
+    want: Any = np.sort(np.abs(eigenvalues(down[:2, :2] @ up[:2, :2])))
+    fixed: Any = np.linalg.solve(np.eye(2) - (down @ up)[:2, :2], (down @ up)[:2, 2])
+    orbit = zo.find_event_orbit(str(file))
+    begin = math.atan2(orbit.start_state["sine"], orbit.start_state["cosine"])
+    assert orbit.period == pytest.approx(2 * math.pi, rel=1e-10)
+    assert np.sort(np.abs(orbit.floquet_multipliers)) == pytest.approx(want, abs=1e-9)
+    run = zo.simulate(str(file), until=2 * math.pi - begin % (2 * math.pi), start=orbit.start_state)
+    assert run.end_state[:2] == pytest.approx(fixed, abs=1e-8)
+    plane = zo.parameter_map(str(file), x=("q", 0.0, 20.0, 2), y=("v", -3.0, 3.0, 2))
+    for one in plane.attractors:
+        assert np.sort(np.abs(one.multipliers)) == pytest.approx(want, abs=1e-7)
 
 
 def test_a_reset_takes_all_sides_anew() -> None:

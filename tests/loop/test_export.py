@@ -6,13 +6,12 @@ import math
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.commands import MISUSE, YES, ask
+from tests.support.nested_kinks import half_periods, nested_problem
 from tests.support.one_stop import GRAPHS, one_stop_problems
 from zeno_orbits.loop import binding
 from zeno_orbits.simulation import Impact, SwitchEvent, ZenoPoint, simulate
@@ -100,14 +99,12 @@ def test_machines_with_several_stops_or_switches_give_the_same_digits(name: str)
 
 
 def test_a_machine_with_nested_kinks_gives_the_same_digits() -> None:
-    Path("nested.py").write_text(NESTED, encoding="utf-8")
+    Path("nested.py").write_text(nested_problem(), encoding="utf-8")
     found = _events_of("nested.py", "--t-end", "7")
     assert found == _expected("nested.py", 7.0)
     # A limit and a table follow the wave: the force is 1.5 N, after half a period 0.3 N.
-    y = np.array([0.0, 0.0, 1.0])
-    for force, duration in ((1.5, math.pi), (0.3, math.pi)):
-        rates = np.array([[0, 1, 0], [-1, -0.25, force], [0, 0, 0]])
-        y = expm(rates * duration) @ y
+    up, down = half_periods("table")
+    y = down @ up @ (0.0, 0.0, 1.0)
     kind, numbers = found[-1]
     assert kind.startswith("switch")
     assert numbers[:3] == pytest.approx([2 * math.pi, *y[:2]], rel=1e-9)
@@ -116,49 +113,13 @@ def test_a_machine_with_nested_kinks_gives_the_same_digits() -> None:
 def test_a_short_pulse_is_not_lost_in_exported_code() -> None:
     width = 1e-7
     force = f"zo.piecewise(clock, (0, {1 / width!r}, 0), (1.0, 1.0 + {width!r}))"
-    Path("pulsed.py").write_text(NESTED.replace(FORCE, force), encoding="utf-8")
+    Path("pulsed.py").write_text(nested_problem(force), encoding="utf-8")
     found = _events_of("pulsed.py", "--t-end", "7")
     assert found == _expected("pulsed.py", 7.0)
     # The impulse is 1 N s, and the rounding of its ends is 1e-15 s.
     kind, numbers = found[1]
     assert kind.startswith("switch")
     assert numbers[:3] == pytest.approx([1.0 + width, 0.0, 1.0], abs=1e-7)
-
-
-FORCE = "table(ca.fmin(1, wave))"
-NESTED = """
-import casadi as ca
-import zeno_orbits as zo
-
-table = ca.interpolant("table", "linear", [[-1.0, 0.0, 1.0, 2.0]], [0.0, 0.3, 1.5, 1.5])
-
-
-def model(p):
-    q, v = ca.SX.sym("q"), ca.SX.sym("v")
-    clock = zo.Clock.at(ca.SX(1.0))
-    wave = ca.if_else(clock.sine > 0, 4, 0) * (1 + q**2)
-    mass = zo.HybridLagrangian.from_energies(
-        q=q, v=v, kinetic=v**2 / 2, potential=q**2 / 2, passive_force=-0.25 * v,
-        applied_force=table(ca.fmin(1, wave)), clock=clock,
-        stops=(zo.Stop(name="floor", gap=q + 50, restitution=p["restitution"]),),
-    )
-    return zo.hybrid_system(mass, zo.no_drive(mass))
-
-
-PROBLEM = zo.Problem(
-    name="nested",
-    title="mass on a limited wave",
-    source="closed form",
-    state_names=("q", "v", "cosine", "sine"),
-    state_units=("m", "m/s", "1", "1"),
-    parameters=(zo.Quantity.restitution(0.5),),
-    gains=(),
-    model=model,
-    starts=({"cosine": 1.0},),
-    portraits=(("q", "v"),),
-    amplitude_of="q",
-)
-"""
 
 
 @pytest.mark.slow

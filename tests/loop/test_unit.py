@@ -18,6 +18,7 @@ import pytest
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.commands import MISUSE, YES, ask
+from tests.support.nested_kinks import FORCES, half_periods, nested_problem
 from tests.support.one_stop import GRAPHS, one_stop_problems
 from zeno_orbits.simulation import Execution
 
@@ -204,6 +205,25 @@ def test_units_of_machines_with_several_stops_or_switches_follow_simulate(
         assert unit.get(f"zeno_points_{stop}") == len(points)
         assert unit.get(f"impacts_{stop}") == sum(one.stop == stop for one in run.impacts)
         assert unit.get(f"zeno_time_{stop}") == points[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORCES)
+def test_units_with_nested_kinks_move_in_closed_form(name: str) -> None:
+    Path("nested.py").write_text(nested_problem(FORCES[name][0]), encoding="utf-8")
+    answer = ask("export", "nested.py", "--fmu", "-o", name.replace(" ", "_"), "--t-end", "13")
+    assert answer.code == YES, answer.err
+    unit = Unit(next(Path(name.replace(" ", "_")).glob("*.fmu")))
+    assert unit.initialize(13.0) == OK
+    times = np.linspace(0.0, 4 * math.pi, 41).tolist()
+    found = _followed(unit, times, ("q", "v"))
+    up, down = half_periods(name)
+    y = np.array([0.0, 0.0, 1.0])
+    for k, half in enumerate((up, down, up, down), start=1):
+        y = half @ y
+        assert found[10 * k] == pytest.approx(y[:2], abs=1e-9)
+    run = zo.simulate("nested.py", until=13.0)
+    assert found == [run.state_at(time)[:2].tolist() for time in times]
 
 
 @pytest.mark.slow
