@@ -333,3 +333,24 @@ def test_a_ball_that_is_hardly_thrown_is_verified(above: float) -> None:
         lost = float(m * (rate * g / omega) ** 2 / 2)
     # The gap acceleration is at most a part `above` of gravity, of which 1e-16 is rounding.
     assert certificate.energies["impact_loss"] == pytest.approx(lost, rel=1e-12 / above)
+
+
+@pytest.mark.parametrize("above", [1e-5, 3e-6])
+@pytest.mark.parametrize("restitution", [pytest.param(0.0, marks=pytest.mark.slow), 0.3, 0.5])
+def test_events_of_a_ball_that_is_hardly_thrown_are_integrated_finer(
+    above: float, restitution: float
+) -> None:
+    # The error of a lower tolerance is above 1e-9, so the orbit would be refused.
+    parameters = {"restitution": restitution, "A": 9.81 * (1 + above) / 900}
+    orbit = zo.find_event_orbit("vibrating_table", parameters=parameters)
+    assert orbit.certificate["passed"]
+    # It is thrown where the table falls with the acceleration of gravity, once per turn.
+    thrown = next(event for event in orbit.events if event.name == "release stop")
+    # The angle is known to 1e-16 over its distance from the top.
+    top = math.sqrt(2 * above)
+    assert thrown.state["cosine"] == pytest.approx(
+        math.sqrt(1 - (1 + above) ** -2), abs=1e-15 / top
+    )
+    assert orbit.period == pytest.approx(2 * math.pi / 30, rel=1e-9)
+    for part in (3e-9, 1e-7):
+        assert not zo.verify(replace(orbit, period=orbit.period * (1 + part))).passed

@@ -55,7 +55,7 @@ from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.cross_checks import PeriodEnergies
 from zeno_orbits.verification.event_energies import event_energies, is_balanced
 from zeno_orbits.verification.event_margins import event_margins
-from zeno_orbits.verification.integration import error_by_repetition
+from zeno_orbits.verification.integration import decisive, error_by_repetition
 from zeno_orbits.verification.verifier import VerificationSettings
 from zeno_orbits.work import Progress, silent
 
@@ -90,6 +90,23 @@ class _Period:
     state: Vector
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Observation:
+    """The integrated orbit.
+
+    Attributes:
+        periods: The periods, empty if the first one is not finished.
+        trouble: Reason for an early end, else empty.
+        residuals: Residuals that belong to this integration.
+        integration_error: Relative difference from an integration at a looser tolerance.
+    """
+
+    periods: tuple[_Period, ...]
+    trouble: str
+    residuals: Mapping[str, float]
+    integration_error: float = math.inf
+
+
 def verify_events(
     orbit: EventOrbit,
     problem: Problem,
@@ -113,42 +130,26 @@ def verify_events(
     graph = problem.graph_dynamics(orbit.values(problem))
     start = np.array(problem.state_vector(orbit.start_state))
     on_progress("integrating the orbit", None)
-    periods, trouble = _periods(graph, orbit, start, settings.simulation, settings.n_periods)
     said = [_said(problem, event) for event in orbit.events]
-    residuals: dict[str, float] = dict.fromkeys(("events", "closure", "period"), math.inf)
+
+    def observed(simulation: SimulationSettings) -> _Observation:
+        return _observe(graph, orbit, start, said, replace(settings, simulation=simulation))
+
+    seen, simulation = decisive(observed, _worst, settings.simulation, settings.tolerance)
+    periods, trouble, residuals = seen.periods, seen.trouble, dict(seen.residuals)
     margins: dict[str, float] = {}
     quantities: dict[str, tuple[float, float]] = {}
     energies: Mapping[str, float] = {}
-    integration_error = math.inf
     if periods:
-        first, scale = periods[0], largest_states(periods[0].arcs, graph)
-        residuals = {
-            "events": _miss(orbit, said, first, scale),
-            "closure": _distance(first.state, start, scale),
-            "period": abs(first.end - orbit.period) / orbit.period,
-            **_impact_laws(graph, first),
-            **_sampled(graph, first),
-        }
-        if len(periods) == settings.n_periods > 1:
-            residuals["drift"] = max(_distance(one.state, start, scale) for one in periods)
+        first = periods[0]
         margins = event_margins(graph, start, first.events, first.arcs, first.end - first.start)
         quantities = _quantities(graph, first, start)
         on_progress("integrating the powers", None)
-        found = _energies(graph, orbit, start, settings.simulation)
+        found = _energies(graph, orbit, start, simulation)
         energies = found.values if found else {}
         if is_balanced(graph):
             residuals["energy_balance"] = found.imbalance if found else math.inf
-        on_progress("integrating at a looser tolerance", None)
-
-        def difference(looser: SimulationSettings) -> float:
-            others, _ = _periods(graph, orbit, start, looser, 1)
-            if not others:
-                return math.inf
-            later = abs(others[0].end - first.end) / first.end
-            return max(_distance(others[0].state, first.state, scale), later)
-
-        integration_error = error_by_repetition(difference, settings.simulation, settings.tolerance)
-        residuals["integration"] = integration_error
+        residuals["integration"] = seen.integration_error
     on_progress("computing the multipliers", None)
     known = Multipliers(values=(), error=math.inf, jacobian=np.zeros((0, 0)))
     with suppress(ZenoOrbitsError):
@@ -166,7 +167,7 @@ def verify_events(
         multiplier_error=known.error,
         delta_sweep=(),
         delta_order=_NO_SWEEP,
-        integration_error=integration_error,
+        integration_error=seen.integration_error,
         zeno_error=max(errors, default=0.0),
         period=periods[0].end if periods else math.nan,
         n_periods=settings.n_periods,
@@ -176,6 +177,46 @@ def verify_events(
         events=orbit.sequence,
         quantities=quantities,
     )
+
+
+def _observe(
+    graph: GraphDynamics,
+    orbit: EventOrbit,
+    start: Vector,
+    said: Sequence[tuple[str, float, Vector]],
+    settings: VerificationSettings,
+) -> _Observation:
+    """Return the periods of an orbit with their residuals, and the error of the integration."""
+    periods, trouble = _periods(graph, orbit, start, settings.simulation, settings.n_periods)
+    residuals: dict[str, float] = dict.fromkeys(("events", "closure", "period"), math.inf)
+    if not periods:
+        return _Observation(periods=(), trouble=trouble, residuals=residuals)
+    first, scale = periods[0], largest_states(periods[0].arcs, graph)
+    residuals |= {
+        "events": _miss(orbit, said, first, scale),
+        "closure": _distance(first.state, start, scale),
+        "period": abs(first.end - orbit.period) / orbit.period,
+        **_impact_laws(graph, first),
+        **_sampled(graph, first),
+    }
+    if len(periods) == settings.n_periods > 1:
+        residuals["drift"] = max(_distance(one.state, start, scale) for one in periods)
+
+    def difference(looser: SimulationSettings) -> float:
+        others, _ = _periods(graph, orbit, start, looser, 1)
+        if not others:
+            return math.inf
+        later = abs(others[0].end - first.end) / first.end
+        return max(_distance(others[0].state, first.state, scale), later)
+
+    error = error_by_repetition(difference, settings.simulation, settings.tolerance)
+    return _Observation(
+        periods=tuple(periods), trouble=trouble, residuals=residuals, integration_error=error
+    )
+
+
+def _worst(seen: _Observation) -> float:
+    return max(*seen.residuals.values(), seen.integration_error)
 
 
 def _periods(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -75,6 +76,37 @@ _LONGEST = 1e200
 _REPETITIONS = ((LOOSER, 1.0), (LOOSER / 10.0, 3.0))
 """Factors on the tolerances of a second integration, and the largest observed ratio of the error
 to the difference. A state inside a long step may differ by more than the looser tolerance."""
+
+
+_GROWN = 1e3
+"""Residual, in units of the tolerance, up to which it may be an error of the integration."""
+_FINER = 1e-2
+"""Tolerances of the decisive integration, in units of the usual tolerances."""
+
+Seen = TypeVar("Seen")
+
+
+def decisive(
+    observed: Callable[[SimulationSettings], Seen],
+    worst: Callable[[Seen], float],
+    settings: SimulationSettings,
+    enough: float,
+) -> tuple[Seen, SimulationSettings]:
+    """Return an observation and its settings, at finer tolerances if it is near to sufficient.
+
+    Over many impacts the errors of the integration may have grown to the size of a residual.
+
+    Args:
+        observed: Function of settings. It returns the observation with them.
+        worst: Function of an observation. It returns the largest residual.
+        settings: Settings of the first observation.
+        enough: Largest residual that passes.
+    """
+    seen = observed(settings)
+    if not 1.0 < worst(seen) / enough < _GROWN:
+        return seen, settings
+    finer = relaxed_tolerance(settings, factor=_FINER)
+    return observed(finer), finer
 
 
 def error_by_repetition(

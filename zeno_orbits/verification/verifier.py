@@ -23,7 +23,6 @@ from zeno_orbits.orbits import (
     digest_of,
     orbit_multipliers,
     place_on_section,
-    relaxed_tolerance,
     same_equations,
 )
 from zeno_orbits.simulation import SimulationSettings
@@ -35,7 +34,7 @@ from zeno_orbits.verification.cross_checks import (
     energies_of,
     second_model,
 )
-from zeno_orbits.verification.integration import FirstCycle, Observation, observe
+from zeno_orbits.verification.integration import FirstCycle, Observation, decisive, observe
 from zeno_orbits.verification.residuals import escapes_of, margins_of, orbit_residuals
 from zeno_orbits.verification.second_net import sampled_guards
 from zeno_orbits.work import Checked, Progress, checked, silent
@@ -66,11 +65,6 @@ class VerificationSettings(Checked):
 
 
 OrbitType = TypeVar("OrbitType", ZenoOrbit, EventOrbit)
-
-_GROWN = 1e3
-"""Residual, in units of the tolerance, up to which it may be an error of the integration."""
-_FINER = 1e-2
-"""Tolerances of the decisive integration, in units of the usual tolerances."""
 
 _SHARE = 0.1
 """Conservative ratio between the errors of the finer and of the looser integration."""
@@ -106,16 +100,14 @@ def verify(
     if dynamics is None:
         dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
     on_progress("integrating the orbit", None)
-    enough = settings.tolerance
-    seen = observe(dynamics, claim, settings.simulation, settings.n_periods, enough)
-    residuals = orbit_residuals(dynamics, problem, claim, seen)
-    worst = max(*residuals.values(), seen.integration_error) / settings.tolerance
-    if seen.first is not None and 1.0 < worst < _GROWN:
-        # Over many impacts the errors of the integration may have grown to this size.
-        finer = relaxed_tolerance(settings.simulation, factor=_FINER)
-        settings = replace(settings, simulation=finer)
-        seen = observe(dynamics, claim, finer, settings.n_periods, enough)
-        residuals = orbit_residuals(dynamics, problem, claim, seen)
+    n_periods, enough = settings.n_periods, settings.tolerance
+
+    def observed(simulation: SimulationSettings) -> tuple[Observation, dict[str, float]]:
+        seen = observe(dynamics, claim, simulation, n_periods, enough)
+        return seen, orbit_residuals(dynamics, problem, claim, seen)
+
+    (seen, residuals), simulation = decisive(observed, _worst, settings.simulation, enough)
+    settings = replace(settings, simulation=simulation)
     multipliers: Multipliers | None = None
     again = _CrossChecks()
     if seen.first is not None:
@@ -150,6 +142,12 @@ def verify(
         shape=claim.shape.text,
         open_balance=not problem.is_balanced,
     )
+
+
+def _worst(observed: tuple[Observation, Mapping[str, float]]) -> float:
+    """Return the largest residual and integration error, infinite without a period."""
+    seen, residuals = observed
+    return max(*residuals.values(), seen.integration_error) if seen.first else math.inf
 
 
 def _worse(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
