@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import zeno_orbits as zo
+from tests.support.browser import Browser
 from zeno_orbits.errors import InputError
 
 
@@ -72,6 +73,78 @@ def test_each_of_two_stops_has_the_duration_of_its_contact() -> None:
         place = page.index(f"rests on the stop {name} for")
         assert f"{lower:.6g}" in page[place : place + 100]
     assert "determine its state" in page
+
+
+@pytest.mark.parametrize(("name", "stops"), [("clapper", ["lower", "upper"]), ("hopper", [])])
+def test_the_page_zooms_into_the_zeno_point_of_every_stop(name: str, stops: list[str]) -> None:
+    page, zooms = _page(name), _curves(_page(name))["zeno"]
+    assert re.findall(r"Zoom into the Zeno point of (\w+)<", page) == stops
+    assert len(zooms) == len(stops)
+    assert [f'id="plot-zeno-{k}"' in page for k in range(3)] == [k < len(stops) for k in range(3)]
+    hits = [event.name for event in _orbit(name).events if event.name.startswith("impact")]
+    for stop, zoom in zip(stops, zooms, strict=True):
+        assert len(zoom["speeds"]["x"]) == hits.count(f"impact {stop}")
+
+
+def test_captions_name_states_as_their_axes_do() -> None:
+    page = _page("kneed_walker")
+    first = "d<i>q</i><sub>1</sub>/d<i>t</i> over <i>q</i><sub>1</sub>"
+    assert f"<figcaption>Phase portrait, {first}, over one period.</figcaption>" in page
+    assert 'aria-label="Phase portrait, dq1/dt over q1, over one period."' in page
+    assert "dq1 over q1" not in page
+
+
+LABELS = """
+const faults = [];
+document.querySelectorAll(".plot").forEach((place) => {
+  const whole = place.getBoundingClientRect(), name = place.id;
+  const inside = (r) => r.left >= whole.left - 1 && r.right <= whole.right + 1
+    && r.top >= whole.top - 1 && r.bottom <= whole.bottom + 1;
+  const texts = [...place.querySelectorAll("g.infolayer text, .xtick text, .ytick text")];
+  texts.filter((one) => !inside(one.getBoundingClientRect()))
+    .forEach((one) => faults.push(name + " cuts " + one.textContent));
+  const titles = [...place.querySelectorAll("g.infolayer text[class*=title]")];
+  titles.forEach((one, k) => titles.slice(k + 1).forEach((other) => {
+    const a = one.getBoundingClientRect(), b = other.getBoundingClientRect();
+    // Vertical titles of stacked panels stand side by side if their numbers differ in width.
+    const beside = a.left < b.right && b.left < a.right;
+    const stacked = a.height > a.width && b.height > b.width;
+    if ((beside || (stacked && name === "plot-series")) && a.top < b.bottom && b.top < a.bottom)
+      faults.push(name + ": " + one.textContent + " overlaps " + other.textContent);
+  }));
+});
+document.querySelectorAll("pre, .wide").forEach((one) => {
+  if (one.scrollWidth > one.clientWidth + 1)
+    faults.push("scrolls by " + (one.scrollWidth - one.clientWidth) + ": " + one.textContent);
+});
+if (document.documentElement.scrollWidth > innerWidth) faults.push("the page scrolls");
+return faults;
+"""
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("name", ["motor_cart", "relay", "hopper"])
+def test_labels_of_a_page_are_whole_and_apart_on_every_screen(
+    browser: Browser, tmp_path: Path, name: str, width: int
+) -> None:
+    # The cart has one stop and a long name, the relay two stops, the hopper switches alone.
+    page = zo.report_page(zo.find_orbit("motor_cart").unwrap()) if "cart" in name else _page(name)
+    path = tmp_path / "report.html"
+    path.write_text(page)
+    browser.emulate(width)
+    browser.open(path)
+    assert browser.run(LABELS) == []
+    # The check finds a title that is too long, and a command that is cut.
+    browser.run(
+        "const place = document.getElementById('plot-series');"
+        "Plotly.relayout(place, {'yaxis.title.text': 'a long title of a short axis [rad/s]',"
+        "  'yaxis2.title.text': 'another long title of a short axis [rad/s]'});"
+        "const pre = document.querySelector('pre');"
+        "pre.style.cssText = 'white-space: pre; overflow-x: auto; width: 300px'"
+    )
+    faults = browser.run(LABELS)
+    assert any("overlaps" in fault for fault in faults)
+    assert any(fault.startswith("scrolls") for fault in faults)
 
 
 def test_an_orbit_without_zeno_point_has_a_page_without_a_zoom() -> None:

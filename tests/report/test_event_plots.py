@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 
 import casadi as ca
@@ -146,17 +146,37 @@ def test_the_legend_lacks_a_contact_phase_that_is_a_point_of_the_portrait() -> N
     assert not any(label.startswith("locked arc") for label in _labels(figure))
 
 
-def test_the_gap_of_a_zoom_is_the_gap_of_the_stop_at_the_zeno_point() -> None:
-    orbit, problem = _orbit("clapper"), zo.load_problem("clapper")
+@pytest.mark.parametrize(
+    ("name", "gaps"),
+    [
+        ("clapper", {"lower": lambda q: 1.0 + q, "upper": lambda q: 1.0 - q}),
+        ("relay", {"open": lambda z: 9e-4 - z, "closed": lambda z: z}),
+    ],
+)
+def test_a_zoom_has_a_row_for_every_stop_with_its_own_gap_and_impacts(
+    name: str, gaps: dict[str, Callable[[float], float]]
+) -> None:
+    orbit, problem = _orbit(name), zo.load_problem(name)
     graph = problem.graph_dynamics(orbit.values(problem))
-    figure = plots.plot_zeno_neighbourhood(problem, _motion("clapper"), graph)
-    assert figure.axes[0].get_ylabel() == "gap $h$ of upper [m]"
-    times, gaps = _points(figure.axes[0].lines[1]).T
-    middle = len(times) // 2
-    place = _motion("clapper").state_at(float(times[middle]))[0]
-    assert gaps[middle] == pytest.approx(1.0 - place, abs=1e-12)
-    (speeds,) = [line for line in figure.axes[2].lines if line.get_label() == "before impact"]
-    assert len(_points(speeds)) == sum(event.name == "impact upper" for event in orbit.events)
+    figure = plots.plot_zeno_neighbourhood(problem, _motion(name), graph)
+    # The rows follow the Zeno points of the period.
+    assert [event.name.removeprefix("zeno ") for event in orbit.events if "zeno" in event.name] == [
+        *gaps
+    ]
+    assert len(figure.axes) == 3 * len(gaps)
+    for k, (stop, gap) in enumerate(gaps.items()):
+        first, flights, hits = figure.axes[3 * k : 3 * k + 3]
+        for ax, words in ((first, "gap $h$"), (flights, "gap $h$"), (hits, "impact speed")):
+            label = ax.get_ylabel().replace("\n", " ")
+            assert label.startswith(words)
+            assert f" of {stop} [" in label
+        times, drawn = _points(first.lines[1]).T
+        middle = len(times) // 2
+        place = float(_motion(name).state_at(float(times[middle]))[0])
+        assert drawn[middle] == pytest.approx(gap(place), abs=1e-12)
+        (speeds,) = [line for line in hits.lines if line.get_label() == "before impact"]
+        told = [event for event in orbit.events if event.name == f"impact {stop}"]
+        assert len(_points(speeds)) == len(told)
 
 
 @pytest.mark.slow

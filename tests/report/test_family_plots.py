@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -24,20 +26,20 @@ AMPLITUDES = (11.0, 12.0, 13.0, 14.0, 15.0)
 STABLE, UNSTABLE = slice(0, 3), slice(3, 5)
 
 
-def _point(k: int) -> FamilyPoint:
+def _point(k: int, periods: Sequence[float] = PERIODS) -> FamilyPoint:
     return FamilyPoint(
         value=VALUES[k],
         state={},
-        period=PERIODS[k],
+        period=periods[k],
         multipliers=(complex(-RADII[k]), complex(0.1)),
         margins={},
         miss=0.0,
     )
 
 
-def _family() -> Continuation:
+def _family(periods: Sequence[float] = PERIODS) -> Continuation:
     def end(k: int) -> SpecialPoint:
-        return SpecialPoint(kind=SpecialPointKind.BOUND, at=_point(k), error=0.0, index=k)
+        return SpecialPoint(kind=SpecialPointKind.BOUND, at=_point(k, periods), error=0.0, index=k)
 
     whole = Family(
         problem="motor_pendulum",
@@ -45,7 +47,7 @@ def _family() -> Continuation:
         gains={},
         parameters={},
         n_returns=1,
-        points=tuple(map(_point, range(len(VALUES)))),
+        points=tuple(_point(k, periods) for k in range(len(VALUES))),
         special=(),
         first=end(0),
         last=end(len(VALUES) - 1),
@@ -53,16 +55,35 @@ def _family() -> Continuation:
     return Continuation(families=(whole,))
 
 
-@pytest.fixture(name="panels", scope="module")
-def _panels() -> list[Axes]:
+def _drawn(
+    periods: Sequence[float] = PERIODS, amplitudes: Sequence[float] = AMPLITUDES
+) -> list[Axes]:
     with pytest.MonkeyPatch.context() as patch:
-        known = dict(zip(VALUES, AMPLITUDES, strict=True))
+        known = dict(zip(VALUES, amplitudes, strict=True))
 
         def amplitude(point: FamilyPoint) -> float:
             return known[point.value]
 
         patch.setattr(plots, "_amplitudes", lambda *_: amplitude)  # pyright: ignore
-        return plots.plot_families(_family(), load_problem("motor_pendulum")).axes
+        return plots.plot_families(_family(periods), load_problem("motor_pendulum")).axes
+
+
+@pytest.fixture(name="panels", scope="module")
+def _panels() -> list[Axes]:
+    return _drawn()
+
+
+@pytest.mark.parametrize(("change", "n"), [(0.0, 2), (1e-9, 2), (1e-4, 3)])
+def test_a_constant_period_has_no_panel(change: float, n: int) -> None:
+    panels = _drawn([0.7 * (1.0 + change * k) for k in range(len(VALUES))])
+    assert len(panels) == n
+    assert any(ax.get_ylabel().startswith("period") for ax in panels) == (n == 3)
+
+
+def test_the_rounding_of_a_constant_amplitude_is_not_seen() -> None:
+    panels = _drawn(amplitudes=[0.3 + 1e-16 * (k % 2) for k in range(len(VALUES))])
+    low, high = panels[1].get_ylim()
+    assert low < 0.29 < 0.31 < high
 
 
 def _line(ax: Axes, label: str) -> Line2D:

@@ -501,7 +501,7 @@ def test_the_plots_show_what_was_simulated(subject: Subject, page: str) -> None:
 
 
 def test_the_closeup_goes_on_where_the_simulation_ends(page: str) -> None:
-    zeno = plotted(page)["zeno"]
+    (zeno,) = plotted(page)["zeno"]
     flights = [arc for arc in zeno["arcs"] if arc["kind"] == "free" and arc["t"][0] < 0.0]
     # The first flight that is left out begins where the last one that was simulated ends: its time
     # is that of the tail, 2 w/(a (1 - e)) to first order in w, and w is 2e-6 there.
@@ -558,7 +558,7 @@ def press(browser: Browser, plot: str, step: str) -> None:
 
 
 PLOTS = (
-    *("portrait-0", "portrait-1", "series", "zeno", "gaps", "speeds", "stability", "trade"),
+    *("portrait-0", "portrait-1", "series", "zeno-0", "gaps-0", "speeds-0", "stability", "trade"),
     *("pushes-0", "pushes-1"),
 )
 
@@ -570,7 +570,7 @@ def test_the_page_opens_without_a_word_in_the_console(opened: Browser) -> None:
 
 def test_nothing_leaves_the_page(opened: Browser, page_file: Path) -> None:
     for step in ("in", "in", "out", "all"):
-        press(opened, "zeno", step)
+        press(opened, "zeno-0", step)
     # Data that is in the page already is asked of nobody.
     asked = [address for address in opened.requests() if not address.startswith("data:")]
     assert asked == [page_file.as_uri()]
@@ -626,36 +626,36 @@ def test_every_plot_is_there_and_shows_something(shown: Browser, plot: str) -> N
 def test_the_zoom_goes_by_decades_into_the_zeno_point(
     opened: Browser, subject: Subject, page: str
 ) -> None:
-    decades = plotted(page)["zeno"]["decades"]
-    press(opened, "zeno", "in")
+    decades = plotted(page)["zeno"][0]["decades"]
+    press(opened, "zeno-0", "in")
     widths = []
     for _ in range(decades):
-        low, high = range_of(opened, "zeno")
-        bottom, top = range_of(opened, "zeno", "yaxis")
+        low, high = range_of(opened, "zeno-0")
+        bottom, top = range_of(opened, "zeno-0", "yaxis")
         assert low < 0.0 < high
         assert bottom < 0.0 < top
         widths.append(high - low)
-        press(opened, "zeno", "in")
+        press(opened, "zeno-0", "in")
     ratios = [widths[k + 1] / widths[k] for k in range(len(widths) - 1)]
     assert ratios == pytest.approx([0.1] * len(ratios), rel=1e-9)
     # At the bottom the button rests, and the way back leads to the whole period.
-    button = 'button[data-plot="zeno"][data-zoom="in"]'
+    button = 'button[data-plot="zeno-0"][data-zoom="in"]'
     assert opened.driver.find_element("css selector", button).get_attribute("disabled")
-    press(opened, "zeno", "all")
-    low, high = range_of(opened, "zeno")
+    press(opened, "zeno-0", "all")
+    low, high = range_of(opened, "zeno-0")
     assert high - low == pytest.approx(subject.orbit.period, rel=1e-3)
     assert opened.complaints() == []
 
 
 @pytest.mark.slow
 def test_at_every_depth_flights_are_seen(opened: Browser, page: str) -> None:
-    for _ in range(plotted(page)["zeno"]["decades"]):
-        press(opened, "zeno", "in")
-        low, high = range_of(opened, "zeno")
-        bottom, top = range_of(opened, "zeno", "yaxis")
+    for _ in range(plotted(page)["zeno"][0]["decades"]):
+        press(opened, "zeno-0", "in")
+        low, high = range_of(opened, "zeno-0")
+        bottom, top = range_of(opened, "zeno-0", "yaxis")
         inside = opened.run(
             "const [low, high] = arguments; let most = 0;"
-            "for (const one of document.getElementById('plot-zeno').data)"
+            "for (const one of document.getElementById('plot-zeno-0').data)"
             "  one.x.forEach((x, i) => {"
             "    if (x > low && x < high) most = Math.max(most, one.y[i]);"
             "  });"
@@ -748,12 +748,14 @@ def test_pages_of_other_orbits_open_too(
     browser.complaints()
     browser.open(path)
     assert browser.run("return document.documentElement.dataset.plots") == "ready"
-    press(browser, "zeno", "in")
-    low, high = range_of(browser, "zeno")
+    press(browser, "zeno-0", "in")
+    low, high = range_of(browser, "zeno-0")
     assert low < 0.0 < high
     # A single impact is no sequence: nothing to see on logarithmic axes.
     alone = problem.values(parameters=parameters).parameters["restitution"] == 0.0
-    logarithmic = browser.run("return document.querySelectorAll('#plot-gaps, #plot-speeds').length")
+    logarithmic = browser.run(
+        "return document.querySelectorAll('#plot-gaps-0, #plot-speeds-0').length"
+    )
     assert logarithmic == (0 if alone else 2)
     assert browser.complaints() == []
 

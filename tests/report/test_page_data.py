@@ -150,7 +150,7 @@ def test_each_portrait_shows_what_its_axes_say(
 def test_the_closeup_shows_gap_and_speed_of_the_impacts(
     curves: dict[str, Any], execution: Execution
 ) -> None:
-    zeno = curves["zeno"]
+    (zeno,) = curves["zeno"]
     (point,) = execution.zeno_points
     # The gap of the pendulum is theta2.
     for one, arc in zip(zeno["arcs"], drawn_arcs(execution), strict=True):
@@ -388,10 +388,10 @@ def test_the_browser_draws_closeup_multipliers_and_trade(
 ) -> None:
     ((_, re, im),) = traces(opened, "stability")
     assert list(map(complex, re, im)) == list(MULTIPLIERS)
-    zeno, shown = curves["zeno"], traces(opened, "zeno")
+    (zeno,), shown = curves["zeno"], traces(opened, "zeno-0")
     for one, trace in zip([*zeno["arcs"], *zeno["tail"]], shown, strict=False):
         assert trace[1:] == (one["t"], one["h"])
-    law, hits = traces(opened, "speeds")
+    law, hits = traces(opened, "speeds-0")
     assert law[1:] == (zeno["law"]["x"], zeno["law"]["y"])
     assert hits[1:] == (zeno["speeds"]["x"], zeno["speeds"]["y"])
     front, *lines = traces(opened, "trade")
@@ -404,10 +404,10 @@ def test_the_browser_draws_closeup_multipliers_and_trade(
 def test_the_gaps_on_logarithmic_axes_are_those_of_the_closeup(
     opened: Browser, curves: dict[str, Any]
 ) -> None:
-    zeno = curves["zeno"]
+    (zeno,) = curves["zeno"]
     flights = [one for one in zeno["arcs"] if one["kind"] == "free" and one["t"][0] < 0.0]
     flights += zeno["tail"]
-    for one, (_, x, y) in zip(flights, traces(opened, "gaps"), strict=True):
+    for one, (_, x, y) in zip(flights, traces(opened, "gaps-0"), strict=True):
         peak = int(np.argmax(one["h"]))
         assert max(y) == one["h"][peak]
         assert x[int(np.argmax(y))] == -one["t"][peak]

@@ -20,6 +20,7 @@ from tests.support.disturbances import pushes_of, recovery_of
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.report import Subject, load_bundle, page_of
 from zeno_orbits.report.plots import plot_pushes
+from zeno_orbits.report.terminal import print_pushes
 
 ONE = ("--periods", "1")
 EVIL = "</script><script>window.taken = 1</script><img src=x>\"'&"
@@ -121,8 +122,8 @@ def test_the_points_of_the_pictures_are_those_of_the_file(subject: Subject) -> N
     page = page_of(replace(subject, pushes=pushes), load_bundle())
     panels = drawn_in(page)
     assert [panel["label"] for panel in panels] == [
-        "impulse along 1*theta1 +1*theta2 [N m s]",
-        "impulse along 1*theta1 -1*theta2 [N m s]",
+        "impulse along <i>θ</i><sub>1</sub> + <i>θ</i><sub>2</sub> [N m s]",
+        "impulse along <i>θ</i><sub>1</sub> - <i>θ</i><sub>2</sub> [N m s]",
         "impulse along <i>θ</i><sub>2</sub> [N m s]",
     ]
     listed = pushes.as_json()["pushes"]
@@ -148,7 +149,9 @@ def test_the_figure_of_pushes_has_the_same_points(orbit: zo.ZenoOrbit) -> None:
     directions = ({"theta1": 1.0, "theta2": 1.0}, {"theta1": 1.0, "theta2": -1.0})
     pushes = pushes_of(orbit, directions=directions)
     figure = plot_pushes(pushes)
-    assert len(figure.axes) == 2
+    assert [ax.get_ylabel() for ax in figure.axes] == [
+        f"impulse along $\\theta_{{1}}$ {sign} $\\theta_{{2}}$ [N m s]" for sign in "+-"
+    ]
     for ax, direction in zip(figure.axes, directions, strict=True):
         wanted: dict[str, list[tuple[float, float]]] = {"lost beyond": [], "end of the scan": []}
         for one in pushes.pushes:
@@ -162,6 +165,31 @@ def test_the_figure_of_pushes_has_the_same_points(orbit: zo.ZenoOrbit) -> None:
                 points = zip(line.get_xdata(), line.get_ydata(), strict=True)
                 assert sorted(points) == sorted(wanted.pop(str(line.get_label())))
         assert not wanted
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.3, 1.0])
+def test_the_summary_of_pushes_counts_the_losses_and_names_sizes_that_return(
+    orbit: zo.ZenoOrbit, capsys: pytest.CaptureFixture[str], lost: float
+) -> None:
+    directions = ({"theta1": 1.0}, {"theta1": 1.0, "theta2": -2.0})
+    pushes = pushes_of(orbit, directions=directions, lost=lost)
+    print_pushes(pushes)
+    last = capsys.readouterr().out.splitlines()[-1]
+    listed = pushes.as_json()["pushes"]
+    losses = [one for one in listed if one["largest"] is not None]
+    assert f"Rows with a lost impulse: {len(losses)} of {len(listed)}" in last
+    assert all(f"{one['beyond']} 1" in last for one in losses)
+    assert ("(" in last) == bool(losses)
+    for direction, name in zip(directions, ("theta1", "theta1 - 2 theta2"), strict=True):
+        (told,) = re.findall(rf"([\d.]+) N m s along {re.escape(name)}(?: and|\.)", last)
+        sizes = [
+            one["searched"] if one["largest"] is None else one["largest"]
+            for one in listed
+            if {key: abs(v) for key, v in one["direction"].items()}
+            == {key: abs(v) for key, v in direction.items()}
+        ]
+        # The size is rounded down to three digits.
+        assert 0.99 * min(sizes) < float(told) <= min(sizes)
 
 
 def test_every_push_of_the_file_is_a_row(subject: Subject) -> None:

@@ -324,14 +324,14 @@ def test_what_is_known_of_the_error_is_told_and_what_is_not_is_not() -> None:
 def test_a_page_shows_as_many_pictures_of_a_zeno_point_as_there_are_flights() -> None:
     hop = arc(Mode.FREE, [0.5, 0.75], [(0, 2, 0), (0, -2, 0)])
     page = _page(execution=_execution(*HITS, LIMIT, RELEASE, arcs=[FLIGHT, hop, REST]))
-    assert 'id="plot-gaps"' in page
+    assert 'id="plot-gaps-0"' in page
     assert "A single impact" not in page
     page = _page(execution=_execution(HITS[0], LIMIT, RELEASE))
-    assert 'id="plot-gaps"' not in page
+    assert 'id="plot-gaps-0"' not in page
     assert "A single impact leads to the Zeno point" in page
     for execution in (_execution(*HITS), None):
         page = _page(execution=execution)
-        assert 'id="plot-zeno"' not in page
+        assert 'id="plot-zeno-0"' not in page
 
 
 def test_commands_stand_one_a_line_and_the_file_is_inside() -> None:

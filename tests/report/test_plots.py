@@ -566,13 +566,17 @@ def test_the_cells_of_a_map_have_the_colours_of_their_fates() -> None:
         assert tuple(cell) == pytest.approx(entries[attractor.phrase].get_facecolor())
 
 
-def test_boundaries_are_drawn_on_top_of_a_map_and_leave_its_limits() -> None:
+def test_the_axes_of_a_map_end_at_its_range_also_under_boundaries() -> None:
     curve = Boundary(name="flip", points=((0.0, -1.5), (9.0, -1.5)))
-    figure = plot_map(small_map(*EVERY_FATE), boundaries=[curve])
+    found = small_map(*EVERY_FATE)
+    for curves in ((), (curve,)):
+        (ax,) = plot_map(found, boundaries=curves).axes
+        assert ax.get_xlim() == (found.x.lower, found.x.upper)
+        assert ax.get_ylim() == (found.y.lower, found.y.upper)
+    figure = plot_map(found, boundaries=[curve])
     (ax,) = figure.axes
     assert "flip" in _legend(figure)
     assert any(np.array_equal(line.get_xdata(), [0.0, 9.0]) for line in ax.lines)
-    assert ax.get_xlim() == pytest.approx((0.5, 3.5))
 
 
 def test_a_map_of_one_fate_has_no_contours() -> None:

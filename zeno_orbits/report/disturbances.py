@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
+from zeno_orbits.report.push_panels import push_panels
+from zeno_orbits.report.symbols import direction_symbol
 from zeno_orbits.report.table import Column, number_column, text_column
+from zeno_orbits.work import decimal_below
 
 if TYPE_CHECKING:
     from zeno_orbits.maps import Push, Pushes, Recovery
@@ -44,6 +49,22 @@ def scan_line(found: Pushes) -> str:
     """Return the extent of the search as sentences."""
     scan = f"{found.settings.steps} impulses scanned in each direction and sense"
     return f"{scan}. Each motion was simulated for {found.until:g} s at most."
+
+
+def summary_line(found: Pushes) -> str:
+    """Return the sizes that return at every phase, and the number of rows with a loss."""
+    sizes: list[str] = []
+    for panel in push_panels(found):
+        least = min(abs(impulse) for _, impulse in (*panel.lost, *panel.kept))
+        along = direction_symbol(panel.direction, str)
+        sizes.append(f"{decimal_below(Fraction(least), 3)} {panel.unit} along {along}")
+    ends = Counter(push.beyond for push in found.pushes if math.isfinite(push.largest))
+    words = ", ".join(f"{beyond} {count}" for beyond, count in ends.most_common())
+    return (
+        f"At every phase and in both senses, the motion returns from each scanned impulse up to "
+        f"{' and '.join(sizes)}. Rows with a lost impulse: {ends.total()} of {len(found.pushes)}"
+        f"{f' ({words})' if words else ''}."
+    )
 
 
 PUSHES: list[Column[Push]] = [

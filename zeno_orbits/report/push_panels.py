@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from zeno_orbits.maps import Push, Pushes
@@ -17,7 +18,7 @@ class PushPanel:
     """The pushes of one direction over the phase.
 
     Attributes:
-        along: Direction as text.
+        direction: Coordinate to entry of the generalized force, in the positive sense.
         unit: Unit of the impulses.
         phases: Phases, in order.
         contact: Phases at which the orbit is in contact.
@@ -26,7 +27,7 @@ class PushPanel:
         kept: Ends of the scans without a loss.
     """
 
-    along: str
+    direction: Mapping[str, float]
     unit: str
     phases: tuple[float, ...]
     contact: tuple[float, ...]
@@ -54,7 +55,7 @@ def _panel(pushes: list[Push]) -> PushPanel:
     lost = [push for push in pushes if math.isfinite(push.largest)]
     kept = [push for push in pushes if math.isnan(push.largest)]
     return PushPanel(
-        along=forward[0].name.removeprefix("+"),
+        direction=forward[0].direction,
         unit=forward[0].unit,
         phases=tuple(sorted({push.phase for push in pushes})),
         contact=tuple(push.phase for push in forward if push.mode == Mode.LOCKED.value),

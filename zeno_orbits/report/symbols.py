@@ -3,7 +3,7 @@ r"""Names as they stand in formulas: ``Kp`` is :math:`K_p`, ``dtheta1`` :math:`\
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -79,6 +79,22 @@ def _symbol(name: str, states: Sequence[str]) -> _Symbol | str:
         return f"rate of {stem}" if dotted else name.replace("_", " ")
     letter = "i" if parts[1] == "current" else parts[1]
     return _Symbol(letter=letter, below=parts[2], dotted=dotted)
+
+
+def direction_symbol(direction: Mapping[str, float], symbol: Callable[[str], str]) -> str:
+    """Return a direction as a sum of symbols, such as ``theta1 - 0.5 theta2``.
+
+    Args:
+        direction: Coordinate to entry, the first entry positive.
+        symbol: Function from a name to its symbol.
+    """
+    words = ""
+    for name, entry in direction.items():
+        if entry:
+            sign = (" - " if entry < 0.0 else " + ") if words else ""
+            factor = "" if abs(entry) == 1.0 else f"{abs(entry):g} "
+            words += f"{sign}{factor}{symbol(name)}"
+    return words
 
 
 def label_of(problem: Problem, index: int) -> str:

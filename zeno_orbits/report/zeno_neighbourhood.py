@@ -1,4 +1,4 @@
-"""The neighbourhood of a Zeno point: the flights that lead to it, and those left to its tail."""
+"""The neighbourhoods of Zeno points: the flights that lead to them, and the flights of the tail."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
 from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.simulation import Arc, Ending, Execution, Impact, ZenoPoint
 
@@ -19,11 +18,11 @@ SAMPLES = 160
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloseUp:
-    """The last Zeno point of an execution and the motion that leads to it.
+    """The last Zeno point of a stop and the motion that leads to it.
 
     Attributes:
         arcs: Arcs since the release before it, without the tail of the impact sequence.
-        dynamics: The system that was simulated.
+        dynamics: The system that was simulated, with the gap of the stop.
         zeno: The Zeno point.
         impacts: The impacts that lead to it.
         flights: The arcs between them, empty if a single impact reaches the Zeno point.
@@ -90,22 +89,31 @@ class CloseUp:
         return flights
 
 
-def close_up(execution: Execution, dynamics: HybridDynamics | GraphDynamics) -> CloseUp:
-    """Return the neighbourhood of the last Zeno point.
+def close_ups(
+    execution: Execution, dynamics: HybridDynamics | GraphDynamics
+) -> tuple[CloseUp, ...]:
+    """Return the neighbourhood of the last Zeno point of every stop, in the order of their times.
 
-    In a machine with several stops, the gap and the impacts are those of the stop of the Zeno
-    point, and the neighbourhood begins where this stop opens.
+    Gap and impacts are those of the stop, and its neighbourhood begins where the stop opens.
 
     Args:
         execution: The execution.
         dynamics: The system that was simulated.
 
-    Raises:
-        InputError: If the execution reaches no Zeno point.
+    Returns:
+        The neighbourhoods, without those of stops whose impacts are all before the execution.
     """
-    if not execution.zeno_points:
-        raise InputError("Argument `execution` lacks a Zeno point.")
-    zeno = execution.zeno_points[-1]
+    last: dict[str, CloseUp] = {}
+    for zeno in reversed(execution.zeno_points):
+        if zeno.stop not in last:
+            one = _close_up(execution, dynamics, zeno)
+            last |= {zeno.stop: one} if one.impacts else {}
+    return tuple(reversed(last.values()))
+
+
+def _close_up(
+    execution: Execution, dynamics: HybridDynamics | GraphDynamics, zeno: ZenoPoint
+) -> CloseUp:
     if isinstance(dynamics, GraphDynamics):
         tail = next(arc for arc in execution.arcs if arc.end_time == zeno.time)
         stop = dynamics.stop_names.index(zeno.stop)
@@ -120,6 +128,7 @@ def close_up(execution: Execution, dynamics: HybridDynamics | GraphDynamics) -> 
         for event in execution.impacts
         if begin <= event.time <= zeno.time and event.stop == zeno.stop
     )
+    first = impacts[0].time if impacts else zeno.time
     resolved = [arc for arc in execution.arcs if arc.ending is not Ending.ZENO]
     arcs = tuple(arc for arc in resolved if arc.start_time >= begin)
     return CloseUp(
@@ -127,5 +136,5 @@ def close_up(execution: Execution, dynamics: HybridDynamics | GraphDynamics) -> 
         dynamics=dynamics,
         zeno=zeno,
         impacts=impacts,
-        flights=tuple(arc for arc in arcs if impacts[0].time <= arc.start_time < zeno.time),
+        flights=tuple(arc for arc in arcs if first <= arc.start_time < zeno.time),
     )

@@ -7,7 +7,7 @@
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const narrow = () => document.documentElement.clientWidth < 600;
   const touched = window.matchMedia("(pointer: coarse)");
-  const level = { series: 0, zeno: 0 };
+  const level = { series: 0 };
   let colour = {};
 
   function readColours() {
@@ -24,6 +24,13 @@
       linecolor: colour.line, gridcolor: colour.grid, ticks: "outside", tickcolor: colour.line,
       exponentformat: "power", showexponent: "all", minexponent: 3, tickangle: 0, ...more,
     };
+  }
+
+  // A title in lines that are shorter than its axis, its unit in one piece.
+  function folded(title, room) {
+    const most = room / 8, seen = (text) => text.replace(/<[^>]*>/g, "").replace(/&\w+;/g, "x").length;
+    const words = title.replace(/ (?=[^[\]]*\]$)/g, "\u00a0").split(" ");
+    return words.reduce((text, word) => text + (seen(text.split("<br>").pop() + word) < most ? " " : "<br>") + word);
   }
 
   // A logarithmic axis over some values, with at most some six labels, all of them powers of ten.
@@ -69,6 +76,11 @@
     if (!place) return;
     const { height = 340, ...rest } = shape;
     place.style.height = height + "px";
+    Object.entries(rest).filter(([key]) => /^[xy]axis/.test(key)).forEach(([key, one]) => {
+      const [low, high] = one.domain || [0, 1];
+      const room = key[0] === "y" ? (high - low) * (height - 90) : place.clientWidth - 90;
+      one.title.text = folded(one.title.text, room);
+    });
     window.Plotly.react(place, traces, layout(rest), config);
   }
 
@@ -134,9 +146,7 @@
     zoomTo("series");
   }
 
-  function drawZeno() {
-    const zeno = data.zeno;
-    if (!zeno) return;
+  function drawZeno(zeno, k) {
     const gapTitle = "gap h [" + zeno.unit + "]";
     const law = { color: colour.law, width: 2, dash: "dash", simplify: false };
     const flights = [
@@ -148,12 +158,12 @@
       hovertemplate: "%{x:.6g} s: %{y:.6g}<extra>" + one.name + "</extra>",
     }));
     traces.push(spots({ x: [0], y: [0] }, "Zeno point", { symbol: "star", size: 14, color: colour.zeno, line: { width: 1, color: colour.ink } }));
-    draw("zeno", traces, { xaxis: axis("time from the Zeno point [s]", { nticks: narrow() ? 4 : 8 }), yaxis: axis(gapTitle), height: 400 });
-    zoomTo("zeno");
-    drawLogarithmic(zeno, flights, gapTitle, law);
+    draw("zeno-" + k, traces, { xaxis: axis("time from the Zeno point [s]", { nticks: narrow() ? 4 : 8 }), yaxis: axis(gapTitle), height: 400 });
+    zoomTo("zeno-" + k);
+    drawLogarithmic(zeno, k, flights, gapTitle, law);
   }
 
-  function drawLogarithmic(zeno, all, gapTitle, law) {
+  function drawLogarithmic(zeno, k, all, gapTitle, law) {
     const left = "time left to the Zeno point [s]", reversed = { autorange: "reversed" };
     const flights = all.filter((one) => one.kind !== "locked" && one.t[0] < 0);
     // A gap of zero has no logarithm: every flight starts and ends at the floor.
@@ -165,14 +175,14 @@
         hovertemplate: "%{x:.4g} s left: %{y:.4g}<extra>" + one.name + "</extra>",
       };
     });
-    draw("gaps", traces, {
+    draw("gaps-" + k, traces, {
       xaxis: decades(left, traces.flatMap((one) => one.x), reversed), yaxis: decades(gapTitle, traces.flatMap((one) => one.y)),
     });
     const speeds = [
       { x: zeno.law.x, y: zeno.law.y, mode: "lines", type: "scatter", line: law, name: "first-order law", hoverinfo: "name" },
       { ...spots(zeno.speeds, "impact", { symbol: "circle-open", size: 9, line: { width: 1.8 } }), hovertemplate: "%{x:.6g} s left: %{y:.6g}<extra>impact</extra>" },
     ];
-    draw("speeds", speeds, {
+    draw("speeds-" + k, speeds, {
       xaxis: decades(left, [...zeno.law.x, ...zeno.speeds.x], reversed),
       yaxis: decades("speed of the impact [" + zeno.unit + "/s]", [...zeno.law.y, ...zeno.speeds.y]),
     });
@@ -282,15 +292,19 @@
 
   // Window of a plot at its present zoom: the first step leaves the whole motion, each other tenfold.
   function windowOf(name) {
-    const k = level[name];
+    const k = level[name] || 0;
     if (name === "series") {
       const { zeno, end } = data.series, half = end * Math.pow(10, -k) / 2;
       return k === 0 || zeno === null ? [0, end] : [zeno - half, zeno + half];
     }
-    const { length, start, end } = data.zeno;
+    const { length, start, end } = zenoOf(name);
     if (k === 0) return [start, end];
     const unit = length * Math.pow(10, 1 - k);
     return [-1.15 * unit, 0.35 * unit];
+  }
+
+  function zenoOf(name) {
+    return data.zeno[Number(name.split("-")[1])];
   }
 
   function valuesIn(trace, low, high) {
@@ -326,19 +340,19 @@
     const most = deepest(name);
     document.querySelectorAll('button[data-plot="' + name + '"]').forEach((button) => {
       const step = button.dataset.zoom;
-      button.disabled = step === "in" ? level[name] >= most : level[name] === 0;
+      button.disabled = step === "in" ? (level[name] || 0) >= most : !level[name];
     });
   }
 
   function deepest(name) {
     if (name === "series") return data.series.zeno === null ? 0 : data.series.decades;
-    return data.zeno.decades > 0 ? 1 + data.zeno.decades : 1;
+    return 1 + Math.max(0, zenoOf(name).decades);
   }
 
   function onZoom(event) {
     const { plot, zoom } = event.currentTarget.dataset;
     const step = zoom === "in" ? 1 : -1;
-    level[plot] = zoom === "all" ? 0 : Math.max(0, Math.min(deepest(plot), level[plot] + step));
+    level[plot] = zoom === "all" ? 0 : Math.max(0, Math.min(deepest(plot), (level[plot] || 0) + step));
     zoomTo(plot);
   }
 
@@ -348,7 +362,7 @@
     readColours();
     drawPortraits();
     drawSeries();
-    drawZeno();
+    (data.zeno || []).forEach(drawZeno);
     drawStability();
     drawPushes();
     drawTrade();

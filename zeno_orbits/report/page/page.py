@@ -7,22 +7,31 @@ import gzip
 import hashlib
 import math
 import shlex
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import printable
+from zeno_orbits.model import Problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
-from zeno_orbits.report.disturbances import least_push_line, recovery_lines, scan_line
+from zeno_orbits.report.disturbances import (
+    least_push_line,
+    recovery_lines,
+    scan_line,
+    summary_line,
+)
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.page.tables import tables_of, tiles_of
 from zeno_orbits.report.push_panels import push_panels
-from zeno_orbits.report.zeno_neighbourhood import close_up
+from zeno_orbits.report.symbols import direction_symbol, html_symbol
+from zeno_orbits.report.zeno_neighbourhood import close_ups
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from markupsafe import Markup
 
 _MARKS = {"refused": "✗", "passed": "✓", "unsure": "!"}
 """Kind of an answer to the sign in front of it."""
@@ -43,7 +52,7 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
     library = gzip.decompress(base64.b64decode(bundle.packed)).decode()
     certificate, execution = subject.certificate, subject.execution
     kind = "refused" if not certificate.passed else "passed" if certificate.stable else "unsure"
-    zoom = close_up(execution, subject.dynamics) if execution and execution.zeno_points else None
+    zooms = close_ups(execution, subject.dynamics) if execution else ()
     error, curves = certificate.orbit_error, curves_of(subject)
     heading = subject.problem.title[:1].upper() + subject.problem.title[1:]
     what = "Zeno periodic orbit" if _has_zeno_point(subject.orbit) else "Periodic orbit"
@@ -72,19 +81,34 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
             execution=execution,
             trade=subject.trade,
             recovered=recovery_lines(subject.recovery) if subject.recovery else (),
-            pushed=(least_push_line(subject.pushes), scan_line(subject.pushes))
+            pushed=[line(subject.pushes) for line in (least_push_line, summary_line, scan_line)]
             if subject.pushes
             else (),
-            panels=push_panels(subject.pushes) if subject.pushes else (),
+            directions=[panel.direction for panel in push_panels(subject.pushes)]
+            if subject.pushes
+            else (),
+            symbol=_marked_symbols(subject.problem),
             answer={"kind": kind, "mark": _MARKS[kind]},
             tiles=tiles_of(subject),
             tables=tables_of(subject, bundle),
-            n_flights=len(zoom.flights) if zoom else 0,
+            zooms=[(zoom.zeno.stop, len(zoom.flights)) for zoom in zooms],
             orbit_error=f"{error:.0e}" if math.isfinite(error) else "",
             commands="\n".join(shlex.join(command) for command in commands_of(subject)),
             file=base64.b64encode(subject.content.encode()).decode(),
             curves=curves,
         )
+    )
+
+
+def _marked_symbols(problem: Problem) -> Callable[[str | Mapping[str, float]], Markup]:
+    """Return the function that writes the name of a state, or a direction, as HTML."""
+    from markupsafe import Markup
+
+    def symbol(name: str) -> str:
+        return html_symbol(name, problem.state_names)
+
+    return lambda one: Markup(
+        symbol(one) if isinstance(one, str) else direction_symbol(one, symbol)
     )
 
 

@@ -17,9 +17,9 @@ from zeno_orbits.report.motion import GROUND, STOP, frame_of, machine_motion
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
 from zeno_orbits.report.push_panels import PushPanel, push_panels
-from zeno_orbits.report.symbols import html_symbol
+from zeno_orbits.report.symbols import direction_symbol, html_symbol
 from zeno_orbits.report.trade_lines import front_line, trade_lines
-from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
+from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_ups
 from zeno_orbits.simulation import Execution, Mode
 
 _POINTS = 4000
@@ -46,16 +46,15 @@ def curves_of(subject: Subject) -> dict[str, Any]:
     if subject.trade is not None:
         curves["trade"] = _trade(subject.trade)
     if subject.pushes is not None:
-        curves["pushes"] = [_pushes(subject.problem, one) for one in push_panels(subject.pushes)]
+        curves["pushes"] = [_pushes(one) for one in push_panels(subject.pushes)]
     if execution is None:
         return curves
     curves["portraits"] = _portraits(subject.problem, execution)
     curves["series"] = _series(subject, execution)
     if subject.problem.drawing is not None:
         curves["machine"] = _machine(subject, execution)
-    if execution.zeno_points:
-        zoom = close_up(execution, subject.dynamics)
-        curves["zeno"] = _zeno(zoom, subject.problem.gap_unit)
+    zooms = close_ups(execution, subject.dynamics)
+    curves["zeno"] = [_zeno(zoom, subject.problem.gap_unit) for zoom in zooms]
     return curves
 
 
@@ -179,12 +178,11 @@ def _trade(trade: WorkPrecision) -> dict[str, Any]:
     return {"lines": lines, "front": front}
 
 
-def _pushes(problem: Problem, panel: PushPanel) -> dict[str, Any]:
+def _pushes(panel: PushPanel) -> dict[str, Any]:
     """Return one direction, with phases and impulses as they are in the file."""
-    along, names = panel.along, problem.state_names
-    symbol = html_symbol(along, names) if along in names else escape(along)
+    along = direction_symbol(panel.direction, html_symbol)
     return {
-        "label": f"impulse along {symbol} [{escape(panel.unit)}]",
+        "label": f"impulse along {along} [{escape(panel.unit)}]",
         "range": [panel.phases[0] - panel.step / 2, panel.phases[-1] + panel.step / 2],
         "step": panel.step,
         "contact": list(panel.contact),

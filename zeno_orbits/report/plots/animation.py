@@ -120,8 +120,8 @@ def film_of(
     if abs(slower - 1.0) > 0.1:
         words = "slower" if slower > 1.0 else "faster"
         portraits[0].set_title(f"shown {max(slower, 1 / slower):.2g} times {words}", size=TEXT)
-    shown, across = (*portraits, machine), len(portraits) if motion.renamed else 1
-    Panels(figure=figure, axes=shown, width=FULL_WIDTH, across=across, is_own=True).finished()
+    shown = (*portraits, machine)
+    Panels(figure=figure, axes=shown, width=FULL_WIDTH, is_own=True).finished()
     machine.set_title("Zeno model", size=TEXT)
     # The layout runs once, and twice for parts that depend on the first run: only the mechanism may
     # move.

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from itertools import groupby
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -62,11 +63,14 @@ def plot_families(
 ) -> Figure:
     """Return solution branches over their parameter, stable parts solid, unstable parts dashed.
 
+    The panels are period, amplitude and spectral radius. A period that a clock keeps constant has
+    no panel.
+
     Args:
         found: The continuation.
         problem: The problem, for units.
         width: Width of the picture [in].
-        axes: Three panels to draw into, by default on a new figure.
+        axes: Panels to draw into, three or with a constant period two, by default on a new figure.
     """
     main = found.families[0]
     unit = problem.state_units[problem.state_names.index(problem.amplitude_of)]
@@ -76,6 +80,8 @@ def plot_families(
         (f"amplitude of {symbol} [{unit}]", _amplitudes(found, problem)),
         ("spectral radius [1]", lambda point: point.spectral_radius),
     ]
+    if _has_constant_period(found):
+        del quantities[0]
     panels = panels_of(width, len(quantities), height=2.3, axes=axes)
     for ax, (label, value) in zip(panels, quantities, strict=True):
         for family in found.families:
@@ -83,8 +89,9 @@ def plot_families(
             _draw(ax, family, value, PALETTE[doublings % _DOUBLINGS])
         ax.set(xlabel=_named(problem, main.parameter), ylabel=label)
         ax.margins(0.06)
+        ax.ticklabel_format(useOffset=False)
+        _hide_rounding(ax)
     _show_radii(panels.axes[-1], found)
-    _show_period(panels.axes[0], found)
     for ax, (_, value) in zip(panels, quantities, strict=True):
         _mark_all(ax, found, value)
     return panels.finished()
@@ -153,16 +160,22 @@ def _show_radii(ax: Axes, found: Continuation) -> None:
     ax.set_ylim(-0.04 * min(largest, _MOST_RADIUS), min(1.08 * max(largest, 1.0), _MOST_RADIUS))
 
 
-def _show_period(ax: Axes, found: Continuation) -> None:
-    """Widen the axis of a period that does not change, so that its rounding is not seen."""
-    periods = [point.period for family in found.families for point in family.points]
-    low, high = min(periods), max(periods)
-    if high - low < _CONSTANT * high:
+def _hide_rounding(ax: Axes) -> None:
+    """Widen the axis of a quantity that does not change, so that its rounding is not seen."""
+    values = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.lines])
+    low, high = float(np.min(values)), float(np.max(values))
+    if high - low < _CONSTANT * abs(high):
         ax.set_ylim(0.9 * low, 1.1 * high)
-    ax.ticklabel_format(useOffset=False)
+
+
+def _has_constant_period(found: Continuation) -> bool:
+    """Return True if the period changes by its error alone."""
+    periods = [point.period for family in found.families for point in family.points]
+    return max(periods) - min(periods) < _CONSTANT * max(periods)
 
 
 _CONSTANT = 1e-6
+"""Relative change of a quantity below which it is an error of the computation."""
 
 
 def _draw(ax: Axes, family: Family, value: Callable[[FamilyPoint], float], colour: str) -> None:

@@ -47,11 +47,15 @@ class Looks:
 
     def path(self, path: ArcPath) -> dict[str, Any]:
         """Return the look of an arc, in the colour of the first of its closed stops."""
-        look = LOOKS[path.kind]
-        if path.kind != Mode.LOCKED.value or not path.closed:
+        return self.arc(path.kind, path.closed)
+
+    def arc(self, kind: str, closed: Sequence[str]) -> dict[str, Any]:
+        """Return the look of an arc of a kind, in the colour of the first of its closed stops."""
+        look = LOOKS[kind]
+        if kind != Mode.LOCKED.value or not closed:
             return look
-        words = "" if self.stops == UNNAMED else f": {', '.join(path.closed)}"
-        return look | {"color": self.colour(path.closed), "label": f"{look['label']}{words}"}
+        words = "" if self.stops == UNNAMED else f": {', '.join(closed)}"
+        return look | {"color": self.colour(closed), "label": f"{look['label']}{words}"}
 
     def colour(self, closed: Sequence[str]) -> str:
         """Return the colour of a mode, given by the names of its closed stops.

@@ -81,6 +81,8 @@ def plot_map(
 ) -> Figure:
     """Return a map as a figure: one cell per point, and contours if there are enough points.
 
+    The axes end at the range of the map, so that the outer cells are cut in half.
+
     Args:
         found: The map.
         boundaries: Curves to draw on top.
@@ -96,7 +98,7 @@ def plot_map(
     handles = _draw_cells(ax, found)
     curves = _inside(found, boundaries)
     handles += _draw_contours(ax, found, [points for alike in curves.values() for points in alike])
-    handles += _draw_boundaries(ax, found, curves)
+    handles += _draw_boundaries(ax, curves)
     handles += _draw_sections(ax, found)
     look: dict[str, Any] = {"fontsize": TEXT - 1, "handlelength": 2.6}
     if not panels.is_own:
@@ -139,6 +141,7 @@ def _draw_cells(ax: Axes, found: ParameterMap) -> list[Any]:
         edgecolors="#BBBBBB" if min(x.count, y.count) < _FEWEST else "none",
         linewidth=0.3,
     )
+    ax.set(xlim=(found.x.lower, found.x.upper), ylim=(found.y.lower, found.y.upper))
     edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 0.4}
     return [Patch(facecolor=colour, label=phrase, **edge) for phrase, colour in looks.items()]
 
@@ -328,8 +331,7 @@ _BETWEEN = 20
 
 def _inside(found: ParameterMap, boundaries: Sequence[Boundary]) -> dict[str, list[Vector]]:
     """Return the curves that pass through the plane, by their names."""
-    (left, right), (low, high) = _reach(found.x), _reach(found.y)
-    plane = Bbox.from_extents(left, low, right, high)
+    plane = Bbox.from_extents(found.x.lower, found.y.lower, found.x.upper, found.y.upper)
     curves: dict[str, list[Vector]] = {}
     for boundary in boundaries:
         points = np.array(boundary.points).reshape(-1, 2)
@@ -338,9 +340,7 @@ def _inside(found: ParameterMap, boundaries: Sequence[Boundary]) -> dict[str, li
     return curves
 
 
-def _draw_boundaries(
-    ax: Axes, found: ParameterMap, curves: Mapping[str, Sequence[Vector]]
-) -> list[Line2D]:
+def _draw_boundaries(ax: Axes, curves: Mapping[str, Sequence[Vector]]) -> list[Line2D]:
     """Draw curves. Curves with the same name look alike."""
     handles: list[Line2D] = []
     for (name, alike), dash in zip(curves.items(), cycle(_BOUNDARIES), strict=False):
@@ -348,16 +348,13 @@ def _draw_boundaries(
         for points in alike:
             ax.plot(*points.T, **look)
         handles.append(Line2D([], [], label=name, **look))
-    if curves:
-        ax.set(xlim=_reach(found.x), ylim=_reach(found.y))
     return handles
 
 
 def _draw_sections(ax: Axes, found: ParameterMap) -> list[Line2D]:
     """Draw where the orbits of a map over states pass their section, as far as it is inside."""
     points = [(one.state[found.x.name], one.state[found.y.name]) for one in found.orbits]
-    (left, right), (low, high) = _reach(found.x), _reach(found.y)
-    inside = [(x, y) for x, y in points if left <= x <= right and low <= y <= high]
+    inside = [(x, y) for x, y in points if _is_on(found.x, x) and _is_on(found.y, y)]
     if not inside:
         return []
     look: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": INK, "ms": 5, "ls": "none"}
@@ -365,6 +362,5 @@ def _draw_sections(ax: Axes, found: ParameterMap) -> list[Line2D]:
     return [Line2D([], [], label="orbit at its section", **look)]
 
 
-def _reach(axis: Axis) -> tuple[float, float]:
-    half = (axis.upper - axis.lower) / (axis.count - 1) / 2
-    return axis.lower - half, axis.upper + half
+def _is_on(axis: Axis, value: float) -> bool:
+    return axis.lower <= value <= axis.upper

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import math
+import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,38 +41,43 @@ class Panels:
         figure: The figure that they belong to.
         axes: The panels, in order.
         width: Width of the figure [in].
-        across: Panels in a row.
         is_own: Whether the figure was made for them.
     """
 
     figure: Figure
     axes: tuple[Axes, ...]
     width: float
-    across: int
     is_own: bool
 
     def __iter__(self) -> Iterator[Axes]:
         """Yield the panels."""
         return iter(self.axes)
 
+    @property
+    def widths(self) -> list[float]:
+        """Width of each panel with its labels [in]."""
+        return [self.width * _share(ax) for ax in self.axes]
+
     def finished(self, time: str = "") -> Figure:
         """Return the figure, with texts of one size and a legend of the visible lines.
 
         Args:
-            time: Label of the horizontal axis that all panels share. By default each panel has its
-                own label.
+            time: Label of the horizontal axis that all panels share, for the lowest panels. Others
+                have ticks without labels, unless the panel below is of another width. By default
+                each panel has its own label.
         """
         if time:
-            for k, ax in enumerate(self.axes):
-                lowest = not self.is_own or k + self.across >= len(self.axes)
-                ax.tick_params(labelbottom=lowest)
-                ax.set_xlabel(time if lowest else "")
-        for column in range(self.across):
-            named = [ax for ax in self.axes[column :: self.across] if ax.get_ylabel()]
-            self.figure.align_ylabels(named)
-        if self.is_own:
+            # Axes of the caller may lie anywhere, and each is labelled.
+            last = {_columns(ax): ax for ax in self.axes} if self.is_own else {}
             for ax in self.axes:
-                _thin_out(ax, self.width / self.across)
+                place = ax.get_subplotspec()
+                ax.tick_params(labelbottom=last.get(_columns(ax), ax) is ax)
+                ax.set_xlabel("" if self.is_own and place and not place.is_last_row() else time)
+        self.figure.align_ylabels([ax for ax in self.axes if ax.get_ylabel()])
+        if self.is_own:
+            for ax, width in zip(self.axes, self.widths, strict=True):
+                _thin_out(ax, width)
+                _fold_label(ax)
         # A colour bar is not a panel, but its texts are read together with the panel's texts.
         entries = _entries(self.figure.axes if self.is_own else self.axes)
         if self.is_own:
@@ -126,16 +133,20 @@ def panels_of(
     *,
     height: float | Sequence[float],
     columns: int | None = None,
+    rows: Sequence[int] = (),
     widths: Sequence[float] | None = None,
     axes: Sequence[Axes] = (),
 ) -> Panels:
     """Return panels, in a row on a page and stacked in a column, or the caller's axes.
 
+    The panels of a row share its width, so that no row has an empty place.
+
     Args:
         width: Width of the figure [in].
         n: Number of panels.
         height: Height of each panel, or of each row [in].
-        columns: Panels per row, by default up to three on a wide figure.
+        columns: Largest number of panels per row, by default three on a wide figure.
+        rows: Number of panels of each row of a wide figure, by default as even as possible.
         widths: Relative widths of the columns, by default equal.
         axes: Axes to draw into, by default on a new figure.
 
@@ -144,23 +155,31 @@ def panels_of(
     """
     require_width(width)
     across = columns or (min(n, 3) if is_wide(width) else 1)
+    n_rows = -(-n // across)
+    even = [n // n_rows + (k < n % n_rows) for k in range(n_rows)]
+    counts = rows if rows and is_wide(width) else even
+    given = [height] * len(counts) if isinstance(height, float | int) else height
     if axes:
-        return _existing(axes, n, across)
-    heights = [height] * -(-n // across) if isinstance(height, float | int) else list(height)
-    figure = Figure(figsize=(width, sum(heights) + 0.5), layout="constrained")
-    grid = figure.add_gridspec(len(heights), across, height_ratios=heights, width_ratios=widths)
-    panels = tuple(figure.add_subplot(grid[divmod(k, across)]) for k in range(n))
-    return Panels(figure=figure, axes=panels, width=width, across=across, is_own=True)
+        return _existing(axes, n)
+    figure = Figure(figsize=(width, sum(given) + 0.5), layout="constrained")
+    cells = math.lcm(*counts)
+    grid = figure.add_gridspec(len(counts), cells, height_ratios=given, width_ratios=widths)
+    panels = tuple(
+        figure.add_subplot(grid[row, k * cells // count : (k + 1) * cells // count])
+        for row, count in enumerate(counts)
+        for k in range(count)
+    )
+    return Panels(figure=figure, axes=panels, width=width, is_own=True)
 
 
-def _existing(axes: Sequence[Axes], n: int, across: int) -> Panels:
+def _existing(axes: Sequence[Axes], n: int) -> Panels:
     _require_axes(axes)
     if len(axes) != n:
         message = f"must be as many as the picture has panels, {n}, but there are {len(axes)}"
         raise InputError(f"Argument `axes` {message}.")
     figure = _figure_of(axes[0])
     width = float(figure_size(axes[0])[0])
-    return Panels(figure=figure, axes=tuple(axes), width=width, across=across, is_own=False)
+    return Panels(figure=figure, axes=tuple(axes), width=width, is_own=False)
 
 
 def _require_axes(axes: Sequence[object]) -> None:
@@ -245,6 +264,33 @@ def _thin_out(ax: Axes, width: float) -> None:
             return
 
 
+def _columns(ax: Axes) -> range | None:
+    """Return the columns that a panel spans in its grid, if it lies in one."""
+    place = ax.get_subplotspec()
+    return None if place is None else place.colspan
+
+
+def _share(ax: Axes) -> float:
+    """Return the width of a panel with its labels, relative to the figure."""
+    place = ax.get_subplotspec()
+    if place is None:
+        return float(ax.get_position(original=True).width)
+    return len(place.colspan) / place.get_gridspec().ncols
+
+
+def _fold_label(ax: Axes) -> None:
+    """Fold the label of the vertical axis if it is longer than its panel, units in one piece."""
+    height = float(ax.get_position(original=True).height * figure_size(ax)[1])
+    label, most = ax.get_ylabel(), int(height / _LETTER)
+    if _length(label) > most:
+        whole = re.sub(r"\[.*\]$", lambda unit: unit[0].replace(" ", "\N{NO-BREAK SPACE}"), label)
+        ax.set_ylabel(textwrap.fill(whole, most, break_long_words=False, break_on_hyphens=False))
+
+
+_LETTER = 0.06
+"""Height of a letter of a vertical label [in]."""
+
+
 def _entries(panels: Sequence[Axes]) -> dict[str, Any]:
     """Return the handle of every visible artist by label, with all texts set to one size."""
     entries: dict[str, Any] = {}
@@ -281,5 +327,6 @@ def _is_seen(ax: Axes, handle: Any) -> bool:
 
 
 def _length(label: str) -> int:
-    """Return the width of a label in signs, with formulas counted without their commands."""
-    return len(label.replace("\\", "").replace("ddot", "").replace("$", ""))
+    """Return the width of a label in signs. A command of a formula is one sign or an accent."""
+    plain = re.sub(r"\\(?:d?dot|mathrm)|[${}_]", "", label)
+    return len(re.sub(r"\\[a-z]+", "x", plain))

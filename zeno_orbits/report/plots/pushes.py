@@ -13,6 +13,7 @@ from zeno_orbits.maps import Pushes
 from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, PALETTE, TINTS
 from zeno_orbits.report.push_panels import PushPanel, push_panels
+from zeno_orbits.report.symbols import direction_symbol, math_symbol
 from zeno_orbits.simulation import Mode
 
 _ROOM = 1.12
@@ -31,7 +32,8 @@ def plot_pushes(found: Pushes, *, width: float = FULL_WIDTH, axes: Sequence[Axes
     panels = panels_of(width, len(shown), height=2.4, axes=axes)
     for ax, panel in zip(panels, shown, strict=True):
         _draw(ax, panel)
-        ax.set(xlabel="phase [1]", ylabel=f"impulse along {panel.along} [{panel.unit}]")
+        along = direction_symbol(panel.direction, math_symbol)
+        ax.set(xlabel="phase [1]", ylabel=f"impulse along {along} [{panel.unit}]")
     return panels.finished()
 
 

@@ -125,11 +125,11 @@ def _over_time(
     panels = panels_of(width, n, height=max(1.25, 2.0 / n), columns=across, axes=axes)
     paths, looks = paths_of(execution), looks_of(execution)
     values = [columns(path.states) for path in paths]
-    room = panels.width / across
     turns = [_turns([one[:, column] for one in values]) for column in range(n)]
     # Velocities jump and have more extremes: the slowest state determines the duration of a swing.
-    fewest = min((count for count in turns if count > _MOST_TURNS * room), default=0)
-    for column, (ax, label) in enumerate(zip(panels, labels, strict=True)):
+    crowded = zip(turns, panels.widths, strict=True)
+    fewest = min((count for count, room in crowded if count > _MOST_TURNS * room), default=0)
+    for column, (ax, label, room) in enumerate(zip(panels, labels, panels.widths, strict=True)):
         drawn = [one[:, column] for one in values]
         if turns[column] > _MOST_TURNS * room:
             _draw_envelope(ax, paths, drawn, min(round(_BINS * room), fewest // _TURNS_A_BIN))

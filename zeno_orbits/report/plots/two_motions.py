@@ -20,7 +20,7 @@ from zeno_orbits.report.paths import drawn_phases_of, paths_of
 from zeno_orbits.report.plots.panels import Panels, panels_of, portraits_of
 from zeno_orbits.report.plots.style import ARCS, COLUMN_WIDTH, JUMP, TEXT, TINTS, ZENO
 from zeno_orbits.report.symbols import label_of
-from zeno_orbits.report.zeno_neighbourhood import close_up
+from zeno_orbits.report.zeno_neighbourhood import close_ups
 from zeno_orbits.simulation import Execution, Mode
 
 _OTHER: dict[str, Any] = {"color": "black", "lw": 0.7, "zorder": 3.5}
@@ -133,7 +133,7 @@ def plot_beside_zeno_point(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> F
     """Return gap rate over gap of both motions near the Zeno point, which is the origin."""
     panels = panels_of(width, 1, height=2.2)
     (ax,) = panels
-    unit, zoom = two.problem.gap_unit, close_up(two.model, two.dynamics)
+    unit, zoom = two.problem.gap_unit, close_ups(two.model, two.dynamics)[-1]
     for path in paths_of(two.model):
         ax.plot(*_gap_and_rate(two.dynamics, path.states), **_MODEL[path.kind])
     for impact in two.model.impacts:

@@ -15,6 +15,7 @@ from zeno_orbits.report.disturbances import (
     least_push_line,
     recovery_lines,
     scan_line,
+    summary_line,
 )
 from zeno_orbits.report.table import (
     Column,
@@ -158,7 +159,7 @@ def print_pushes(found: Pushes) -> None:
     """Print the largest pushes of an orbit, the least one first."""
     print_lines([least_push_line(found)])
     print_table(PUSHES, found.pushes)
-    print_lines([scan_line(found)])
+    print_lines([scan_line(found), summary_line(found)])
 
 
 def print_recovery(found: Recovery) -> None:
