@@ -106,6 +106,7 @@ def _at_the_edge(figure: Figure) -> None:
     figure.axes[0].yaxis.set_label_coords(-0.6, 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [_too_long, _at_the_edge])
 def test_the_check_of_labels_finds_a_fault(spoil: Callable[[Figure], None]) -> None:
     problem, execution = _motion("motor_pendulum")
