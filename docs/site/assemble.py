@@ -16,7 +16,7 @@ from pathlib import Path
 from commands import command_page
 from examples import examples
 from formulas import joined
-from navigation import navigation
+from navigation import folded, navigation
 
 import zeno_orbits
 from zeno_orbits.work import TableRepr
@@ -34,11 +34,15 @@ def assemble(folder: Path) -> None:
         shutil.copytree(ROOT / name, folder / name)
     pages = [*ELSEWHERE, *READ_BY_DEVELOPERS]
     pages += [f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")]
+    below = folded(ROOT)
     for name in pages:
-        _write(folder / name, _for_sphinx((ROOT / name).read_text()))
+        text = _for_sphinx((ROOT / name).read_text())
+        _, inside = below.get(name, ("", {}))
+        tree = _toctree([f"{title} </{page}>" for page, title in inside.items()]) if inside else ()
+        _write(folder / name, "\n".join([text, *tree]))
     _write(folder / COMMANDS, command_page())
     _write_reference(folder)
-    front = _for_sphinx((ROOT / "README.md").read_text())
+    front = _with_cards(_for_sphinx((ROOT / "README.md").read_text()))
     _write(folder / "index.md", "\n".join([front, *_toctrees()]))
 
 
@@ -50,9 +54,21 @@ def _for_sphinx(text: str) -> str:
     return text.replace("](../README.md", "](../index.md")
 
 
+def _with_cards(text: str) -> str:
+    """Return the front page with its first list as cards beside each other."""
+    return re.sub(r"(?:^- .*\n)+", r"```{container} cards\n\g<0>```\n", text, count=1, flags=re.M)
+
+
 def _toctrees() -> Iterator[str]:
+    parts = folded(ROOT)
+    hidden = {page for _, inside in parts.values() for page in inside}
     for caption, pages in navigation(ROOT).items():
-        shown = [f"{title} <{page}>" if title else page for page, title in pages.items()]
+        titles = {page: parts[page][0] if page in parts else title for page, title in pages.items()}
+        shown = [
+            f"{title} <{page}>" if title else page
+            for page, title in titles.items()
+            if page not in hidden
+        ]
         if REFERENCE in pages:
             shown.insert(0, COMMANDS)
         yield from _toctree(shown, caption)

@@ -2,16 +2,23 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
+from formulas import unbroken
+
 from zeno_orbits import __version__
 
 project = "zeno_orbits"
 version = release = __version__
 html_title = f"zeno_orbits {__version__}"
 html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+# Commands and programs are copied, their outputs are not.
+copybutton_selector = "div.highlight-sh pre, div.highlight-python pre"
 html_copy_source = False
 html_show_copyright = False
 html_show_sphinx = False
@@ -22,6 +29,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
+    "sphinx_copybutton",
     "sphinx-mathjax-offline",
     "docstrings",
 ]
@@ -49,3 +57,14 @@ napoleon_numpy_docstring = False
 napoleon_custom_sections = [("Attributes", "params_style")]
 napoleon_attr_annotations = False
 autodoc_type_aliases = {"Vector": "Vector"}
+
+
+def setup(app: Any) -> None:
+    """Change pages after they are rendered."""
+
+    def keep_options(
+        _app: Any, _name: str, _template: str, context: dict[str, Any], _: Any
+    ) -> None:
+        context["body"] = unbroken(context.get("body", ""))
+
+    app.connect("html-page-context", keep_options)

@@ -1,4 +1,4 @@
-"""Formulas inside sentences keep the punctuation after them on their line."""
+"""Formulas keep the punctuation after them on their line, and options their hyphens."""
 
 from __future__ import annotations
 
@@ -20,3 +20,14 @@ def joined(text: str) -> str:
 
 def _together(formula: re.Match[str]) -> str:
     return f'<span style="white-space: nowrap">{formula[0]}</span>' if formula[1] else formula[0]
+
+
+_COMMANDS = re.compile(r'<div class="highlight-sh .*?</pre>', re.DOTALL)
+_OPTION = re.compile(r"(?<=\s)--?\w[\w-]*")
+
+
+def unbroken(body: str) -> str:
+    """Return the HTML of a page whose commands break between words only, not inside an option."""
+    return _COMMANDS.sub(
+        lambda block: _OPTION.sub(r'<span class="option">\g<0></span>', block[0]), body
+    )

@@ -11,8 +11,8 @@ import zeno_orbits as zo
 from docs.site.commands import command_page
 from docs.site.docstrings import linked
 from docs.site.examples import examples
-from docs.site.formulas import joined
-from docs.site.navigation import navigation
+from docs.site.formulas import joined, unbroken
+from docs.site.navigation import folded, navigation
 from zeno_orbits.verification import RESIDUALS
 
 ROOT = Path(__file__).parents[2]
@@ -118,6 +118,47 @@ def test_a_page_that_the_list_of_documents_lacks_comes_last(tmp_path: Path) -> N
         (docs / f"{name}.md").write_text("# A page")
     (docs / "README.md").write_text("# Documents\n\n## How to\n\n- [Here](here.md): a page.\n")
     assert navigation(tmp_path) == {"How to": {"docs/here.md": "Here"}, "More": {"docs/new.md": ""}}
+
+
+def test_theory_proofs_and_benchmarks_are_folded() -> None:
+    parts = folded(ROOT)
+    assert [title for title, _ in parts.values()] == ["Theory", "Proofs", "Benchmarks"]
+    listed = [page for pages in navigation(ROOT).values() for page in pages]
+    for first, (_, inside) in parts.items():
+        assert inside
+        assert first not in inside
+        assert {first, *inside} <= {*listed}
+    assert {f"docs/{path.name}" for path in (ROOT / "docs").glob("theory_*.md")} == {
+        *parts["docs/theory.md"][1]
+    }
+
+
+def test_a_part_of_a_section_is_folded_below_its_first_page(tmp_path: Path) -> None:
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    entries = "".join(f"- [{name.upper()}]({name}.md)\n" for name in "bcd")
+    parts = f"## One\n\n- [A](a.md)\n\n### Part\n\n{entries}\n## Two\n\n- [E](e.md)\n"
+    listing = f"# Documents\n\n{parts}"
+    (docs / "README.md").write_text(listing)
+    assert folded(tmp_path) == {"docs/b.md": ("Part", {"docs/c.md": "C", "docs/d.md": "D"})}
+    assert [*navigation(tmp_path)] == ["One", "Two"]
+
+
+def test_the_readme_starts_with_three_ways_in() -> None:
+    text = (ROOT / "README.md").read_text()
+    ways = re.findall(r"^- \*\*(.+?):\*\* .*\]\((.+?)\)", text[: text.index("![")], re.MULTILINE)
+    assert [name for name, _ in ways] == ["Find an orbit", "Check an orbit", "Your own machine"]
+
+
+def test_options_of_commands_are_not_broken_and_outputs_stay_as_they_are() -> None:
+    command = (
+        '<div class="highlight-sh notranslate"><pre>zeno-orbits map a-b --t-end 1 -o x\n</pre>'
+    )
+    output = '<div class="highlight-text notranslate"><pre>a --t-end -1</pre>'
+    shown = unbroken(command + output)
+    assert re.findall(r'<span class="option">(.*?)</span>', shown) == ["--t-end", "-o"]
+    assert re.sub(r"</?span[^>]*>", "", shown) == command + output
+    assert shown.endswith(output)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -37,7 +37,7 @@ def tiles_in(page: str) -> dict[str, tuple[str, str]]:
 def commands_in(page: str) -> list[list[str]]:
     """Return the words of the commands that a page shows."""
     shown = re.findall(r"<pre[^>]*><code>(.*?)</code></pre>", page, re.DOTALL)[0]
-    return [shlex.split(line) for line in unescape(shown).splitlines()]
+    return [shlex.split(line) for line in _text(shown).splitlines()]
 
 
 def _cells(row: str) -> list[str]:

@@ -7,7 +7,7 @@ import gzip
 import hashlib
 import math
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
@@ -93,7 +93,7 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
             tables=tables_of(subject, bundle),
             zooms=[(zoom.zeno.stop, len(zoom.flights)) for zoom in zooms],
             orbit_error=f"{error:.0e}" if math.isfinite(error) else "",
-            commands="\n".join(shlex.join(command) for command in commands_of(subject)),
+            commands=Markup("\n").join(map(_unbroken, commands_of(subject))),
             file=base64.b64encode(subject.content.encode()).decode(),
             curves=curves,
         )
@@ -159,6 +159,15 @@ def commands_of(subject: Subject) -> tuple[tuple[str, ...], ...]:
     tolerance = ("--tolerance", f"{subject.certificate.tolerance:g}")
     report = (subject.command,) if subject.command else ()
     return ((*search, "-o", subject.file), (*check, *tolerance), *report)
+
+
+def _unbroken(command: Sequence[str]) -> Markup:
+    """Return a command as HTML whose lines break between words, not inside an option."""
+    from markupsafe import Markup
+
+    option = Markup('<span class="option">%s</span>')
+    words = [option % word if word.startswith("-") else shlex.quote(word) for word in command]
+    return Markup(" ").join(words)
 
 
 def _printable(value: object) -> object:
