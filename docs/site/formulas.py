@@ -23,7 +23,7 @@ def _together(formula: re.Match[str]) -> str:
 
 
 _COMMANDS = re.compile(r'<div class="highlight-sh .*?</pre>', re.DOTALL)
-_OPTION = re.compile(r"(?<=\s)--?\w[\w-]*")
+_OPTION = re.compile(r"(?<=[\s>])--?\w[\w-]*")
 
 
 def unbroken(body: str) -> str:

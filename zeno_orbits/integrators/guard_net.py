@@ -77,7 +77,7 @@ def first_of_all(
     on_guard: bool,
     rounding: float,
 ) -> float | None:
-    """Return the offset in a step of the first fall of a guard, if samples missed it or not.
+    """Return the offset in a step of the first zero of a guard, also between samples.
 
     Args:
         flow: The flow with the guard and its bounds.

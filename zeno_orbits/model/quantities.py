@@ -302,7 +302,7 @@ def unknown(kind: str, name: str, known: tuple[str, ...]) -> str:
     """Return the refusal of a name: the known names, and the nearest of them if one is near.
 
     Args:
-        kind: Argument that the name was given for.
+        kind: Argument with the name.
         name: The name.
         known: The names that it may be.
     """

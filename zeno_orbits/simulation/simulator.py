@@ -1,7 +1,7 @@
 """Completed executions, event by event: flights, impacts, Zeno point, locked arc, release, again.
 
-A flight after an impact is integrated in the scaled variables of theory (2.6), so none is missed
-and none invented however slow the impact was. Source: [OrAmes2011]_ for the completion.
+A flight after an impact is integrated in the scaled variables of theory (2.6), so
+slow impacts are neither missed nor invented. Source: [OrAmes2011]_ for the completion.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ _DIRECTED = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Likeness:
-    """Likeness of a recorded signal to the orbit's.
+    """Likeness of a recorded signal to the signal of the orbit.
 
     Attributes:
         name: Name of the signal.

@@ -81,7 +81,7 @@ class OrbitCurve:
     Attributes:
         times: Times since the release, ``(n,)`` [s].
         states: States, ``(n, n_x)``, connected by straight lines.
-        ranges: Range of every state along the orbit, ``(n_x,)``. It is 1 for a constant state.
+        ranges: Range of every state along the orbit, ``(n_x,)``, 1 if it is constant.
     """
 
     times: Vector

@@ -66,7 +66,7 @@ class Sample:
         costs: For each orbit the numbers whose largest is the objective there, with derivatives
             with respect to `u`. Every trial has as many.
         rows: Numbers that must not be negative.
-        equal: Numbers that must be zero.
+        equal: Residuals, zero at an orbit.
     """
 
     u: Vector
