@@ -158,7 +158,7 @@ class HBridge(Part):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Controller(Part):
-    """A computer that samples and sets the voltages at a fixed rate, and holds the voltages between.
+    """A computer that samples, and sets and holds the voltages, at a fixed rate.
 
     Attributes:
         period: Between two readings [s].

@@ -1,4 +1,4 @@
-"""Simulations of one period, from the section back to the section: evaluations of the return map."""
+"""Simulations of one period between passages of the section: evaluations of the return map."""
 
 from __future__ import annotations
 
