@@ -74,6 +74,13 @@ def test_no_word_of_the_help_is_cut_in_eighty_columns(
 
 
 @pytest.mark.parametrize("command", EVERY)
+def test_an_option_is_called_repeatable_at_most_once(command: str) -> None:
+    text = " ".join(ask(command, "--help-all").out.split())
+    entries = re.split(r" (?=--?[a-z])", text)
+    assert [entry for entry in entries if entry.count("(repeatable)") > 1] == []
+
+
+@pytest.mark.parametrize("command", EVERY)
 def test_the_help_of_common_options_fits_a_screen_and_names_the_rest(command: str) -> None:
     short, whole = (ask(command, word).out for word in ("--help", "--help-all"))
     assert len(short.splitlines()) <= 24

@@ -37,6 +37,25 @@ def test_the_orbit_is_shown_phase_by_phase(capsys: pytest.CaptureFixture[str]) -
     assert "Verified: a stable periodic orbit without a Zeno point (shape impact*3)" in text
 
 
+@pytest.mark.parametrize(
+    ("words", "restitution", "named"),
+    [
+        (("motor_pendulum", "--set", "Kp=2.5", "--set", "Kd=-1"), "0", "simple"),
+        (("motor_pendulum", "--set", "Kp=2.5", "--set", "Kd=-1"), "0.01", "Zeno"),
+        (("kneed_walker",), "0", "simple"),
+        pytest.param(("kneed_walker",), "0.01", "Zeno", marks=pytest.mark.slow),
+    ],
+)
+def test_an_orbit_of_plastic_impacts_is_not_called_a_zeno_orbit(
+    words: tuple[str, ...], restitution: str, named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["search", *words, "--set", f"restitution={restitution}"]) == 0
+    text = capsys.readouterr().out
+    assert f"Verified: a stable {named} periodic orbit" in text
+    other = {"simple": "Zeno", "Zeno": "simple"}[named]
+    assert f"{other} periodic orbit" not in text
+
+
 def test_the_file_is_verified_and_its_certificate_says_the_shape(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -150,7 +150,7 @@ def test_labels_of_a_page_are_whole_and_apart_on_every_screen(
 def test_an_orbit_without_zeno_point_has_a_page_without_a_zoom() -> None:
     page = _page("hopper")
     assert "Zoom into the Zeno point" not in page
-    assert '<p class="small">Periodic orbit of the problem hopper' in page
+    assert '<p class="small">Periodic orbit without a Zeno point of the problem hopper' in page
 
 
 def test_the_page_of_a_false_orbit_says_so() -> None:

@@ -132,7 +132,8 @@ def test_a_false_orbit_is_told_as_what_its_file_says() -> None:
 
 def test_a_headline_says_what_is_known() -> None:
     assert words.headline(replace(GOOD, trouble="It is late")).startswith("Not verified")
-    assert "the model has this orbit, and small disturbances of it decay" in words.headline(GOOD)
+    has = "Verified: the model has this orbit within the tolerance 2e-09"
+    assert f"{has}, and small disturbances of it decay" in words.headline(GOOD)
     assert "but unstable" in words.headline(replace(GOOD, multipliers=(1.5 + 0j,)))
     assert "undecided" in words.headline(replace(GOOD, multipliers=(1.0 + 0j,)))
 
@@ -246,10 +247,10 @@ def _page(**parts: Any) -> str:
         model=lambda _: SimpleNamespace(n_q=1),
         values=lambda parameters: SimpleNamespace(parameters={"restitution": 0.25, **parameters}),
     )
-    shape = parts.pop("shape", "zeno")
+    shape = EventSequence.parsed(parts.pop("shape", "zeno"))
     named = {
         "problem": problem,
-        "orbit": _orbit(0.5, 0.75, shape=EventSequence.parsed(shape), values=lambda _: None),
+        "orbit": _orbit(0.5, 0.75, shape=shape, kind=shape.kind, values=lambda _: None),
         "dynamics": system(restitution=0.25, gap_acceleration=lambda _: -8.0),
         "date": "",
         "proof": (),
@@ -276,7 +277,12 @@ def test_the_banner_has_the_colour_and_the_sign_of_its_answer(
 
 
 @pytest.mark.parametrize(
-    ("shape", "what"), [("zeno", "Zeno periodic orbit"), ("impact", "Periodic orbit")]
+    ("shape", "what"),
+    [
+        ("zeno", "Zeno periodic orbit"),
+        ("plastic", "Simple periodic orbit"),
+        ("impact", "Periodic orbit without a Zeno point"),
+    ],
 )
 def test_a_page_is_titled_by_its_problem_and_by_what_it_shows(shape: str, what: str) -> None:
     page = _page(shape=shape)

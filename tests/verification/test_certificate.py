@@ -166,15 +166,24 @@ def test_instability_takes_the_error_of_the_multiplier_into_account(
     ("shape", "named"),
     [
         ("zeno", "a stable Zeno periodic orbit;"),
-        ("plastic", "a stable Zeno periodic orbit;"),
+        ("plastic", "a stable simple periodic orbit (plastic impacts);"),
         ("zeno*2", "a stable Zeno periodic orbit (shape zeno*2);"),
-        ("impact,plastic", "a stable Zeno periodic orbit (shape impact,plastic);"),
+        ("impact,plastic", "a stable simple periodic orbit (shape impact,plastic);"),
         ("impact", "a stable periodic orbit without a Zeno point (shape impact);"),
         ("impact*2", "a stable periodic orbit without a Zeno point (shape impact*2);"),
     ],
 )
 def test_a_verdict_names_the_shape_that_is_not_the_usual_one(shape: str, named: str) -> None:
     assert named in replace(GOOD, shape=shape).verdict()
+
+
+@pytest.mark.parametrize(
+    ("bounce_time", "named"), [(0.0, "a stable simple"), (1e-9, "a stable Zeno")]
+)
+def test_impacts_accumulate_if_a_bounce_takes_time(bounce_time: float, named: str) -> None:
+    ranges = {"a.bounce_time": (0.0, 0.0), "b.bounce_time": (bounce_time, bounce_time)}
+    seen = replace(GOOD, events=("zeno a", "zeno b"), quantities=ranges)
+    assert f"{named} periodic orbit (events: zeno a, zeno b);" in seen.verdict()
 
 
 def test_a_certificate_shows_itself_by_its_verdict_and_spectral_radius() -> None:

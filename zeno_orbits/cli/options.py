@@ -193,7 +193,7 @@ def add_at(parser: argparse.ArgumentParser) -> None:
     """Add the state at which a theorem is looked at."""
     meaning = (
         "state Theorem 1 at this point, with a neighbourhood in which all impacts accumulate; "
-        "other states are 0, a clock has the cosine 1 (repeatable)"
+        "other states are 0, a clock has the cosine 1"
     )
     _add_named(parser, "--at", "STATE=VALUE", meaning)
 

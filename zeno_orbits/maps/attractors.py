@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from zeno_orbits.orbits import NO_ZENO_ORBIT, SIMPLE_ORBIT, ZENO_ORBIT
 from zeno_orbits.simulation import STEADY, AttractorKind
 from zeno_orbits.work import EntryError, from_plain
 
@@ -15,9 +16,9 @@ from zeno_orbits.work import EntryError, from_plain
 class AttractorClass(Enum):
     """Kinds of attractors. The value is the phrase shown to the user."""
 
-    ZENO = "Zeno periodic orbit"
-    SIMPLE = "simple periodic orbit"
-    NO_ZENO = "periodic orbit without a Zeno point"
+    ZENO = ZENO_ORBIT
+    SIMPLE = SIMPLE_ORBIT
+    NO_ZENO = NO_ZENO_ORBIT
     REST = "rest"
     HELD = "stays on its stop"
     ESCAPE = "a coordinate runs away"

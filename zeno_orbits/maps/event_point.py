@@ -26,6 +26,7 @@ from zeno_orbits.orbits import (
     closed_return,
     event_return,
     event_sections,
+    kind_of_events,
     largest_states,
     multipliers_of_return,
     orbit_event_name,
@@ -37,7 +38,6 @@ from zeno_orbits.simulation import (
     AttractorKind,
     Event,
     Execution,
-    Impact,
     Motion,
     SectionReturn,
     Settling,
@@ -252,19 +252,9 @@ class EventPoint:
     def _orbit(self, found: EventReturn, multipliers: tuple[complex, ...]) -> Attractor:
         """Return an orbit by the events of its period."""
         sequence = sequence_of([orbit_event_name(event) for event in found.events])
-        zenos = sum(isinstance(event, ZenoPoint) for event in found.events)
-        impacts = sum(isinstance(event, Impact) for event in found.events)
-        # A plastic stop closes at the first impact of its sequence.
-        plastic = impacts == zenos == len(found.events) - len(sequence)
-        fate = (
-            AttractorClass.NO_ZENO
-            if not zenos
-            else AttractorClass.SIMPLE
-            if plastic
-            else AttractorClass.ZENO
-        )
+        kind = kind_of_events([(orbit_event_name(event), event.time) for event in found.events])
         return Attractor(
-            fate=fate,
+            fate=AttractorClass(kind),
             returns=_count(found, sequence[-1]),
             period=found.period,
             multipliers=multipliers,

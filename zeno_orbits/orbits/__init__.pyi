@@ -28,6 +28,7 @@ from .events.event_orbit import EventOrbit as EventOrbit
 from .events.event_orbit import OrbitEvent as OrbitEvent
 from .events.event_orbit import caused_releases as caused_releases
 from .events.event_orbit import events_as_listed as events_as_listed
+from .events.event_orbit import kind_of_events as kind_of_events
 from .events.event_orbit import lasting_events as lasting_events
 from .events.event_orbit import orbit_event_name as orbit_event_name
 from .events.event_orbit import phases_of_events as phases_of_events
@@ -102,6 +103,9 @@ from .section import release_section as release_section
 from .section import rows_of as rows_of
 from .section import section_along as section_along
 from .section import section_around as section_around
+from .shape import NO_ZENO_ORBIT as NO_ZENO_ORBIT
 from .shape import ONE_ZENO as ONE_ZENO
+from .shape import SIMPLE_ORBIT as SIMPLE_ORBIT
+from .shape import ZENO_ORBIT as ZENO_ORBIT
 from .shape import EventSequence as EventSequence
 from .shape import PhaseKind as PhaseKind

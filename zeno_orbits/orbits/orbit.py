@@ -106,6 +106,11 @@ class ZenoOrbit(TableRepr):
         return EventSequence(phases=tuple(phase.kind for phase in self.phases))
 
     @property
+    def kind(self) -> str:
+        """Name of the orbit: Zeno periodic, simple (plastic impacts), or without a Zeno point."""
+        return self.shape.kind
+
+    @property
     def start_state(self) -> Mapping[str, float]:
         """State name to value at the start of the period: a release, or just after an impact."""
         return self.phases[0].start_state

@@ -30,6 +30,11 @@ class PhaseKind(Enum):
         return self is not PhaseKind.IMPACT
 
 
+ZENO_ORBIT = "Zeno periodic orbit"
+SIMPLE_ORBIT = "simple periodic orbit"
+"""Name of an orbit whose stops are plastic, so that no impacts accumulate ([OrAmes2009]_)."""
+NO_ZENO_ORBIT = "periodic orbit without a Zeno point"
+
 _MOST_PHASES = 1000
 """Number of phases per period beyond which a text is treated as a typing error."""
 _WANTED = "must be zeno, plastic or impact, *N for N of them, joined by commas"
@@ -82,6 +87,13 @@ class EventSequence:
         """The shape as text, in the format that `parsed` reads."""
         runs = [(kind, len(list(run))) for kind, run in groupby(self.phases)]
         return ",".join(kind.value if n == 1 else f"{kind.value}*{n}" for kind, n in runs)
+
+    @property
+    def kind(self) -> str:
+        """Name of an orbit of this shape in the theory (3.5)."""
+        if PhaseKind.ZENO in self.phases:
+            return ZENO_ORBIT
+        return SIMPLE_ORBIT if PhaseKind.PLASTIC in self.phases else NO_ZENO_ORBIT
 
     @property
     def n_phases(self) -> int:

@@ -7,7 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from zeno_orbits.orbits import ONE_ZENO, EventSequence
+from zeno_orbits.orbits import (
+    NO_ZENO_ORBIT,
+    ONE_ZENO,
+    SIMPLE_ORBIT,
+    ZENO_ORBIT,
+    EventSequence,
+)
 from zeno_orbits.work import Columns, TableRepr
 
 RESIDUALS: Mapping[str, str] = {
@@ -208,21 +214,25 @@ class OrbitCertificate(TableRepr):
 
     @property
     def _kind(self) -> str:
-        what = "Zeno periodic orbit"
         shape = EventSequence.parsed(self.shape)
         if self.events:
-            zeno = any(name.startswith("zeno ") for name in self.events)
-            what = what if zeno else "periodic orbit without a Zeno point"
-            what = f"{what} (events: {', '.join(self.events)})"
-        elif not shape.starts_at_release:
-            what = "periodic orbit without a Zeno point"
-        if not self.events and not shape.has_one_release:
-            what = f"{what} (shape {shape.text})"
+            what = f"{self._kind_of_events} (events: {', '.join(self.events)})"
+        elif not shape.has_one_release:
+            what = f"{shape.kind} (shape {shape.text})"
+        else:
+            what = f"{shape.kind}{' (plastic impacts)' if shape.kind == SIMPLE_ORBIT else ''}"
         if self.stable:
             return f"a stable {what}"
         if self.unstable:
             return f"an unstable {what}"
         return f"a {what} of unknown stability"
+
+    @property
+    def _kind_of_events(self) -> str:
+        if not any(name.startswith("zeno ") for name in self.events):
+            return NO_ZENO_ORBIT
+        longest = [high for name, (_, high) in self.quantities.items() if "bounce_time" in name]
+        return SIMPLE_ORBIT if longest and max(longest) == 0.0 else ZENO_ORBIT
 
     @property
     def orbit_error(self) -> float:

@@ -49,7 +49,7 @@ from zeno_orbits.experiment.recordings.contacts import contact_channels, contact
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import ZENO_ORBIT, EventOrbit, ZenoOrbit
 from zeno_orbits.work import Columns, TableRepr
 
 __all__ = ["Comparison", "ComparisonVerdict", "Metric", "compare_recording"]
@@ -121,9 +121,7 @@ class Comparison(TableRepr):
     @property
     def is_zeno(self) -> bool:
         """True if impacts accumulate in the orbit."""
-        if isinstance(self.orbit, ZenoOrbit):
-            return True
-        return any(event.name.startswith("zeno ") for event in self.orbit.events)
+        return self.orbit.kind == ZENO_ORBIT
 
     @cached_property
     def metrics(self) -> tuple[Metric, ...]:

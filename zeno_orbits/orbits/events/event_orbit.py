@@ -8,6 +8,7 @@ from typing import Any
 
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import EVENT_FORMAT
+from zeno_orbits.orbits.shape import NO_ZENO_ORBIT, SIMPLE_ORBIT, ZENO_ORBIT
 from zeno_orbits.simulation import Event, Release, SwitchEvent, ZenoPoint, event_name
 from zeno_orbits.work import Columns, TableRepr, by_name
 
@@ -81,6 +82,11 @@ class EventOrbit(TableRepr):
         return sequence_of([event.name for event in self.events])
 
     @property
+    def kind(self) -> str:
+        """Name of the orbit: Zeno periodic, simple (plastic impacts), or without a Zeno point."""
+        return kind_of_events([(event.name, event.time) for event in self.events])
+
+    @property
     def section(self) -> str:
         """Name of the event at which the period starts and ends."""
         return self.events[-1].name
@@ -116,6 +122,21 @@ class EventOrbit(TableRepr):
             "certificate": dict(self.certificate),
             "versions": dict(self.versions),
         }
+
+
+def kind_of_events(events: Sequence[tuple[str, float]]) -> str:
+    """Return the name of an orbit by its events.
+
+    At a plastic stop the Zeno point has the time of an impact, and no impacts accumulate.
+
+    Args:
+        events: Name and time of each event of a period, in order.
+    """
+    zenos = [(name.removeprefix("zeno "), t) for name, t in events if name.startswith("zeno ")]
+    if not zenos:
+        return NO_ZENO_ORBIT
+    plastic = all((f"impact {stop}", time) in events for stop, time in zenos)
+    return SIMPLE_ORBIT if plastic else ZENO_ORBIT
 
 
 def sequence_of(names: Sequence[str]) -> tuple[str, ...]:

@@ -125,16 +125,16 @@ def _described(problem: Problem, values: ParameterValues, orbit: ZenoOrbit) -> E
     motion = orbit_motion(orbit, problem, problem.dynamics(values))
     multipliers = multipliers_of(orbit, problem)
     return ExploredAttractor(
-        name=_name(multipliers, is_zeno=bool(motion.zeno_points)),
+        name=_name(multipliers, orbit),
         orbit=orbit,
         multipliers=multipliers,
         motion=motion,
     )
 
 
-def _name(multipliers: Multipliers, *, is_zeno: bool) -> str:
+def _name(multipliers: Multipliers, orbit: ZenoOrbit) -> str:
     stable = "Stable" if multipliers.spectral_radius < 1.0 else "Unstable"
-    return f"{stable} {'Zeno periodic orbit' if is_zeno else 'periodic orbit without Zeno point'}"
+    return f"{stable} {orbit.kind}"
 
 
 def _transient(problem: Problem, values: ParameterValues) -> Execution | None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import printable
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import EventOrbit
 from zeno_orbits.report.disturbances import (
     least_push_line,
     recovery_lines,
@@ -55,7 +55,7 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
     zooms = close_ups(execution, subject.dynamics) if execution else ()
     error, curves = certificate.orbit_error, curves_of(subject)
     heading = subject.problem.title[:1].upper() + subject.problem.title[1:]
-    what = "Zeno periodic orbit" if _has_zeno_point(subject.orbit) else "Periodic orbit"
+    what = subject.orbit.kind[:1].upper() + subject.orbit.kind[1:]
     return (
         template_environment()
         .get_template("page.html")
@@ -110,12 +110,6 @@ def _marked_symbols(problem: Problem) -> Callable[[str | Mapping[str, float]], M
     return lambda one: Markup(
         symbol(one) if isinstance(one, str) else direction_symbol(one, symbol)
     )
-
-
-def _has_zeno_point(orbit: ZenoOrbit | EventOrbit) -> bool:
-    if isinstance(orbit, EventOrbit):
-        return any(name.startswith("zeno ") for name in orbit.sequence)
-    return orbit.shape.starts_at_release
 
 
 def _contents(subject: Subject) -> dict[str, str]:

@@ -123,13 +123,12 @@ def headline(certificate: OrbitCertificate) -> str:
     """Return the answer in a few words."""
     if not certificate.passed:
         return "Not verified: do not rely on these values."
+    has = f"the model has this orbit within the tolerance {certificate.tolerance:.0e}"
     if certificate.stable:
-        return "Verified: the model has this orbit, and small disturbances of it decay."
+        return f"Verified: {has}, and small disturbances of it decay."
     if certificate.unstable:
-        return (
-            "Verified, but unstable: the model has this orbit, and small disturbances of it grow."
-        )
-    return "Verified: the model has this orbit. Whether small disturbances decay is undecided."
+        return f"Verified, but unstable: {has}, and small disturbances of it grow."
+    return f"Verified: {has}. Whether small disturbances decay is undecided."
 
 
 def cautions(problem: Problem, execution: Execution | None) -> list[str]:

@@ -222,7 +222,7 @@ def print_summary(
     ]
     kind, unknown = _stability(certificate)
     at = f" at {', '.join(given)}" if given else ""
-    shape = "Zeno periodic orbit" if orbit.shape.has_one_release else f"orbit `{orbit.shape.text}`"
+    shape = orbit.kind if orbit.shape.has_one_release else f"orbit `{orbit.shape.text}`"
     print_lines([f"Found: {kind}{shape} of {problem.name}{at}{unknown}"])
     facts = [f"period {orbit.period:.12g} s"]
     if certificate.multipliers:
