@@ -98,6 +98,7 @@ from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.orbit_file import read_orbit as read_orbit
 from .orbits.orbit_file import write_orbit as write_orbit
 from .orbits.shape import EventSequence as EventSequence
+from .orbits.stability import Stability as Stability
 from .precision.accuracy import ExecutionWithError as ExecutionWithError
 from .precision.landmark import execution_distance as execution_distance
 from .precision.trials import WorkPrecisionSettings as WorkPrecisionSettings
@@ -202,6 +203,7 @@ __all__ = [
     "SimultaneousEventsError",
     "SlidingError",
     "SpecialPointKind",
+    "Stability",
     "StateLimit",
     "Stop",
     "Switch",

@@ -61,8 +61,8 @@ def eigenvalues(matrix: Array) -> tuple[complex, ...]:
     return tuple(complex(value) if k < known else 0j for k, value in enumerate(values))
 
 
-def eigenvalue_error(values: Sequence[complex], others: Sequence[complex]) -> float:
-    """Return the largest distance of eigenvalues from those of a rougher computation.
+def eigenvalue_errors(values: Sequence[complex], others: Sequence[complex]) -> tuple[float, ...]:
+    """Return the distance of each eigenvalue from those of a rougher computation.
 
     Eigenvalues that are all below rounding have the error of rounding.
 
@@ -70,5 +70,6 @@ def eigenvalue_error(values: Sequence[complex], others: Sequence[complex]) -> fl
         values: The eigenvalues, the largest first.
         others: The eigenvalues of the rougher computation.
     """
+    least = ROUNDED if values and values[0] == 0.0 else 0.0
     away = [min((abs(other - value) for other in others), default=math.inf) for value in values]
-    return max(ROUNDED if values and values[0] == 0.0 else 0.0, *away, 0.0)
+    return tuple(max(least, distance) for distance in away)

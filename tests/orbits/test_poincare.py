@@ -248,7 +248,9 @@ def test_a_section_that_is_a_point_has_no_multipliers_by_differences_either() ->
 
 
 def test_the_spectral_radius_is_the_largest_modulus() -> None:
-    found = Multipliers(values=(0.6 + 0.8j, 0.5, -2.0), error=0.0, jacobian=np.zeros((3, 3)))
+    found = Multipliers(
+        values=(0.6 + 0.8j, 0.5, -2.0), errors=(0.0,) * 3, jacobian=np.zeros((3, 3))
+    )
     assert found.spectral_radius == 2.0
     assert replace(found, values=(0.3 + 0.4j, 0.1)).spectral_radius == 0.5
 

@@ -23,7 +23,6 @@ from zeno_orbits.continuation import (
     SpecialPoint,
     SpecialPointKind,
 )
-from zeno_orbits.orbits import Multipliers
 from zeno_orbits.report.plots import (
     COLUMN_WIDTH,
     FULL_WIDTH,
@@ -186,7 +185,7 @@ def test_what_are_no_axes_is_refused() -> None:
 def test_multipliers_have_a_picture_and_a_closing_is_drawn_as_its_orbit(
     orbit: zo.ZenoOrbit,
 ) -> None:
-    found = Multipliers(values=(0.5 + 0.25j, -0.125j), error=1e-9, jacobian=np.eye(2))
+    found = replace(zo.floquet_multipliers(orbit), values=(0.5 + 0.25j, -0.125j))
     (circle,) = figure_of(found).axes
     shown = {complex(*np.ravel(line.get_xydata())) for line in circle.get_lines()}
     assert shown == set(found.values)

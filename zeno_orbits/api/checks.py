@@ -22,7 +22,7 @@ from zeno_orbits.work import Progress, read_json, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.model import GraphDynamics, HybridDynamics
-    from zeno_orbits.orbits import Multipliers
+    from zeno_orbits.orbits import Stability
     from zeno_orbits.proof import PeriodEnclosure, Proof, ProofVerdict, Replay
     from zeno_orbits.verification import OrbitCertificate, VerificationSettings
 
@@ -220,8 +220,11 @@ def dynamics_of_orbit(
 @front_door
 def floquet_multipliers(
     orbit: ZenoOrbit | EventOrbit | str | Path, *, problem: Named | None = None
-) -> Multipliers:
-    """Return the Floquet multipliers of an orbit, from exact derivatives, with their error.
+) -> Stability:
+    """Return the Floquet multipliers of an orbit with their errors, from exact derivatives.
+
+    The result also has the return map in named coordinates, the slowest direction and the time in
+    which a small disturbance decays or doubles.
 
     Args:
         orbit: The orbit, or its file.
@@ -231,10 +234,11 @@ def floquet_multipliers(
         InputError: If the orbit's problem is not known, or the orbit does not fit the problem.
         SimulationError: If the simulation does not return to the orbit.
     """
+    from zeno_orbits.orbits import stability_of
     from zeno_orbits.verification import multipliers_of, multipliers_of_events
 
     orbit = any_orbit(orbit)
     used = problem_of(orbit, problem)
-    if isinstance(orbit, EventOrbit):
-        return multipliers_of_events(orbit, used)
-    return multipliers_of(orbit, used)
+    is_event = isinstance(orbit, EventOrbit)
+    found = multipliers_of_events(orbit, used) if is_event else multipliers_of(orbit, used)
+    return stability_of(used, orbit, found)

@@ -14,7 +14,7 @@ from textwrap import shorten, wrap
 COMMANDS = {
     "model": ("problems", "new", "zeno-condition", "reduced-models"),
     "find": ("simulate", "search"),
-    "check": ("verify", "prove"),
+    "check": ("verify", "stability", "prove"),
     "explore": ("map", "continue", "push", "recovery", "work-precision"),
     "real machines": ("rig", "compare", "identify", "export"),
     "show": ("plot", "figures", "report"),

@@ -24,6 +24,7 @@ from zeno_orbits.cli.commands.report_command import add_report
 from zeno_orbits.cli.commands.rig import add_rig
 from zeno_orbits.cli.commands.search import add_search
 from zeno_orbits.cli.commands.simulate import add_simulate
+from zeno_orbits.cli.commands.stability import add_stability
 from zeno_orbits.cli.commands.verify import add_verify
 from zeno_orbits.cli.old_forms import in_new_forms
 from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser, print_json
@@ -36,7 +37,7 @@ from zeno_orbits.work import BUILD_WATCH
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
     *(add_search, add_verify, add_prove, add_map, add_continue, add_push),
-    *(add_recovery, add_trade, add_rig),
+    *(add_stability, add_recovery, add_trade, add_rig),
     *(
         add_export,
         add_plot,

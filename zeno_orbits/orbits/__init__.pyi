@@ -13,7 +13,7 @@ from .digest import digest_of as digest_of
 from .digest import same_equations as same_equations
 from .events.return_map import event_chart as event_chart
 from .events.return_map import multipliers_of_return as multipliers_of_return
-from .events.return_map import return_jacobian as return_jacobian
+from .events.return_map import derivative_of_return as derivative_of_return
 from .events.courses import ENERGY as ENERGY
 from .events.courses import EventCourse as EventCourse
 from .events.courses import course_signal_names as course_signal_names
@@ -89,6 +89,7 @@ from .phases import follow_each_other as follow_each_other
 from .phases import kinds_of as kinds_of
 from .phases import phases_of as phases_of
 from .poincare import Multipliers as Multipliers
+from .poincare import estimated_errors as estimated_errors
 from .poincare import orbit_multipliers as orbit_multipliers
 from .poincare import poincare_map as poincare_map
 from .poincare import poincare_jacobian as poincare_jacobian
@@ -103,6 +104,10 @@ from .section import release_section as release_section
 from .section import rows_of as rows_of
 from .section import section_along as section_along
 from .section import section_around as section_around
+from .stability import RECOVERED as RECOVERED
+from .stability import SlowDirection as SlowDirection
+from .stability import Stability as Stability
+from .stability import stability_of as stability_of
 from .shape import NO_ZENO_ORBIT as NO_ZENO_ORBIT
 from .shape import ONE_ZENO as ONE_ZENO
 from .shape import SIMPLE_ORBIT as SIMPLE_ORBIT

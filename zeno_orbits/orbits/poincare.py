@@ -8,15 +8,21 @@ states just after an impact. Source: [OrAmes2009]_, theory (3.3), (3.6).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalue_error, eigenvalues
+from zeno_orbits.arrays import Vector, eigenvalue_errors, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits.looser_run import relaxed_settings
-from zeno_orbits.orbits.monodromy import ReturnDerivative, Sensitivity, period_derivative
+from zeno_orbits.orbits.monodromy import (
+    PeriodDerivative,
+    ReturnDerivative,
+    Sensitivity,
+    period_derivative,
+)
 from zeno_orbits.orbits.period import cycle_of, first_return, place_on_section, to_next_release
 from zeno_orbits.orbits.section import RELEASE_ROWS, Section, rows_of, section_around
 from zeno_orbits.orbits.shape import ONE_ZENO, EventSequence
@@ -33,13 +39,27 @@ class Multipliers(ByValue):
 
     Attributes:
         values: The multipliers, the largest first.
-        error: Estimated error of the largest multiplier.
-        jacobian: Derivative of the return map in section coordinates.
+        errors: Estimated error of each multiplier.
+        jacobian: Derivative of the return map in section coordinates, ``(d, d)``.
+        section: The chart of the section, or ``None`` if the multipliers are unknown.
+        event: Name of the event of the section.
     """
 
     values: tuple[complex, ...]
-    error: float
+    errors: tuple[float, ...]
     jacobian: Vector
+    section: Section | None = None
+    event: str = ""
+
+    @classmethod
+    def unknown(cls) -> Multipliers:
+        """Return the multipliers of an orbit that does not return."""
+        return cls(values=(), errors=(math.inf,), jacobian=np.zeros((0, 0)))
+
+    @property
+    def error(self) -> float:
+        """Largest error of a multiplier. Infinite if the multipliers are unknown."""
+        return max(self.errors, default=0.0)
 
     @property
     def spectral_radius(self) -> float:
@@ -134,7 +154,8 @@ def orbit_multipliers(
     """Return the multipliers of an orbit.
 
     For a system with formulas, the derivatives are exact. The error estimate is their change at
-    looser tolerances. For a system without formulas, differences of the return map are used.
+    looser tolerances, one period later: an orbit that is not closed has a larger error. For a
+    system without formulas, differences of the return map are used.
 
     Args:
         dynamics: The system.
@@ -151,19 +172,61 @@ def orbit_multipliers(
     """
     if dynamics.differentiation is None:
         near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
-        return _multipliers((4 * near - far) / 3, near, noise / _DIFFERENCE)
-
-    def slope(accuracy: SimulationSettings) -> Vector:
-        return poincare_jacobian(
-            dynamics, x, scale=scale, period=period, settings=accuracy, shape=shape
+        section = _section(dynamics, shape, x, scale)
+        values = eigenvalues((4 * near - far) / 3)
+        errors = estimated_errors(values, eigenvalues(near), noise / _DIFFERENCE)
+        return Multipliers(
+            values=values,
+            errors=errors,
+            jacobian=(4 * near - far) / 3,
+            section=section,
+            event=event_of(shape),
         )
 
-    jacobian = slope(settings)
+    def slope(start: Vector, accuracy: SimulationSettings) -> tuple[PeriodDerivative, Section]:
+        derivative = period_derivative(
+            dynamics, start, shape, horizon=2 * period, settings=accuracy
+        )
+        return derivative, _section(dynamics, shape, derivative.start, scale)
+
+    exact, section = slope(x, settings)
+    jacobian = section.components(exact.by_state @ section.lift)
+    values, least = eigenvalues(jacobian), _LEAST * settings.tolerance.relative
     try:
-        rough = slope(relaxed_settings(settings, resolved=_FEWER))
+        rough, other = slope(exact.end, relaxed_settings(settings, resolved=_FEWER))
+        others = eigenvalues(other.components(rough.by_state @ other.lift))
     except SimulationError:
-        return _multipliers(jacobian, jacobian, math.inf)
-    return _multipliers(jacobian, rough, _LEAST * settings.tolerance.relative)
+        others = ()
+    return Multipliers(
+        values=values,
+        errors=estimated_errors(values, others, least),
+        jacobian=jacobian,
+        section=section,
+        event=event_of(shape),
+    )
+
+
+def estimated_errors(
+    values: Sequence[complex], others: Sequence[complex], least: float
+) -> tuple[float, ...]:
+    r"""Return the estimated errors of the multipliers of an orbit.
+
+    If a period ends `d` away from its start, the orbit is :math:`d / |1 - \mu|` away to first
+    order, and the change of the multipliers over the period is multiplied accordingly.
+
+    Args:
+        values: The multipliers, the largest first.
+        others: Multipliers of a rougher computation that starts at the end of the period.
+        least: Least error, because two computations may agree by chance.
+    """
+    nearest = min([1.0, *(abs(1.0 - value) for value in values)])
+    farther = _SAFE / max(nearest, _AT_FOLD)
+    return tuple(farther * error + least for error in eigenvalue_errors(values, others))
+
+
+def event_of(shape: EventSequence) -> str:
+    """Return the name of the event at which a period of a shape starts."""
+    return "release" if shape.starts_at_release else "impact"
 
 
 def poincare_jacobian(
@@ -196,18 +259,13 @@ def poincare_jacobian(
     return section.components(derivative.by_state @ section.lift)
 
 
-def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
-    """Return the eigenvalues of a derivative.
-
-    Their error is the difference from the eigenvalues of a rougher derivative, plus the noise.
-    """
-    values = eigenvalues(jacobian)
-    error = eigenvalue_error(values, eigenvalues(rough)) + noise
-    return Multipliers(values=values, error=error, jacobian=jacobian)
-
-
 _FEWER = 10.0
 """Factor on the speed below which impacts may be omitted, in the second computation."""
+
+_SAFE = 2.0
+"""Factor on an error that is known to first order."""
+_AT_FOLD = 1e-6
+"""Distance of a multiplier from 1 below which an orbit is at a fold."""
 
 _LEAST = 10.0
 """Least error estimate in units of the tolerance, because two runs may agree by chance."""

@@ -411,7 +411,8 @@ class Proof:
             return "P contracts box 1"
         told = decimal_above(norm, _NORM_DIGITS)
         where = f"on box {len(self.boxes)}"
-        return f"{where} the norm of DP in the basis of the certificate is at most {told}"
+        norm_in = "the norm of DP (largest row sum) in the basis of the certificate"
+        return f"{where} {norm_in} is at most {told}"
 
     def _motion(self, n_phases: int) -> str:
         impacts = (

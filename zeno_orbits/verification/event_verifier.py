@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalue_error
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError, finite_number
 from zeno_orbits.model import GraphDynamics, Problem
 from zeno_orbits.orbits import (
@@ -28,6 +28,8 @@ from zeno_orbits.orbits import (
     Multipliers,
     OrbitEvent,
     caused_releases,
+    derivative_of_return,
+    estimated_errors,
     event_return,
     events_as_listed,
     extrapolated,
@@ -36,7 +38,6 @@ from zeno_orbits.orbits import (
     multipliers_of_return,
     orbit_event_name,
     relaxed_tolerance,
-    return_jacobian,
     sequence_of,
 )
 from zeno_orbits.simulation import (
@@ -151,7 +152,7 @@ def verify_events(
             residuals["energy_balance"] = found.imbalance if found else math.inf
         residuals["integration"] = seen.integration_error
     on_progress("computing the multipliers", None)
-    known = Multipliers(values=(), error=math.inf, jacobian=np.zeros((0, 0)))
+    known = Multipliers.unknown()
     with suppress(ZenoOrbitsError):
         known = multipliers_of_events(orbit, problem, settings=settings)
     if known.spectral_radius >= 1.0:
@@ -393,6 +394,10 @@ def _quantities(
     return {name: (one.lowest, one.highest) for name, one in found.table().items()}
 
 
+_LEAST = 1e-12
+"""Least error of a multiplier, because two computations may agree by chance."""
+
+
 def multipliers_of_events(
     orbit: EventOrbit, problem: Problem, *, settings: VerificationSettings | None = None
 ) -> Multipliers:
@@ -411,19 +416,26 @@ def multipliers_of_events(
     graph = problem.graph_dynamics(orbit.values(problem))
     start = np.array(problem.state_vector(orbit.start_state))
 
-    def returned(accuracy: SimulationSettings) -> EventReturn:
+    def returned(state: Vector, accuracy: SimulationSettings) -> EventReturn:
         return event_return(
             graph,
-            start,
+            state,
             section=orbit.section,
             n_returns=orbit.n_returns,
             guess=orbit.period,
             settings=accuracy,
         )
 
-    found, others = returned(settings.simulation), None
+    found, next_one = returned(start, settings.simulation), None
     with suppress(ZenoOrbitsError):
-        others = multipliers_of_return(graph, returned(relaxed_tolerance(settings.simulation)))
+        next_one = returned(found.end, relaxed_tolerance(settings.simulation))
     values = multipliers_of_return(graph, found)
-    error = math.inf if others is None else max(1e-12, eigenvalue_error(values, others))
-    return Multipliers(values=values, error=error, jacobian=return_jacobian(graph, found))
+    others = () if next_one is None else multipliers_of_return(graph, next_one)
+    event, section, jacobian = derivative_of_return(graph, found)
+    return Multipliers(
+        values=values,
+        errors=estimated_errors(values, others, _LEAST),
+        jacobian=jacobian,
+        section=section,
+        event=event,
+    )

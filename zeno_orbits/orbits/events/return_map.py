@@ -216,7 +216,7 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
         found: The return.
     """
     scale = largest_states(found.execution.arcs, graph)
-    slope = return_jacobian(graph, found)
+    slope = _slope(graph, found, scale)[2]
     least = len(slope)
     phases = phases_of_events([orbit_event_name(event) for event in found.events])
     # Events of one kind between the same modes have sections of one dimension.
@@ -230,14 +230,18 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
     return eigenvalues(slope)[:least]
 
 
-def return_jacobian(graph: GraphDynamics, found: EventReturn) -> Vector:
-    """Return the derivative of a periodic return in coordinates of its section, ``(d, d)``.
+def derivative_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[str, Section, Vector]:
+    """Return the event of the section of a periodic return, its chart, and the derivative in it.
 
     Args:
         graph: The graph of modes.
         found: The return.
+
+    Returns:
+        Name of the event, chart, and derivative, ``(d, d)``.
     """
-    return _slope(graph, found, largest_states(found.execution.arcs, graph))[2]
+    _, section, slope = _slope(graph, found, largest_states(found.execution.arcs, graph))
+    return orbit_event_name(_cause_at(found, found.period)), section, slope
 
 
 def _slope(

@@ -14,7 +14,7 @@ from zeno_orbits.errors import InputError, shown
 from zeno_orbits.experiment import Comparison
 from zeno_orbits.maps import ParameterMap
 from zeno_orbits.model import Problem, recorded_problem
-from zeno_orbits.orbits import EventOrbit, Multipliers, ZenoOrbit
+from zeno_orbits.orbits import EventOrbit, Stability, ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.report.plots.certificate import plot_certificate, plot_multipliers
@@ -129,7 +129,7 @@ _PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Fig
         found.unwrap(), problem, width, axes
     ),
     OrbitCertificate: lambda found, _, width, axes: plot_certificate(found, width=width, axes=axes),
-    Multipliers: lambda found, _, width, axes: plot_multipliers(
+    Stability: lambda found, _, width, axes: plot_multipliers(
         tuple(found.values), width=width, axes=axes
     ),
     Family: lambda found, problem, width, axes: _of_continuation(

@@ -431,9 +431,10 @@ def print_certificate(
     point = "none: the section is a point" if certificate.stable else "unknown"
     error = certificate.multiplier_error
     multipliers = shown_multipliers(certificate.multipliers, error, 7) or point
+    spread = f" (+- {error:.0e})" if certificate.multipliers else ""
     print_lines(
         [
-            f"Floquet multipliers: {multipliers} (+- {error:.0e})",
+            f"Floquet multipliers: {multipliers}{spread}",
             f"Estimated error of the integration: {certificate.integration_error:.0e}, "
             f"of the Zeno limit in addition: {certificate.zeno_error:.0e}",
         ]

@@ -22,8 +22,11 @@ from zeno_orbits.report.table import (
     name_column,
     number_column,
     shown_complex,
+    shown_multiplier,
+    shown_multipliers,
     shown_size,
     text_column,
+    with_unit,
 )
 from zeno_orbits.report.terminal.console import print_lines, print_table
 from zeno_orbits.work import decimal_below
@@ -31,6 +34,7 @@ from zeno_orbits.work import decimal_below
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
     from zeno_orbits.maps import Attractor, ParameterMap, Pushes, Recovery
+    from zeno_orbits.orbits import Stability
     from zeno_orbits.precision import ReductionCost, TimedSetting, WorkPrecision
     from zeno_orbits.proof import Proof
 
@@ -169,6 +173,67 @@ def print_recovery(found: Recovery) -> None:
     if extents:
         print_lines([""])
         print_table(extent_columns(found), extents)
+
+
+def print_stability(found: Stability) -> None:
+    """Print the stability of an orbit: verdict, multipliers, return map and time to recover."""
+    error = f" +- {found.error:.0e}" if found.spectral_radius else ""
+    radius = f"spectral radius {found.spectral_radius:.6g}{error}"
+    print_lines([f"Orbit of {found.problem}: {found.verdict}, {radius}"])
+    if not found.values:
+        print_lines(["No multipliers: every period passes a section that is a point."])
+    else:
+        rows = list(zip(found.values, found.errors, strict=True))
+        columns: list[Column[tuple[complex, float]]] = [
+            text_column("multiplier", lambda row: shown_multipliers(row[:1], row[1], 7)),
+            number_column("modulus", lambda row: shown_multiplier(abs(row[0]), row[1], 7)),
+            number_column("error", lambda row: f"{row[1]:.0e}"),
+        ]
+        print_table(columns, rows)
+        _print_return_map(found)
+    print_lines(recovery_words(found))
+
+
+def _print_return_map(found: Stability) -> None:
+    """Print the derivative of the return map in the coordinates of its section."""
+    side = "before" if found.event.startswith("switch") else "after"
+    where = f"Return map DP of the states just {side} `{found.event}`"
+    print_lines([f"{where}: change after a period, per change before"])
+
+    def heading(k: int) -> str:
+        name = found.coordinates[k]
+        return with_unit(name, f"[{found.units[name]}]")
+
+    def number(k: int) -> Column[int]:
+        return number_column(f"per {heading(k)}", lambda row: f"{found.jacobian[row, k]:.6g}")
+
+    rows = range(len(found.coordinates))
+    print_table([name_column("", heading), *map(number, rows)], rows)
+    norm = "largest row sum, coordinates relative to their largest values"
+    print_lines([f"Norm of DP ({norm}): {found.norm:.4g}"])
+
+
+def recovery_words(found: Stability) -> list[str]:
+    """Return the slowest direction of an orbit and its times as sentences."""
+    slow = found.slowest
+    if slow is None:
+        wait = counted(round(found.periods_to(0.5)), "period")
+        return [f"Every small disturbance vanishes within {wait}, to rounding."]
+    which = "Fastest growth" if found.unstable else "Slowest direction"
+    lines = [f"{which}: {slow.words}"]
+    if math.isfinite(slow.periods_per_turn):
+        lines.append(f"The disturbance turns once in {slow.periods_per_turn:.4g} periods.")
+    times = [
+        f"{name} in {periods:.4g} periods ({periods * found.period:.4g} s)"
+        for name, periods in found.milestones.items()
+    ]
+    if found.stable:
+        lines.append(f"A small disturbance decays to {', to '.join(times)}.")
+    elif found.unstable:
+        lines.append(f"A small disturbance grows to {', '.join(times)}.")
+    else:
+        lines.append("The errors of the multipliers leave open whether a disturbance decays.")
+    return lines
 
 
 def print_basin(proof: Proof, sampled: Recovery | None) -> None:

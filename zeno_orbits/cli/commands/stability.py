@@ -1,0 +1,36 @@
+"""The command `stability`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from zeno_orbits import api
+from zeno_orbits.cli.options import NO, YES, add_command, add_orbit, hand_out, require_outputs
+from zeno_orbits.report import terminal as report
+
+
+def add_stability(commands: Any) -> None:
+    """Add the command `stability`."""
+    parser = add_command(
+        commands,
+        "stability",
+        _run_stability,
+        "compute Floquet multipliers with errors, the return map and the time to recover",
+        [
+            "zeno-orbits stability orbit.json",
+            "zeno-orbits stability orbit.json --json -o stability.json",
+        ],
+    )
+    add_orbit(parser)
+    parser.add_argument("-o", "--output", type=Path, help="write the result here, as JSON")
+    parser.set_defaults(picture=None)
+
+
+def _run_stability(options: argparse.Namespace) -> int:
+    require_outputs(options, reads=[options.orbit])
+    with report.ProgressLine(options.interrupts.check):
+        found = api.floquet_multipliers(options.orbit, problem=options.problem)
+    hand_out(options, found, report.print_stability)
+    return YES if found.stable else NO
