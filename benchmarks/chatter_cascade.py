@@ -89,7 +89,7 @@ def last_zeno(case: Case, problem: str, e: float) -> SpecialPoint:
     """Return the end of the Zeno orbits, where the contact phase vanishes."""
     numbers = {case.parameter: case.held, "restitution": e}
     orbit = api.orbit_inside(api.known_problem(problem), {}, numbers=numbers)
-    found = api.continue_orbit(orbit, case.parameter, (case.held, case.last), settings=ONCE)
+    found = api.continue_orbit(orbit, (case.parameter, case.held, case.last), settings=ONCE)
     return found.families[0].last
 
 
@@ -136,8 +136,7 @@ def followed(case: Case, problem: str, e: float, value: float, box: tuple[float,
     gains = {name: x for name, x in numbers.items() if name in names}
     found = api.continue_impacts(
         problem,
-        case.parameter,
-        box,
+        (case.parameter, *box),
         start=case.initial,
         gains=gains,
         parameters={name: x for name, x in numbers.items() if name not in gains},

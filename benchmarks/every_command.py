@@ -28,7 +28,7 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("zeno-condition", "FILE"),
     ("reduced-models", "FILE"),
     ("cache", "--compile", "FILE"),
-    ("simulate", "FILE", "--t-end", "TIME"),
+    ("simulate", "FILE", "--until", "TIME"),
     ("search", "FILE", "-o", "orbit.json"),
     ("verify", "orbit.json", "--problem", "FILE"),
     ("prove", "orbit.json", "--problem", "FILE", "-o", "proof.json"),

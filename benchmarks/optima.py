@@ -277,7 +277,7 @@ class Judge:
                 problem,
                 gains=fixed,
                 parameters=others,
-                free=dict(case.free),
+                vary=dict(case.free),
                 objective=case.objective,
                 bounds=case.bounds,
             )

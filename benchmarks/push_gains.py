@@ -37,7 +37,7 @@ def measured(problem: str, objective: str, starts: int) -> tuple[str, float, str
     try:
         result = zo.search_gains(
             problem,
-            free=free,
+            vary=free,
             objective=OBJECTIVES[objective],
             settings=zo.SearchSettings(n_starts=starts),
         )

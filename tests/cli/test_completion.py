@@ -45,7 +45,7 @@ def _script() -> str:
         (("rig", "o"), {"orbit.json"}),
         (("compare", "orbit.json", ""), {"run.csv", "sub/"}),
         (("search", "motor_pendulum", "--obj"), {"--objective"}),
-        (("search", "motor_pendulum", "--from", ""), {"orbit.json", "sub/"}),
+        (("search", "motor_pendulum", "--near", ""), {"orbit.json", "sub/"}),
         (("simulate", "motor_pendulum", "--engine", "ex"), {"explicit"}),
         (("map", "motor_pendulum", "--checkpoint", "s"), {"sub"}),
     ],

@@ -36,9 +36,9 @@ IMPACTS = [
     "stop=1",
     "--set",
     "restitution=0.8",
-    "--initial",
+    "--start",
     "speed=1",
-    "--initial",
+    "--start",
     "cosine=1",
 ]
 
@@ -78,7 +78,7 @@ def test_a_family_starts_at_an_orbit_file_and_prints_json(
     words = [
         "continue",
         "motor_pendulum",
-        "--from",
+        "--near",
         str(file),
         "--parameter",
         "Kp=2.4:2.6",
@@ -91,7 +91,7 @@ def test_a_family_starts_at_an_orbit_file_and_prints_json(
     assert list(starts[0]["state"].values()) == pytest.approx(RELEASE, abs=1e-10)
     # An orbit file has all numbers; more would contradict it.
     assert main([*words, "--set", "Kp=2"]) == 2
-    assert f"--from {file}: cannot be combined with --set: " in capsys.readouterr().err
+    assert f"--near {file}: cannot be combined with --set: " in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -100,7 +100,7 @@ def test_parameters_that_a_map_would_derive_anew_are_told_to_be_held(
 ) -> None:
     file = tmp_path / "orbit.json"
     write_orbit(orbit_by_shooting(PENDULUM, PENDULUM.values()).unwrap(), file)
-    words = ["continue", "motor_pendulum", "--from", str(file), "--parameter"]
+    words = ["continue", "motor_pendulum", "--near", str(file), "--parameter"]
     assert main([*words, "m1=0.2998:0.3002"]) == 0
     told = capsys.readouterr().out
     assert "Derived, and held at their initial values: J_rotor, K_torque, K_emf." in told
@@ -129,10 +129,10 @@ def test_parameters_that_a_map_would_derive_anew_are_told_to_be_held(
             ],
             "must be one of fold",
         ),
-        (["motor_pendulum", "--parameter", "Kd=-2:0", "--initial", "theta1=1"], "--section impact"),
+        (["motor_pendulum", "--parameter", "Kd=-2:0", "--start", "theta1=1"], "--section impact"),
         (
             ["forced_oscillator", "--parameter", "A=1:2", "--section", "impact"],
-            "--section impact: needs --initial",
+            "--section impact: needs --start",
         ),
         (["motor_pendulum", "--parameter", "Kd=-2:0", "--plot", "a.jpg"], "must end in .png"),
     ],

@@ -15,18 +15,18 @@ pytestmark = pytest.mark.usefixtures("here")
 
 
 def test_simulate_names_stops_and_switches() -> None:
-    answer = ask("simulate", "kneed_walker", "--t-end", "1.2")
+    answer = ask("simulate", "kneed_walker", "--until", "1.2")
     assert answer.code == YES
     for words in ("impact knee", "Zeno point knee +-", "switch heel strike", "2 switches"):
         assert words in answer.out
-    events = ask("simulate", "kneed_walker", "--t-end", "1.2", "--json").data["events"]
+    events = ask("simulate", "kneed_walker", "--until", "1.2", "--json").data["events"]
     assert {event["event"] for event in events} == {"impact", "zeno_point", "switch", "release"}
     assert events[0]["stop"] == "knee"
     assert [one for one in events if one["event"] == "switch"][-1]["switch"] == "heel strike"
 
 
 def test_simulate_writes_samples_and_a_picture() -> None:
-    answer = ask("simulate", "clapper", "--t-end", "8", "-o", "data.csv", "--plot", "states.png")
+    answer = ask("simulate", "clapper", "--until", "8", "-o", "data.csv", "--plot", "states.png")
     assert answer.code == YES
     assert Path("data.csv").stat().st_size > 1000
     assert Path("states.png").stat().st_size > 1000
@@ -145,7 +145,7 @@ def test_orbits_that_are_not_stable_are_not_ranked() -> None:
 def test_search_finds_gains_that_keep_a_bound_and_writes_their_orbit() -> None:
     answer = ask(
         *("search", "hopper", "--vary", "a=5:40", "--objective", "impacts"),
-        *("--bound", "stop.impact_speed=2:", "-o", "hopper.json"),
+        *("--bounds", "stop.impact_speed=2:", "-o", "hopper.json"),
     )
     assert answer.code == YES
     # The loss is the work a s of the push, and v^2 = 2 a s / (1 - e^2).
@@ -160,20 +160,20 @@ def test_search_finds_gains_that_keep_a_bound_and_writes_their_orbit() -> None:
 @pytest.mark.slow
 def test_search_finds_the_least_energy_from_a_known_orbit() -> None:
     assert ask("search", "limited_pendulum", "--set", "Kp=2.4", "-o", "known.json").code == YES
-    words = ("search", "limited_pendulum", "--from", "known.json", "--set", "Kp=2.4")
+    words = ("search", "limited_pendulum", "--near", "known.json", "--set", "Kp=2.4")
     words = (*words, "--vary", "Kd=-1.1:-0.9")
-    answer = ask(*words, "--objective", "energy", "--bound", "theta2=:1.9", "-o", "best.json")
+    answer = ask(*words, "--objective", "energy", "--bounds", "theta2=:1.9", "-o", "best.json")
     assert answer.code == YES
     assert "Asked for the least electrical energy per period: " in answer.out
     best = zo.read_event_orbit("best.json")
     assert best.gains["Kp"] == 2.4
     assert best.certificate["asked"][0]["quantity"] == "theta2"
-    again = ask("search", "limited_pendulum", "--from", "best.json", "--json").data
+    again = ask("search", "limited_pendulum", "--near", "best.json", "--json").data
     assert again["period"] == pytest.approx(best.period, rel=1e-12)
-    refused = ask("search", "hopper", "--from", "best.json")
-    assert_refused(refused, "--from best.json", "must be an orbit of `hopper`")
-    refused = ask(*words, "--initial", "theta1=1")
-    assert_refused(refused, "--initial", "known orbit")
+    refused = ask("search", "hopper", "--near", "best.json")
+    assert_refused(refused, "--near best.json", "must be an orbit of `hopper`")
+    refused = ask(*words, "--start", "theta1=1")
+    assert_refused(refused, "--start", "known orbit")
 
 
 @pytest.mark.slow
@@ -186,7 +186,7 @@ def test_search_of_one_stop_takes_the_worst_case_of_the_energy() -> None:
 
 
 def test_search_says_no_if_no_orbit_keeps_a_bound() -> None:
-    words = ("search", "hopper", "--vary", "a=5:40", "--bound", "stop.impact_speed=9:")
+    words = ("search", "hopper", "--vary", "a=5:40", "--bounds", "stop.impact_speed=9:")
     told = ask(*words, "--json")
     assert told.code == NO
     assert told.data["found"] is False
@@ -200,9 +200,9 @@ def test_search_says_no_if_no_orbit_keeps_a_bound() -> None:
         (["--objective", "impacts=roof"], "--objective", "`roof`"),
         (["--objective", "energy"], "--objective", "no source of electrical energy"),
         (["--objective", "peak=hight"], "--objective", "Did you mean `height`"),
-        (["--bound", "hight=:1"], "--bound", "Did you mean `height`"),
-        (["--bound", "roof.impact_speed=1:"], "--bound", "stop.impact_speed"),
-        (["--bound", "stop.impacts=:1"], "--bound", "bound a speed"),
+        (["--bounds", "hight=:1"], "--bounds", "Did you mean `height`"),
+        (["--bounds", "roof.impact_speed=1:"], "--bounds", "stop.impact_speed"),
+        (["--bounds", "stop.impacts=:1"], "--bounds", "bound a speed"),
         (["--uncertain", "s=0.1:0.2"], "--uncertain", "energy, peak, impacts or bounce"),
         (["--objective", "impacts", "--uncertain", "w=1:2"], "--uncertain", "`w`"),
         (["--objective", "bounce"], "--objective", "`bounce_time` does not occur"),
@@ -218,10 +218,10 @@ def test_search_refuses_objectives_and_bounds_without_a_meaning(
 
 def test_search_of_one_stop_accepts_objectives_and_bounds_about_impacts() -> None:
     words = ("search", "vibrating_table", "--vary", "A=0.012:0.017")
-    answer = ask(*words, "--objective", "impacts", "--bound", "stop.impact_time=0.13:")
+    answer = ask(*words, "--objective", "impacts", "--bounds", "stop.impact_time=0.13:")
     assert answer.code == YES
     assert "Asked for the least energy lost in impacts in a period" in answer.out
-    bound = ask(*words, "--bound", "stop.impact_speed=:0.4", "-o", "table.json")
+    bound = ask(*words, "--bounds", "stop.impact_speed=:0.4", "-o", "table.json")
     assert bound.code == YES
     assert ask("verify", "table.json").code == YES
     assert_refused(ask(*words, "--objective", "impacts=roof"), "--objective", "`roof`")
@@ -238,9 +238,9 @@ def test_objectives_about_impacts_refuse_a_machine_without_them() -> None:
     assert len(told.err.splitlines()) == 1
     # An oscillator whose force does not lift it off its stop.
     still = ("search", "impact_oscillator", "--vary", "A=0.01:0.02", "--objective", "impacts")
-    assert ask(*still, "--max-time", "60").err.splitlines() == [
+    assert ask(*still, "--until", "60").err.splitlines() == [
         "zeno-orbits: The motion strikes no stop and passes no switch: simulate for longer "
-        "(`until`, --max-time), or start elsewhere (`start`, --initial) (at t = 60 s)"
+        "(`until`), or start elsewhere (`start`) (at t = 60 s)"
     ]
     stop = ("search", "relay", "--vary", "U=20:24", "--objective", "bounce=roof")
     assert_refused(ask(*stop), "--objective bounce=roof", "closed, open")
@@ -280,14 +280,14 @@ def test_rig_of_an_orbit_of_events_writes_a_recording_with_its_contacts() -> Non
     assert set(recording.signal("contact").values) == {0.0, 1.0}
     assert_refused(ask("rig", "hopper.json", "--noise", "-1", "-o", "run.csv"), "--noise")
     assert_refused(ask("rig", "motor_pendulum", "--rate", "100"), "--rate", "controller")
-    assert_refused(ask("rig", "hopper", "--t-end", "1", "--rate", "0.1"), "--rate")
+    assert_refused(ask("rig", "hopper", "--until", "1", "--rate", "0.1"), "--rate")
 
 
 def test_continue_refuses_values_beside_an_orbit_file_and_an_orbit_of_another_problem() -> None:
     zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
-    words = ("continue", "hopper", "--parameter", "s=0.05:0.2", "--from", "hopper.json")
-    assert_refused(ask(*words, "--set", "a=10"), "--from", "--set")
-    other = ("continue", "clapper", "--parameter", "d=0.5:2", "--from", "hopper.json")
+    words = ("continue", "hopper", "--parameter", "s=0.05:0.2", "--near", "hopper.json")
+    assert_refused(ask(*words, "--set", "a=10"), "--near", "--set")
+    other = ("continue", "clapper", "--parameter", "d=0.5:2", "--near", "hopper.json")
     assert_refused(ask(*other), "`clapper`", "`hopper`")
     outside = ("continue", "hopper", "--parameter", "s=0.2:0.4", "--set", "s=0.1")
     assert_refused(ask(*outside), "s = 0.1")

@@ -17,7 +17,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A recording as `simulate` writes it."""
     path = tmp_path_factory.mktemp("recorded") / "data.csv"
     answer = ask(
-        *("simulate", "motor_pendulum", "--t-end", "28", "--rate", "200"),
+        *("simulate", "motor_pendulum", "--until", "28", "--rate", "200"),
         *("-o", path, "--noise", "1e-3"),
     )
     assert answer.code == YES, answer.err
@@ -72,7 +72,7 @@ def test_an_orbit_gives_its_values_to_identify(
     monkeypatch.chdir(tmp_path)
     values = ("--set", "Kp=2.2", "--set", "R=2.9")
     assert ask("search", "motor_pendulum", *values, "-o", "orbit.json").code == YES
-    noise = ("--t-end", "28", "--rate", "200", "--noise", "1e-3")
+    noise = ("--until", "28", "--rate", "200", "--noise", "1e-3")
     assert ask("simulate", "motor_pendulum", *values, *noise, "-o", "data.csv").code == YES
     words = ("identify", "orbit.json", "data.csv", "--t-start", "12", "--fit", "R")
     answer = ask(*words, "--orbit", "fitted.json")

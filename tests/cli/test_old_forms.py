@@ -16,14 +16,14 @@ pytestmark = pytest.mark.usefixtures("here")
 PAIRS = {
     "conditions": "zeno-condition bouncing_ball",
     "fidelity": "reduced-models bouncing_ball",
-    "trade": "work-precision bouncing_ball --t-end 0",
-    "simulate --gain": "simulate motor_pendulum --set Kp=2.4 --t-end 0.3",
-    "simulate --start": "simulate bouncing_ball --initial height=1.5 --t-end 0.3",
-    "simulate --until": "simulate bouncing_ball --t-end 0.3",
-    "simulate --most-steps": "simulate bouncing_ball --max-steps 1 --t-end 3",
-    "simulate --data": "simulate bouncing_ball --t-end 0.3 --output data.csv",
-    "simulate --output": "simulate bouncing_ball --t-end 0.3 --plot time.png",
-    "simulate -o": "simulate bouncing_ball --t-end 0.3 --plot time.png",
+    "trade": "work-precision bouncing_ball --until 0",
+    "simulate --gain": "simulate motor_pendulum --set Kp=2.4 --until 0.3",
+    "simulate --initial": "simulate bouncing_ball --start height=1.5 --until 0.3",
+    "simulate --t-end": "simulate bouncing_ball --until 0.3",
+    "simulate --most-steps": "simulate bouncing_ball --max-steps 1 --until 3",
+    "simulate --data": "simulate bouncing_ball --until 0.3 --output data.csv",
+    "simulate --output": "simulate bouncing_ball --until 0.3 --plot time.png",
+    "simulate -o": "simulate bouncing_ball --until 0.3 --plot time.png",
     "zeno-condition --gain": "zeno-condition bouncing_ball --set Kp=1",
     "zeno-condition --output": "zeno-condition bouncing_ball --plot none/region.png",
     "zeno-condition -o": "zeno-condition bouncing_ball --plot none/region.png",
@@ -31,30 +31,35 @@ PAIRS = {
     "search --gain": "search motor_pendulum --vary Kp=5:1",
     "search --free": "search motor_pendulum --vary R=5:1",
     "search --fix": "search motor_pendulum --set Q=1",
-    "search --keep": "search motor_pendulum --bound theta2=2:1",
-    "search --start": "search motor_pendulum --initial Q=1",
+    "search --keep": "search motor_pendulum --bounds theta2=2:1",
+    "search --bound": "search motor_pendulum --bounds theta2=2:1",
+    "search --initial": "search motor_pendulum --start Q=1",
     "search --starts": "search motor_pendulum --n-starts 0",
-    "search --until": "search motor_pendulum --max-time soon",
+    "search --max-time": "search motor_pendulum --until soon",
+    "search --from": "search motor_pendulum --near none.json",
+    "push --direction": "push none.json --directions theta1=1",
+    "push --max-time": "push none.json --until soon",
     "prove --over": "prove orbit.json --interval Kp",
     "map --gain": "map motor_pendulum --x Kp=1:2 --y Kd=-1:0 --set Q=1",
-    "map --start": "map motor_pendulum --x Kp=1:2 --y Kd=-1:0 --initial Q=1",
+    "map --initial": "map motor_pendulum --x Kp=1:2 --y Kd=-1:0 --start Q=1",
     "map --picture": "map motor_pendulum --x Kp=1:2 --y Kd=-1:0 --plot map.gif",
     "map --points": "map motor_pendulum --x Kp=1:2 --y Kd=-1:0 --grid 2",
-    "map --until": "map motor_pendulum --x Kp=1:2 --y Kd=-1:0 --max-time soon",
-    "continue --gain": "continue motor_pendulum --parameter Kp=1:2 --from none.json --set Kd=-1",
-    "continue --start": "continue motor_pendulum --parameter Kp=1:2 --initial theta1=1",
+    "map --max-time": "map motor_pendulum --x Kp=1:2 --y Kd=-1:0 --until soon",
+    "continue --gain": "continue motor_pendulum --parameter Kp=1:2 --near none.json --set Kd=-1",
+    "continue --from": "continue motor_pendulum --parameter Kp=1:2 --near none.json",
+    "continue --initial": "continue motor_pendulum --parameter Kp=1:2 --start theta1=1",
     "continue --picture": "continue motor_pendulum --parameter Kp=1:2 --plot family.gif",
     "continue --in": "continue motor_pendulum --parameter Q=1:2",
     "continue --second": "continue motor_pendulum --parameter Kp=1:2 --parameter2 Q=1:2",
     "continue --steps": "continue motor_pendulum --parameter Kp=1:2 --max-points 0",
     "continue --point": "continue motor_pendulum --parameter Kp=1:2 --kind fold",
     "work-precision --gain": "work-precision bouncing_ball --set Kp=1",
-    "work-precision --start": "work-precision bouncing_ball --initial Q=1",
-    "work-precision --until": "work-precision bouncing_ball --t-end 0",
+    "work-precision --initial": "work-precision bouncing_ball --start Q=1",
+    "work-precision --t-end": "work-precision bouncing_ball --until 0",
     "work-precision --picture": "work-precision bouncing_ball --plot study.gif",
     "rig --gain": "rig orbit.json --set Kp=2",
-    "rig --start": "rig orbit.json --initial theta1=1",
-    "rig --until": "rig orbit.json --t-end 2",
+    "rig --initial": "rig orbit.json --start theta1=1",
+    "rig --t-end": "rig orbit.json --until 2",
     "rig --exact": "rig motor_pendulum --only friction --exact-pwm",
     "compare --from": "compare orbit.json none.csv --t-start 1",
     "compare --to": "compare orbit.json none.csv --t-end 1",
@@ -64,8 +69,8 @@ PAIRS = {
     "identify --to": "identify motor_pendulum none.csv --fit R --t-end 1",
     "figures --data": "figures orbit.json -o figures --kind graph --recording none.csv",
     "export --gain": "export bouncing_ball -o exported --set Kp=1",
-    "export --start": "export bouncing_ball -o exported --initial Q=1",
-    "export --until": "export bouncing_ball -o exported --t-end 0",
+    "export --initial": "export bouncing_ball -o exported --start Q=1",
+    "export --t-end": "export bouncing_ball -o exported --until 0",
 }
 """An old command, or a command with an old option, to a whole command line in the new form."""
 
@@ -116,13 +121,13 @@ def test_a_picture_that_was_named_with_the_option_of_data_is_drawn(
 
 
 def test_a_new_form_prints_no_note(here: Path) -> None:
-    answer = ask("simulate", "bouncing_ball", "--t-end", "0.3", "-o", "data.csv")
+    answer = ask("simulate", "bouncing_ball", "--until", "0.3", "-o", "data.csv")
     assert (answer.code, answer.err) == (YES, "")
     assert (here / "data.csv").read_text().count("\n") > 100
 
 
 def test_an_image_is_no_data(here: Path) -> None:
-    answer = ask("simulate", "bouncing_ball", "--t-end", "0.3", "-o", "time.gif")
+    answer = ask("simulate", "bouncing_ball", "--until", "0.3", "-o", "time.gif")
     assert answer.code == MISUSE
     assert (
         answer.err == "zeno-orbits: -o time.gif: must name a data file (--plot draws pictures).\n"

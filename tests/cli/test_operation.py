@@ -164,7 +164,7 @@ def test_any_legal_file_name_is_written(
 ) -> None:
     path = tmp_path / name
     monkeypatch.setenv("PYTHONIOENCODING", "utf-8")
-    with started(tmp_path, "simulate", "bouncing_ball", "--t-end", "1", "-o", path) as process:
+    with started(tmp_path, "simulate", "bouncing_ball", "--until", "1", "-o", path) as process:
         out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, err) == (YES, "")
     assert "Written: " in out

@@ -91,7 +91,7 @@ def _machine(tmp_path: Path) -> Path:
 
 
 def test_a_problem_of_ones_own_is_simulated_by_its_path(machine: Path) -> None:
-    answer = ask("simulate", machine, "--t-end", "1", "--json")
+    answer = ask("simulate", machine, "--until", "1", "--json")
     assert answer.code == YES
     assert answer.data["problem"] == "my_machine"
 

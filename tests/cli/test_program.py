@@ -40,8 +40,8 @@ pytestmark = pytest.mark.usefixtures("here")
         ("problems",),
         ("zeno-condition", "motor_pendulum"),
         ("zeno-condition", "motor_pendulum", "--plot", "region.png"),
-        ("simulate", "motor_pendulum", "--t-end", "2"),
-        ("simulate", "motor_pendulum", "--t-end", "2", "--plot", "time.png"),
+        ("simulate", "motor_pendulum", "--until", "2"),
+        ("simulate", "motor_pendulum", "--until", "2", "--plot", "time.png"),
         ("search", "motor_pendulum", *PUBLISHED_GAINS),
         ("verify", "orbit.json", "--periods", "1"),
         ("plot", "orbit.json", "-o", "pictures", "--kind", "portraits"),
@@ -64,7 +64,7 @@ def test_json_is_all_that_standard_output_holds_and_progress_goes_elsewhere(
 
 def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "_PATIENCE", 1.0)
-    assert ask("simulate", "bouncing_ball", "--t-end", "0.1").err == ""
+    assert ask("simulate", "bouncing_ball", "--until", "0.1").err == ""
 
 
 def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,7 +131,7 @@ def started(*arguments: str | Path, **streams: Any) -> subprocess.Popen[str]:
 
 
 def test_the_package_runs_as_a_module() -> None:
-    with started("simulate", "bouncing_ball", "--t-end", "1", "--json") as process:
+    with started("simulate", "bouncing_ball", "--until", "1", "--json") as process:
         out, err = process.communicate(timeout=60)
     assert process.returncode == YES
     assert err == ""
@@ -139,9 +139,9 @@ def test_the_package_runs_as_a_module() -> None:
 
 
 def test_misuse_of_the_module_is_an_exit_code_and_one_line() -> None:
-    with started("simulate", "bouncing_ball", "--t-end", "0") as process:
+    with started("simulate", "bouncing_ball", "--until", "0") as process:
         out, err = process.communicate(timeout=60)
-    assert_refused(Answer(process.returncode, out, err), "--t-end 0: ")
+    assert_refused(Answer(process.returncode, out, err), "--until 0: ")
 
 
 @pytest.mark.parametrize("arguments", [("problems",), ("problems", "--json")], ids=" ".join)

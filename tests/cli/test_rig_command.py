@@ -87,7 +87,7 @@ def test_a_problem_runs_from_a_start_and_lists_its_contacts(tmp_path: Path) -> N
     written = tmp_path / "run.csv"
     answer = ask(
         *("rig", "bouncing_ball", "--set", "restitution=0.5", "--part", "contact.stiffness=1e6"),
-        *("--t-end", "1.5", "-o", written, "--json"),
+        *("--until", "1.5", "-o", written, "--json"),
     )
     assert answer.code == YES
     contacts = answer.data["contacts"]
@@ -121,8 +121,8 @@ def test_exact_pulses_ask_for_a_bridge(file: Path) -> None:
 @pytest.mark.slow
 def test_exact_pulses_tell_nearly_what_their_mean_tells() -> None:
     """A tenth of a second; a dead time and a ripple later the same within a per mille."""
-    common = ("rig", "motor_pendulum", "--only", "bridge", "--t-end", "0.4", "--json")
-    at = ("--initial", "theta1=0.3", "--initial", "theta2=0.02", "--initial", "dtheta2=-1")
+    common = ("rig", "motor_pendulum", "--only", "bridge", "--until", "0.4", "--json")
+    at = ("--start", "theta1=0.3", "--start", "theta2=0.02", "--start", "dtheta2=-1")
     mean, exact = ask(*common, *at), ask(*common, *at, "--exact-pwm")
     first, other = mean.data["contacts"][0], exact.data["contacts"][0]
     assert other["start"] == pytest.approx(first["start"], rel=1e-3)
@@ -137,9 +137,9 @@ def test_exact_pulses_tell_nearly_what_their_mean_tells() -> None:
         (("--part", "contact.stiffness"), "--part: must be NAME=VALUE"),
         (("--part", "friction.knee.coulomb=1"), "`friction` must name one of theta1, theta2"),
         (("--set", "Kp=2"), "--set Kp=2: must not be given with an orbit, which has its own."),
-        (("--t-end", "3"), "--t-end 3: must not be given with an orbit, whose periods"),
-        (("--initial", "theta1=2"), "--initial theta1=2: must not be given with an orbit"),
-        (("--t-end", "0"), "--t-end 0: must not be given with an orbit"),
+        (("--until", "3"), "--until 3: must not be given with an orbit, whose periods"),
+        (("--start", "theta1=2"), "--start theta1=2: must not be given with an orbit"),
+        (("--until", "0"), "--until 0: must not be given with an orbit"),
         (("--only", "sensors"), "--only sensors: must name the controller with the sensors"),
         (("--seed", "-1"), "--seed: must be a whole number of at least 0, but it is `-1`."),
         (("--only", "motor"), "--only: must be one of friction, gears"),
@@ -165,7 +165,7 @@ def test_files_that_are_no_orbits_and_problems_that_are_none_are_refused(tmp_pat
     assert refused(ask("rig", "no_scene"), "`problem` must be one of")
     ball = ("rig", "bouncing_ball")
     assert refused(ask(*ball, "--cycles", "2"), "--cycles 2: must come with an orbit")
-    assert refused(ask(*ball, "--t-end", "0"), "--t-end 0: must be a positive number, but it is 0.")
+    assert refused(ask(*ball, "--until", "0"), "--until 0: must be a positive number, but it is 0.")
     plastic = ask("rig", "motor_pendulum", "--set", "restitution=0", "--only", "contact")
     assert refused(plastic, "restitution=0: must be greater than 0 for a compliant contact")
 
@@ -205,7 +205,7 @@ def test_a_soft_stop_is_warned_of_and_cycles_that_scatter_are_none(tmp_path: Pat
     assert "the stop gives way by" in soft.out
     assert "none of the orbit's kind" in soft.out
     assert "10 settled cycles" not in soft.out
-    start = ask("rig", file, "--t-end", "1", "--part", "contact.stiffness=1e5")
+    start = ask("rig", file, "--until", "1", "--part", "contact.stiffness=1e5")
     assert "the stop gives way by" in start.out
 
 

@@ -62,7 +62,7 @@ def test_search_with_free_gains_finds_the_orbit_nearest_to_the_problems_own(here
 
 @pytest.mark.slow
 def test_search_keeps_a_bound_and_says_what_is_asked_and_reached() -> None:
-    keep = ("--set", "Kp=2.5", "--vary", "Kd=-1.1:-0.8", "--bound", "theta2=:1.95")
+    keep = ("--set", "Kp=2.5", "--vary", "Kd=-1.1:-0.8", "--bounds", "theta2=:1.95")
     answer = ask(
         "search", "motor_pendulum", *keep, "--candidates", "2", "--n-starts", "1", "--json"
     )
@@ -80,7 +80,7 @@ def test_search_keeps_a_bound_and_says_what_is_asked_and_reached() -> None:
 @pytest.mark.slow
 def test_search_for_a_parameter_says_what_stays_and_what_is_reached(orbit_file: Path) -> None:
     free = (*PUBLISHED_GAINS, "--vary", "L1=0.198:0.202", "--objective", "peak=current")
-    answer = ask("search", "motor_pendulum", *free, "--from", orbit_file, "--candidates", "1")
+    answer = ask("search", "motor_pendulum", *free, "--near", orbit_file, "--candidates", "1")
     assert answer.code == YES
     assert "Derived, and held at their initial values: J_rotor, K_torque, K_emf." in answer.out
     assert "Asked for the least peak of current; measured on a simulation" in answer.out

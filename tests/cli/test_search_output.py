@@ -108,15 +108,15 @@ def test_a_search_that_fails_names_the_numbers_that_may_be_in_another_unit(
         (
             SearchStatus.NO_GUESS,
             (
-                "--initial",
-                "--max-time",
-                "--bound than period=:2",
+                "--start",
+                "--until",
+                "--bounds than period=:2",
                 "zeno-orbits map motor_pendulum --x Kp=1:5 --y Kd=-1.5:-0.4 --set R=2",
             ),
             ("--allow-unstable", "wider ranges"),
         ),
-        (SearchStatus.NOT_SOLVED, ("--bound", "wider ranges than Kp=1:5"), ("--initial", "map")),
-        (SearchStatus.NOT_ACCEPTED, ("--bound",), ("--max-time", "map", "--allow-unstable")),
+        (SearchStatus.NOT_SOLVED, ("--bounds", "wider ranges than Kp=1:5"), ("--start", "map")),
+        (SearchStatus.NOT_ACCEPTED, ("--bounds",), ("--until", "map", "--allow-unstable")),
     ],
 )
 def test_every_no_says_which_options_to_try_and_which_are_of_no_use(
@@ -147,7 +147,7 @@ def test_a_motion_that_rests_need_not_be_waited_for(
 ) -> None:
     rests = replace(NOTHING, detail="The motion comes to rest after 90 s.")
     answer(_options(), problem, rests, _notes([]))
-    assert "--max-time" not in capsys.readouterr().out
+    assert "--until" not in capsys.readouterr().out
 
 
 def test_a_search_for_one_shape_is_told_to_do_without(

@@ -129,7 +129,7 @@ def test_pictures_of_an_orbit_without_a_zeno_point_are_those_it_has(
 def test_a_family_with_several_impacts_per_period_is_followed(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["continue", "impact_oscillator", "--parameter", "omega=0.4:0.6", "--from", str(file)]
+    words = ["continue", "impact_oscillator", "--parameter", "omega=0.4:0.6", "--near", str(file)]
     assert main([*words, "--max-points", "2"]) == 0
     assert "Family in omega, 3 returns per period" in capsys.readouterr().out
 
@@ -152,9 +152,9 @@ def test_a_shape_that_is_not_there_is_a_no(capsys: pytest.CaptureFixture[str]) -
 def test_an_orbit_to_start_from_has_the_shape_that_is_asked_for(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["search", "impact_oscillator", "--from", str(file), "--shape", "zeno"]) == 2
+    assert main(["search", "impact_oscillator", "--near", str(file), "--shape", "zeno"]) == 2
     _one_line(capsys, "must be the shape `impact*3` of the orbit to start from")
-    moved = ["search", "impact_oscillator", "--from", str(file), "--set", "omega=0.51", "--json"]
+    moved = ["search", "impact_oscillator", "--near", str(file), "--set", "omega=0.51", "--json"]
     assert main(moved) == 0
     assert json.loads(capsys.readouterr().out)["shape"] == "impact*3"
 
@@ -163,5 +163,5 @@ def test_a_margin_that_a_shape_has_not_is_no_bound_for_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = ["search", "impact_oscillator", "--vary", "A=0.5:2", "--objective", "energy"]
-    assert main([*words, "--bound", "locked_time=0.1:"]) == 2
-    _one_line(capsys, "--bound ", "`impact`", "`locked_time`")
+    assert main([*words, "--bounds", "locked_time=0.1:"]) == 2
+    _one_line(capsys, "--bounds ", "`impact`", "`locked_time`")

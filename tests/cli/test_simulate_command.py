@@ -25,14 +25,14 @@ pytestmark = pytest.mark.usefixtures("here")
 
 
 def test_simulate_names_impacts_zeno_points_and_releases() -> None:
-    answer = ask("simulate", "motor_pendulum", "--t-end", "3")
+    answer = ask("simulate", "motor_pendulum", "--until", "3")
     assert answer.code == YES
     for word in ("impact", "Zeno point", "release", "The last arc is"):
         assert word in answer.out
 
 
 def test_simulate_as_json_follows_the_ball_to_its_zeno_time() -> None:
-    answer = ask("simulate", "bouncing_ball", "--set", "restitution=0.8", "--t-end", "5", "--json")
+    answer = ask("simulate", "bouncing_ball", "--set", "restitution=0.8", "--until", "5", "--json")
     assert answer.code == YES
     events = answer.data["events"]
     e, g = 0.8, 9.81
@@ -46,8 +46,8 @@ def test_simulate_as_json_follows_the_ball_to_its_zeno_time() -> None:
 
 def test_simulate_starts_where_it_is_told_and_draws_when_asked(here: Path) -> None:
     answer = ask(
-        *("simulate", "bouncing_ball", "--initial", "speed=-2", "--initial", "height=1"),
-        *("--t-end", "1", "--json", "--plot", "ball.svg"),
+        *("simulate", "bouncing_ball", "--start", "speed=-2", "--start", "height=1"),
+        *("--until", "1", "--json", "--plot", "ball.svg"),
     )
     fall = (math.sqrt(4 + 2 * 9.81) - 2) / 9.81
     assert answer.data["events"][0]["time"] == pytest.approx(fall, rel=1e-11)
@@ -55,7 +55,7 @@ def test_simulate_starts_where_it_is_told_and_draws_when_asked(here: Path) -> No
 
 
 def test_simulate_at_an_accuracy_reports_the_error_as_text_and_json() -> None:
-    ball = ("simulate", "bouncing_ball", "--t-end", "5", "--accuracy", "1e-6")
+    ball = ("simulate", "bouncing_ball", "--until", "5", "--accuracy", "1e-6")
     assert 0.0 < error_said(ask(*ball)) <= 1e-6
     assert 0.0 < ask(*ball, "--json").data["error"] <= 1e-6
 
@@ -64,7 +64,7 @@ def test_simulate_tells_the_error_of_every_zeno_point_with_its_flights() -> None
     """Of the closed form, and not of the limit of impacts that are wrong themselves."""
     e, g = 0.5, 9.81
     truth = math.sqrt(2 / g) * (1 + e) / (1 - e)
-    ball = ("simulate", "bouncing_ball", "--set", f"restitution={e}", "--t-end", "5")
+    ball = ("simulate", "bouncing_ball", "--set", f"restitution={e}", "--until", "5")
     data = ask(*ball, "--json").data
     (point,) = [event for event in data["events"] if event["event"] == "zeno_point"]
     assert abs(point["time"] - truth) <= point["error"] * (1 + truth)
@@ -81,7 +81,7 @@ def test_simulate_says_where_no_looser_run_tells_the_error(monkeypatch: pytest.M
         return simulate(*given, settings=settings, **named)
 
     monkeypatch.setattr("zeno_orbits.precision.accuracy.simulate", fragile)
-    ball = ("simulate", "bouncing_ball", "--t-end", "5")
+    ball = ("simulate", "bouncing_ball", "--until", "5")
     answer = ask(*ball)
     assert re.search(r"Zeno point \+- \?", answer.out)
     assert "error: unknown" in answer.out
@@ -93,7 +93,7 @@ def test_simulate_says_where_no_looser_run_tells_the_error(monkeypatch: pytest.M
 def test_an_accuracy_out_of_reach_is_a_no(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine that rounds a thousand times worse."""
     monkeypatch.setattr("zeno_orbits.precision.accuracy.ROUNDING", 4e-12)
-    ball = ("simulate", "bouncing_ball", "--t-end", "1", "--plot", "f.png", "--accuracy")
+    ball = ("simulate", "bouncing_ball", "--until", "1", "--plot", "f.png", "--accuracy")
     answer = ask(*ball, "1e-12")
     assert answer.code == NO
     assert answer.out == ""
@@ -104,7 +104,7 @@ def test_an_accuracy_out_of_reach_is_a_no(here: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize("engine", ["automatic", "explicit", "implicit"])
 def test_every_engine_simulates_and_is_named(engine: str) -> None:
-    answer = ask("simulate", "motor_pendulum", "--t-end", "2", "--engine", engine)
+    answer = ask("simulate", "motor_pendulum", "--until", "2", "--engine", engine)
     assert answer.code == YES
     assert f"Engine: {engine}," in answer.out
 
@@ -142,18 +142,18 @@ def test_an_engine_of_an_earlier_release_is_refused_with_the_one_to_take(
 def test_samples_that_cannot_be_are_refused_before_the_work(
     arguments: tuple[str, ...], words: tuple[str, ...], here: Path
 ) -> None:
-    answer = ask("simulate", "bouncing_ball", "--t-end", "1", *arguments, "-o", "data.csv")
+    answer = ask("simulate", "bouncing_ball", "--until", "1", *arguments, "-o", "data.csv")
     assert_refused(answer, *words)
     assert contents(here) == {}
 
 
 def test_numbers_that_no_parameter_can_be_derived_from_are_misuse() -> None:
-    answer = ask("simulate", "motor_pendulum", "--set", "m2=1e300", "--t-end", "1")
+    answer = ask("simulate", "motor_pendulum", "--set", "m2=1e300", "--until", "1")
     assert_refused(answer, "`parameters`", "out of range")
     assert "internal" not in answer.err
 
 
-SHORT = ("simulate", "motor_pendulum", "--t-end", "40", "--max-steps", "3000")
+SHORT = ("simulate", "motor_pendulum", "--until", "40", "--max-steps", "3000")
 
 
 @pytest.mark.slow
@@ -169,7 +169,7 @@ def test_a_run_of_too_many_steps_keeps_its_table_picture_and_samples_and_names_t
     data = ask(*SHORT, "--json").data
     assert "most_steps" in data["stopped"]
     assert 5.0 < data["end_time"] < 40.0
-    whole = ask("simulate", "motor_pendulum", "--t-end", "10", "--json").data
+    whole = ask("simulate", "motor_pendulum", "--until", "10", "--json").data
     assert whole["stopped"] is None
     assert whole["events"][0] == data["events"][0]
 
@@ -183,7 +183,7 @@ def columns(*arguments: str) -> list[str]:
 
 def test_the_table_shows_what_moves_and_all_states_on_request() -> None:
     events = ["t [s]", "event", "dh/dt"]
-    pendulum = ("motor_pendulum", "--t-end", "3")
+    pendulum = ("motor_pendulum", "--until", "3")
     assert columns(*pendulum) == [*events, "theta1", "dtheta1", "current"]
     every = ["theta1", "theta2", "dtheta1", "dtheta2", "current"]
     assert columns(*pendulum, "--all-states") == [*events, *every]
@@ -194,13 +194,13 @@ def test_the_table_shows_what_moves_and_all_states_on_request() -> None:
 @pytest.mark.parametrize("problem", ["motor_pendulum", "two_motors", "curved_surface"])
 def test_the_table_fits_eighty_columns(problem: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("zeno_orbits.report.terminal.console._FILE_WIDTH", 80)
-    lines = ask("simulate", problem, "--t-end", "3").out.splitlines()
+    lines = ask("simulate", problem, "--until", "3").out.splitlines()
     table = lines[: next(k for k, line in enumerate(lines) if not line.strip())]
     assert max(len(line.rstrip()) for line in table) <= 80
 
 
 def test_a_single_event_shows_its_states() -> None:
-    out = ask("simulate", "motor_pendulum", "--t-end", "1").out
+    out = ask("simulate", "motor_pendulum", "--until", "1").out
     heading, row = out.splitlines()[:2]
     assert heading.split()[-3:] == ["theta1", "dtheta1", "current"]
     assert row.split()[1] == "release"
@@ -211,7 +211,7 @@ def test_all_states_stand_in_several_tables_where_one_is_too_wide(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("zeno_orbits.report.terminal.orbits.line_width", lambda: 80)
-    out = ask("simulate", "motor_pendulum", "--t-end", "1.4", "--all-states").out
+    out = ask("simulate", "motor_pendulum", "--until", "1.4", "--all-states").out
     headings = [line.split() for line in out.splitlines() if line.lstrip().startswith("t [s]")]
     states = [heading[heading.index("dh/dt") + 1 :] for heading in headings]
     every = ["theta1", "theta2", "dtheta1", "dtheta2", "current"]

@@ -25,7 +25,7 @@ from zeno_orbits.precision import read_work_precision
 pytestmark = pytest.mark.usefixtures("here")
 
 
-TRADING = ("work-precision", "bouncing_ball", "--quick", "--t-end", "4.5")
+TRADING = ("work-precision", "bouncing_ball", "--quick", "--until", "4.5")
 
 
 @pytest.fixture(name="traded", scope="module")
@@ -49,7 +49,7 @@ def test_trade_writes_what_it_prints_and_draws_it(traded: tuple[Answer, Path]) -
 @pytest.mark.parametrize("problem", ["bouncing_ball", "motor_pendulum", "motor_pendulum@corrected"])
 @pytest.mark.slow
 def test_trade_shows_the_cheapest_values_of_each_accuracy(problem: str) -> None:
-    answer = ask("trade", problem, "--quick", "--t-end", "4.5")
+    answer = ask("trade", problem, "--quick", "--until", "4.5")
     assert answer.code == YES
     for words in ("cheapest setting", "SciPy LSODA", "plastic below", "Reference: ", "Work: 4.5 s"):
         assert words in answer.out
@@ -67,7 +67,7 @@ def test_the_order_of_the_cut_is_that_of_the_events_that_are_compared(
 @pytest.mark.slow
 def test_the_order_of_the_cut_is_three_for_releases() -> None:
     # The second cut of a quick study leaves an error of rounding, which has no order.
-    answer = ask("work-precision", "motor_valve", "--t-end", "0.6")
+    answer = ask("work-precision", "motor_valve", "--until", "0.6")
     assert answer.code == YES
     assert "(theory: 3, of the releases)" in answer.out
     order = float(answer.out.partition("plastic cuts in their speed: ")[2].split()[0])
@@ -76,7 +76,7 @@ def test_the_order_of_the_cut_is_three_for_releases() -> None:
 
 def test_trade_where_nothing_happens_so_soon_is_a_no_in_one_line(here: Path) -> None:
     answer = ask(
-        "work-precision", "bouncing_ball", "--t-end", "0.1", "-o", "t.json", "--plot", "t.png"
+        "work-precision", "bouncing_ball", "--until", "0.1", "-o", "t.json", "--plot", "t.png"
     )
     assert answer.code == NO
     assert answer.out == ""

@@ -23,7 +23,7 @@ def test_the_first_slow_impact_is_the_last_and_the_reported_error_holds_the_cut(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     # A ball from h = 1 with e = 0.5: impact k at the speed w0 / 2^k, Zeno time 3 sqrt(2 h / g).
-    words = ("bouncing_ball", "--set", "restitution=0.5", "--t-end", "3")
+    words = ("bouncing_ball", "--set", "restitution=0.5", "--until", "3")
     delta, first = 0.1, (2 * 9.81) ** 0.5
     run = _run(capsys, *words, "--truncation", str(delta))
     speeds = [-event["approach_rate"] for event in _events(run, "impact")]
@@ -36,7 +36,7 @@ def test_the_first_slow_impact_is_the_last_and_the_reported_error_holds_the_cut(
 
 
 def test_releases_miss_by_the_third_order(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("motor_valve", "--t-end", "0.6")
+    words = ("motor_valve", "--until", "0.6")
     exact = _events(_run(capsys, *words), "release")
     errors: list[float] = []
     speeds: list[float] = []

@@ -399,7 +399,7 @@ def test_a_family_whose_section_is_a_point_ends_where_the_motion_jumps() -> None
 
     start = orbit_at(0.11)
     assert start is not None
-    (family,) = zo.continue_orbit(start, "A", (0.09, 0.13), problem=juggler).families
+    (family,) = zo.continue_orbit(start, ("A", 0.09, 0.13), problem=juggler).families
     assert [end.kind for end in (family.first, family.last)] == [SpecialPointKind.LOCK_VANISHES] * 2
     low, high = family.first.at.value, family.last.at.value
     assert low < 0.11 < high

@@ -46,7 +46,7 @@ CORES = int(joblib.cpu_count())
 PROBLEM = "forced_oscillator"
 IMPACTS = (
     *("continue", PROBLEM, "--section", "impact", "--set", "c=0.1", "--set", "stop=1"),
-    *("--set", "restitution=0.8", "--initial", "speed=1", "--initial", "cosine=1"),
+    *("--set", "restitution=0.8", "--start", "speed=1", "--start", "cosine=1"),
 )
 NEAR = (*IMPACTS, "--parameter", "A=0.8:1.1", "--max-points", "12")
 """A family that takes a second."""

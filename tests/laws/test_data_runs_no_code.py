@@ -226,7 +226,7 @@ def test_a_name_that_is_not_bundled_asks_for_the_file(
     for call in (
         lambda: zo.verify(kind),
         lambda: zo.plot(read(kind)),
-        lambda: zo.continue_orbit(kind, "m", (0.5, 2.0), workers=2),
+        lambda: zo.continue_orbit(kind, ("m", 0.5, 2.0), workers=2),
         lambda: zo.largest_push(kind, workers=2),
     ):
         with pytest.raises(zo.InputError, match=told):

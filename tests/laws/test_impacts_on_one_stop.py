@@ -121,7 +121,7 @@ def test_maps_have_the_multipliers_of_the_saltation_matrix() -> None:
 def test_families_have_their_closed_form(parameter: str, box: tuple[float, float]) -> None:
     machine, parameters, state = _case(CASES[0])
     orbit = zo.find_event_orbit(OSCILLATOR, parameters=parameters, start=state)
-    (family,) = zo.continue_orbit(orbit, parameter, box, problem=OSCILLATOR).families
+    (family,) = zo.continue_orbit(orbit, (parameter, *box), problem=OSCILLATOR).families
     ends = {special.kind for special in (family.first, family.last)}
     assert ends == {SpecialPointKind.BOUND}
     assert len(family.points) > 5
@@ -172,7 +172,7 @@ def test_a_search_moves_the_stop_past_the_last_start() -> None:
 
     found = zo.search_event_gains(
         OSCILLATOR,
-        free={"d": (0.28, 0.45)},
+        vary={"d": (0.28, 0.45)},
         parameters=parameters,
         start=state,
         bounds=[zo.Bound(name="wall.impact_speed", lower=1.44)],

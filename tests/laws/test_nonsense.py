@@ -119,8 +119,7 @@ SOUND: dict[str, Callable[[], Any]] = {
     "path": lambda: Path("file.png"),
     "name_or_path": lambda: "bouncing_ball",
     "data": lambda: orbit().as_json(),
-    "parameter": lambda: "Kd",
-    "box": lambda: (-1.1, -0.9),
+    "parameter": lambda: ("Kd", -1.1, -0.9),
     "x": lambda: ("g", 5.0, 10.0, 2),
     "y": lambda: ("m", 1.0, 2.0, 2),
     "fit": lambda: ["restitution"],
@@ -227,6 +226,7 @@ RESULTS = (
     *("EventOrbit", "EventSearchResult", "Execution", "ExecutionWithError", "Family"),
     *("Identification", "OrbitCertificate", "ParameterMap", "PeriodEnclosure", "Proof"),
     *("ProofVerdict", "Pushes", "Recording", "Recovery", "RigRun", "SearchResult", "SwitchEvent"),
+    "Stability",
     *("WorkPrecision", "ZenoCondition", "ZenoOrbit", "Drawing", "SpecialPointKind", "PwmSettings"),
 )
 """Results, which functions make, and names that are not called."""

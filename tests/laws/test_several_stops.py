@@ -211,7 +211,7 @@ def test_folds_of_impact_pairs_lie_on_their_curve_in_two_parameters() -> None:
     )
     box = (length - 0.05, fold(0.5) + 0.05)
     second = SecondParameter(name="restitution", box=(0.48, 0.51), kinds=tuple(SpecialPointKind))
-    found = zo.continue_orbit(orbit, "d", box, problem=BOX, second=second)
+    found = zo.continue_orbit(orbit, ("d", *box), problem=BOX, parameter2=second)
     (special,) = found.families[0].special
     assert special.kind is SpecialPointKind.FOLD
     assert special.at.value == pytest.approx(fold(0.5), rel=1e-12)
@@ -220,7 +220,7 @@ def test_folds_of_impact_pairs_lie_on_their_curve_in_two_parameters() -> None:
     assert curve.x == pytest.approx([fold(e) for e in curve.y], rel=1e-11)
     ends = replace(second, kinds=(SpecialPointKind.LOCK_VANISHES,))
     with pytest.raises(zo.InputError, match="another kind than ends"):
-        zo.continue_orbit(orbit, "d", box, problem=BOX, second=ends)
+        zo.continue_orbit(orbit, ("d", *box), problem=BOX, parameter2=ends)
 
 
 def hopper(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:

@@ -105,7 +105,7 @@ def followed(problem: zo.Problem, _units: Units) -> Told:
     orbit = zo.find_orbit(problem).unwrap()
     name = _two(problem)[0]
     low, high = _around(problem, name)
-    family = zo.continue_orbit(orbit, name, (low, high), problem=problem).families[0]
+    family = zo.continue_orbit(orbit, (name, low, high), problem=problem).families[0]
     told = {f"ends {sorted((family.first.kind.value, family.last.kind.value))}": 1.0}
     points = sorted((point.value, point.period) for point in family.points)
     values, periods = np.array(points).T

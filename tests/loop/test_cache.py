@@ -17,7 +17,7 @@ from tests.support.source_trees import unbuilt_tree
 from zeno_orbits.cli import main
 from zeno_orbits.loop import library_folder, loop_library
 
-SIMULATE = ("simulate", "bouncing_ball", "--t-end", "9", "--json")
+SIMULATE = ("simulate", "bouncing_ball", "--until", "9", "--json")
 NOTE = "zeno-orbits: note: executions run in Python, as accurate and slower: "
 
 

@@ -68,14 +68,14 @@ def _expected(name: str, until: float, **numbers: float) -> list[tuple[str, list
     "name", [pytest.param("curved_surface", marks=pytest.mark.slow), "motor_pendulum"]
 )
 def test_an_exported_problem_gives_the_same_to_the_last_digit(name: str) -> None:
-    found = _events_of(name, "--t-end", "3")
+    found = _events_of(name, "--until", "3")
     assert found
     assert found == _expected(name, 3.0)
 
 
 def test_a_sequence_of_many_impacts_runs_to_its_end() -> None:
     # The valve bounces once a turn of its limit cycle, so its impacts never accumulate.
-    options = ("--set", "q=2", "--set", "restitution=0.8", "--t-end", "24000")
+    options = ("--set", "q=2", "--set", "restitution=0.8", "--until", "24000")
     found = _events_of("relief_valve", *options)
     assert len(found) > 3 * 4096
     assert found == _expected("relief_valve", 24000.0, q=2.0, restitution=0.8)
@@ -84,7 +84,7 @@ def test_a_sequence_of_many_impacts_runs_to_its_end() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", one_stop_problems())
 def test_every_bundled_problem_can_be_exported(name: str) -> None:
-    assert _events_of(name, "--t-end", "4", level="-O2") == _expected(name, 4.0)
+    assert _events_of(name, "--until", "4", level="-O2") == _expected(name, 4.0)
 
 
 @pytest.mark.parametrize(
@@ -93,14 +93,14 @@ def test_every_bundled_problem_can_be_exported(name: str) -> None:
 )
 def test_machines_with_several_stops_or_switches_give_the_same_digits(name: str) -> None:
     until = GRAPHS[name]
-    found = _events_of(name, "--t-end", str(until))
+    found = _events_of(name, "--until", str(until))
     assert len(found) > 10
     assert found == _expected(name, until)
 
 
 def test_a_machine_with_nested_kinks_gives_the_same_digits() -> None:
     Path("nested.py").write_text(nested_problem(), encoding="utf-8")
-    found = _events_of("nested.py", "--t-end", "7")
+    found = _events_of("nested.py", "--until", "7")
     assert found == _expected("nested.py", 7.0)
     # A limit and a table follow the wave: the force is 1.5 N, after half a period 0.3 N.
     up, down = half_periods("table")
@@ -124,7 +124,7 @@ def test_a_short_pulse_is_not_lost_in_exported_code() -> None:
 
 @pytest.mark.slow
 def test_a_run_that_ends_early_tells_why() -> None:
-    answer = ask("export", "relay_soft", "--t-end", "0.01", "-o", "exported")
+    answer = ask("export", "relay_soft", "--until", "0.01", "-o", "exported")
     assert answer.code == YES, answer.err
     code = Path("exported/main.c").read_text(encoding="utf-8")
     # Exchanged switching times are refused, as in Python.
@@ -192,9 +192,9 @@ def test_numbers_and_start_are_those_that_were_asked_for() -> None:
         "restitution=0.7",
         "--set",
         "g=1.62",
-        "--initial",
+        "--start",
         "height=2",
-        "--t-end",
+        "--until",
         "40",
     )
     found = _events_of("bouncing_ball", *options)
@@ -207,7 +207,7 @@ def test_numbers_and_start_are_those_that_were_asked_for() -> None:
 
 @pytest.mark.slow
 def test_near_one_impacts_are_followed_one_by_one() -> None:
-    found = _events_of("bouncing_ball", "--set", "restitution=0.99", "--t-end", "95")
+    found = _events_of("bouncing_ball", "--set", "restitution=0.99", "--until", "95")
     fall = math.sqrt(2 / 9.81)
     assert sum(kind == "impact" for kind, _ in found) > 600
     zeno = next(numbers for kind, numbers in found if kind == "zeno")
@@ -222,7 +222,7 @@ def test_an_output_that_is_a_file_is_refused() -> None:
 
 
 def test_a_time_that_is_not_positive_is_refused() -> None:
-    answer = ask("export", "bouncing_ball", "-o", "exported", "--t-end", "-1")
+    answer = ask("export", "bouncing_ball", "-o", "exported", "--until", "-1")
     assert answer.code == MISUSE
     assert not Path("exported").exists()
 

@@ -145,7 +145,7 @@ def _execution(name: str, until: float, **parameters: float) -> Execution:
 def test_fmpy_validates_a_unit_and_runs_it_through_eleven_zeno_points(export: Export) -> None:
     fmpy = pytest.importorskip("fmpy")
     validation = pytest.importorskip("fmpy.validation")
-    file = str(export("motor_pendulum", "--t-end", "20"))
+    file = str(export("motor_pendulum", "--until", "20"))
     assert validation.validate_fmu(file) == []
     rows = fmpy.simulate_fmu(file, stop_time=20.0, output_interval=0.01)
     run = zo.simulate("motor_pendulum", until=20.0)
@@ -167,7 +167,7 @@ def test_units_of_every_bundled_problem_are_valid_and_give_the_states_of_simulat
     export: Export, name: str
 ) -> None:
     validation = pytest.importorskip("fmpy.validation")
-    file = export(name, "--t-end", "4")
+    file = export(name, "--until", "4")
     assert validation.validate_fmu(str(file)) == []
     run = _execution(name, 4.0)
     unit = Unit(file)
@@ -187,7 +187,7 @@ def test_units_of_machines_with_several_stops_or_switches_follow_simulate(
 ) -> None:
     validation = pytest.importorskip("fmpy.validation")
     until = GRAPHS[name]
-    file = export(name, "--t-end", str(until))
+    file = export(name, "--until", str(until))
     assert validation.validate_fmu(str(file)) == []
     run = _execution(name, until)
     unit = Unit(file)
@@ -228,7 +228,7 @@ def test_units_with_nested_kinks_move_in_closed_form(name: str) -> None:
 
 @pytest.mark.slow
 def test_the_waveform_of_a_relay_can_be_another(export: Export) -> None:
-    unit = Unit(export("relay_soft", "--t-end", "0.09"))
+    unit = Unit(export("relay_soft", "--until", "0.09"))
     assert unit.set("t1", 1.2e-3) == OK
     assert unit.set("t2", 2.5e-3) == OK
     assert unit.initialize(0.03) == OK
@@ -255,7 +255,7 @@ def test_the_waveform_of_a_relay_can_be_another(export: Export) -> None:
 
 @pytest.mark.slow
 def test_a_kept_state_inside_an_arc_is_taken_again(export: Export) -> None:
-    unit = Unit(export("clapper", "--t-end", "30.0"))
+    unit = Unit(export("clapper", "--until", "30.0"))
     names = ("place", "speed", "impacts_upper", "zeno_points_lower", "mode")
     names = (*zo.load_problem("clapper").state_names[:2], *names[2:])
     assert unit.initialize(30.0) == OK
@@ -321,7 +321,7 @@ def test_an_input_acts_from_the_communication_point_on(export: Export) -> None:
 def test_a_gain_can_be_tuned_between_steps(export: Export) -> None:
     # On the stop and in a flight: the run starts anew there with the other gain.
     problem = zo.load_problem("motor_pendulum")
-    unit = Unit(export("motor_pendulum", "--t-end", "20"))
+    unit = Unit(export("motor_pendulum", "--until", "20"))
     assert unit.initialize(6.0) == OK
     names = problem.state_names
     for start, gain in ((2.0, -0.9), (4.0, -1.1)):
@@ -416,7 +416,7 @@ def test_the_description_has_the_largest_range_that_simulate_accepts(export: Exp
 
 @pytest.mark.slow
 def test_a_clock_off_its_circle_is_refused(export: Export) -> None:
-    unit = Unit(export("relay", "--t-end", "0.09"))
+    unit = Unit(export("relay", "--until", "0.09"))
     assert unit.set("cosine", 0.6) == OK
     assert unit.initialize(0.09) == ERROR
     assert unit.messages == [
@@ -430,7 +430,7 @@ def test_a_clock_off_its_circle_is_refused(export: Export) -> None:
 def test_a_parameter_is_not_set_without_those_that_are_derived_from_it(export: Export) -> None:
     problem, unit = (
         zo.load_problem("motor_pendulum"),
-        Unit(export("motor_pendulum", "--t-end", "20")),
+        Unit(export("motor_pendulum", "--until", "20")),
     )
     values = problem.values(numbers={"m1": 0.35}).parameters
     derived = ("J_rotor", "K_torque", "K_emf")

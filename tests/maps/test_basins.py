@@ -147,7 +147,7 @@ def test_a_point_outside_the_finest_grid_is_refused(tmp_path: Path) -> None:
         (("--x", "height=0:1", "--y", "sine=0:1"), "must not be a state of the clock"),
         (("--x", "height=0:1", "--y", "height=0:2"), "another name than `x`"),
         (
-            ("--x", "height=0:1", "--y", "speed=0:1", "--initial", "speed=1"),
+            ("--x", "height=0:1", "--y", "speed=0:1", "--start", "speed=1"),
             "`speed` has an initial value",
         ),
         (("--x", "height=0:1", "--y", "speed=0:1", "--refine", "11"), "--refine 11: must be a"),

@@ -159,8 +159,8 @@ def test_a_plane_that_makes_no_sense_is_refused(changes: Mapping[str, Any], told
         ("--x m=1:2 --y restitution=0:0.5 --grid ②x②", "must be NxM"),
         ("--x m=1:2 --y restitution=0:0.5 --grid 0x3", "positive whole number"),
         (
-            "--x m=1:2 --y restitution=0:0.5 --max-time -1",
-            "--max-time -1: must be a positive number",
+            "--x m=1:2 --y restitution=0:0.5 --until -1",
+            "--until -1: must be a positive number",
         ),
         ("--x m=1:2 --y restitution=0:0.5 --plot map.gif", r"must end in .png"),
         ("--x m=1:2 --y restitution=0:0.5 -o missing/map.json", "must be in a writable folder"),
@@ -363,7 +363,7 @@ def test_a_named_checkpoint_stays_and_another_map_leaves_it_alone(tmp_path: Path
     assert ask(*BALL, "--workers", "1", "--checkpoint", kept).code == NO
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
     assert ask(*BALL, "--workers", "1", "--checkpoint", kept, "-o", out).code == NO
-    answer = ask(*BALL, "--workers", "1", "--checkpoint", kept, "--max-time", "50", "-o", out)
+    answer = ask(*BALL, "--workers", "1", "--checkpoint", kept, "--until", "50", "-o", out)
     assert answer.code == MISUSE
     assert "`until` is" in answer.err
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before

@@ -69,7 +69,7 @@ def test_a_mistake_is_one_line_with_its_place_and_remedy(
     assert FILE.count(right) == 1
     file = tmp_path / "ball.py"
     file.write_text(FILE.replace(right, wrong), encoding="utf-8")
-    answer = ask("simulate", file, "--t-end", "1")
+    answer = ask("simulate", file, "--until", "1")
     assert answer.code == MISUSE
     assert answer.err.count("\n") == 1
     assert f"`{file}`, line {line}: " in answer.err
@@ -80,4 +80,4 @@ def test_a_mistake_is_one_line_with_its_place_and_remedy(
 def test_the_file_without_a_mistake_is_accepted(tmp_path: Path) -> None:
     file = tmp_path / "ball.py"
     file.write_text(FILE, encoding="utf-8")
-    assert ask("simulate", file, "--t-end", "1").code == 0
+    assert ask("simulate", file, "--until", "1").code == 0

@@ -136,7 +136,7 @@ def test_every_command_takes_a_start_that_is_a_formula(tmp_path: Path) -> None:
         assert orbit.period == pytest.approx(2 * math.pi, rel=1e-12)
     plane = zo.parameter_map(file, x=("d", 0.4, 1.3, 2), y=("e", 0.5, 0.6, 2))
     assert [one.period for one in plane.attractors] == pytest.approx([2 * math.pi] * 4, rel=1e-10)
-    answer = ask("simulate", file, "--set", "d=0.4", "--t-end", "3")
+    answer = ask("simulate", file, "--set", "d=0.4", "--until", "3")
     assert answer.code == 0, answer.err
     assert zo.simulate(file, until=1.0, parameters={"d": 0.4}).arcs[0].start_state[0] == 0.4
 
@@ -148,7 +148,7 @@ def test_the_bundled_relay_starts_at_its_open_stop() -> None:
         assert first.closed == ("open",)
 
 
-REMEDIES = ("pass a start (`start`, --initial)", "declare it as a formula of parameters")
+REMEDIES = ("pass a start (`start`)", "declare it as a formula of parameters")
 
 
 @pytest.mark.parametrize("command", ["search", "simulate", "rig"])
@@ -175,7 +175,7 @@ def test_a_search_skips_a_start_that_a_parameter_forbids(tmp_path: Path) -> None
 
 def test_a_start_with_one_stop_is_named_as_well() -> None:
     problem = thrown(_thrown, {"q": 1.0})
-    with pytest.raises(zo.InputError, match=r"The declared start \(q=1\).*-1, at these.*--initial"):
+    with pytest.raises(zo.InputError, match=r"The declared start \(q=1\).*-1, at these.*`start`"):
         zo.simulate(problem, until=1.0, parameters={"floor": 2.0})
     with pytest.raises(zo.InputError, match="The declared start"):
         zo.find_orbit(problem, parameters={"floor": 2.0})
@@ -185,7 +185,7 @@ def test_a_start_with_one_stop_is_named_as_well() -> None:
 
 def test_a_formula_that_fails_at_changed_values_asks_for_a_start() -> None:
     problem = thrown(_thrown, {"q": lambda p: math.sqrt(p["floor"])}).checked()
-    with pytest.raises(zo.InputError, match=r"`q`.*raises ValueError.*--initial"):
+    with pytest.raises(zo.InputError, match=r"`q`.*raises ValueError.*`start`"):
         zo.simulate(problem, until=1.0, parameters={"floor": -1.0})
     assert zo.simulate(problem, until=1.0, parameters={"floor": -1.0}, start={"q": 0.0}).impacts
 

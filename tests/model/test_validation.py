@@ -264,7 +264,7 @@ def test_a_new_problem_works_as_it_is_written(
     assert "`mine.py` exists" in capsys.readouterr().err
     assert Path("mine.py").read_text() == written
     assert main(["zeno-condition", "./mine.py"]) == 0
-    assert main(["simulate", "./mine.py", "--t-end", "2"]) == 0
+    assert main(["simulate", "./mine.py", "--until", "2"]) == 0
     assert main(["search", "./mine.py", "-o", "orbit.json"]) == 0
     assert main(["verify", "orbit.json", "--problem", "mine.py"]) == 0
 

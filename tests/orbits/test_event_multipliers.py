@@ -148,7 +148,7 @@ def test_every_answer_has_the_multipliers_of_admissible_disturbances() -> None:
     few = zo.PushSettings(phases=1, steps=1, reach=1e-3)
     pushes = zo.largest_push(orbit, problem=problem, directions=[{"q0": 1.0}], settings=few)
     assert pushes.spectral_radius == exact
-    family = zo.continue_orbit(orbit, "press", (20.0, 20.2), problem=problem).families[0]
+    family = zo.continue_orbit(orbit, ("press", 20.0, 20.2), problem=problem).families[0]
     assert family.points[-1].spectral_radius == exact
 
 
@@ -174,7 +174,7 @@ def test_an_orbit_moves_with_a_stop_that_is_closed_all_the_time() -> None:
     lift = zo.Quantity(name="lift", unit="m", meaning="height", default=0.0, lower=-1, upper=1)
     problem = replace(machine.problem, model=model, parameters=(lift,))
     orbit = zo.find_event_orbit(problem, until=200.0)
-    family = zo.continue_orbit(orbit, "lift", (0.0, 0.4), problem=problem).families[0]
+    family = zo.continue_orbit(orbit, ("lift", 0.0, 0.4), problem=problem).families[0]
     first, last = family.points[0], family.points[-1]
     assert last.value == pytest.approx(0.4)
     before, after = (np.array(list(one.state.values())) for one in (first, last))

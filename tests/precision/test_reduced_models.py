@@ -452,7 +452,7 @@ def test_no_inductance_is_refused_with_the_problem_to_take_instead(
 ) -> None:
     assert main(["simulate", "motor_pendulum", "--set", "L=0"]) == 2
     assert "take `motor_pendulum@quasi_static`" in capsys.readouterr().err
-    assert main(["simulate", "motor_pendulum@quasi_static", "--t-end", "1"]) == 0
+    assert main(["simulate", "motor_pendulum@quasi_static", "--until", "1"]) == 0
     # The corrected drive takes it as its limit.
     problem = load_problem("motor_pendulum")
     corrected = problem.at_fidelity(CORRECTED)

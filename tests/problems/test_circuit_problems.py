@@ -109,7 +109,7 @@ def test_a_start_from_an_empty_vessel_has_the_same_orbit(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     # The root of the pressure has no slope there. Closed, the pressure rises by b q to the preload.
-    assert main(["search", "relief_valve", "--initial", "pressure=0", "--json"]) == 0
+    assert main(["search", "relief_valve", "--start", "pressure=0", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["period"] == pytest.approx(2.432309875742, abs=1e-10)
 
@@ -406,7 +406,7 @@ def test_a_gear_on_a_coil_that_turns_no_motor_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     # The flux of the solenoid grows with the opening at a rate that depends on both.
-    words = ["rig", "solenoid", "--t-end", "0.1", "--part", "gears.1.rotor_inertia=1e-3"]
+    words = ["rig", "solenoid", "--until", "0.1", "--part", "gears.1.rotor_inertia=1e-3"]
     assert main(words) == 2
     refusal = capsys.readouterr().err
     assert "must stand on a motor: the flux of current 1" in refusal
@@ -414,7 +414,7 @@ def test_a_gear_on_a_coil_that_turns_no_motor_is_refused(
 
 
 def test_a_bridge_without_a_source_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["rig", "relief_valve", "--t-end", "0.1", "--part", "bridge.supply=24"]
+    words = ["rig", "relief_valve", "--until", "0.1", "--part", "bridge.supply=24"]
     assert main(words) == 2
     assert "must have motors for a bridge" in capsys.readouterr().err
 

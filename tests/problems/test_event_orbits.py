@@ -103,7 +103,7 @@ def test_the_multipliers_of_a_walker_are_those_of_differences_of_its_returns() -
 @pytest.mark.slow
 def test_gaits_with_a_zeno_knee_end_where_heel_strike_meets_the_zeno_point() -> None:
     orbit = _orbit("kneed_walker", restitution=0.37)
-    family = zo.continue_orbit(orbit, "restitution", (0.3, 0.5)).families[0]
+    family = zo.continue_orbit(orbit, ("restitution", 0.3, 0.5)).families[0]
     assert family.last.kind is zo.SpecialPointKind.EVENTS_MEET
     assert family.last.at.value == pytest.approx(0.38397, abs=5e-6)
     assert family.last.error < 1e-9

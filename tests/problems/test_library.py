@@ -68,7 +68,7 @@ def test_every_problem_goes_through_every_command(
     file = tmp_path / "orbit.json"
     assert main(["zeno-condition", name]) == 0
     assert "d2h/dt2 = " in capsys.readouterr().out
-    assert main(["simulate", name, "--t-end", "1", "-o", str(tmp_path / "run.png")]) == 0
+    assert main(["simulate", name, "--until", "1", "-o", str(tmp_path / "run.png")]) == 0
     found = main(["search", name, "-o", str(file)])
     assert found == (1 if name in NO_ORBIT else 0)
     assert file.exists() == (name not in NO_ORBIT)
@@ -151,8 +151,8 @@ def test_the_pendulum_falls_on_its_stop_in_elliptic_integrals(
 ) -> None:
     run = _answer(
         capsys,
-        *("simulate", "falling_pendulum", "--t-end", "30"),
-        *("--initial", f"angle={angle}", "--set", f"restitution={e}"),
+        *("simulate", "falling_pendulum", "--until", "30"),
+        *("--start", f"angle={angle}", "--set", f"restitution={e}"),
     )
     known = truth.falling_pendulum(_parameters("falling_pendulum", restitution=e), angle)
     _hold_run(run, known)
@@ -168,15 +168,15 @@ def test_the_ball_thrown_into_a_bowl_bounces_as_parabolas_do(
 ) -> None:
     run = _answer(
         capsys,
-        *("simulate", "curved_surface", "--t-end", "2", "--set", "A=0", "--set", "c=0"),
+        *("simulate", "curved_surface", "--until", "2", "--set", "A=0", "--set", "c=0"),
         *(
-            "--initial",
+            "--start",
             f"x={x}",
-            "--initial",
+            "--start",
             f"y={y}",
-            "--initial",
+            "--start",
             f"dx={dx}",
-            "--initial",
+            "--start",
             "cosine=1",
         ),
     )

@@ -207,7 +207,7 @@ def test_the_page_of_the_command_line_has_every_command_and_option() -> None:
     page = command_page()
     for name in ("search", "verify", "continue", "map"):
         assert f"## `{name}`" in page
-    assert "`--bound NAME=LOWER:UPPER`" in page
+    assert "`--bounds NAME=LOWER:UPPER`" in page
     assert "zeno-orbits search motor_pendulum -o orbit.json" in page
 
 

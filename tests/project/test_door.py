@@ -113,12 +113,12 @@ def test_a_map_of_a_problem_built_in_a_notebook_is_drawn_here() -> None:
 def test_several_workers_want_a_problem_that_they_can_load() -> None:
     ball = replace(zo.load_problem("vibrating_table"), title="another")
     with pytest.raises(zo.InputError, match="several workers need a file"):
-        zo.search_gains(ball, free={"A": (0.01, 0.02)}, workers=2)
+        zo.search_gains(ball, vary={"A": (0.01, 0.02)}, workers=2)
 
 
 def test_an_orbit_with_several_zeno_points_is_not_continued(orbit: zo.ZenoOrbit) -> None:
     with pytest.raises(zo.InputError, match="must have one Zeno point per period") as refused:
-        zo.continue_orbit(replace(orbit, phases=2 * orbit.phases), "Kp", (2.4, 2.6))
+        zo.continue_orbit(replace(orbit, phases=2 * orbit.phases), ("Kp", 2.4, 2.6))
     assert "its shape is `zeno*2`" in str(refused.value)
 
 

@@ -191,7 +191,7 @@ def test_parameters_that_vary_may_be_named_in_any_order() -> None:
     orbit = zo.find_orbit_by_shooting("motor_valve").unwrap()
     ranges = {"restitution": 1e-5, "V0": 1e-7}
     for names in (("restitution", "V0"), ("V0", "restitution")):
-        proof = zo.prove(orbit, over={name: ranges[name] for name in names})
+        proof = zo.prove(orbit, interval={name: ranges[name] for name in names})
         assert proof.proved, proof.verdict()
         assert check_proof(dict(proof.certificate)).ok
 
@@ -230,7 +230,7 @@ def test_flights_that_are_not_resolved_are_summed_up_earlier(name: str) -> None:
     # Over an interval this wide the late impacts of different restitutions meet no common window.
     orbit = zo.find_orbit_by_shooting(name).unwrap()
     e = dict(orbit.parameters)["restitution"]
-    proof = zo.prove(orbit, over={"restitution": 1e-4})
+    proof = zo.prove(orbit, interval={"restitution": 1e-4})
     assert proof.proved, proof.verdict()
     assert proof.bounds is not None
     for end in (e - 1e-4, e + 1e-4):

@@ -468,7 +468,7 @@ def test_parameters_that_vary_are_named_with_those_that_do_not() -> None:
     orbit = zo.find_orbit_by_shooting("vibrating_table").unwrap()
     # Two digits of this radius, rounded up, would be a range that is not proved.
     radius = 1.2345e-9
-    proof = zo.prove(orbit, over={"A": radius})
+    proof = zo.prove(orbit, interval={"A": radius})
     told = "\n".join(proof.lines())
     (line,) = (line for line in told.splitlines() if line.startswith("The statements hold"))
     middle, _, printed = re.findall(r"A = (.*?), with", line)[0].partition(" +- ")
@@ -492,7 +492,7 @@ def test_multipliers_are_printed_as_lying_in_a_union_of_discs(proofs: dict[str, 
 @pytest.mark.slow
 def test_calibrated_parameters_are_named_as_held_fixed() -> None:
     orbit = zo.find_orbit_by_shooting("motor_pendulum").unwrap()
-    proof = zo.prove(orbit, over={"m2": 1e-11})
+    proof = zo.prove(orbit, interval={"m2": 1e-11})
     assert proof.proved, proof.verdict()
     # The back-EMF constant is the torque constant by default.
     assert set(proof.held) == {"J_rotor", "K_torque", "K_emf"}

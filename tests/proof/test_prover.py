@@ -184,7 +184,7 @@ def test_a_stop_that_pulls_for_a_moment_is_not_proved() -> None:
     [*(pytest.param(one, marks=pytest.mark.slow) for one in ("restitution", "A")), "omega"],
 )
 def test_an_orbit_is_proved_over_an_interval_of_any_number(table: ZenoOrbit, name: str) -> None:
-    proof = zo.prove(table, over={name: 1e-9})
+    proof = zo.prove(table, interval={name: 1e-9})
     assert proof.proved, proof.verdict()
     verdict = check_proof(dict(proof.certificate))
     assert verdict.ok, verdict.claims
@@ -193,14 +193,16 @@ def test_an_orbit_is_proved_over_an_interval_of_any_number(table: ZenoOrbit, nam
 @pytest.mark.slow
 def test_an_orbit_is_proved_wherever_its_stop_is_within_an_interval() -> None:
     # Steps are long here: the checker must not find derivatives wider than the prover does.
-    proof = zo.prove(zo.find_orbit_by_shooting("forced_oscillator").unwrap(), over={"stop": 1e-9})
+    proof = zo.prove(
+        zo.find_orbit_by_shooting("forced_oscillator").unwrap(), interval={"stop": 1e-9}
+    )
     assert proof.proved, proof.verdict()
     assert check_proof(dict(proof.certificate)).ok
 
 
 @pytest.mark.slow
 def test_the_enclosures_over_an_interval_hold_the_numbers_at_its_ends(table: ZenoOrbit) -> None:
-    wide = zo.prove(table, over={"restitution": 1e-6})
+    wide = zo.prove(table, interval={"restitution": 1e-6})
     assert wide.bounds is not None
     for change in (-1e-6, 1e-6):
         other = zo.find_orbit_by_shooting(

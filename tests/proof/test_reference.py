@@ -57,7 +57,7 @@ def test_orbits_at_other_restitutions_are_proved(restitution: float) -> None:
 
 
 def test_a_whole_interval_of_a_gain_is_proved_at_once(reference: ZenoOrbit) -> None:
-    proof = zo.prove(reference, over={"Kp": 1e-8})
+    proof = zo.prove(reference, interval={"Kp": 1e-8})
     assert proof.proved, proof.verdict()
     assert proof.stable
 

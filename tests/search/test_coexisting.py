@@ -27,7 +27,7 @@ def impacts_per_turn(orbit: zo.ZenoOrbit, *, turns: int = 20) -> float:
 @pytest.mark.slow
 def test_both_attractors_of_a_table_are_found_from_other_initial_states() -> None:
     result = zo.search_gains(
-        TABLE, free={}, parameters={"A": 0.02}, settings=zo.SearchSettings(candidates=3)
+        TABLE, vary={}, parameters={"A": 0.02}, settings=zo.SearchSettings(candidates=3)
     )
     orbits = {one.orbit.shape.text: one.orbit for one in result.candidates}
     assert set(orbits) == {"zeno", "impact"}
@@ -54,7 +54,7 @@ def test_an_energy_that_falls_to_the_end_of_the_family_is_answered_with_the_end(
     # The force just reaches the stop at A = 0.8, where the orbit shrinks to nothing.
     result = zo.search_gains(
         "forced_oscillator",
-        free={"A": (0.7, 1.3)},
+        vary={"A": (0.7, 1.3)},
         parameters={"A": 0.85},
         objective=zo.MinEnergy(),
         bounds=[zo.Bound(name="distance", upper=0.5)],
@@ -70,7 +70,7 @@ def test_a_target_out_of_reach_states_the_distance_of_each_bound() -> None:
     oscillator = load_problem("forced_oscillator")
     result = zo.search_gains(
         oscillator,
-        free={"A": (0.9, 1.1)},
+        vary={"A": (0.9, 1.1)},
         objective=zo.TargetAmplitude(state=oscillator.amplitude_of, target=5.0),
         bounds=[zo.Bound(name=oscillator.amplitude_of, upper=10.0)],
         settings=zo.SearchSettings(n_starts=0),
@@ -87,7 +87,7 @@ def test_a_bound_that_no_orbit_keeps_is_named_instead_of_the_target() -> None:
     oscillator = load_problem("forced_oscillator")
     result = zo.search_gains(
         oscillator,
-        free={"A": (0.9, 1.1)},
+        vary={"A": (0.9, 1.1)},
         objective=zo.TargetAmplitude(state=oscillator.amplitude_of, target=0.2),
         bounds=[zo.Bound(name="distance", upper=0.01)],
         settings=zo.SearchSettings(n_starts=0),

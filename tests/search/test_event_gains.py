@@ -20,7 +20,7 @@ A, S, E = 20.0, 0.1, 0.5
 
 def _search(free: dict[str, tuple[float, float]], **options: Any) -> zo.EventSearchResult:
     return zo.search_event_gains(
-        "hopper", free=free, parameters={"a": A, "s": S, "restitution": E}, **options
+        "hopper", vary=free, parameters={"a": A, "s": S, "restitution": E}, **options
     )
 
 
@@ -83,7 +83,7 @@ def test_bounds_that_no_orbit_keeps_are_named_with_their_excess() -> None:
 def test_an_orbit_without_the_events_of_an_objective_is_refused() -> None:
     with pytest.raises(zo.InputError, match=r"`objective` must be about events .* `bounce_time`"):
         _search({"a": (5.0, 40.0)}, objective=zo.MinBounceTime())
-    with pytest.raises(zo.InputError, match=r"`keep` must be about events .* `stop.zeno_time`"):
+    with pytest.raises(zo.InputError, match=r"`bounds` must be about events .* `stop.zeno_time`"):
         _search({"a": (5.0, 40.0)}, bounds=[zo.Bound(name="stop.zeno_time", upper=1.0)])
 
 
@@ -105,7 +105,7 @@ def test_invalid_searches_are_refused(options: dict[str, Any], words: str) -> No
 
 def test_a_search_by_phases_refuses_objectives_about_impacts_and_names_the_other_search() -> None:
     with pytest.raises(zo.InputError, match="call `search_event_gains`"):
-        zo.search_gains("vibrating_table", free={"A": (0.01, 0.02)}, objective=zo.MinImpactLoss())
+        zo.search_gains("vibrating_table", vary={"A": (0.01, 0.02)}, objective=zo.MinImpactLoss())
 
 
 # A machine with one stop: the ball on a shaking table, whose flights are parabolas less a sine.
@@ -165,13 +165,13 @@ def test_quantities_of_one_stop_have_their_closed_form() -> None:
 
 def test_one_stop_is_searched_for_a_bound_on_an_event_and_for_the_least_loss() -> None:
     bound = zo.Bound(name="stop.impact_speed", upper=0.4)
-    found = zo.search_event_gains("vibrating_table", free={"A": (0.012, 0.017)}, bounds=[bound])
+    found = zo.search_event_gains("vibrating_table", vary={"A": (0.012, 0.017)}, bounds=[bound])
     assert found.orbit is not None
     assert found.orbit.certificate["passed"]
     assert table_impacts(found.free["A"])[2][0] == pytest.approx(0.4, rel=1e-7)
     least = zo.search_event_gains(
         "vibrating_table",
-        free={"A": (0.012, 0.017)},
+        vary={"A": (0.012, 0.017)},
         objective=zo.MinImpactLoss(),
         bounds=[zo.Bound(name="stop.impact_time", lower=0.13)],
     )

@@ -22,7 +22,7 @@ G = 9.81
 
 def widest(name: str, free: dict[str, tuple[float, float]], **options: Any) -> zo.EventSearchResult:
     """Return the orbit of the widest margin, which must be verified."""
-    found = zo.search_event_gains(name, free=free, objective=zo.MaxMargin(), **options)
+    found = zo.search_event_gains(name, vary=free, objective=zo.MaxMargin(), **options)
     assert found.certificate is not None
     assert found.certificate.passed
     return found
@@ -56,7 +56,7 @@ def test_the_margin_in_two_parameters_is_the_smaller_of_the_closed_forms() -> No
 def test_the_margin_of_a_clapper_is_the_distance_to_the_end_of_its_family() -> None:
     found = widest("clapper", {"A": (0.5, 3.0)})
     assert found.orbit is not None
-    (family,) = zo.continue_orbit(found.orbit, "A", (0.9, 3.5)).families
+    (family,) = zo.continue_orbit(found.orbit, ("A", 0.9, 3.5)).families
     assert family.first.kind is zo.SpecialPointKind.LOCK_VANISHES
     assert found.value == pytest.approx((3.0 - family.first.at.value) / 2.5, abs=1e-4)
     assert "the locked arc before `release" in found.detail
@@ -157,7 +157,7 @@ def test_a_margin_keeps_the_bounds() -> None:
 
 def test_a_bound_on_the_speed_of_the_first_impact_has_its_closed_form() -> None:
     bound = zo.Bound(name="first_impact_speed", lower=3.0)
-    found = zo.search_event_gains("hopper", free={"a": (5.0, 40.0)}, bounds=[bound])
+    found = zo.search_event_gains("hopper", vary={"a": (5.0, 40.0)}, bounds=[bound])
     assert found.free["a"] == pytest.approx(9.0 * 0.75 / 0.2, rel=1e-6)
 
 
@@ -166,7 +166,7 @@ def test_a_bound_on_the_speed_of_the_first_impact_has_its_closed_form() -> None:
 def test_bounds_on_contacts_are_reached(name: str, lower: float) -> None:
     bound = zo.Bound(name=name, lower=lower)
     found = zo.search_event_gains(
-        "clapper", free={"A": (1.2, 5.0)}, parameters={"A": 1.3}, bounds=[bound]
+        "clapper", vary={"A": (1.2, 5.0)}, parameters={"A": 1.3}, bounds=[bound]
     )
     assert found.orbit is not None
     (asked,) = found.asked
@@ -188,14 +188,14 @@ def test_the_share_of_one_stop_is_that_of_its_list_of_events() -> None:
     orbit = zo.find_orbit(problem, gains={"Kp": 2.5, "Kd": -1.0}).unwrap()
     share = measure(orbit, problem, ["margin"])["margin"].lowest
     bound = zo.Bound(name="margin", lower=0.0)
-    found = zo.search_event_gains(problem, free={}, gains={"Kp": 2.5, "Kd": -1.0}, bounds=[bound])
+    found = zo.search_event_gains(problem, vary={}, gains={"Kp": 2.5, "Kd": -1.0}, bounds=[bound])
     assert found.asked[0]["lowest"] == pytest.approx(share, rel=1e-6)
 
 
 def test_a_bound_that_no_orbit_keeps_is_answered_with_its_excess() -> None:
     bound = zo.Bound(name="first_impact_speed", lower=10.0)
     found = zo.search_event_gains(
-        "hopper", free={"a": (5.0, 40.0)}, objective=zo.MaxMargin(), bounds=[bound]
+        "hopper", vary={"a": (5.0, 40.0)}, objective=zo.MaxMargin(), bounds=[bound]
     )
     assert found.orbit is None
     assert "No orbit that keeps the bounds was found" in found.detail
@@ -213,17 +213,17 @@ def test_the_command_and_python_have_the_same_margin() -> None:
     printed = ask(*words)
     assert "It persists for a = 7.3575 to 75, each alone." in printed.out
     assert "Asked for the widest margin to losing the orbit: 0.93264286." in printed.out
-    refused = ask(*words, "--bound", "first_impact_speed=10:")
+    refused = ask(*words, "--bounds", "first_impact_speed=10:")
     assert refused.code == NO
 
 
 def test_a_margin_without_a_free_value_is_refused() -> None:
-    with pytest.raises(zo.InputError, match="needs a free value: name its range in `free`"):
-        zo.search_event_gains("hopper", free={}, objective=zo.MaxMargin())
+    with pytest.raises(zo.InputError, match="needs a free value: name its range in `vary`"):
+        zo.search_event_gains("hopper", vary={}, objective=zo.MaxMargin())
 
 
 def test_an_unknown_margin_is_refused_with_the_names() -> None:
-    answer = ask("search", "hopper", "--vary", "a=5:40", "--bound", "locked_tim=1:")
+    answer = ask("search", "hopper", "--vary", "a=5:40", "--bounds", "locked_tim=1:")
     assert answer.code not in (YES, NO)
     assert "Did you mean `locked_time`?" in answer.err
 
@@ -237,6 +237,6 @@ def test_an_unknown_margin_is_refused_with_the_names() -> None:
     ],
 )
 def test_a_bound_that_no_orbit_satisfies_is_refused(bound: str, message: str) -> None:
-    answer = ask("search", "hopper", "--vary", "a=5:40", "--bound", bound)
+    answer = ask("search", "hopper", "--vary", "a=5:40", "--bounds", bound)
     assert answer.code not in (YES, NO)
     assert message in answer.err

@@ -69,7 +69,7 @@ def test_the_least_peak_is_where_two_peaks_are_equal() -> None:
 
 
 def test_the_peak_of_a_speed_is_its_value_before_an_impact() -> None:
-    found = _search(zo.MinPeak(signal="speed"), free={"U": (8.0, 12.0)})
+    found = _search(zo.MinPeak(signal="speed"), vary={"U": (8.0, 12.0)})
     assert found.value == pytest.approx(CoilHop(voltage=8.0).impact_speed, rel=1e-10)
 
 
@@ -107,7 +107,7 @@ def test_a_prescribed_amplitude_is_reached() -> None:
 
 @pytest.mark.slow
 def test_an_amplitude_that_no_orbit_has_is_missed_by_a_printed_distance() -> None:
-    found = _search(zo.TargetAmplitude(state="height", target=1.0), free={"U": (8.0, 12.0)})
+    found = _search(zo.TargetAmplitude(state="height", target=1.0), vary={"U": (8.0, 12.0)})
     assert found.orbit is None
     assert f"The nearest has {CoilHop(voltage=12.0).highest / 2:.8g}." in found.detail
 
@@ -141,7 +141,7 @@ def test_bounds_on_signals_and_numbers_are_touched_where_they_decide() -> None:
     ]
     for bound, quantity, value in quantities:
         found = _search(
-            zo.NearestGains(target={"U": 12.0}), free={"U": (6.0, 14.0)}, bounds=[bound]
+            zo.NearestGains(target={"U": 12.0}), vary={"U": (6.0, 14.0)}, bounds=[bound]
         )
         assert found.orbit is not None, bound
         reached = quantity(CoilHop(voltage=found.free["U"]))
@@ -160,7 +160,7 @@ def test_the_least_energy_keeps_a_bound_on_a_signal() -> None:
 def test_a_bound_on_the_spectral_radius_is_kept() -> None:
     # One multiplier is the square of the restitution, the other that of the coil.
     bound = zo.Bound(name="spectral_radius", upper=0.16)
-    found = _search(zo.NearestGains(target={}), free={"restitution": (0.3, 0.6)}, bounds=[bound])
+    found = _search(zo.NearestGains(target={}), vary={"restitution": (0.3, 0.6)}, bounds=[bound])
     assert found.free["restitution"] == pytest.approx(0.4, rel=1e-6)
 
 
@@ -288,8 +288,8 @@ def test_an_inert_switch_does_not_change_the_optimum(
     objective: Any, bounds: list[zo.Bound]
 ) -> None:
     free = {"Kp": (2.0, 4.0), "Kd": (-1.2, -0.8)}
-    over_modes = zo.search_event_gains(_inert(), free=free, objective=objective, bounds=bounds)
-    plain = zo.search_gains("motor_pendulum", free=free, objective=objective, bounds=bounds)
+    over_modes = zo.search_event_gains(_inert(), vary=free, objective=objective, bounds=bounds)
+    plain = zo.search_gains("motor_pendulum", vary=free, objective=objective, bounds=bounds)
     assert over_modes.orbit is not None
     assert plain.orbit is not None
     # Ipopt keeps bounds to 1e-8 of its own scale, and the plain search lies inside by as much.
@@ -305,7 +305,7 @@ def test_no_orbit_of_a_line_of_equal_periods_takes_less_energy() -> None:
     free = {"Kp": (1.5, 5.0), "Kd": (-1.4, -0.7)}
     found = zo.search_event_gains(
         "limited_pendulum",
-        free=free,
+        vary=free,
         objective=zo.MinEnergy(),
         bounds=[zo.Bound(name="period", lower=1.8)],
     )
@@ -331,7 +331,7 @@ def test_no_orbit_of_a_line_of_equal_periods_takes_less_energy() -> None:
 def test_the_largest_push_keeps_a_bound_and_has_its_closed_form() -> None:
     found = zo.search_event_gains(
         "hopper",
-        free={"a": (15.0, 25.0)},
+        vary={"a": (15.0, 25.0)},
         objective=zo.MaxPush(),
         bounds=[zo.Bound(name="stop.impact_speed", upper=2.4)],
     )
@@ -352,7 +352,7 @@ def test_the_largest_push_keeps_a_bound_and_has_its_closed_form() -> None:
 def test_the_least_push_over_a_range_is_that_of_the_weakest_corner() -> None:
     found = zo.search_event_gains(
         "hopper",
-        free={"a": (24.0, 25.0)},
+        vary={"a": (24.0, 25.0)},
         objective=zo.MaxPush(direction={"height": 1.0}, uncertain={"s": (0.08, 0.12)}),
     )
     assert found.worst_at == {"s": 0.08}
@@ -412,7 +412,7 @@ def test_a_machine_without_a_source_has_no_electrical_energy() -> None:
         {"bounds": [zo.Bound(name="energy", upper=1.0)]},
     ):
         with pytest.raises(zo.InputError, match="no source of electrical energy"):
-            zo.search_event_gains("hopper", free={"a": (10.0, 30.0)}, **options)
+            zo.search_event_gains("hopper", vary={"a": (10.0, 30.0)}, **options)
 
 
 def test_a_known_orbit_of_another_machine_or_format_is_refused() -> None:
@@ -424,12 +424,12 @@ def test_a_known_orbit_of_another_machine_or_format_is_refused() -> None:
 def test_a_search_by_phases_refuses_uncertain_ranges_and_names_the_other_search() -> None:
     objective = zo.MinEnergy(uncertain={"R": (2.9, 3.1)})
     with pytest.raises(zo.InputError, match="call `search_event_gains`"):
-        zo.search_gains("motor_pendulum", free={"Kp": (2.0, 4.0)}, objective=objective)
+        zo.search_gains("motor_pendulum", vary={"Kp": (2.0, 4.0)}, objective=objective)
 
 
 @pytest.mark.slow
 def test_the_default_section_of_a_sampled_machine_is_not_its_sample() -> None:
     # A motion cannot start at a sample, at which the switch is armed.
-    found = zo.search_event_gains("sampled_pendulum", free={}, objective=zo.MinEnergy(), until=25.0)
+    found = zo.search_event_gains("sampled_pendulum", vary={}, objective=zo.MinEnergy(), until=25.0)
     assert found.orbit is not None
     assert found.value == pytest.approx(found.orbit.certificate["energies"]["input_work"], rel=1e-9)

@@ -225,7 +225,7 @@ def test_a_start_that_was_lost_is_tried_again_and_gives_the_same(
         ((*BALL, "--set", "restitution=0.4"), "`parameters.restitution` is"),
         ((*BALL, "--objective", "nearest:m=1.5"), "`parameters.m` is 1.0, not 1.5"),
         ((*BALL, "--objective", "period=2"), "`objective.kind` is"),
-        ((*BALL, "--bound", "period=:2"), "`bounds` is []"),
+        ((*BALL, "--bounds", "period=:2"), "`bounds` is []"),
         ((*BALL, "--allow-unstable"), "`accept.allow_unstable` is false, not true"),
         ((*BALL, "--accuracy", "1e-5"), "`settings.transcription.mesh_tolerance` is"),
         ((*BALL, "--engine", "implicit"), "`accept.settings.simulation.engine.kind` is"),

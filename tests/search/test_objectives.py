@@ -429,9 +429,9 @@ def test_gains_beyond_a_fold_lead_to_the_nearest_orbit_that_attracts(problem: Pr
     ("free", "bounds", "objective", "said"),
     [
         ({"restitution": (0.1, 1.0)}, [], None, r"`restitution` must lie in \[0, 1\)"),
-        ({"R": (4.0, 2.0)}, [], None, "`free` must have finite bounds LOWER < UPPER for `R`"),
-        ({"Q": (1.0, 2.0)}, [], None, "`free` must be one of Kp, .*R.*, but it is `Q`"),
-        ({}, [Bound(name="angle", upper=1.0)], None, "`keep` must name a quantity .*`angle`"),
+        ({"R": (4.0, 2.0)}, [], None, "`vary` must have finite bounds LOWER < UPPER for `R`"),
+        ({"Q": (1.0, 2.0)}, [], None, "`vary` must be one of Kp, .*R.*, but it is `Q`"),
+        ({}, [Bound(name="angle", upper=1.0)], None, "`bounds` must name a quantity .*`angle`"),
         ({}, [Bound(name="spectral_radius", lower=0.1)], None, "from above only"),
         ({}, [Bound(name="spectral_radius", upper=0.0)], None, "by 0.0001 or more"),
         ({}, [Bound(name="spectral_radius", upper=9e-5)], None, "by 0.0001 or more"),

@@ -25,7 +25,7 @@ def pushed(
     problem: zo.Problem, free: Mapping[str, tuple[float, float]], **asked: object
 ) -> tuple[zo.ZenoOrbit, float, str]:
     """Return the orbit with the largest push, the push, and the sentences about it."""
-    result = zo.search_gains(problem, free=free, settings=ONCE, **asked)  # type: ignore[arg-type]
+    result = zo.search_gains(problem, vary=free, settings=ONCE, **asked)  # type: ignore[arg-type]
     return result.unwrap(), result.candidates[0].extents["push"].lowest, result.detail
 
 
@@ -94,7 +94,7 @@ def test_the_largest_push_of_the_pendulum_is_that_of_brute_force() -> None:
         best = max(best, least_push(problem, orbit, settings=PUSHES).largest)
     result = zo.search_gains(
         problem,
-        free={"Kd": (-1.1, -0.5)},
+        vary={"Kd": (-1.1, -0.5)},
         gains=PENDULUM,
         objective=zo.MaxPush(),
         settings=zo.SearchSettings(n_starts=2),
@@ -151,7 +151,7 @@ def test_gains_move_until_every_corner_has_an_orbit() -> None:
     # The mass leaves its stop if A > 0.8 k. At the start, k = 1, the corner A = 0.75 has no orbit.
     wish = zo.MaxPush(uncertain={"A": (0.75, 1.1)})
     result = zo.search_gains(
-        "forced_oscillator", free={"k": (0.8, 1.2)}, objective=wish, settings=ONCE
+        "forced_oscillator", vary={"k": (0.8, 1.2)}, objective=wish, settings=ONCE
     )
     k = result.unwrap().parameters["k"]
     assert 0.8 <= k < 0.75 / 0.8

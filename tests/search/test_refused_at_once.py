@@ -19,8 +19,8 @@ from zeno_orbits.maps import Attractor, AttractorClass
         (("--vary", "omega=0.9:1.1", "--objective", "period=5"), "fixes the period: widen omega."),
         (("--vary", "A=0.9:1.1", "--objective", "contraction"), "is a point"),
         (
-            ("--bound", "spectral_radius=:0.5", "--vary", "A=0.9:1.1"),
-            "--bound spectral_radius=:0.5: must not ask for",
+            ("--bounds", "spectral_radius=:0.5", "--vary", "A=0.9:1.1"),
+            "--bounds spectral_radius=:0.5: must not ask for",
         ),
     ],
 )
@@ -37,7 +37,7 @@ def test_a_period_of_whole_turns_is_searched() -> None:
     # The clock of the oscillator turns in 2 pi / omega: 5.9 s at omega = 1.0649...
     result = zo.search_gains(
         "forced_oscillator",
-        free={"omega": (0.9, 1.1)},
+        vary={"omega": (0.9, 1.1)},
         objective=zo.TargetPeriod(target=5.9),
     )
     omega = result.unwrap().parameters["omega"]
@@ -45,7 +45,7 @@ def test_a_period_of_whole_turns_is_searched() -> None:
 
 
 def test_a_start_off_the_clock_is_refused_by_search_and_map_in_the_same_words() -> None:
-    start = ("--initial", "cosine=0.5")
+    start = ("--start", "cosine=0.5")
     searched = ask("search", "forced_oscillator", *start)
     mapped = ask("map", "forced_oscillator", "--x", "A=0.9:1.1", "--y", "c=1:2", *start)
     assert (searched.code, mapped.code) == (MISUSE, MISUSE)

@@ -304,12 +304,12 @@ def test_progress_is_told_in_order(problem: Problem) -> None:
 def test_a_box_that_is_empty_or_endless_is_refused(
     problem: Problem, bounds: tuple[float, float]
 ) -> None:
-    with pytest.raises(InputError, match="`free` must have finite bounds LOWER < UPPER for `Kp`"):
+    with pytest.raises(InputError, match="`vary` must have finite bounds LOWER < UPPER for `Kp`"):
         search_orbits(problem, problem.values(), free={"Kp": bounds})
 
 
 def test_a_gain_that_the_problem_does_not_have_is_refused(problem: Problem) -> None:
-    with pytest.raises(InputError, match=r"`free` must be one of Kp, Kd, .* but it is `Ki`"):
+    with pytest.raises(InputError, match=r"`vary` must be one of Kp, Kd, .* but it is `Ki`"):
         search_orbits(problem, problem.values(), free={"Ki": (1.0, 2.0)})
 
 

@@ -53,19 +53,19 @@ def test_a_bound_that_nothing_can_keep_is_told_with_what_it_asks(
     problem: Problem, bound: Bound, said: str
 ) -> None:
     # The first bound is not the only one that is looked at.
-    with pytest.raises(InputError, match=rf"^Argument `keep` must .*{said}"):
+    with pytest.raises(InputError, match=rf"^Argument `bounds` must .*{said}"):
         _check(problem, bounds=(Bound(name="current", lower=-math.pi), bound))
 
 
 def test_a_quantity_is_bounded_once_wherever_it_is_named_again(problem: Problem) -> None:
     first, other = Bound(name="current", lower=-3.0), Bound(name="voltage", lower=-3.0)
     _check(problem, bounds=(first, other))
-    with pytest.raises(InputError, match="`keep` must bound `current` once"):
+    with pytest.raises(InputError, match="`bounds` must bound `current` once"):
         _check(problem, bounds=(first, other, Bound(name="current", upper=3.0)))
 
 
 def test_every_number_that_is_free_has_a_range(problem: Problem) -> None:
-    with pytest.raises(InputError, match=r"`free` must .* for `R`"):
+    with pytest.raises(InputError, match=r"`vary` must .* for `R`"):
         _check(problem, free={"Kp": (1.0, 2.0), "R": (3.0, 3.0)})
 
 

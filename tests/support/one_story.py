@@ -111,7 +111,7 @@ def _simulated(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
 
 def _continued(problem: str | Path, orbit: zo.ZenoOrbit, range_: tuple[str, float, float]) -> float:
     name, low, high = range_
-    family = zo.continue_orbit(orbit, name, (low, high), problem=problem).families[0]
+    family = zo.continue_orbit(orbit, (name, low, high), problem=problem).families[0]
     points = sorted((point.value, point.period) for point in family.points)
     values, periods = np.array(points).T
     middle = (low + high) / 2

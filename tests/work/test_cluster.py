@@ -28,9 +28,9 @@ POINTS = [0.1 * k for k in range(24)]
 IMPACTS = (
     *("--section", "impact", "--set", "c=0.1", "--set", "stop=1", "--set", "restitution=0.8"),
     *(
-        "--initial",
+        "--start",
         "speed=1",
-        "--initial",
+        "--start",
         "cosine=1",
         "--parameter",
         "A=0.8:1.1",

@@ -63,6 +63,9 @@ from .questions import objective_help as objective_help
 from .questions import objective_words as objective_words
 from .questions import search_notes as search_notes
 from .questions import search_settings as search_settings
+from .names import NAMES as NAMES
+from .names import meaning_of as meaning_of
+from .names import names_table as names_table
 from .settings import ENGINE_NAMES as ENGINE_NAMES
 from .settings import REMOVED_ENGINES as REMOVED_ENGINES
 from .settings import engine_refusal as engine_refusal

@@ -65,7 +65,7 @@ def prove(
     orbit: ZenoOrbit | str | Path,
     *,
     problem: Named | None = None,
-    over: Numbers | None = None,
+    interval: Numbers | None = None,
     radius: float | None = None,
     basin: bool = False,
     on_progress: Progress = silent,
@@ -75,7 +75,7 @@ def prove(
     Args:
         orbit: The orbit, or its file. The certificate in it is ignored.
         problem: The orbit's problem. The default is the bundled problem of its name.
-        over: Gain or parameter to the radius of its interval. The proof covers the whole interval.
+        interval: Gain or parameter to the radius of its interval. The proof covers all of it.
         radius: Radius of the box on the section, relative to the size of each coordinate. The
             default is chosen automatically.
         basin: True for a set of initial states that the return map maps into its interior, as
@@ -97,7 +97,10 @@ def prove(
         radius = positive_number("radius", radius)
         if basin:
             raise InputError("Argument `radius` sets the box, but `basin` chooses it. Remove one.")
-    over = {name: finite_number(name, half) for name, half in named_numbers("over", over).items()}
+    over = {
+        name: finite_number(name, half)
+        for name, half in named_numbers("interval", interval).items()
+    }
     settings = ProofSettings(radius=radius, basin=basin)
     return proved(orbit, known, over=over, settings=settings, on_progress=on_progress)
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
+from zeno_orbits.api.names import OLD_ARGUMENTS, options_line
 from zeno_orbits.errors import InputError, number_range, shown
 from zeno_orbits.model import Problem, ProblemFile, locate_problem, recorded_problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit, read_any_orbit, read_orbit
@@ -24,12 +26,16 @@ Named = str | Path | Problem
 Numbers = Mapping[str, float]
 """Name to value. Names that are missing keep the problem's default."""
 
+Span = tuple[str, float, float]
+"""Name of a gain or parameter, and its range."""
+
 Axis = tuple[str, float, float, int]
 """Name of a gain or parameter, its range, and the number of points along it."""
 
 _ALIASES = {
     "Named": "str | Path | Problem",
     "Numbers": "Mapping[str, float]",
+    "Span": "tuple[str, float, float]",
     "Axis": "tuple[str, float, float, int]",
 }
 """The aliases of this module as signatures show them."""
@@ -44,22 +50,61 @@ def front_door(work: Callable[_P, _R]) -> Callable[_P, _R]:
     Progress is not shown if the caller passes an ``on_progress``.
     """
     work = checked(work)
-    tells = "on_progress" in signature(work).parameters
+    known = signature(work).parameters
+    tells = "on_progress" in known
 
     @wraps(work)
-    def shown(*args: _P.args, **options: _P.kwargs) -> _R:
+    def shown(*given: _P.args, **named: _P.kwargs) -> _R:
         from zeno_orbits.report import line_for_watcher
 
+        args, options = _in_new_names(work.__name__, tuple(known), given, named)
         line = line_for_watcher() if tells and "on_progress" not in options else None
         if line is None:
-            return work(*args, **options)
-        told: Any = work
+            return untyped(*args, **options)
         with line:
-            return told(*args, **{**options, "on_progress": line})
+            return untyped(*args, **{**options, "on_progress": line})
 
+    untyped: Any = work
     opened: Any = shown
     opened.__signature__ = _as_shown(signature(work))
+    options_of = options_line(known)
+    if work.__doc__ and options_of:
+        opened.__doc__ = f"{work.__doc__.rstrip()}\n\n    Command line: {options_of}.\n    "
     return shown
+
+
+def _in_new_names(
+    function: str, known: Sequence[str], args: tuple[Any, ...], options: Mapping[str, Any]
+) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    """Return the arguments of a call by their new names. An old name gives a warning.
+
+    Args:
+        function: Name of the function.
+        known: Names of its arguments.
+        args: Arguments by position.
+        options: Arguments by name.
+    """
+    found = dict(options)
+    changes = [
+        (old, new)
+        for old, new in OLD_ARGUMENTS.items()
+        if old in found and new not in found and new in known and old != "box"
+    ]
+    for old, new in changes:
+        found[new] = found.pop(old)
+    if "parameter" in known and ("box" in found or len(args) > _WITH_BOX):
+        name = found.pop("parameter") if len(args) < _WITH_BOX else args[1]
+        box = found.pop("box") if "box" in found else args[_WITH_BOX]
+        args, found["parameter"] = args[:1], (name, *box)
+        changes.append(("box", "parameter=(NAME, LOW, HIGH)"))
+    for old, new in changes:
+        message = f"Argument `{old}` of {function} is now `{new}`, and will be removed."
+        warnings.warn(message, DeprecationWarning, stacklevel=3)
+    return args, found
+
+
+_WITH_BOX = 2
+"""Number of arguments before the former ``box`` of a continuation."""
 
 
 def _as_shown(known: Signature) -> Signature:
@@ -114,6 +159,24 @@ def problem_of(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> P
             is not bundled.
     """
     return recorded_problem(orbit.problem, None if problem is None else known_problem(problem))
+
+
+def as_span(argument: str, span: Any) -> tuple[str, tuple[float, float]]:
+    """Return the name and the range of a gain or parameter.
+
+    Args:
+        argument: Name of the argument.
+        span: ``(name, low, high)``.
+
+    Raises:
+        InputError: If the value has another form.
+    """
+    match span:
+        case (str(name), low, high):
+            return name, number_range(argument, (low, high))
+        case _:
+            wanted = f"must be (NAME, LOW, HIGH), but it is {shown(span)}"
+            raise InputError(f"Argument `{argument}` {wanted}.")
 
 
 def as_axis(argument: str, axis: Any) -> MapAxis:

@@ -76,7 +76,7 @@ def find_orbit(
 
     return search_gains(
         problem,
-        free={},
+        vary={},
         gains=gains,
         parameters=parameters,
         start=start,
@@ -91,7 +91,7 @@ def find_orbit(
 def search_gains(
     problem: Named,
     *,
-    free: Mapping[str, tuple[float, float]] | None = None,
+    vary: Mapping[str, tuple[float, float]] | None = None,
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
@@ -111,7 +111,7 @@ def search_gains(
 
     Args:
         problem: The problem, its name or its file.
-        free: Name to range of the gains and parameters to search. The default is every gain that
+        vary: Name to range of the gains and parameters to search. The default is every gain that
             ``gains`` does not fix, in the range that the problem declares.
         gains: Gains that differ from their defaults: the initial value of a free gain, the value of
             a fixed gain.
@@ -160,7 +160,7 @@ def search_gains(
     result = search.search_orbits(
         known,
         values,
-        free=_boxes(known, gains, free),
+        free=_boxes(known, gains, vary),
         objective=objective,
         bounds=bounds,
         near=orbit,
@@ -235,7 +235,7 @@ def find_event_orbit(
 def search_event_gains(
     problem: Named,
     *,
-    free: Mapping[str, tuple[float, float]] | None = None,
+    vary: Mapping[str, tuple[float, float]] | None = None,
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
@@ -259,7 +259,7 @@ def search_event_gains(
 
     Args:
         problem: The problem, its name or its file.
-        free: Name to range of the gains and parameters to search. The default is every gain that
+        vary: Name to range of the gains and parameters to search. The default is every gain that
             ``gains`` does not fix, in the range that the problem declares.
         gains: Gains that differ from their defaults: the initial value of a free gain, the value of
             a fixed gain.
@@ -305,7 +305,7 @@ def search_event_gains(
         known,
         start_values(known, near=begin, gains=gains, parameters=parameters),
         near=begin,
-        free=_boxes(known, gains, free),
+        free=_boxes(known, gains, vary),
         objective=objective,
         bounds=bounds,
         start=start,
@@ -512,4 +512,4 @@ def _boxes(
 
     if free is None:
         return free_gains(problem, fixed=gains or {})
-    return {name: number_range("free", box) for name, box in named_numbers("free", free).items()}
+    return {name: number_range("vary", box) for name, box in named_numbers("vary", free).items()}

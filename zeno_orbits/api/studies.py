@@ -12,15 +12,17 @@ from zeno_orbits.api.inputs import (
     Axis,
     Named,
     Numbers,
+    Span,
     any_orbit,
     as_axis,
+    as_span,
     file_of,
     front_door,
     known_problem,
     plan_of,
     problem_of,
 )
-from zeno_orbits.errors import InputError, named_numbers, number_range
+from zeno_orbits.errors import InputError, named_numbers
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.work import ExecutionPlan, Progress, Workers, silent
@@ -40,11 +42,10 @@ if TYPE_CHECKING:
 @front_door
 def continue_orbit(
     orbit: ZenoOrbit | EventOrbit | str | Path,
-    parameter: str,
-    box: tuple[float, float],
+    parameter: Span,
     *,
     problem: Named | None = None,
-    second: SecondParameter | None = None,
+    parameter2: Span | SecondParameter | None = None,
     settings: ContinuationSettings | None = None,
     workers: int = 1,
     plan: ExecutionPlan | None = None,
@@ -54,11 +55,12 @@ def continue_orbit(
 
     Args:
         orbit: The orbit, or its file, with one Zeno point per period, or with impacts only.
-        parameter: Name of the gain or parameter. Parameters derived from it keep their values.
-        box: Its range, lower end first. It contains the value of the orbit.
+        parameter: Name of the gain or parameter, and its range, ``("Kd", -2.5, 0)``. The range
+            contains the value of the orbit. Parameters derived from it keep their values.
         problem: The orbit's problem. The default is the bundled problem of its name.
-        second: A second parameter, in which the special points are continued as curves. Curves of
-            ends need a machine with one stop and no switch.
+        parameter2: A second parameter and its range, in which the special points are continued as
+            curves. `second_parameter` chooses kinds of points. Curves of ends need a machine with
+            one stop and no switch.
         settings: Accuracy and steps.
         workers: Number of processes. Several processes need the name or the file of the problem.
         plan: Executor of the work and folder of finished parts. It overrides ``workers``.
@@ -71,7 +73,10 @@ def continue_orbit(
     """
     from zeno_orbits import continuation
 
-    box = number_range("box", box)
+    name, box = as_span("parameter", parameter)
+    second = parameter2
+    if isinstance(second, tuple | list):
+        second = second_parameter(*as_span("parameter2", second))
     orbit = any_orbit(orbit)
     if isinstance(orbit, ZenoOrbit) and not (
         orbit.shape.has_one_release or orbit.shape.without_contact
@@ -84,7 +89,7 @@ def continue_orbit(
         return continuation.family_of_orbit(
             known,
             orbit,
-            parameter,
+            name,
             box,
             second=second,
             settings=settings,
@@ -96,8 +101,7 @@ def continue_orbit(
 @front_door
 def continue_impacts(
     problem: Named,
-    parameter: str,
-    box: tuple[float, float],
+    parameter: Span,
     *,
     start: Numbers,
     gains: Numbers | None = None,
@@ -111,8 +115,8 @@ def continue_impacts(
 
     Args:
         problem: The problem, its name or its file.
-        parameter: Name of the gain or parameter. Parameters derived from it keep their values.
-        box: Its range, lower end first.
+        parameter: Name of the gain or parameter, and its range. Parameters derived from it keep
+            their values.
         start: State name to initial value of the motion, 0 for the others.
         gains: Gains that differ from their defaults.
         parameters: Parameters that differ from their defaults.
@@ -134,8 +138,7 @@ def continue_impacts(
             known,
             known.values(gains=gains, parameters=parameters),
             known.state_vector(start),
-            parameter,
-            number_range("box", box),
+            *as_span("parameter", parameter),
             settings=settings,
             on_progress=on_progress,
             crew=crew,

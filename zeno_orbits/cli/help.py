@@ -23,9 +23,18 @@ COMMANDS = {
 """Commands by purpose, in the order of the help."""
 
 GROUPS = {
-    "problem": ("--set", "--vary", "--initial", "--at", "--from", "--t-start", "--problem"),
+    "problem": (
+        "--set",
+        "--vary",
+        "--start",
+        "--at",
+        "--near",
+        "--t-start",
+        "--t-end",
+        "--problem",
+    ),
     "machine": ("--part", "--only", "--without", "--exact-pwm", "--cycles"),
-    "objective": ("--objective", "--uncertain", "--bound", "--shape", "--allow-unstable", "--fit"),
+    "objective": ("--objective", "--uncertain", "--bounds", "--shape", "--allow-unstable", "--fit"),
     "range": (
         *(
             "--x",
@@ -37,10 +46,10 @@ GROUPS = {
             "--section",
             "--interval",
         ),
-        *("--kind", "--recording", "--direction", "--phases", "--reach"),
+        *("--kind", "--recording", "--directions", "--phases", "--reach"),
     ),
     "effort": (
-        *("--t-end", "--max-time", "--n-starts", "--candidates", "--max-points", "--max-steps"),
+        *("--until", "--n-starts", "--candidates", "--max-points", "--max-steps"),
         *("--periods", "--steps", "--quick", "--measure", "--settle", "--seed"),
         *("--trade", "--pushes", "--recovery"),
     ),
@@ -60,8 +69,9 @@ GROUPS = {
 
 COMMON = frozenset(
     {
-        *("--set", "--vary", "--initial", "--at", "--from", "--t-start", "--t-end", "--objective"),
-        *("--bound", "--fit", "--x", "--y", "--grid", "--parameter", "--cycles", "--kind"),
+        *("--set", "--vary", "--start", "--at", "--near", "--t-start", "--t-end", "--objective"),
+        "--until",
+        *("--bounds", "--fit", "--x", "--y", "--grid", "--parameter", "--cycles", "--kind"),
         *("--accuracy", "--tolerance", "--check", "--compile", "--clear", "--measure", "--quick"),
         *(
             "--with-motor",
@@ -73,7 +83,15 @@ COMMON = frozenset(
             "--output",
             "--plot",
         ),
-        *("--recording", "--direction", "--phases", "--decay", "--samples", "--json", "--help-all"),
+        *(
+            "--recording",
+            "--directions",
+            "--phases",
+            "--decay",
+            "--samples",
+            "--json",
+            "--help-all",
+        ),
     }
 )
 """Options in the short help of a command."""

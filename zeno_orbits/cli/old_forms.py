@@ -14,8 +14,10 @@ COMMANDS = {
 """Old name of a command to its new name."""
 
 _VALUES = {"--gain": "--set"}
-_START = {"--start": "--initial"}
-_END = {"--until": "--t-end"}
+_START = {"--initial": "--start"}
+_NEAR = {"--from": "--near"}
+_END = {"--t-end": "--until"}
+_LONGEST = {"--max-time": "--until"}
 _PICTURE = {"--picture": "--plot"}
 _RECORDING = {"--from": "--t-start", "--to": "--t-end"}
 OPTIONS: Mapping[str, Mapping[str, str]] = {
@@ -32,24 +34,28 @@ OPTIONS: Mapping[str, Mapping[str, str]] = {
     "reduced-models": _VALUES,
     "search": {
         **_START,
+        **_NEAR,
+        **_LONGEST,
         "--gain": "--vary",
         "--free": "--vary",
         "--fix": "--set",
-        "--keep": "--bound",
+        "--keep": "--bounds",
+        "--bound": "--bounds",
         "--starts": "--n-starts",
-        "--until": "--max-time",
     },
     "prove": {"--over": "--interval"},
     "map": {
         **_VALUES,
         **_START,
         **_PICTURE,
+        **_LONGEST,
         "--points": "--grid",
-        "--until": "--max-time",
     },
+    "push": {**_LONGEST, "--direction": "--directions"},
     "continue": {
         **_VALUES,
         **_START,
+        **_NEAR,
         **_PICTURE,
         "--in": "--parameter",
         "--second": "--parameter2",

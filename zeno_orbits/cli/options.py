@@ -164,18 +164,28 @@ def _add_named(
     option: str,
     form: str,
     meaning: str,
-    *,
-    dest: str | None = None,
 ) -> None:
     """Add an option that gives numbers by name and may be repeated."""
     parser.add_argument(
         option,
-        dest=dest or option.removeprefix("--"),
         action=Named,
         type=read_named_number,
         metavar=form,
         help=f"{meaning} (repeatable)",
     )
+
+
+def add_shared(parser: argparse.ArgumentParser, name: str, more: str = "", **details: Any) -> None:
+    """Add an option that has the name of an argument of functions, by the table of names.
+
+    Args:
+        parser: The parser of a command.
+        name: Name of the row.
+        more: Help for this command alone.
+        details: Further arguments of ``add_argument``.
+    """
+    row = api.NAMES[name]
+    parser.add_argument(row.option, metavar=row.form, help=api.meaning_of(name, more), **details)
 
 
 def add_values(parser: argparse.ArgumentParser) -> None:
@@ -185,8 +195,13 @@ def add_values(parser: argparse.ArgumentParser) -> None:
 
 def add_start(parser: argparse.ArgumentParser) -> None:
     """Add the initial state."""
-    meaning = "initial value of a state, 0 for the others (default: the problem's first start)"
-    _add_named(parser, "--initial", "STATE=VALUE", meaning, dest="start")
+    add_shared(
+        parser,
+        "start",
+        " (default: the problem's first start) (repeatable)",
+        action=Named,
+        type=read_named_number,
+    )
 
 
 def add_at(parser: argparse.ArgumentParser) -> None:
@@ -361,12 +376,8 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="a table of signals over time with headings `name [unit]`, one of them `time`",
     )
-    parser.add_argument(
-        "--t-start", dest="since", type=read_number, metavar="T", help="ignore earlier data [s]"
-    )
-    parser.add_argument(
-        "--t-end", dest="to", type=read_number, metavar="T", help="ignore later data [s]"
-    )
+    add_shared(parser, "t_start", type=read_number)
+    add_shared(parser, "t_end", type=read_number)
 
 
 class Numbers(TypedDict):

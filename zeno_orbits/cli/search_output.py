@@ -153,9 +153,9 @@ def _levers(
     if result.status.name == "NO_GUESS" and not notes.driven:
         found.append("a problem with a drive or a clock: without one, motion comes to rest.")
     elif result.status.name == "NO_GUESS":
-        found.append("--initial STATE=VALUE, to simulate from elsewhere.")
+        found.append("--start STATE=VALUE, to simulate from elsewhere.")
         if result.undecided:
-            found.append("--max-time T, to wait longer for a motion to repeat.")
+            found.append("--until T, to wait longer for a motion to repeat.")
         found.append(f"{map_command(problem, options, notes)}, to see where orbits are.")
         if options.shape is not None:
             found.append("omit --shape, to accept any orbit that the simulation converges to.")
@@ -163,7 +163,7 @@ def _levers(
         found.append("--allow-unstable, to accept an unstable orbit.")
     if notes.bounds:
         kept = ", ".join(f"{bound.name}={bound.text}" for bound in notes.bounds)
-        found.append(f"a wider --bound than {kept}.")
+        found.append(f"a wider --bounds than {kept}.")
     if notes.free and result.status.name != "NO_GUESS":
         ranges = ", ".join(f"{name}={low:g}:{high:g}" for name, (low, high) in notes.free.items())
         found.append(f"wider ranges than {ranges} (--vary).")

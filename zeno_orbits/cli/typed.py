@@ -11,23 +11,20 @@ from pathlib import Path
 from zeno_orbits.cli.old_forms import OPTIONS
 
 _UNKNOWN = re.compile(
-    r"Argument `(?:parameter|gain|state|name|free)` must be one of (.*), but it is `([^`]*)`\."
+    r"Argument `(?:parameter|gain|state|name|vary)` must be one of (.*), but it is `([^`]*)`\."
     r"( Did you mean `[^`]*`\?)?"
 )
 _ARGUMENT = re.compile(r"Argument `([^`]+)`:? (.*)", flags=re.DOTALL)
 _ROOM_NAMES = {
-    "free": "--vary",
     "gain": "--set",
-    "keep": "--bound",
     "most_steps": "--max-steps",
     "name": "--set",
-    "near": "--from",
     "parameter": "--set",
     "picture": "--plot",
-    "state": "--initial",
+    "state": "--start",
 }
 """Name of an argument in the package to the option that gives it."""
-_KINDS = {"--initial": "state", "--at": "state", "--set": "gain or parameter"}
+_KINDS = {"--start": "state", "--at": "state", "--set": "gain or parameter"}
 
 
 def as_typed(message: str, words: Sequence[str], options: argparse.Namespace) -> str:

@@ -213,7 +213,7 @@ def _without_ends(second: SecondParameter) -> SecondParameter:
     if not kinds:
         ends = ", ".join(f"`{kind.value}`" for kind in second.kinds)
         wanted = "must have another kind than ends for a machine with several stops or switches"
-        raise InputError(f"Argument `second` {wanted}, but it has {ends}.")
+        raise InputError(f"Argument `parameter2` {wanted}, but it has {ends}.")
     return replace(second, kinds=kinds)
 
 

@@ -327,9 +327,9 @@ def plane_of(
     """
     if first.parameter == second:
         raise InputError(
-            f"Argument `second` must differ from the first parameter, but both are `{second}`."
+            f"Argument `parameter2` must differ from the first parameter, but both are `{second}`."
         )
-    _checked(problem, values, "second", second, box)
+    _checked(problem, values, "parameter2", second, box)
     names = (first.parameter, second)
     return ParameterPlane(
         names=names,

@@ -630,7 +630,7 @@ class Problem(Declared):
         try:
             x = self.state_vector(start, values)
         except InputError as error:
-            raise InputError(f"{error} Pass a start (`start`, --initial).") from error
+            raise InputError(f"{error} Pass a start (`start`).") from error
         system = self.graph_dynamics(values) if self.has_graph else self.dynamics(values)
         try:
             require_start(system, np.array(x), 0.0)
@@ -640,7 +640,7 @@ class Problem(Declared):
             reason = str(error).removeprefix("Argument `state` ").rstrip(".")
             raise InputError(
                 f"The declared start ({told or 'all states zero'}) {reason}, at these parameter "
-                "values. Pass a start (`start`, --initial), or declare it as a formula of "
+                "values. Pass a start (`start`), or declare it as a formula of "
                 'parameters, such as {"q": lambda p: p["d"]}.'
             ) from error
         return x

@@ -103,7 +103,7 @@ def prove_orbit(
     settings, over = settings or ProofSettings(), dict(over or {})
     values = orbit.values(problem)
     for name in over:
-        problem.place(name, argument="over")
+        problem.place(name, argument="interval")
     over = {name: over[name] for name in problem.names if name in over}
     try:
         with ctx.workprec(settings.bits):

@@ -48,7 +48,7 @@ def check_search(search: SearchProblem) -> None:
     if isinstance(search.objective, TargetPeriod):
         _check_period(search, search.objective.target)
     _check_multipliers(search)
-    require_quantities([bound.name for bound in search.bounds], problem, "keep")
+    require_quantities([bound.name for bound in search.bounds], problem, "bounds")
     require_possible_bounds(search.bounds)
     if near is not None and near.problem != problem.name:
         message = f"must be of problem `{problem.name}`, but it is of `{near.problem}`"
@@ -57,7 +57,7 @@ def check_search(search: SearchProblem) -> None:
 
 def _check_boxes(problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
     for name, box in free.items():
-        problem.require_range(name, box, argument="free")
+        problem.require_range(name, box, argument="vary")
 
 
 _STEADY = 1e-9
@@ -129,7 +129,7 @@ def _check_multipliers(search: SearchProblem) -> None:
         cycle = run_to_attractor(dynamics, [start], problem=search.problem).cycle
         shape = None if cycle is None else cycle.shape
     if shape is not None and shape.starts_at_release:
-        option = "keep" if bounded else "objective"
+        option = "bounds" if bounded else "objective"
         message = "must not ask for multipliers: the section of its releases is a point"
         raise InputError(f"Argument `{option}` {message}. Choose another objective or bound.")
 
@@ -146,16 +146,16 @@ def require_possible_bounds(bounds: Sequence[Bound]) -> None:
     for k, bound in enumerate(bounds):
         if bound.name in [other.name for other in bounds[:k]]:
             message = f"must bound `{bound.name}` once, not twice"
-            raise InputError(f"Argument `keep` {message}.")
+            raise InputError(f"Argument `bounds` {message}.")
         if bound.name == "spectral_radius" and not math.isinf(bound.lower):
             message = "must bound `spectral_radius` from above only"
-            raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
+            raise InputError(f"Argument `bounds` {message}, but it has {bound.text}.")
         if bound.name == "spectral_radius" and bound.upper < LEAST_RADIUS:
             message = f"must bound `spectral_radius` by {LEAST_RADIUS:g} or more, as good as zero"
-            raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
+            raise InputError(f"Argument `bounds` {message}, but it has {bound.text}.")
         if bound.name == "margin" and bound.lower >= 1.0:
             message = "must ask for a `margin` below 1, the share that is left"
-            raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
+            raise InputError(f"Argument `bounds` {message}, but it has {bound.text}.")
         if bound.name == "period" and bound.upper <= 0.0:
             message = "must leave a positive `period`"
-            raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
+            raise InputError(f"Argument `bounds` {message}, but it has {bound.text}.")

@@ -13,6 +13,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_place,
     add_problem,
+    add_shared,
     hand_out,
     numbers_of,
     place_of,
@@ -43,44 +44,36 @@ def add_continue(commands: Any) -> None:
         "continue an orbit in a gain or a parameter, stable or not, to the ends of its branch",
         [
             "zeno-orbits continue motor_pendulum --parameter restitution=0:0.5 --plot family.png",
-            "zeno-orbits continue motor_pendulum --parameter Kd=-2.5:0 --from orbit.json "
+            "zeno-orbits continue motor_pendulum --parameter Kd=-2.5:0 --near orbit.json "
             "-o family.json",
             "zeno-orbits continue motor_pendulum --parameter Kd=-2.5:0 "
             "--parameter2 Kp=1:6 --kind fold",
             "zeno-orbits continue forced_oscillator --parameter A=0.05:1.5 --section impact "
-            "--set c=0.1 --set stop=1 --set restitution=0.8 --initial speed=1 --initial cosine=1",
+            "--set c=0.1 --set stop=1 --set restitution=0.8 --start speed=1 --start cosine=1",
         ],
     )
     add_problem(parser)
-    parser.add_argument(
-        "--parameter",
-        dest="range",
-        type=read_range,
-        required=True,
-        metavar="NAME=LOW:HIGH",
-        help="the gain or parameter to vary, and its range, which must contain the start",
-    )
-    parser.add_argument(
-        "--from",
+    add_shared(parser, "parameter", dest="range", type=read_range, required=True)
+    add_shared(
+        parser,
+        "near",
+        " (default: an orbit that a simulation converges to)",
         dest="start_orbit",
         type=Path,
-        metavar="ORBIT.json",
-        help="start from this orbit and its values (default: an orbit that a simulation converges "
-        "to)",
     )
-    parser.add_argument(
-        "--section",
+    add_shared(
+        parser,
+        "section",
+        ": release, or impact for orbits without a Zeno point",
         choices=("release", "impact"),
         default="release",
-        help="the event at which a period begins: impact, for orbits without a Zeno point",
     )
-    parser.add_argument(
-        "--initial",
-        dest="start",
+    add_shared(
+        parser,
+        "start",
+        ", of a simulation that converges to the orbit, with --section impact (repeatable)",
         action=Named,
         type=read_named_number,
-        metavar="STATE=VALUE",
-        help="with --section impact: initial state of a simulation that converges to the orbit",
     )
     parser.add_argument(
         "--max-points",
@@ -100,13 +93,7 @@ def add_continue(commands: Any) -> None:
 
 def _add_second(parser: argparse.ArgumentParser) -> None:
     """Add the options of a second parameter."""
-    parser.add_argument(
-        "--parameter2",
-        dest="second",
-        type=read_range,
-        metavar="NAME=LOW:HIGH",
-        help="also follow the special points in this second parameter",
-    )
+    add_shared(parser, "parameter2", dest="second", type=read_range)
     parser.add_argument(
         "--kind",
         dest="point",
@@ -169,8 +156,7 @@ def _continued(
     if options.section == "impact":
         return api.continue_impacts(
             options.problem,
-            name,
-            box,
+            (name, *box),
             start=options.start,
             **numbers_of(problem, options),
             **common,
@@ -179,7 +165,9 @@ def _continued(
     if options.second is not None:
         second = api.second_parameter(options.second.name, options.second.box, options.point)
     orbit = _orbit(options, problem, progress)
-    return api.continue_orbit(orbit, name, box, problem=options.problem, second=second, **common)
+    return api.continue_orbit(
+        orbit, (name, *box), problem=options.problem, parameter2=second, **common
+    )
 
 
 def _require_agreement(options: argparse.Namespace) -> None:
@@ -188,7 +176,7 @@ def _require_agreement(options: argparse.Namespace) -> None:
         raise InputError("Argument `point` needs --parameter2.")
     if options.section == "impact":
         if options.start_orbit is not None or options.second is not None or not options.start:
-            message = "needs --initial, and excludes --from and --parameter2"
+            message = "needs --start, and excludes --near and --parameter2"
             raise InputError(f"Argument `section` {message}.")
     elif options.start:
         raise InputError("Argument `start` needs --section impact.")
@@ -203,5 +191,5 @@ def _orbit(
         return api.orbit_inside(problem, dict(ranges), numbers=options.set, on_progress=progress)
     if options.set:
         message = "cannot be combined with --set: the orbit file defines all values"
-        raise InputError(f"Argument `from` {message}.")
+        raise InputError(f"Argument `near` {message}.")
     return api.any_orbit(options.start_orbit)

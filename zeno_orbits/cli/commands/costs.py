@@ -12,6 +12,7 @@ from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_problem,
+    add_shared,
     add_start,
     hand_out,
     numbers_of,
@@ -62,14 +63,12 @@ def add_trade(commands: Any) -> None:
         [
             "zeno-orbits work-precision motor_pendulum",
             "zeno-orbits work-precision motor_pendulum --set L=1e-5 --quick",
-            "zeno-orbits work-precision bouncing_ball --t-end 5 -o study.json --plot study.png",
+            "zeno-orbits work-precision bouncing_ball --until 5 -o study.json --plot study.png",
         ],
     )
     add_problem(parser)
     add_start(parser)
-    parser.add_argument(
-        "--t-end", dest="until", type=read_number, metavar="T", help="end of the simulations [s]"
-    )
+    add_shared(parser, "until", type=read_number)
     parser.add_argument(
         "--quick", action="store_true", help="few settings and one run each, for a first look"
     )

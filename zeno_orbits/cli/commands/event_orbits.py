@@ -45,7 +45,7 @@ def asks_for_events(options: argparse.Namespace) -> bool:
     """
     words = (*_ABOUT_IMPACTS, *(_OVER_RANGES if options.uncertain else ()))
     about = options.objective is not None and options.objective.word in words
-    return about or any("." in name for name in options.keep)
+    return about or any("." in name for name in options.bounds)
 
 
 def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
@@ -66,7 +66,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
     _refuse(options, _SEARCH)
     if options.output is not None:
         require_writable(options.output)
-    varies = options.vary or options.objective or options.keep or options.uncertain
+    varies = options.vary or options.objective or options.bounds or options.uncertain
     if varies or options.candidates > 1:
         return _search_gains(options, problem, varies=bool(varies))
     with report.ProgressLine(options.interrupts.check) as progress:
@@ -109,12 +109,12 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
     with report.ProgressLine(options.interrupts.check) as progress:
         result = api.search_event_gains(
             problem,
-            free=free,
+            vary=free,
             **numbers,
             near=options.near,
             start=options.start or None,
             objective=objective,
-            bounds=tuple(options.keep.values()),
+            bounds=tuple(options.bounds.values()),
             section=options.section,
             until=options.until,
             n_starts=options.starts,

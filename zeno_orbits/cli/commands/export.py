@@ -12,6 +12,7 @@ from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_problem,
+    add_shared,
     add_start,
     print_json,
     say_written,
@@ -36,20 +37,14 @@ def add_export(commands: Any) -> None:
         "write a problem as one C99 file that follows its executions without Python",
         [
             "zeno-orbits export motor_pendulum -o exported",
-            "zeno-orbits export bouncing_ball --set restitution=0.7 --t-end 5 -o exported",
+            "zeno-orbits export bouncing_ball --set restitution=0.7 --until 5 -o exported",
             "zeno-orbits export motor_pendulum --fmu -o exported",
         ],
     )
     add_problem(parser)
     add_start(parser)
-    parser.add_argument(
-        "--t-end",
-        dest="until",
-        type=read_number,
-        default=10.0,
-        metavar="T",
-        help="end of the example's execution [s] (default: 10)",
-    )
+    more = ", of the example's execution (default: 10)"
+    add_shared(parser, "until", more, type=read_number, default=10.0)
     parser.add_argument(
         "--fmu",
         action="store_true",

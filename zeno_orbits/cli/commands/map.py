@@ -13,6 +13,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_place,
     add_problem,
+    add_shared,
     add_start,
     hand_out,
     numbers_of,
@@ -46,15 +47,9 @@ def add_map(commands: Any) -> None:
     )
     add_problem(parser)
     add_start(parser)
-    for side, where in (("x", "horizontal"), ("y", "vertical")):
-        parser.add_argument(
-            f"--{side}",
-            action=Once,
-            type=read_range,
-            required=True,
-            metavar="NAME=LOW:HIGH",
-            help=f"the gain, parameter or initial state on the {where} axis",
-        )
+    for side in ("x", "y"):
+        more = ": a gain, a parameter or an initial state"
+        add_shared(parser, side, more, action=Once, type=read_range, required=True)
     parser.add_argument(
         "--grid",
         dest="points",
@@ -68,7 +63,7 @@ def add_map(commands: Any) -> None:
         type=Path,
         metavar="ORBIT.json",
         help="start at the first state of this orbit, at its gains and parameters, except for "
-        "the axes, --set and --initial",
+        "the axes, --set and --start",
     )
     parser.add_argument(
         "--refine",
@@ -77,13 +72,12 @@ def add_map(commands: Any) -> None:
         metavar="N",
         help="halve the cells along boundaries N times, and compute no other points (default: 0)",
     )
-    parser.add_argument(
-        "--max-time",
-        dest="until",
+    add_shared(
+        parser,
+        "until",
+        " (default: 300 periods of the problem's clock, or 115 of its slowest oscillation, more "
+        "above a restitution of 0.5)",
         type=read_number,
-        metavar="T",
-        help="longest time for a motion to settle [s] (default: 300 periods of the problem's "
-        "clock, or 115 of its slowest oscillation, more above a restitution of 0.5)",
     )
     add_place(parser)
     parser.add_argument(

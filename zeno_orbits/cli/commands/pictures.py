@@ -235,4 +235,4 @@ def _orbit_and_problem(
     progress("searching for the orbit")
     if problem.has_graph:
         return api.find_event_orbit(problem, on_progress=progress), problem
-    return api.search_gains(problem, free={}, on_progress=progress).unwrap(), problem
+    return api.search_gains(problem, vary={}, on_progress=progress).unwrap(), problem

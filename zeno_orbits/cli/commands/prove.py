@@ -12,6 +12,7 @@ from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_problem_file,
+    add_shared,
     orbit_and_problem,
     print_json,
     require_outputs,
@@ -63,15 +64,7 @@ def add_prove(commands: Any) -> None:
         help="prove a set of initial states that the return map maps into itself, as large as the "
         "enclosures allow",
     )
-    parser.add_argument(
-        "--interval",
-        dest="over",
-        type=read_interval,
-        action="append",
-        default=[],
-        metavar="NAME=VALUE:RADIUS",
-        help="prove it for all values of a gain or parameter in an interval at once",
-    )
+    add_shared(parser, "interval", type=read_interval, action="append", default=[])
 
 
 def _run_prove(options: argparse.Namespace) -> int:
@@ -88,7 +81,7 @@ def _run_prove(options: argparse.Namespace) -> int:
         proof = api.prove(
             orbit,
             problem=problem,
-            over=_over(options, problem, {**orbit.gains, **orbit.parameters}),
+            interval=_over(options, problem, {**orbit.gains, **orbit.parameters}),
             radius=options.radius,
             basin=options.basin,
             on_progress=progress,
@@ -116,11 +109,11 @@ def _over(
 ) -> dict[str, float]:
     """Return the radii by name. The middle of each interval must be the orbit's own value."""
     over: dict[str, float] = {}
-    for name, value, radius in options.over:
-        problem.place(name, argument="over")
+    for name, value, radius in options.interval:
+        problem.place(name, argument="interval")
         if known[name] != value:
             wanted = f"must have the orbit's own `{name}`, {known[name]!r}, in the middle"
-            raise InputError(f"Argument `over` {wanted}, but it has {value!r}.")
+            raise InputError(f"Argument `interval` {wanted}, but it has {value!r}.")
         over[name] = radius
     return over
 

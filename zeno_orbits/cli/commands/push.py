@@ -12,6 +12,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_orbit,
     add_place,
+    add_shared,
     hand_out,
     place_of,
     require_outputs,
@@ -33,18 +34,16 @@ def add_push(commands: Any) -> None:
         "find the largest impulses from which the motion returns to an orbit",
         [
             "zeno-orbits push orbit.json -o pushes.json --plot pushes.png",
-            "zeno-orbits push orbit.json --direction theta1=1,theta2=1 --phases 4 --error 1e-4",
+            "zeno-orbits push orbit.json --directions theta1=1,theta2=1 --phases 4 --error 1e-4",
         ],
     )
     add_orbit(parser)
-    parser.add_argument(
-        "--direction",
-        dest="directions",
+    add_shared(
+        parser,
+        "directions",
+        " (default: each coordinate alone) (repeatable)",
         action="append",
         type=read_direction,
-        metavar="NAME=VALUE,...",
-        help="generalized force along which the impulse acts (repeatable, "
-        "default: each coordinate alone)",
     )
     parser.add_argument(
         "--phases",
@@ -75,13 +74,7 @@ def add_push(commands: Any) -> None:
         metavar="REL",
         help="largest relative error of a located impulse (default: 1e-3)",
     )
-    parser.add_argument(
-        "--max-time",
-        dest="until",
-        type=read_number,
-        metavar="T",
-        help="longest time for a motion to return [s] (default: as in `map`)",
-    )
+    add_shared(parser, "until", " (default: as in `map`)", type=read_number)
     add_place(parser)
     parser.add_argument(
         "--plot",

@@ -56,8 +56,8 @@ def _run_compare(options: argparse.Namespace) -> int:
             orbit,
             options.data,
             problem=problem,
-            t_start=options.since,
-            t_end=options.to,
+            t_start=options.t_start,
+            t_end=options.t_end,
             on_progress=progress,
         )
     picture: Path | None = options.picture
@@ -118,7 +118,9 @@ def _run_identify(options: argparse.Namespace) -> int:
     problem.values(gains=gains, parameters=parameters)
     require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
     with report.ProgressLine(options.interrupts.check) as progress:
-        recording = api.recording_for(problem, options.data, options.since, options.to, progress)
+        recording = api.recording_for(
+            problem, options.data, options.t_start, options.t_end, progress
+        )
         fit = {"+".join(names): box for names, box in options.fit}
         found = api.identify(
             problem,

@@ -12,6 +12,7 @@ from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_problem_file,
+    add_shared,
     add_start,
     add_values,
     numbers_of,
@@ -42,13 +43,13 @@ def add_rig(commands: Any) -> None:
             "zeno-orbits rig orbit.json -o run.csv",
             "zeno-orbits rig orbit.json --only friction --part contact.stiffness=1e5 --cycles 3",
             "zeno-orbits rig orbit.json --without gears --part controller.delay=0.003 --seed 1",
-            "zeno-orbits rig motor_pendulum --t-end 5 -o run.csv",
+            "zeno-orbits rig motor_pendulum --until 5 -o run.csv",
         ],
     )
     parser.add_argument(
         "target",
         metavar="ORBIT.json|PROBLEM",
-        help="an orbit file (the machine settles near its orbit) or a problem (see --initial)",
+        help="an orbit file (the machine settles near its orbit) or a problem (see --start)",
     )
     add_problem_file(parser)
     add_values(parser)
@@ -76,12 +77,8 @@ def add_rig(commands: Any) -> None:
         metavar="N",
         help=f"number of settled cycles, for an orbit (default: {_CYCLES})",
     )
-    parser.add_argument(
-        "--t-end",
-        dest="until",
-        type=read_number,
-        metavar="T",
-        help="end of the simulation [s], for a problem in place of an orbit (default: 10)",
+    add_shared(
+        parser, "until", ", for a problem in place of an orbit (default: 10)", type=read_number
     )
     parser.add_argument(
         "-o", "--output", type=Path, help="write the measured signals here, as a recording"

@@ -13,6 +13,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_place,
     add_problem,
+    add_shared,
     place_of,
     run_resumable,
 )
@@ -50,10 +51,11 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum -o orbit.json",
             "zeno-orbits search motor_pendulum --set Kp=4 --set Kd=-1",
             "zeno-orbits search motor_pendulum --vary Kp=1:5 --set Kd=-1 --objective period=1.83",
-            "zeno-orbits search motor_pendulum --set Kp=2.5 --objective energy --bound theta2=:1.9",
+            "zeno-orbits search motor_pendulum --set Kp=2.5 --objective energy "
+            "--bounds theta2=:1.9",
             "zeno-orbits search motor_pendulum --set Kp=2.5 --set Kd=-1 --vary R=2:4 "
             "--objective peak=current",
-            "zeno-orbits search motor_pendulum --from orbit.json --set restitution=0.3",
+            "zeno-orbits search motor_pendulum --near orbit.json --set restitution=0.3",
             "zeno-orbits search motor_pendulum --set Kp=4.3 --set Kd=-1.53 --shape 'zeno*2'",
             "zeno-orbits search motor_pendulum --objective energy --candidates 3 -o orbit.json",
             "zeno-orbits search motor_pendulum --objective energy --scheduler tcp://host:8786",
@@ -63,13 +65,13 @@ def add_search(commands: Any) -> None:
         ],
     )
     add_problem(parser)
-    parser.add_argument(
-        "--vary",
+    add_shared(
+        parser,
+        "vary",
+        " (default: every gain that --set does not fix, in the problem's range); derived "
+        "parameters keep their values (repeatable)",
         action=Named,
         type=read_range,
-        metavar="NAME=LOW:HIGH",
-        help="search a gain or parameter in this range (default: every gain that --set does not "
-        "fix, in the problem's range); derived parameters keep their values (repeatable)",
     )
     _add_choice(parser)
     _add_motion(parser)
@@ -94,13 +96,8 @@ def add_search(commands: Any) -> None:
 
 def _add_choice(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose among orbits."""
-    parser.add_argument(
-        "--objective",
-        action=Once,
-        type=read_wish,
-        metavar="WISH",
-        help=f"choice among the orbits; {api.objective_help()}",
-    )
+    more = f"; {api.objective_help()}"
+    add_shared(parser, "objective", more, action=Once, type=read_wish)
     parser.add_argument(
         "--uncertain",
         action=Named,
@@ -109,62 +106,51 @@ def _add_choice(parser: argparse.ArgumentParser) -> None:
         help="range of an uncertain parameter: --objective robustness, energy, peak, impacts and "
         "bounce take the worst corner of these ranges (repeatable)",
     )
-    parser.add_argument(
-        "--bound",
-        dest="keep",
+    add_shared(
+        parser,
+        "bounds",
+        ", with an open end left empty (NAME=:1.2): a state, current or voltage at all times; "
+        "period, energy, spectral_radius, or a margin of the certificate; with several stops also "
+        "a quantity of an event, such as STOP.impact_speed (repeatable)",
         action=Named,
         type=read_bound,
-        metavar="NAME=LOWER:UPPER",
-        help="bounds on the orbit, with an open end left empty (NAME=:1.2): a state, "
-        "current or voltage at all times; period, energy, spectral_radius, or a margin of the "
-        "certificate; with several stops also a quantity of an event, such as "
-        "STOP.impact_speed (repeatable)",
     )
 
 
 def _add_motion(parser: argparse.ArgumentParser) -> None:
     """Add the options about the start, the phases and the section of an orbit."""
-    parser.add_argument(
-        "--initial",
-        dest="start",
+    add_shared(
+        parser,
+        "start",
+        " (default: each start of the problem) (repeatable)",
         action=Named,
         type=read_named_number,
-        metavar="STATE=VALUE",
-        help="simulate from this state, others zero, to find orbits (default: from each start of "
-        "the problem)",
     )
-    parser.add_argument(
-        "--from",
-        dest="near",
-        type=Path,
-        metavar="ORBIT.json",
-        help="start from this orbit and its values, except those that --set changes",
-    )
-    parser.add_argument(
-        "--shape",
+    add_shared(parser, "near", ", except those that --set changes", type=Path)
+    add_shared(
+        parser,
+        "shape",
+        ": zeno (impacts accumulate, contact, release), impact (one impact, off the stop again), "
+        "plastic (contact after one impact, e = 0); *N for N of them, joined by commas (zeno*2, "
+        "impact*3; default: the attractor of a simulation)",
         type=read_shape,
-        metavar="SHAPE",
-        help="phases of a period: zeno (impacts accumulate, contact, release), impact "
-        "(one impact, off the stop again), plastic (contact after one impact, e = 0); *N for N of "
-        "them, joined by commas (zeno*2, impact*3; default: the attractor of a simulation)",
     )
-    parser.add_argument(
-        "--section",
-        metavar="EVENT",
-        help="event at which the period starts and ends, such as 'zeno NAME' or 'switch NAME', for "
-        "a machine with several stops or switches (default: chosen)",
+    add_shared(
+        parser,
+        "section",
+        ", such as 'zeno NAME' or 'switch NAME', for a machine with several stops or switches "
+        "(default: chosen)",
     )
 
 
 def _add_effort(parser: argparse.ArgumentParser) -> None:
     """Add the options that limit the work."""
-    parser.add_argument(
-        "--max-time",
-        dest="until",
+    add_shared(
+        parser,
+        "until",
+        " (default: about 100 periods of the problem's clock, or of its slowest oscillation; "
+        "longer while it converges)",
         type=read_number,
-        metavar="T",
-        help="longest time for a motion to repeat [s] (default: about 100 periods of "
-        "the problem's clock, or of its slowest oscillation; longer while it converges)",
     )
     parser.add_argument(
         "--n-starts",
@@ -196,7 +182,7 @@ def _run_search(options: argparse.Namespace) -> int:
     objective = wish.objective(problem, free)
     if options.uncertain or wish.word == "robustness":
         objective = over_ranges(wish, objective, options.uncertain)
-    bounds = tuple(options.keep.values())
+    bounds = tuple(options.bounds.values())
     if near is not None:
         near.shape.agreed(options.shape)
     if options.output is not None:
@@ -212,7 +198,7 @@ def _run_search(options: argparse.Namespace) -> int:
     def work(checkpoint: Path | None, progress: report.ProgressLine) -> zo.SearchResult:
         return api.search_gains(
             options.problem,
-            free=free,
+            vary=free,
             gains=gains,
             parameters=parameters,
             start=options.start or None,

@@ -15,6 +15,7 @@ from zeno_orbits.cli.options import (
     add_accuracy,
     add_command,
     add_problem,
+    add_shared,
     add_start,
     numbers_of,
     print_json,
@@ -37,25 +38,18 @@ def add_simulate(commands: Any) -> None:
         _run_simulate,
         "simulate a completed execution: impacts, Zeno points, locked arcs and releases",
         [
-            "zeno-orbits simulate motor_pendulum --t-end 10",
-            "zeno-orbits simulate motor_pendulum --initial theta1=1.2 --initial dtheta2=0.5",
+            "zeno-orbits simulate motor_pendulum --until 10",
+            "zeno-orbits simulate motor_pendulum --start theta1=1.2 --start dtheta2=0.5",
             "zeno-orbits simulate motor_pendulum --set L=1e-6 --accuracy 1e-6",
-            "zeno-orbits simulate bouncing_ball --set restitution=0.8 --t-end 5 --json",
+            "zeno-orbits simulate bouncing_ball --set restitution=0.8 --until 5 --json",
             "zeno-orbits simulate motor_pendulum --truncation 0.01",
             "zeno-orbits simulate vibrating_table --set A=0.03 --settle",
-            "zeno-orbits simulate motor_pendulum --t-end 40 -o data.csv --noise 1e-3",
+            "zeno-orbits simulate motor_pendulum --until 40 -o data.csv --noise 1e-3",
         ],
     )
     add_problem(parser)
     add_accuracy(parser)
-    parser.add_argument(
-        "--t-end",
-        dest="until",
-        type=read_number,
-        default=10.0,
-        metavar="T",
-        help="end of the simulation [s] (default: 10)",
-    )
+    add_shared(parser, "until", " (default: 10)", type=read_number, default=10.0)
     add_start(parser)
     parser.add_argument(
         "--settle",

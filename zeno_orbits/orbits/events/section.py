@@ -703,8 +703,8 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     names = [orbit_event_name(event) for event in execution.events]
     if not names:
         raise SimulationError(
-            "The motion strikes no stop and passes no switch: simulate for longer (`until`, "
-            "--max-time), or start elsewhere (`start`, --initial)",
+            "The motion strikes no stop and passes no switch: simulate for longer (`until`), or "
+            "start elsewhere (`start`)",
             time=execution.end_time,
             state=tuple(execution.end_state.tolist()),
         )
@@ -743,8 +743,8 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
             period=last.time - earlier[n].time,
         )
     raise SimulationError(
-        "The motion does not nearly repeat: simulate for longer (`until`, --max-time), or start "
-        "nearer to an orbit (`start`, --initial)",
+        "The motion does not nearly repeat: simulate for longer (`until`), or start "
+        "nearer to an orbit (`start`)",
         time=execution.end_time,
         state=tuple(execution.end_state.tolist()),
     )

@@ -102,7 +102,7 @@ def print_event_search(result: EventSearchResult) -> None:
     if result.detail:
         print_lines([result.detail])
     for bound in result.least_speeds:
-        print_lines([f'--bound "{bound.name}={bound.text}" keeps a least speed.'])
+        print_lines([f'--bounds "{bound.name}={bound.text}" keeps a least speed.'])
     numbers = _listed(result.free, 10)
     reached = f": {result.value:.8g}" if result.is_measured else ""
     print_lines([f"Asked for {result.objective.wish}{reached}.", f"  {numbers}"])

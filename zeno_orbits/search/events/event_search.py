@@ -278,8 +278,7 @@ def _many_steps(motion: Execution, settings: SimulationSettings) -> SimulationEr
     """Return the error of a motion that takes all steps without settling."""
     return SimulationError(
         f"The motion does not settle to an orbit within {counted(settings.most_steps, 'step')}: "
-        "simulate for a shorter time (`until`, --max-time), or start nearer to an orbit (`start`, "
-        "--initial)",
+        "simulate for a shorter time (`until`), or start nearer to an orbit (`start`)",
         time=motion.end_time,
         state=tuple(motion.end_state.tolist()),
     )

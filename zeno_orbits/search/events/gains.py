@@ -691,11 +691,11 @@ def _require_valid(
             f"asks for {objective.wish}."
         )
     for name, box in free.items():
-        problem.require_range(name, box, argument="free")
+        problem.require_range(name, box, argument="vary")
     if isinstance(objective, MaxMargin) and not free:
         raise InputError(
             "Argument `objective` asks for the widest margin, which needs a free value: name its "
-            "range in `free`."
+            "range in `vary`."
         )
     objective.check(problem, free)
     graph = problem.graph_dynamics(values)
@@ -725,14 +725,14 @@ def _require_quantity(name: str, graph: GraphDynamics) -> None:
     numbers = (PERIOD, ENERGY, *DIFFERENCED)
     if "." not in name and name not in (*signals, *numbers):
         known = (*signals, *numbers, *event_quantity_names(graph))
-        raise InputError(unknown("keep", name, known))
+        raise InputError(unknown("bounds", name, known))
     if name == ENERGY and name not in signals:
-        _require_electrical(graph, "keep", "the energy")
+        _require_electrical(graph, "bounds", "the energy")
     if "." in name:
-        require_event_quantity(name, graph, "keep")
+        require_event_quantity(name, graph, "bounds")
     if ".impacts" in name:
         raise InputError(
-            f"Argument `keep` must not bound the number `{name}`: bound a speed or a time."
+            f"Argument `bounds` must not bound the number `{name}`: bound a speed or a time."
         )
 
 

@@ -151,7 +151,7 @@ class OrbitAtValues:
             return [self.slope(self.course.work)]
         slopes = [self.slope(one) for one in self.quantities.readings(name)]
         if not slopes:
-            raise NoEventError("keep", f"`{name}` does not occur in the orbit")
+            raise NoEventError("bounds", f"`{name}` does not occur in the orbit")
         return slopes
 
     def extent(self, name: str) -> Extent:
@@ -185,7 +185,7 @@ class OrbitAtValues:
             return self.radius
         margin = measured_margin(name, self.graph, self.found)
         if margin is None:
-            raise NoEventError("keep", f"`{name}` does not occur in the orbit")
+            raise NoEventError("bounds", f"`{name}` does not occur in the orbit")
         return margin
 
     def peaks(self, signal: str, sign: float, most: int = MOST_PEAKS) -> list[Slope]:

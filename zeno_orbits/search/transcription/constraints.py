@@ -58,7 +58,7 @@ def quantity_terms(terms: OrbitTerms, name: str) -> list[ca.MX]:
             found.append(-terms.compiled.contact_at(release, terms.p).multiplier_rate)
     if not found:
         wanted = f"must bound a quantity of an orbit of shape `{terms.shape.text}`"
-        raise InputError(f"Argument `keep` {wanted}, but it names `{name}`.")
+        raise InputError(f"Argument `bounds` {wanted}, but it names `{name}`.")
     return found
 
 
@@ -132,7 +132,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
     values = quantity_terms(terms, bound.name)
     if len(values) > 1 and math.isfinite(bound.upper):
         wanted = f"must bound `{bound.name}` from below only for the shape `{terms.shape.text}`"
-        raise InputError(f"Argument `keep` {wanted}, but it has {bound.text}.")
+        raise InputError(f"Argument `bounds` {wanted}, but it has {bound.text}.")
     size = size_of(bound, max(abs(float(terms.guessed(value)[0, 0])) for value in values))
     for value in values:
         for sign, end in ((1.0, bound.lower), (-1.0, bound.upper)):

@@ -1,0 +1,205 @@
+"""One name per concept: a walk over all commands and public functions, and the old names."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.pages import ROOT
+from zeno_orbits.api import NAMES, names_table
+from zeno_orbits.cli import build_parser
+from zeno_orbits.cli.old_forms import OPTIONS
+
+
+def _commands() -> dict[str, list[argparse.Action]]:
+    (found,) = (
+        action
+        for action in build_parser()._actions
+        if isinstance(action, argparse._SubParsersAction)
+    )
+    return {name: list(one._actions) for name, one in found.choices.items()}
+
+
+def _functions() -> dict[str, Callable[..., Any]]:
+    every = {name: getattr(zo, name) for name in zo.__all__}
+    return {name: one for name, one in every.items() if inspect.isfunction(one)}
+
+
+COMMANDS, FUNCTIONS = _commands(), _functions()
+
+SAME = {
+    "simulate": ["simulate"],
+    "search": ["search_gains", "search_event_gains", "find_orbit", "find_event_orbit"],
+    "verify": ["verify"],
+    "stability": ["floquet_multipliers"],
+    "prove": ["prove"],
+    "map": ["parameter_map"],
+    "continue": ["continue_orbit"],
+    "push": ["largest_push"],
+    "recovery": ["recovery"],
+    "work-precision": ["work_precision"],
+    "rig": ["simulate_rig", "simulate_experiment", "simulate_periods"],
+    "compare": ["compare"],
+    "identify": ["identify"],
+    "report": ["report_page"],
+    "reduced-models": ["reduced_model_errors"],
+    "zeno-condition": ["zeno_condition"],
+}
+"""A command to the functions that do its work."""
+
+PYTHON_ONLY = {
+    *("on_progress", "settings", "plan", "dynamics"),
+    # One option, `--set`, has both.
+    *("gains", "parameters"),
+    # Positional arguments of the command.
+    *("orbit", "recording"),
+    # `--part`, `--only`, `--without`, `--exact-pwm`; `--cycles` chooses among two functions.
+    *("rig", "periods", "settle"),
+}
+"""Arguments that are values, and have no option of their name."""
+
+
+def _options(command: str) -> Iterator[tuple[str, argparse.Action]]:
+    """Yield the name of each option or positional argument of a command."""
+    for action in COMMANDS[command]:
+        long = [word for word in action.option_strings if word.startswith("--")]
+        yield (long[-1].removeprefix("--").replace("-", "_") if long else action.dest), action
+
+
+@pytest.mark.parametrize("command", SAME)
+def test_every_argument_of_a_function_is_an_option_of_its_command(command: str) -> None:
+    options = {name for name, _ in _options(command)}
+    for name in SAME[command]:
+        arguments = set(inspect.signature(FUNCTIONS[name]).parameters)
+        assert arguments - options - PYTHON_ONLY == set()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_option_of_a_shared_concept_has_its_name_form_and_meaning(command: str) -> None:
+    old = {word for row in NAMES.values() for word in row.old_options}
+    old -= {row.option for row in NAMES.values()}
+    for name, action in _options(command):
+        assert not old & set(action.option_strings)
+        row = NAMES.get(name)
+        if row is not None and action.option_strings:
+            assert action.option_strings == [row.option]
+            assert action.metavar == row.form
+            assert action.help is not None
+            assert action.help.startswith(row.meaning)
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_an_argument_of_a_shared_concept_has_its_name_and_its_option_in_the_help(
+    function: str,
+) -> None:
+    work = FUNCTIONS[function]
+    arguments = set(inspect.signature(work).parameters)
+    old = {word for row in NAMES.values() for word in row.old_arguments}
+    if function != "execution_distance":
+        # That function compares a first and a second execution.
+        assert not old & arguments
+    if work.__module__.startswith("zeno_orbits.api."):
+        lines = (work.__doc__ or "").splitlines()
+        shown = [line for line in lines if line.strip().startswith("Command line: ")]
+        known = [NAMES[name] for name in inspect.signature(work).parameters if name in NAMES]
+        assert len(shown) == bool(known)
+        for row in known:
+            assert f"`{row.option} {row.form}`" in shown[0]
+
+
+def test_every_signature_prints_in_words_of_a_user() -> None:
+    for work in FUNCTIONS.values():
+        text = str(inspect.signature(work))
+        assert " at 0x" not in text
+        assert "Named" not in text
+        assert "Numbers" not in text
+        assert "Span" not in text
+
+
+def test_every_old_option_of_the_table_still_works_somewhere() -> None:
+    changes = {(old, new) for olds in OPTIONS.values() for old, new in olds.items()}
+    for row in NAMES.values():
+        for old in row.old_options:
+            assert (old, row.option) in changes
+
+
+def test_the_documented_table_is_the_table_of_the_program() -> None:
+    assert names_table() in (ROOT / "docs" / "names.md").read_text()
+
+
+# Old arguments.
+
+
+def _orbit() -> zo.ZenoOrbit:
+    return zo.find_orbit_by_shooting("forced_oscillator").unwrap()
+
+
+FEW = zo.SearchSettings(n_starts=0)
+FAMILY = ("k", 0.95, 1.05)
+OLD: dict[str, tuple[Callable[[], Any], Callable[[], Any], str]] = {
+    "free": (
+        lambda: zo.search_gains("forced_oscillator", free={}, settings=FEW).orbit,
+        lambda: zo.search_gains("forced_oscillator", vary={}, settings=FEW).orbit,
+        "`free` of search_gains is now `vary`",
+    ),
+    "box by position": (
+        lambda: zo.continue_orbit(_orbit(), "k", (0.95, 1.05)),
+        lambda: zo.continue_orbit(_orbit(), FAMILY),
+        "`box` of continue_orbit is now `parameter=(NAME, LOW, HIGH)`",
+    ),
+    "box by name": (
+        lambda: zo.continue_orbit(_orbit(), parameter="k", box=(0.95, 1.05)),
+        lambda: zo.continue_orbit(_orbit(), parameter=FAMILY),
+        "`box` of continue_orbit is now `parameter=(NAME, LOW, HIGH)`",
+    ),
+    "second": (
+        lambda: zo.continue_orbit(_orbit(), FAMILY, second=None),
+        lambda: zo.continue_orbit(_orbit(), FAMILY, parameter2=None),
+        "`second` of continue_orbit is now `parameter2`",
+    ),
+    "over": (
+        lambda: zo.prove(_orbit(), over={}).verdict(),
+        lambda: zo.prove(_orbit(), interval={}).verdict(),
+        "`over` of prove is now `interval`",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OLD)
+def test_an_old_argument_warns_and_gives_the_same_answer(name: str) -> None:
+    old, new, said = OLD[name]
+    with pytest.warns(DeprecationWarning, match=said.replace("(", r"\(").replace(")", r"\)")):
+        before = old()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        after = new()
+    if isinstance(after, zo.Continuation):
+        before, after = ([one.families[0].first.at.value] for one in (before, after))
+    assert before == after
+
+
+def test_an_old_and_the_new_argument_exclude_each_other() -> None:
+    with pytest.raises(TypeError, match="free"):
+        zo.search_gains("forced_oscillator", free={}, vary={})
+
+
+@pytest.mark.parametrize("bad", ["k", ("k",), ("k", 1.0), (1.0, 2.0, 3.0), ("k", 1.0, 2.0, 3)])
+def test_a_parameter_without_its_range_is_refused(bad: Any) -> None:
+    with pytest.raises(zo.InputError, match="Argument `parameter` must "):
+        zo.continue_orbit(_orbit(), bad)
+
+
+@pytest.mark.slow
+def test_a_second_parameter_is_given_like_the_first() -> None:
+    found = zo.continue_orbit(_orbit(), ("A", 0.6, 1.0), parameter2=("stop", -0.85, -0.75))
+    (boundary,) = found.boundaries
+    # The contact force just vanishes at A = -stop (tests/README.md).
+    assert boundary.names == ("A", "stop")
+    assert np.array(boundary.x) == pytest.approx(-np.array(boundary.y), abs=1e-6)

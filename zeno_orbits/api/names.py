@@ -1,0 +1,135 @@
+"""One name per concept: options of the command line, and arguments of functions.
+
+Both helps are printed from this table: `meaning_of` is the help of an option, and `options_line`
+closes the docstring of a function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Name:
+    """The name of a concept.
+
+    Attributes:
+        name: Argument of functions. The option is the same with ``--`` and hyphens.
+        form: Value of the option.
+        meaning: What it is, in a clause.
+        old_options: Options of the last release.
+        old_arguments: Arguments of the last release.
+    """
+
+    name: str
+    form: str
+    meaning: str
+    old_options: tuple[str, ...] = ()
+    old_arguments: tuple[str, ...] = ()
+
+    @property
+    def option(self) -> str:
+        """The option of the command line."""
+        return f"--{self.name.replace('_', '-')}"
+
+
+NAMES = {
+    one.name: one
+    for one in (
+        Name(
+            name="until",
+            form="T",
+            meaning="end of a simulation, or longest time until a motion settles [s]",
+            old_options=("--t-end", "--max-time"),
+        ),
+        Name(
+            name="start",
+            form="STATE=VALUE",
+            meaning="initial value of a state, 0 for the others",
+            old_options=("--initial",),
+        ),
+        Name(
+            name="near",
+            form="ORBIT.json",
+            meaning="known orbit to start from, with its values",
+            old_options=("--from",),
+        ),
+        Name(
+            name="vary",
+            form="NAME=LOW:HIGH",
+            meaning="range in which a gain or parameter is searched",
+            old_arguments=("free",),
+        ),
+        Name(
+            name="bounds",
+            form="NAME=LOWER:UPPER",
+            meaning="bounds that the orbit satisfies",
+            old_options=("--bound",),
+        ),
+        Name(
+            name="parameter",
+            form="NAME=LOW:HIGH",
+            meaning="gain or parameter of a family, and its range, which contains the start",
+            old_arguments=("box",),
+        ),
+        Name(
+            name="parameter2",
+            form="NAME=LOW:HIGH",
+            meaning="second parameter, in which special points are followed",
+            old_arguments=("second",),
+        ),
+        Name(
+            name="interval",
+            form="NAME=VALUE:RADIUS",
+            meaning="interval of a gain or parameter, which the proof covers as a whole",
+            old_arguments=("over",),
+        ),
+        Name(name="x", form="NAME=LOW:HIGH", meaning="axis of a map across"),
+        Name(name="y", form="NAME=LOW:HIGH", meaning="axis of a map upwards"),
+        Name(
+            name="directions",
+            form="NAME=VALUE,...",
+            meaning="generalized force along which an impulse acts",
+            old_options=("--direction",),
+        ),
+        Name(name="t_start", form="T", meaning="earlier data of a recording are ignored [s]"),
+        Name(name="t_end", form="T", meaning="later data of a recording are ignored [s]"),
+        Name(name="section", form="EVENT", meaning="event at which a period starts and ends"),
+        Name(name="shape", form="SHAPE", meaning="mode sequence of an orbit"),
+        Name(name="objective", form="WISH", meaning="choice among the orbits"),
+    )
+}
+"""Name to its row, in the order of the documentation."""
+
+OLD_ARGUMENTS = {old: one.name for one in NAMES.values() for old in one.old_arguments}
+"""Argument of the last release to its new name."""
+
+
+def meaning_of(name: str, more: str = "") -> str:
+    """Return the help of an option.
+
+    Args:
+        name: Name of a row.
+        more: What holds for one command alone.
+    """
+    return f"{NAMES[name].meaning}{more}"
+
+
+def options_line(arguments: Iterable[str]) -> str:
+    """Return the options of the command line with the names of given arguments, or no text.
+
+    Args:
+        arguments: Names of arguments, in order.
+    """
+    known = [NAMES[name] for name in arguments if name in NAMES]
+    return ", ".join(f"`{one.option} {one.form}`" for one in known)
+
+
+def names_table() -> str:
+    """Return the names as a table in Markdown."""
+    rows = ["| Argument | Option | Meaning | Until 0.3 |", "|---|---|---|---|"]
+    for one in NAMES.values():
+        old = ", ".join(f"`{name}`" for name in (*one.old_options, *one.old_arguments))
+        rows.append(f"| `{one.name}` | `{one.option} {one.form}` | {one.meaning} | {old} |")
+    return "\n".join(rows)
