@@ -36,6 +36,7 @@ from .continuation.families import Continuation as Continuation
 from .continuation.families import Family as Family
 from .continuation.families import SpecialPointKind as SpecialPointKind
 from .continuation.setup import ContinuationSettings as ContinuationSettings
+from .errors import EquationsWarning as EquationsWarning
 from .errors import InputError as InputError
 from .errors import OrbitFileError as OrbitFileError
 from .errors import PenetrationError as PenetrationError
@@ -152,6 +153,7 @@ __all__ = [
     "Controller",
     "Drawing",
     "EnclosedEvent",
+    "EquationsWarning",
     "EventOrbit",
     "EventSearchResult",
     "EventSequence",

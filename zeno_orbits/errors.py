@@ -51,6 +51,10 @@ def _about_file(kind: str, path: Path, wanted: str, reason: str) -> str:
     return f"{kind} file `{path}` must {wanted}, but {reason}."
 
 
+class EquationsWarning(UserWarning):
+    """The equations of a problem differ from those that gave an orbit."""
+
+
 class ProblemFileError(InputError):
     """A problem file could not be turned into a problem.
 

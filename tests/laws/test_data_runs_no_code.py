@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -59,12 +60,15 @@ NAMES = (
     ),
 )
 """Texts of the entry `problem` that lead to a program, by a careless reader."""
+FAR = "far"
+"""Folder of a program that is neither beside the files nor in the current folder."""
 
 
 def _write_program(folder: Path, name: str) -> None:
     """Write programs that leave a mark, to which the text of an entry may lead."""
     program = PROBLEM.format(mark=str(folder / MARK), name=name)
-    for file in ("evil.py", "evil.py@bouncing_ball", "bouncing_ball@x.py", "evil/model.py"):
+    files = ("evil.py", "evil.py@bouncing_ball", "bouncing_ball@x.py", "evil/model.py")
+    for file in (*files, f"{FAR}/hidden.py"):
         (folder / file).parent.mkdir(exist_ok=True)
         (folder / file).write_text(program, encoding="utf-8")
 
@@ -77,7 +81,9 @@ def _hostile(
     monkeypatch.chdir(tmp_path)
     name = request.param.format(folder=tmp_path)
     _write_program(tmp_path, name)
-    return write_files(tmp_path, contents_by_kind(name))
+    far = {"problem_file": f"{FAR}/hidden.py"}
+    contents = {kind: data | far for kind, data in contents_by_kind(name).items()}
+    return write_files(tmp_path, contents)
 
 
 def test_files_of_every_kind_are_sound_but_for_the_problem(tmp_path: Path) -> None:
@@ -232,3 +238,128 @@ def test_a_name_that_is_not_bundled_asks_for_the_file(
         with pytest.raises(zo.InputError, match=told):
             call()
     assert not (tmp_path / MARK).exists()
+
+
+def _recorded(folder: Path, text: str, kind: str = "orbit_1.json") -> Path:
+    """Write an orbit file in a folder that records a path of its problem file."""
+    folder.mkdir(exist_ok=True)
+    content = contents_by_kind("ball")[kind] | {"problem_file": text}
+    (path,) = write_files(folder, {kind: content})
+    return path
+
+
+def _runs(orbit: Path, mark: Path) -> bool:
+    """Return True if a command or a function that takes the orbit runs the program."""
+    mark.unlink(missing_ok=True)
+    ask("verify", str(orbit))
+    with suppress(Exception):
+        zo.plot(api.any_orbit(orbit))
+    return mark.exists()
+
+
+KINDS = ["orbit_1.json", *(pytest.param(f"orbit_{k}.json", marks=pytest.mark.slow) for k in (2, 3))]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("place", ["beside", "current", "folder beside"])
+def test_an_own_problem_file_beside_the_orbit_or_in_the_current_folder_runs(
+    kind: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _write_program(tmp_path, "ball")
+    if place == "current":
+        orbit = _recorded(tmp_path / "results", "../evil.py", kind)
+    else:
+        monkeypatch.chdir(tmp_path / FAR)
+        orbit = _recorded(tmp_path, "evil.py" if place == "beside" else "evil", kind)
+    assert _runs(orbit, tmp_path / MARK)
+
+
+def _in_another_folder(_folder: Path) -> str:
+    return f"{FAR}/hidden.py"
+
+
+def _at_an_absolute_path(folder: Path) -> str:
+    return str(folder / FAR / "hidden.py")
+
+
+def _above(_folder: Path) -> str:
+    return "../above.py"
+
+
+def _a_link(folder: Path) -> str:
+    (folder / "link.py").symlink_to(folder / FAR / "hidden.py")
+    return "link.py"
+
+
+def _writable_by_all(folder: Path) -> str:
+    (folder / "evil.py").chmod(0o646)
+    return "evil.py"
+
+
+def _writable_by_a_group(folder: Path) -> str:
+    os.chown(folder / "evil.py", os.geteuid(), 54321)
+    (folder / "evil.py").chmod(0o664)
+    return "evil.py"
+
+
+def _of_another_user(folder: Path) -> str:
+    os.chown(folder / "evil.py", 54321, 54321)
+    return "evil.py"
+
+
+def _in_a_folder_that_others_may_write(folder: Path) -> str:
+    folder.chmod(0o777)
+    return "evil.py"
+
+
+def _a_model_that_others_may_write(folder: Path) -> str:
+    (folder / "evil" / "model.py").chmod(0o666)
+    return "evil"
+
+
+PLACES: dict[Callable[[Path], str], str] = {
+    _in_another_folder: "in another folder",
+    _at_an_absolute_path: "in another folder",
+    _above: "in another folder",
+    _a_link: "a link",
+    _writable_by_all: "may write to it",
+    _writable_by_a_group: "may write to it",
+    _of_another_user: "another user owns it",
+    _in_a_folder_that_others_may_write: "may write to its folder",
+    _a_model_that_others_may_write: "may write to it",
+}
+
+
+@pytest.mark.parametrize("place", PLACES, ids=lambda one: one.__name__.strip("_"))
+def test_a_recorded_problem_file_of_others_or_elsewhere_runs_only_if_it_is_named(
+    place: Callable[[Path], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if place in (_writable_by_a_group, _of_another_user) and os.geteuid() != 0:
+        pytest.skip("only root can give a file to others")
+    folder, mark = tmp_path / "given", tmp_path / "given" / MARK
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    _write_program(folder, "ball")
+    (tmp_path / "above.py").write_text((folder / "evil.py").read_text())
+    text = place(folder)
+    orbit = _recorded(folder, text)
+    assert not _runs(orbit, mark)
+    answer = ask("verify", str(orbit))
+    assert answer.err.count("\n") == 1
+    assert PLACES[place] in answer.err
+    remedy = os.path.relpath(folder / text)
+    assert f"pass --problem {remedy} (`problem=` in Python)" in answer.err
+    ask("verify", str(orbit), "--problem", str(folder / text))
+    assert mark.exists()
+
+
+def test_a_recorded_path_that_a_shell_could_misread_is_not_proposed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = "x.py; touch y"
+    (tmp_path / "far").mkdir()
+    (tmp_path / "far" / name).write_text("")
+    answer = ask("verify", str(_recorded(tmp_path, f"far/{name}")))
+    assert "pass --problem FILE.py " in answer.err

@@ -14,6 +14,7 @@ from zeno_orbits.api.inputs import (
     front_door,
     known_problem,
     problem_of,
+    problem_to_check,
 )
 from zeno_orbits.errors import InputError, finite_number, named_numbers, positive_number
 from zeno_orbits.model import Problem, recorded_problem
@@ -52,7 +53,7 @@ def verify(
     from zeno_orbits.verification import verifier, verify_events
 
     orbit = any_orbit(orbit)
-    known = problem_of(orbit, problem)
+    known = problem_to_check(orbit, problem)
     if isinstance(orbit, EventOrbit):
         return verify_events(orbit, known, settings=settings, on_progress=on_progress)
     return verifier.verify(
@@ -92,7 +93,7 @@ def prove(
     from zeno_orbits.proof import prove_orbit as proved
 
     orbit = as_orbit(orbit)
-    known = problem_of(orbit, problem)
+    known = problem_to_check(orbit, problem)
     if radius is not None:
         radius = positive_number("radius", radius)
         if basin:
@@ -132,7 +133,7 @@ def enclose_period(
     from zeno_orbits.proof import enclose_one_period as enclosed
 
     orbit = as_orbit(orbit)
-    known = problem_of(orbit, problem)
+    known = problem_to_check(orbit, problem)
     settings = EnclosureSettings(
         radius=None if radius is None else positive_number("radius", radius),
         tolerance=positive_number("tolerance", tolerance),
@@ -194,7 +195,7 @@ def check_certificate_of(
     """
     from zeno_orbits.proof import check_proof_of
 
-    return check_proof_of(orbit, problem_of(orbit, problem), Path(certificate))
+    return check_proof_of(orbit, problem_to_check(orbit, problem), Path(certificate))
 
 
 @overload

@@ -12,9 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from zeno_orbits.api.names import OLD_ARGUMENTS, options_line
-from zeno_orbits.errors import InputError, number_range, shown
+from zeno_orbits.errors import EquationsWarning, InputError, number_range, shown
 from zeno_orbits.model import Problem, ProblemFile, locate_problem, recorded_problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit, read_any_orbit, read_orbit
+from zeno_orbits.orbits import (
+    EventOrbit,
+    ZenoOrbit,
+    digest_of,
+    read_any_orbit,
+    read_orbit,
+    same_equations,
+)
 from zeno_orbits.work import ExecutionPlan, Workers, checked
 
 if TYPE_CHECKING:
@@ -148,17 +155,29 @@ def split_numbers(problem: Problem, numbers: Numbers) -> tuple[dict[str, float],
 
 
 def problem_of(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> Problem:
-    """Return the problem of an orbit, by its name or as given.
+    """Return the problem of an orbit: as given, by its name, or from the file that it records.
+
+    A warning is issued if the equations of the problem differ from those of the orbit.
 
     Args:
         orbit: The orbit.
-        problem: The orbit's problem, required if it is not bundled.
+        problem: The orbit's problem, required if it is neither bundled nor found.
 
     Raises:
         InputError: If the given problem is not the orbit's, or no problem is given and the orbit's
-            is not bundled.
+            is neither bundled nor found (`RecordedFile.trusted`).
     """
-    return recorded_problem(orbit.problem, None if problem is None else known_problem(problem))
+    found = problem_to_check(orbit, problem)
+    if orbit.problem_digest and not same_equations(orbit.problem_digest, digest_of(found)):
+        message = f"The equations of problem `{found.name}` differ from those that gave the orbit."
+        warnings.warn(message, EquationsWarning, stacklevel=2)
+    return found
+
+
+def problem_to_check(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> Problem:
+    """Return the problem of an orbit like `problem_of`, for a check that compares the equations."""
+    given = None if problem is None else known_problem(problem)
+    return recorded_problem(orbit.problem, given, file=orbit.problem_file)
 
 
 def as_span(argument: str, span: Any) -> tuple[str, tuple[float, float]]:

@@ -406,7 +406,7 @@ def start_of(problem: zo.Problem, options: argparse.Namespace) -> tuple[float, .
 def orbit_and_problem(options: argparse.Namespace) -> tuple[zo.ZenoOrbit, zo.Problem]:
     """Return the orbit of a file and its problem."""
     orbit = api.as_orbit(options.orbit)
-    return orbit, api.problem_of(orbit, options.problem)
+    return orbit, api.problem_to_check(orbit, options.problem)
 
 
 def require_outputs(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
+import warnings
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
 
 import zeno_orbits
 from zeno_orbits.cli.commands.cache import add_cache
@@ -30,7 +32,7 @@ from zeno_orbits.cli.old_forms import in_new_forms
 from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser, print_json
 from zeno_orbits.cli.process import Interrupts, patient_streams
 from zeno_orbits.cli.typed import as_typed
-from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.errors import EquationsWarning, InputError, ZenoOrbitsError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import BUILD_WATCH
 
@@ -79,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _answer(options: argparse.Namespace) -> int:
     """Run one command. An error is one line on standard error, and an exit code."""
     # A second interrupt must not end the report of the first.
-    with Interrupts() as interrupts:
+    with Interrupts() as interrupts, _warnings_as_notes():
         options.interrupts = interrupts
         BUILD_WATCH.set(lambda: report.ProgressLine(interrupts.check))
         try:
@@ -105,6 +107,25 @@ def _answer(options: argparse.Namespace) -> int:
             return _end(error, MISUSE, options, _about_unexpected(error))
         finally:
             _tell_of_loop(options)
+
+
+@contextmanager
+def _warnings_as_notes() -> Generator[None]:
+    """Print each warning about other equations as one note."""
+    seen: set[str] = set()
+
+    def show(message: Warning | str, category: type[Warning], *rest: Any) -> None:
+        if not issubclass(category, EquationsWarning):
+            shown(message, category, *rest)
+        elif str(message) not in seen:
+            seen.add(str(message))
+            report.print_note(str(message))
+
+    with warnings.catch_warnings():
+        shown = warnings.showwarning
+        warnings.simplefilter("always", EquationsWarning)
+        warnings.showwarning = show
+        yield
 
 
 def _about_unexpected(error: Exception) -> str:

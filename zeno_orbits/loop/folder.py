@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zeno_orbits.errors import KernelError
-from zeno_orbits.work import file_lock
+from zeno_orbits.work import file_lock, others_may_write
 
 _SUFFIX = ".kernels"
 _OF_EARLIER_RELEASES = (".failed", ".job")
@@ -24,8 +24,6 @@ _OF_EARLIER_RELEASES = (".failed", ".job")
 
 _MOST = 400
 """Largest number of libraries. The oldest libraries are removed."""
-
-_OTHERS_MAY_WRITE = 0o022
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,15 +55,12 @@ class LibraryFolder:
         Raises:
             KernelError: If that is so.
         """
-        if not hasattr(os, "geteuid"):
-            # Windows: the folder is in the user's profile, which the system guards.
-            return
         try:
-            # Who owns a link chooses its target.
-            owners, mode = {path.lstat().st_uid, path.stat().st_uid}, path.stat().st_mode
+            # On Windows the folder is in the user's profile, which the system guards.
+            open_to_others = others_may_write(path)
         except OSError as error:
             raise KernelError(f"`{path}` cannot be read ({error.strerror})") from error
-        if not owners <= {os.geteuid(), 0} or mode & _OTHERS_MAY_WRITE:
+        if open_to_others:
             raise KernelError(f"other users can write to `{path}`")
 
     def find(self, key: str) -> Path | None:

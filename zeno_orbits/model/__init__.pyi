@@ -24,6 +24,7 @@ from .modes import GraphMode as GraphMode
 from .modes import ModeGraph as ModeGraph
 from .lagrangian import HybridLagrangian as HybridLagrangian
 from .library import ProblemFile as ProblemFile
+from .library import RecordedFile as RecordedFile
 from .library import bundled_problems as bundled_problems
 from .library import load_problem as load_problem
 from .library import load_reference as load_reference

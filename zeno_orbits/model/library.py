@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
+import re
+import stat
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.machinery import SourceFileLoader
@@ -18,6 +22,7 @@ from zeno_orbits.model.mistakes import account_of
 from zeno_orbits.model.origin import with_origin
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.quantities import unknown
+from zeno_orbits.work import others_may_write
 
 _MOST = 16
 """Number of problems cached per process, with their compiled models."""
@@ -57,6 +62,8 @@ def load_problem(name_or_path: str | Path) -> Problem:
         if not _is_there(path):
             if path.suffix == ".py":
                 raise ProblemFileError(path, "cannot be read (No such file or directory)")
+            if _is_there(Path(f"{name}.py")):
+                raise InputError(f"Unknown problem `{name}`. For the file, pass `{name}.py`.")
             raise InputError(unknown("problem", name, tuple(bundled)))
     if name in bundled:
         problem = _bundled(path)
@@ -66,34 +73,164 @@ def load_problem(name_or_path: str | Path) -> Problem:
     return problem.at_fidelity(fidelity) if fidelity is not None else problem
 
 
-def recorded_problem(word: str, given: Problem | None = None, *, result: str = "orbit") -> Problem:
-    """Return the problem of a result, whose file is data and never runs code.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedFile:
+    """The problem file that a result names. The text comes from data, so it may be hostile.
+
+    Attributes:
+        path: Absolute path of the file, or of the folder of the problem.
+        near: True if the file lies beside the file of the result, or if the result was computed in
+            this process from the file.
+    """
+
+    path: str
+    near: bool
+
+    @classmethod
+    def of(cls, problem: Problem) -> RecordedFile | None:
+        """Return the file of a problem, or None if it is bundled or has no file."""
+        if problem.origin is None:
+            return None
+        word, _ = split_fidelity(getattr(problem.origin.file, "word", ""))
+        return None if not word or word in bundled_problems() else cls(path=word, near=True)
+
+    @classmethod
+    def beside(cls, folder: Path, text: str) -> RecordedFile | None:
+        """Return the file that an entry of a result names.
+
+        Args:
+            folder: Folder of the file of the result.
+            text: The entry: a path relative to the folder, or an absolute path.
+        """
+        if not text:
+            return None
+        near = Path(text).name == text and text not in (".", "..")
+        return cls(path=os.path.normpath(folder.absolute() / text), near=near)
+
+    def relative_to(self, folder: Path) -> str:
+        """Return the entry of a result in a folder: the path relative to the folder."""
+        try:
+            path = os.path.relpath(os.path.realpath(self.path), os.path.realpath(folder))
+        except ValueError:
+            # Two drives of Windows.
+            return Path(self.path).as_posix()
+        return Path(path).as_posix()
+
+    def trusted(self) -> Path:
+        """Return the file if it may be run without being named by the caller.
+
+        It lies beside the result or in the current folder, is no link, and nobody else may change
+        it.
+
+        Raises:
+            InputError: Otherwise. The message gives the reason and the remedy.
+        """
+        own = Path(self.path)
+        places = [own] if self.near else []
+        if own.name and Path.cwd() / own.name not in places:
+            places.append(Path.cwd() / own.name)
+        reasons: list[str] = []
+        for path in places:
+            reason = _reason_not_to_run(path)
+            if not reason:
+                return path
+            if reason != _MISSING:
+                reasons.append(reason)
+        if not reasons and not self.near and _is_there(own):
+            reasons.append("it is in another folder")
+        clause, file = f"`{shortened(own.name)}` is missing", "FILE.py"
+        if reasons:
+            clause = f"`{shortened(own.name)}` is not run unless you name it, since {reasons[0]}"
+            file = _typable(self.path)
+        raise InputError(f"{clause}: pass --problem {file} (`problem=` in Python)")
+
+
+_MISSING = "it is missing"
+
+
+def _reason_not_to_run(path: Path) -> str:
+    """Return why a file or folder of a problem is not run unasked, as a clause, or no text."""
+    files = [path]
+    try:
+        if stat.S_ISDIR(path.lstat().st_mode):
+            files += sorted(path.glob("*.py"))
+        folder = path.parent.stat()
+        for file in files:
+            kind = file.lstat().st_mode
+            if not (stat.S_ISREG(kind) or (file is path and stat.S_ISDIR(kind))):
+                return "it is a link or a device"
+            if others_may_write(file):
+                return "another user owns it or may write to it"
+        if not folder.st_mode & stat.S_ISVTX and others_may_write(path.parent):
+            return "another user may write to its folder"
+    except FileNotFoundError:
+        return _MISSING
+    except (OSError, ValueError):
+        return "it cannot be read"
+    return "" if hasattr(os, "geteuid") else "its owner is unknown on this system"
+
+
+def recorded_problem(
+    word: str,
+    given: Problem | None = None,
+    *,
+    result: str = "orbit",
+    file: RecordedFile | None = None,
+) -> Problem:
+    """Return the problem of a result, whose file is data and never runs code by itself.
 
     The text that a result records is compared with names and is not used as a path. So a file of
-    results can load a bundled problem only. Every other problem comes from the caller.
+    results can load a bundled problem only. Another problem comes from the caller, or from the
+    file that the result records if `RecordedFile.trusted` accepts it.
 
     Args:
         word: The name in the result.
         given: The problem that the caller gives, or None.
         result: Noun for the result, for the message.
+        file: The problem file that the result records, or None.
 
     Raises:
-        InputError: If the given problem has another name, or no problem is given and the name is
-            not the name of a bundled problem.
+        InputError: If the given problem has another name, or no problem is given, the name is not
+            the name of a bundled problem and the recorded file is missing or not trusted.
     """
     name, at, fidelity = str(word).partition("@")
     said = f"`{shortened(str(word))}`"
     if given is None:
-        if name not in bundled_problems():
-            remedy = "If it is yours, pass its file with --problem FILE.py (`problem=` in Python)."
-            raise InputError(f"Unknown problem {said}. {remedy}")
-        given = _bundled(bundled_problems()[name])
+        given = _found(name, said, file)
     if at and given.name == name:
         given = given.at_fidelity(fidelity)
     if given.name != word:
         wanted = f"must be the problem {said} of the {result}"
         raise InputError(f"Argument `problem` {wanted}, but it is `{given.name}`.")
     return given
+
+
+def _found(name: str, said: str, file: RecordedFile | None) -> Problem:
+    """Return the bundled problem of a name, or the problem of a recorded file.
+
+    Raises:
+        InputError: If there is neither.
+    """
+    if name in bundled_problems():
+        return _bundled(bundled_problems()[name])
+    remedy = "If it is yours, pass its file with --problem FILE.py (`problem=` in Python)."
+    if file is None:
+        raise InputError(f"Unknown problem {said}. {remedy}")
+    try:
+        path = file.trusted()
+    except InputError as error:
+        raise InputError(f"Problem {said}: its file {error}.") from None
+    return locate_problem(path).load()
+
+
+def _typable(path: str) -> str:
+    """Return a path as a word of a command, or a placeholder if a shell could misread the path."""
+    with suppress(ValueError):
+        path = min(path, os.path.relpath(path), key=len)
+    return path if _PLAIN.fullmatch(path) else "FILE.py"
+
+
+_PLAIN = re.compile(r"[\w./@+-]+", flags=re.ASCII)
 
 
 def _is_there(path: Path) -> bool:

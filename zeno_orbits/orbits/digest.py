@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, cast
 
+import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
@@ -25,7 +26,12 @@ _SPREAD = (math.sqrt(5) - 1) / 2
 
 @lru_cache(maxsize=64)
 def digest_of(problem: Problem) -> tuple[float, ...]:
-    """Return one value per function of a problem: flows, contact, impulse, energy, motors."""
+    """Return one value per function of a problem: flows, contact, impulse, energy, motors.
+
+    A machine with several stops, switches or kinks has one value per formula of its graph.
+    """
+    if problem.has_graph:
+        return _digest_of_graph(problem)
     compiled = problem.compiled()
     x, p = _spread(compiled.n_x, 0.2), _spread(len(problem.symbols()), 0.5)
     functions = (
@@ -37,6 +43,39 @@ def digest_of(problem: Problem) -> tuple[float, ...]:
         compiled.motors,
     )
     return tuple(_number(function(x, p)) for function in functions)
+
+
+def _digest_of_graph(problem: Problem) -> tuple[float, ...]:
+    """Return the values of flow, energy, gaps, switches and resets, at a state and its negative.
+
+    A kink takes the branch that holds at the state, so another branch does not contribute.
+    """
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    graph = system.graph
+    if graph is None:
+        return ()
+    groups = (
+        (system.free_flow,),
+        (system.energy,),
+        tuple(ca.SX(stop.gap) for stop in graph.stops),
+        tuple(ca.SX(stop.restitution) for stop in graph.stops),
+        (graph.delassus,),
+        tuple(ca.SX(one.guard) for one in graph.switches),
+        tuple(ca.SX(one.armed) for one in graph.switches),
+        graph.resets,
+    )
+    names = ca.vertcat(*symbols.values())
+    outputs = [ca.vertcat(*(ca.vec(ca.SX(one)) for one in group)) for group in groups]
+    function = ca.Function("digest", [graph.state, names], [ca.densify(one) for one in outputs])
+    x, p = _spread(graph.state.numel(), 0.2), _spread(names.numel(), 0.5)
+    at = [function.call([state, p]) for state in (x, -x)]
+    return tuple(_number([_defined(one) for one in found]) for found in zip(*at, strict=True))
+
+
+def _defined(entries: Any) -> Vector:
+    """Return values with 0 for the formulas that are undefined at this state."""
+    return np.nan_to_num(np.asarray(entries, dtype=np.float64), posinf=0.0, neginf=0.0)
 
 
 def same_equations(digest: Sequence[float], other: Sequence[float]) -> bool:
@@ -52,7 +91,9 @@ def _spread(n: int, least: float) -> Vector:
 
 
 def _number(outputs: Any) -> float:
-    entries: Sequence[Any] = cast("Any", outputs) if isinstance(outputs, tuple) else (outputs,)
+    entries: Sequence[Any] = (
+        cast("Any", outputs) if isinstance(outputs, tuple | list) else (outputs,)
+    )
     values = np.concatenate([np.asarray(entry, dtype=np.float64).ravel() for entry in entries])
     total = float(values @ _spread(values.size, 0.2))
     # A formula that is undefined at this state does not contribute.

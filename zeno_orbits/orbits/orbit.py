@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem, RecordedFile
 from zeno_orbits.orbits.digest import digest_of
 from zeno_orbits.orbits.shape import EventSequence, PhaseKind
 from zeno_orbits.work import Columns, TableRepr, by_name, versions
@@ -70,6 +70,7 @@ class ZenoOrbit(TableRepr):
         versions: Name to version of the packages that computed it.
         problem_digest: Digest of the equations of its problem (`digest.digest_of`). Empty in files
             of older versions.
+        problem_file: File of its problem, or None if the problem is bundled. Not compared.
     """
 
     problem: str
@@ -81,6 +82,7 @@ class ZenoOrbit(TableRepr):
     certificate: Mapping[str, Any]
     versions: Mapping[str, str]
     problem_digest: tuple[float, ...] = ()
+    problem_file: RecordedFile | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         """Return one line with the gains, the period, the phases and the verification status."""
@@ -163,7 +165,7 @@ class ZenoOrbit(TableRepr):
         return phase.zeno_time, phase.zeno_state
 
     def as_json(self) -> dict[str, Any]:
-        """Return the orbit as the plain data of its file.
+        """Return the orbit as the plain data of its file, without `problem_file`.
 
         An orbit with one Zeno point and one release has format 1, which older versions can read.
         All other orbits have format 2, which older versions reject. The entries of format 1 are
@@ -222,6 +224,7 @@ def new_orbit(
         certificate={},
         versions=versions(),
         problem_digest=digest_of(problem),
+        problem_file=RecordedFile.of(problem),
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import InputError, OrbitFileError, shortened
+from zeno_orbits.model import RecordedFile
 from zeno_orbits.orbits.orbit import (
     EVENT_FORMAT,
     FORMAT,
@@ -38,8 +39,23 @@ def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    text = json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n"
-    write_whole(Path(path), text, "path")
+    write_orbit_data(orbit.as_json(), orbit.problem_file, Path(path))
+
+
+def write_orbit_data(data: Mapping[str, Any], file: RecordedFile | None, path: Path) -> None:
+    """Write the plain data of an orbit and the path of its problem file, relative to its folder.
+
+    Args:
+        data: The plain data.
+        file: File of the problem, or None.
+        path: The file. An existing file is replaced.
+
+    Raises:
+        InputError: If the folder cannot be written.
+    """
+    entry = {} if file is None else {"problem_file": file.relative_to(path.parent)}
+    text = json.dumps({**data, **entry}, indent=2, allow_nan=False) + "\n"
+    write_whole(path, text, "path")
 
 
 @checked
@@ -100,7 +116,7 @@ def orbit_from_json(data: object, path: Path) -> ZenoOrbit:
         OrbitFileError: If the data have a wrong type or a newer format.
     """
     try:
-        return _orbit(data)
+        return _orbit(data, path.parent)
     except EntryError as error:
         raise OrbitFileError(path, str(error)) from error
     except _ContradictionError as error:
@@ -124,6 +140,7 @@ class _Entries:
     certificate: Mapping[str, Any] = field(default_factory=dict[str, Any])
     versions: Mapping[str, Any] = field(default_factory=dict[str, Any])
     problem_digest: tuple[float, ...] = ()
+    problem_file: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +171,7 @@ class _HeldPhase(_Phase):
     zeno_state: Mapping[str, float]
 
 
-def _orbit(data: object) -> ZenoOrbit:
+def _orbit(data: object, folder: Path) -> ZenoOrbit:
     if not isinstance(data, dict):
         raise EntryError("the file", "an object with names", _shown(data))
     named = cast("dict[str, Any]", data)
@@ -172,6 +189,7 @@ def _orbit(data: object) -> ZenoOrbit:
         certificate=entries.certificate,
         versions={name: str(value) for name, value in entries.versions.items()},
         problem_digest=entries.problem_digest,
+        problem_file=RecordedFile.beside(folder, entries.problem_file),
     )
     _require_shape(named, orbit, number)
     return orbit

@@ -71,6 +71,29 @@ def require_writable(path: Path, argument: str = "output") -> None:
         raise InputError(f"Argument `{argument}` {message}.")
 
 
+_WRITABLE_BY_ALL, _WRITABLE_BY_GROUP = 0o002, 0o020
+
+
+def others_may_write(path: Path) -> bool:
+    """Return True if a user other than this one and root owns or may write to a file or folder.
+
+    A group of the same number as the owner is the owner's own group. Windows is not asked: False.
+
+    Args:
+        path: The file or folder. The owner of a link to it counts as well.
+
+    Raises:
+        OSError: If it does not exist.
+    """
+    if not hasattr(os, "geteuid"):
+        return False
+    # Who owns a link chooses its target.
+    link, found = path.lstat(), path.stat()
+    shared = found.st_mode & _WRITABLE_BY_GROUP and found.st_gid != found.st_uid
+    foreign = not {link.st_uid, found.st_uid} <= {os.geteuid(), 0}
+    return bool(foreign or shared or found.st_mode & _WRITABLE_BY_ALL)
+
+
 MOST_BYTES = 1 << 29
 """Largest size of a JSON file [B]: a map of a million points has about 2e8."""
 
@@ -117,7 +140,8 @@ def _read_text(path: Path, most: int) -> str:
         raise _ContentError("it is a pipe or a device, and not a file")
     if found.st_size > most:
         raise _ContentError(f"it is larger than {most} bytes")
-    text = path.read_text(encoding="utf-8")
+    # Editors of Windows begin a file with a byte order mark.
+    text = path.read_text(encoding="utf-8-sig")
     commands = "\x7f" in text or not (text.isascii() or CONTROLS.search(text) is None)
     if commands or ("\\" in text and _ESCAPED.search(text)):
         raise _ContentError("it holds control characters in a text")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem, RecordedFile
 from zeno_orbits.orbits.orbit import EVENT_FORMAT
 from zeno_orbits.orbits.shape import NO_ZENO_ORBIT, SIMPLE_ORBIT, ZENO_ORBIT
 from zeno_orbits.simulation import Event, Release, SwitchEvent, ZenoPoint, event_name
@@ -42,6 +42,9 @@ class EventOrbit(TableRepr):
         floquet_multipliers: Multipliers of the return map. Empty while unknown.
         certificate: Result of a verification, as plain data. Empty while unverified.
         versions: Name to version of the packages that computed it.
+        problem_digest: Digest of the equations of its problem (`digest.digest_of`). Empty in files
+            of older versions.
+        problem_file: File of its problem, or None if the problem is bundled. Not compared.
     """
 
     problem: str
@@ -53,6 +56,8 @@ class EventOrbit(TableRepr):
     floquet_multipliers: tuple[complex, ...] = ()
     certificate: Mapping[str, Any] = field(default_factory=dict[str, Any])
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
+    problem_digest: tuple[float, ...] = ()
+    problem_file: RecordedFile | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         """Return one line with the period, the event sequence and the verification status."""
@@ -105,7 +110,8 @@ class EventOrbit(TableRepr):
         return problem.values(gains=self.gains, parameters=self.parameters)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the orbit as the plain data of its file."""
+        """Return the orbit as the plain data of its file, without `problem_file`."""
+        digest = {"problem_digest": list(self.problem_digest)} if self.problem_digest else {}
         return {
             "format": EVENT_FORMAT,
             "problem": self.problem,
@@ -121,6 +127,7 @@ class EventOrbit(TableRepr):
             "floquet_multipliers": [[mu.real, mu.imag] for mu in self.floquet_multipliers],
             "certificate": dict(self.certificate),
             "versions": dict(self.versions),
+            **digest,
         }
 
 

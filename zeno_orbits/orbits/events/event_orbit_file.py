@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import OrbitFileError
+from zeno_orbits.model import RecordedFile
 from zeno_orbits.orbits.events.event_orbit import EventOrbit, OrbitEvent, sequence_of
 from zeno_orbits.orbits.orbit import EVENT_FORMAT, ZenoOrbit
-from zeno_orbits.orbits.orbit_file import orbit_from_json, plain_data
-from zeno_orbits.work import EntryError, checked, from_plain, write_whole
+from zeno_orbits.orbits.orbit_file import orbit_from_json, plain_data, write_orbit_data
+from zeno_orbits.work import EntryError, checked, from_plain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +30,8 @@ class _Entries:
     floquet_multipliers: tuple[complex, ...] = ()
     certificate: Mapping[str, Any] = field(default_factory=dict[str, Any])
     versions: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    problem_digest: tuple[float, ...] = ()
+    problem_file: str = ""
 
 
 @checked
@@ -43,8 +45,7 @@ def write_event_orbit(orbit: EventOrbit, path: Path | str) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    text = json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n"
-    write_whole(Path(path), text, "path")
+    write_orbit_data(orbit.as_json(), orbit.problem_file, Path(path))
 
 
 def _lists_events(data: object) -> bool:
@@ -96,6 +97,8 @@ def _event_orbit(path: Path, data: object) -> EventOrbit:
         floquet_multipliers=entries.floquet_multipliers,
         certificate=entries.certificate,
         versions={name: str(value) for name, value in entries.versions.items()},
+        problem_digest=entries.problem_digest,
+        problem_file=RecordedFile.beside(path.parent, entries.problem_file),
     )
 
 

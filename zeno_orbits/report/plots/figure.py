@@ -89,7 +89,7 @@ def figure_of(
 def _of_orbit(
     orbit: ZenoOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
-    problem = recorded_problem(orbit.problem, problem)
+    problem = recorded_problem(orbit.problem, problem, file=orbit.problem_file)
     execution = orbit_motion(orbit, problem, problem_dynamics(orbit, problem))
     return plot_portraits(problem, execution, width=width, axes=axes)
 
@@ -97,7 +97,7 @@ def _of_orbit(
 def _of_events(
     orbit: EventOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
-    problem = recorded_problem(orbit.problem, problem)
+    problem = recorded_problem(orbit.problem, problem, file=orbit.problem_file)
     execution = orbit_motion(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
     return plot_portraits(problem, execution, width=width, axes=axes)
 

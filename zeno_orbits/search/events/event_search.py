@@ -13,7 +13,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, counted
-from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, own_time
+from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, RecordedFile, own_time
 from zeno_orbits.orbits import (
     EventOrbit,
     EventReturn,
@@ -21,6 +21,7 @@ from zeno_orbits.orbits import (
     SectionMode,
     StepControl,
     closed_return,
+    digest_of,
     multipliers_of_return,
     near_return,
     orbit_event_name,
@@ -352,4 +353,6 @@ def event_orbit_of(problem: Problem, values: ParameterValues, found: EventReturn
         ),
         floquet_multipliers=multipliers_of_return(problem.graph_dynamics(values), found),
         versions=versions(),
+        problem_digest=digest_of(problem),
+        problem_file=RecordedFile.of(problem),
     )
