@@ -94,6 +94,19 @@ class MapFileError(InputError):
         self.path = path
 
 
+class BoundaryFileError(MapFileError):
+    """A file of curves over two parameters could not be read.
+
+    Attributes:
+        path: The file.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        wanted = "hold the curves of `continue --parameter2`"
+        InputError.__init__(self, _about_file("Boundary", path, wanted, reason))
+        self.path = path
+
+
 class TranslationError(InputError):
     """A formula uses an operation without an enclosure rule for proofs.
 
@@ -234,6 +247,19 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f" Did you mean `{words[near[0]]}`?" if near else ""
 
 
+def not_known(name: str, known: Iterable[str], noun: str = "name") -> str:
+    """Return the clause about an unknown name: the nearest name first, all known names last.
+
+    Args:
+        name: The unknown name.
+        known: The known names.
+        noun: Noun for a name.
+    """
+    names = tuple(known)
+    listed = ", ".join(names) or "none"
+    return f"unknown {noun} `{shortened(name)}`.{did_you_mean(name, names)} Known: {listed}."
+
+
 def counted(number: int, noun: str) -> str:
     """Return a count with its noun, such as ``1 impact`` or ``2 impacts``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
@@ -288,7 +314,7 @@ def any_number(argument: str, value: Any) -> float:
     # A symbol of CasADi becomes NaN as a float.
     known = getattr(value, "is_constant", None)
     listed = bool(getattr(value, "ndim", 0)) or (callable(known) and not known())
-    if not isinstance(value, str | bytes | complex) and not listed:
+    if not isinstance(value, str | bytes | complex | bool) and not listed:
         try:
             return float(value)
         except (TypeError, ValueError, RuntimeError):

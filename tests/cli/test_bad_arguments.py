@@ -126,7 +126,7 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "start not finite": (simulating("--start", "theta1=nan"), ("theta1", "nan")),
     "start inside the stop": (simulating("--start", "theta2=-0.1"), ("gap >= 0", "-0.1")),
     "objective unknown": (searching("--objective", "speed"), ("--objective", "`speed`", "energy")),
-    "objective empty": (searching("--objective", ""), ("--objective", "energy")),
+    "objective empty": (searching("--objective", ""), ("--objective: the value is empty",)),
     "objective of no stop": (searching("--objective", "impacts="), ("--objective", "`impacts=`")),
     "objective twice": (
         searching("--objective", "energy", "--objective", "margin"),

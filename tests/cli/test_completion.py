@@ -83,4 +83,4 @@ def test_the_script_for_zsh_names_every_command_and_problem() -> None:
 
 
 def test_another_shell_is_refused() -> None:
-    assert_refused(ask("completion", "tcsh"), "shell: must be one of bash, zsh", "`tcsh`")
+    assert_refused(ask("completion", "tcsh"), "shell: unknown name `tcsh`", "Known: bash, zsh")

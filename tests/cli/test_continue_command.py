@@ -127,7 +127,7 @@ def test_parameters_that_a_map_would_derive_anew_are_told_to_be_held(
                 "--kind",
                 "cusp",
             ],
-            "must be one of fold",
+            "Known: fold",
         ),
         (["motor_pendulum", "--parameter", "Kd=-2:0", "--start", "theta1=1"], "--section impact"),
         (

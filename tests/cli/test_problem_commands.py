@@ -72,7 +72,7 @@ def test_fidelity_names_the_reduced_models_and_their_cost() -> None:
 
 def test_a_new_problem_may_not_take_the_name_of_another(here: Path) -> None:
     """An orbit file tells its problem by this name."""
-    assert_refused(ask("new", "motor_pendulum"), "`name`", "`motor_pendulum` is one")
+    assert_refused(ask("new", "motor_pendulum"), "NAME motor_pendulum: ", "`motor_pendulum` is one")
     assert contents(here) == {}
 
 
@@ -143,5 +143,5 @@ def test_a_problem_file_that_is_no_python_is_refused(here: Path) -> None:
 @pytest.mark.parametrize("name", ["a" * 5000, "a\0b"])
 def test_a_name_that_no_file_can_have_is_no_problem(name: str) -> None:
     answer = ask("simulate", name)
-    assert_refused(answer, "`problem` must be one of")
+    assert_refused(answer, "unknown problem")
     assert "internal" not in answer.err

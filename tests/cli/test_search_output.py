@@ -163,7 +163,7 @@ def test_the_map_that_a_failed_search_names_can_be_made() -> None:
     for name in ("motor_pendulum", "bouncing_ball", "forced_oscillator"):
         command = map_command(load_problem(name), _options(problem=name, set={}), notes)
         options = build_parser().parse_args(command.split()[1:])
-        assert options.x[0] == "restitution"
+        assert options.x.range.name == "restitution"
         assert options.y[0] in load_problem(name).names
 
 

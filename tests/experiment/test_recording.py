@@ -291,7 +291,7 @@ def test_a_recording_refuses_signals_that_do_not_belong_together() -> None:
 
 def test_an_unknown_signal_is_refused_by_name(write: Write) -> None:
     found = read_recording(write(TITLES + ROWS))
-    with pytest.raises(InputError, match="`signal` must be one of angle, current, but it is `x`"):
+    with pytest.raises(InputError, match=r"`signal`: unknown name `x`\. Known: angle, current"):
         found.signal("x")
 
 

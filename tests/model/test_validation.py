@@ -190,7 +190,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "name that cannot be typed": (
         *(FORCED, 'Quantity.positive("m"', 'Quantity.positive("the mass"'),
-        "`name` must be a word .* but it is `the mass`",
+        "`name` must begin with a letter .* but it is `the mass`",
     ),
     "portrait of an unknown state": (
         *(FORCED, '(("x", "dx"),)', '(("x", "y"),)'),
@@ -269,12 +269,12 @@ def test_a_new_problem_works_as_it_is_written(
     assert main(["verify", "orbit.json", "--problem", "mine.py"]) == 0
 
 
-@pytest.mark.parametrize("name", ["my-problem", "a/b", "", "2nd"])
+@pytest.mark.parametrize("name", ["my-problem", "a/b", "2nd"])
 def test_a_new_problem_needs_a_name_that_is_a_word(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["new", name]) == 2
-    assert "`name` must be a word" in capsys.readouterr().err
+    assert "must begin with a letter" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["", "metre", "m/", "m//s", "m^x", "kg*m", "m^2.5"])

@@ -125,9 +125,9 @@ def test_an_orbit_with_several_zeno_points_is_not_continued(orbit: zo.ZenoOrbit)
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        (lambda: zo.simulate("no_problem"), "`problem` must be one of"),
-        (lambda: zo.simulate("motor_pendulum", gains={"Kx": 1.0}), "must be one of Kp, Kd"),
-        (lambda: zo.simulate("motor_pendulum", start={"knee": 1.0}), "must be one of theta1"),
+        (lambda: zo.simulate("no_problem"), "unknown problem `no_problem`"),
+        (lambda: zo.simulate("motor_pendulum", gains={"Kx": 1.0}), "unknown gain `Kx`"),
+        (lambda: zo.simulate("motor_pendulum", start={"knee": 1.0}), "unknown state `knee`"),
         (lambda: zo.find_orbit("motor_pendulum", parameters={"R": -1.0}), "`R` must"),
         (lambda: zo.plot(3), "`result` must be one of"),
         (lambda: zo.read_orbit("nowhere.json"), "nowhere.json"),

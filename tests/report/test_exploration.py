@@ -120,7 +120,7 @@ def test_a_problem_is_explored_from_its_file(tmp_path: Path) -> None:
     ("problem", "arguments", "message"),
     [
         ("bouncing_ball", {}, "`bouncing_ball` lacks gains"),
-        ("motor_pendulum", {"vary": {"Kq": (1, 2)}}, "Argument `vary` must be one of"),
+        ("motor_pendulum", {"vary": {"Kq": (1, 2)}}, "Argument `vary`: unknown name `Kq`"),
         (
             "motor_pendulum",
             {"vary": {"Kp": (3, 2)}},

@@ -764,11 +764,11 @@ BESIDE = ("orbit.json", "-o", "f", "--kind", "graph", "--kind", "beside")
         (("orbit.json", "-o", "orbit.json"), "must be a folder, but `orbit.json` is a file"),
         (("orbit.json", "-o", "orbit.json/a"), "must be a folder that can be made"),
         (("none.json", "-o", "f"), "Orbit file `none.json` cannot be read"),
-        (("no_scene", "-o", "f"), "must be one of"),
+        (("no_scene", "-o", "f"), "unknown problem `no_scene`"),
         (("motor_pendulum", "--problem", "a.py", "-o", "f"), "must come with an orbit file"),
         (("orbit.json", "-o", "f", "--kind", "graph", "--recording", "a.csv"), "the kind `beside`"),
         ((*BESIDE, "--recording", "a.csv"), "must hold a recording"),
-        (("orbit.json", "-o", "f", "--kind", "film"), "--kind: must be one of graph"),
+        (("orbit.json", "-o", "f", "--kind", "film"), "--kind: unknown name `film`. Known: graph"),
         (("orbit.json",), "Missing: -o/--output"),
     ],
 )

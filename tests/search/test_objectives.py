@@ -430,7 +430,7 @@ def test_gains_beyond_a_fold_lead_to_the_nearest_orbit_that_attracts(problem: Pr
     [
         ({"restitution": (0.1, 1.0)}, [], None, r"`restitution` must lie in \[0, 1\)"),
         ({"R": (4.0, 2.0)}, [], None, "`vary` must have finite bounds LOWER < UPPER for `R`"),
-        ({"Q": (1.0, 2.0)}, [], None, "`vary` must be one of Kp, .*R.*, but it is `Q`"),
+        ({"Q": (1.0, 2.0)}, [], None, "`vary`: unknown name `Q`.*Known: Kp, .*R"),
         ({}, [Bound(name="angle", upper=1.0)], None, "`bounds` must name a quantity .*`angle`"),
         ({}, [Bound(name="spectral_radius", lower=0.1)], None, "from above only"),
         ({}, [Bound(name="spectral_radius", upper=0.0)], None, "by 0.0001 or more"),

@@ -163,7 +163,10 @@ def test_gains_move_until_every_corner_has_an_orbit() -> None:
     [
         (("--objective", "robustness"), "must have --uncertain NAME=LOW:HIGH"),
         (("--objective", "push", "--uncertain", "R=2:3"), "must have --objective robustness"),
-        (("--objective", "push:theta3=1"), "must be one of theta1, theta2, but it is `theta3`"),
+        (
+            ("--objective", "push:theta3=1"),
+            "unknown name `theta3`. Did you mean `theta2`? Known: theta1, theta2.",
+        ),
         (("--objective", "push:theta1=0"), "must have a finite length above zero"),
         (("--objective", "push=1"), "robustness, impacts or bounce, but it is `push=1`"),
         (

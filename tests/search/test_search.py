@@ -309,7 +309,7 @@ def test_a_box_that_is_empty_or_endless_is_refused(
 
 
 def test_a_gain_that_the_problem_does_not_have_is_refused(problem: Problem) -> None:
-    with pytest.raises(InputError, match=r"`vary` must be one of Kp, Kd, .* but it is `Ki`"):
+    with pytest.raises(InputError, match=r"`vary`: unknown name `Ki`.*Known: Kp, Kd, "):
         search_orbits(problem, problem.values(), free={"Ki": (1.0, 2.0)})
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.api.inputs import Named, Numbers, front_door, known_problem
 from zeno_orbits.errors import InputError, SimulationError, any_number, finite_number, shown
-from zeno_orbits.model import Problem
+from zeno_orbits.model import Problem, require_start
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
@@ -323,9 +323,16 @@ def _system(
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     begin = known.initial_state(start, values) if state is None else _vector(state)
-    if known.has_graph:
-        return known.graph_dynamics(values), begin
-    return known.dynamics(values), begin
+    made = known.graph_dynamics(values) if known.has_graph else known.dynamics(values)
+    if start is not None:
+        import numpy as np
+
+        require_start(made, np.array(begin), _CONTACT, subject="Argument `start`")
+    return made, begin
+
+
+_CONTACT = 1e-6
+"""Relative gap that is left to the simulator, whose settings decide on smaller ones."""
 
 
 def _vector(state: Any) -> list[float]:

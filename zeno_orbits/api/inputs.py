@@ -264,13 +264,14 @@ def as_orbit(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
 
 
 def problem_or_orbit(
-    word: str, numbers: Numbers
+    word: str, numbers: Numbers, file: str | None = None
 ) -> tuple[Problem, dict[str, float], dict[str, float]]:
     """Return a problem with gains and parameters, given by its name or by a file of its orbit.
 
     Args:
         word: A problem's name or file, or an orbit's file. An orbit gives its own values.
         numbers: Name to value, which override those of the orbit.
+        file: File of the orbit's problem.
 
     Returns:
         The problem, and the gains and parameters that differ from its defaults.
@@ -279,7 +280,7 @@ def problem_or_orbit(
         problem = known_problem(word)
         return problem, *split_numbers(problem, numbers)
     orbit = any_orbit(word)
-    problem = problem_of(orbit)
+    problem = problem_of(orbit, file)
     values = orbit.values(problem)
     # Other derived parameters follow from the ones that are given.
     own = {

@@ -506,5 +506,9 @@ def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[FitP
         low, high = max(lower, around[0]), min(upper, around[1])
         if box is not None:
             low, high = number_range("fit", box)
+            if low < lower or high > upper:
+                inside = f"[{lower:g}, {upper:g}]".replace("inf]", "inf)").replace("[-inf", "(-inf")
+                wanted = f"must have a range inside {inside} for `{label}`"
+                raise InputError(f"Argument `fit` {wanted}, but it is {low:g}:{high:g}.")
         found.append(FitParameter(names=names, lower=max(low, lower), upper=min(high, upper)))
     return tuple(found)

@@ -85,8 +85,8 @@ NAMES = {
             meaning="interval of a gain or parameter, which the proof covers as a whole",
             old_arguments=("over",),
         ),
-        Name(name="x", form="NAME=LOW:HIGH", meaning="axis of a map across"),
-        Name(name="y", form="NAME=LOW:HIGH", meaning="axis of a map upwards"),
+        Name(name="x", form="NAME=LOW:HIGH[:COUNT]", meaning="axis of a map across"),
+        Name(name="y", form="NAME=LOW:HIGH[:COUNT]", meaning="axis of a map upwards"),
         Name(
             name="directions",
             form="NAME=VALUE,...",

@@ -9,15 +9,18 @@ import re
 import sys
 import tempfile
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, redirect_stdout
+from contextvars import ContextVar
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypedDict, TypeVar
 from uuid import uuid4
 
 from zeno_orbits import api
 from zeno_orbits.cli.help import help_of
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
-from zeno_orbits.errors import CheckpointError, InputError, WorkError, did_you_mean
+from zeno_orbits.errors import CheckpointError, InputError, WorkError, did_you_mean, not_known
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import require_picture, require_writable, write_whole
 
@@ -34,19 +37,39 @@ _LONGEST_NAME = 200
 Result = TypeVar("Result")
 
 
+_NEGATIVE = re.compile(r"-(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?$|-(?:inf|nan)$")
+"""Negative numbers, which are values. ``argparse`` takes those with an exponent for options."""
+
+
 class Parser(argparse.ArgumentParser):
     """A parser that refuses bad input in one line, and asks whether a near name is meant."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._words: list[str] = []
+        self._negative_number_matcher = _NEGATIVE
 
     def parse_known_args(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, args: Any = None, namespace: Any = None
     ) -> Any:
         """Return the options. An unknown word is an error of this command."""
+        self._words = [*(sys.argv[1:] if args is None else args)]
+        self._require_no_empty_word()
         found, rest = super().parse_known_args(args, namespace)
         if rest:
             known = [word for action in self._actions for word in action.option_strings]
             near = did_you_mean(rest[0].partition("=")[0], known)
             self.error(f"unrecognized arguments: {' '.join(rest)}.{near}")
         return found, rest
+
+    def _require_no_empty_word(self) -> None:
+        """Refuse an empty value, which would be the current folder as a path."""
+        for before, word in pairwise(["", *self._words]):
+            empty = re.fullmatch(r"(--[\w-]+)=", word)
+            if (word and not empty) or " " not in self.prog:
+                continue
+            label = empty[1] if empty else before if before.startswith("-") else "an argument"
+            self.error(f"{label}: the value is empty. Give a value, or leave it out.")
 
     def format_help(self) -> str:
         """Return the help of common options, in groups."""
@@ -62,31 +85,42 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with the code of misuse."""
-        report.print_error(f"{_sentence(message)} (see `{self.prog} --help`)")
+        report.print_error(f"{_sentence(message, self._words)} (see `{self.prog} --help`)")
         sys.exit(MISUSE)
 
 
-def _sentence(message: str) -> str:
-    """Return a message of ``argparse`` in the form of the package's own messages."""
+def _sentence(message: str, words: Sequence[str]) -> str:
+    """Return a message of ``argparse`` in the form of the package's own messages.
+
+    Args:
+        message: The message.
+        words: The command line, whose form of an option is taken.
+    """
     missing = re.fullmatch(r"the following arguments are required: (.*)", message)
     if missing is not None:
         return f"Missing: {missing[1]}."
-    found = re.fullmatch(r"argument (?:-\w/)?([^:]+): (.*)", message, flags=re.DOTALL)
+    found = re.fullmatch(r"argument ([^:]+): (.*)", message, flags=re.DOTALL)
     if found is None:
-        return message[0].upper() + message[1:]
-    label, clause = found.groups()
+        return message if message.startswith("-") else message[0].upper() + message[1:]
+    forms, clause = found[1].split("/"), found[2]
+    label = next((one for one in forms if _is_typed(one, words)), forms[-1])
     if clause == "expected one argument":
         clause = "a value is missing"
     choice = re.fullmatch(r"invalid choice: '(.*)' \(choose from (.*)\)", clause, flags=re.DOTALL)
     if choice is not None:
         given, known = choice[1], re.findall(r"'([^']*)'", choice[2])
-        clause = f"must be one of {', '.join(known)}, but it is `{given}`."
-        clause += did_you_mean(given, known)
+        clause = not_known(given, known)
     named = re.fullmatch(r"Argument `([^`]+)` (.*)", clause, flags=re.DOTALL)
     if named is not None:
         same = label == f"--{named[1]}"
         label, clause = label if same else f"{label} {named[1]}", named[2]
     return f"{label}: {clause}{'' if clause.endswith(('.', '?')) else '.'}"
+
+
+def _is_typed(option: str, words: Sequence[str]) -> bool:
+    """Return True if an option is among the words, with or without its value in the same word."""
+    glued = option if len(option) == 2 else f"{option}="
+    return any(word == option or word.startswith(glued) for word in words)
 
 
 class _HelpAll(argparse.Action):
@@ -150,10 +184,10 @@ def _folded_example(command: str) -> str:
     return " \\\n".join(lines)
 
 
-_PROBLEM = "a problem's name (NAME@FIDELITY for a reduced model) or Python file"
+PROBLEM_HELP = "a problem's name (NAME@FIDELITY for a reduced model) or Python file"
 
 
-def add_problem(parser: argparse.ArgumentParser, meaning: str = _PROBLEM) -> None:
+def add_problem(parser: argparse.ArgumentParser, meaning: str = PROBLEM_HELP) -> None:
     """Add the problem, its gains and its parameters."""
     parser.add_argument("problem", metavar="PROBLEM", help=meaning)
     add_values(parser)
@@ -213,10 +247,13 @@ def add_at(parser: argparse.ArgumentParser) -> None:
     _add_named(parser, "--at", "STATE=VALUE", meaning)
 
 
-def add_problem_file(parser: argparse.ArgumentParser) -> None:
+def add_problem_file(parser: argparse.ArgumentParser, dest: str = "problem") -> None:
     """Add the file of an orbit's problem."""
     parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
+        "--problem",
+        dest=dest,
+        metavar="FILE.py",
+        help="the problem's file, if it is neither bundled nor found beside the orbit",
     )
 
 
@@ -362,9 +399,23 @@ def _kept(options: argparse.Namespace, folder: Path | None) -> str:
     return f"`{folder}` keeps the finished work: {again} continues from there"
 
 
+def read_orbit_path(word: str) -> Path:
+    """Return the path of an orbit file.
+
+    Raises:
+        ArgumentTypeError: If the word is a problem.
+    """
+    path = Path(word)
+    is_problem = word.partition("@")[0] in api.bundled_names() or path.suffix == ".py"
+    if is_problem and not (path.is_file() and path.suffix != ".py"):
+        command = f"zeno-orbits search {word} -o orbit.json"
+        raise argparse.ArgumentTypeError(f"`{word}` is a problem: run `{command}` first")
+    return path
+
+
 def add_orbit(parser: argparse.ArgumentParser) -> None:
     """Add the orbit file and its problem."""
-    parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
+    parser.add_argument("orbit", metavar="ORBIT.json", type=read_orbit_path, help="an orbit file")
     add_problem_file(parser)
 
 
@@ -409,6 +460,32 @@ def orbit_and_problem(options: argparse.Namespace) -> tuple[zo.ZenoOrbit, zo.Pro
     return orbit, api.problem_to_check(orbit, options.problem)
 
 
+_OTHER_KINDS = (
+    ".xlsx",
+    ".xls",
+    ".ods",
+    ".mat",
+    ".h5",
+    ".hdf5",
+    ".parquet",
+    ".npz",
+    ".pkl",
+    ".yaml",
+)
+"""Endings of files of other kinds, which no command writes."""
+
+
+def require_data_name(path: Path, argument: str = "output") -> None:
+    """Refuse an output whose name promises another kind of file.
+
+    Raises:
+        InputError: If the ending is one of a spreadsheet or of a binary format.
+    """
+    if path.suffix.lower() in _OTHER_KINDS:
+        message = f"cannot be written as {path.suffix}. Take .json (.csv for a recording)"
+        raise InputError(f"Argument `{argument}` {message}.")
+
+
 def require_outputs(
     options: argparse.Namespace,
     files: Sequence[str] = ("output",),
@@ -433,6 +510,8 @@ def require_outputs(
         path = getattr(options, name)
         if path is None:
             continue
+        if name in files:
+            require_data_name(path, name)
         require = require_writable if name in files else require_picture
         require(path, name)
         other = taken.setdefault(os.path.realpath(path), f"`{name}`")
@@ -441,9 +520,24 @@ def require_outputs(
             raise InputError(f"Argument `{name}` {wanted}.")
 
 
+JSON_OUTPUT: ContextVar[TextIO | None] = ContextVar("JSON_OUTPUT", default=None)
+"""Where JSON is printed, while the standard output of a problem's code goes elsewhere."""
+
+
+@contextmanager
+def only_json() -> Generator[None]:
+    """Send everything but JSON to standard error."""
+    token = JSON_OUTPUT.set(sys.stdout)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        JSON_OUTPUT.reset(token)
+
+
 def print_json(data: Any) -> None:
     """Print data as JSON."""
-    print(json_text(data))
+    print(json_text(data), file=JSON_OUTPUT.get())
 
 
 def json_text(data: Any) -> str:

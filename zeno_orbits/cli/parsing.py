@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from zeno_orbits.errors import InputError, did_you_mean
+from zeno_orbits.errors import InputError, did_you_mean, not_known
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
@@ -79,7 +80,13 @@ def _number(text: str, wanted: str) -> float:
         return float("" if "_" in text else text)
     except ValueError:
         message = f"must {wanted}, but it is `{text}`"
+        if _COMMA.fullmatch(text):
+            message += f". Write a decimal point: {text.replace(',', '.')}"
         raise argparse.ArgumentTypeError(message) from None
+
+
+_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
+"""A number with a decimal comma."""
 
 
 def read_share(text: str) -> float:
@@ -156,6 +163,25 @@ def read_range(text: str) -> Range:
     return Range(name, (_number(low, wanted), _number(high, wanted)))
 
 
+class AxisRange(NamedTuple):
+    """A name with the ends of its range, and the number of points if it was given."""
+
+    range: Range
+    points: int | None
+
+    def __str__(self) -> str:
+        """Return the words that `read_axis` reads."""
+        return str(self.range) if self.points is None else f"{self.range}:{self.points}"
+
+
+def read_axis(text: str) -> AxisRange:
+    """Return an axis of a map from ``NAME=LOW:HIGH`` or ``NAME=LOW:HIGH:COUNT``."""
+    ends, _, count = text.rpartition(":")
+    if ends.count(":") == 1:
+        return AxisRange(read_range(ends), read_count(count))
+    return AxisRange(read_range(text), None)
+
+
 def read_bound(text: str) -> tuple[str, zo.Bound]:
     """Return name and bound from ``NAME=LOWER:UPPER``, an open end left empty."""
     import zeno_orbits as zo
@@ -214,8 +240,7 @@ def read_point_kind(text: str) -> zo.SpecialPointKind:
 
     words = api.located_point_kinds()
     if text not in words:
-        message = f"must be one of {', '.join(words)}, but it is `{text}`."
-        raise argparse.ArgumentTypeError(message + did_you_mean(text, words))
+        raise argparse.ArgumentTypeError(not_known(text, words))
     return words[text]
 
 
@@ -302,9 +327,13 @@ def read_wish(text: str) -> Wish:
     takes = "NOTHING" if known is None else known.operand.name
     lacks = not rest and (takes == "SIGNAL" or text != word)
     if known is None or (takes == "NOTHING" and rest) or lacks:
-        *most, last = (one.usage for one in objectives.values())
-        message = f"must be {', '.join(most)} or {last}, but it is `{text}`."
-        raise argparse.ArgumentTypeError(message + did_you_mean(word, objectives))
+        if known is not None and lacks:
+            raise argparse.ArgumentTypeError(f"`{text}` lacks its value. Write {known.usage}")
+        if known is not None:
+            raise argparse.ArgumentTypeError(f"`{word}` takes no value, but `{rest}` is given")
+        usages = ", ".join(one.usage for one in objectives.values())
+        near = did_you_mean(word, objectives)
+        raise argparse.ArgumentTypeError(f"unknown objective `{word}`.{near} Known: {usages}.")
     operand: Any = rest
     if takes in ("NUMBERS", "DIRECTION"):
         operand = _targets(rest)

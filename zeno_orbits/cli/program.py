@@ -6,7 +6,7 @@ import argparse
 import sys
 import warnings
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any
 
 import zeno_orbits
@@ -29,7 +29,7 @@ from zeno_orbits.cli.commands.simulate import add_simulate
 from zeno_orbits.cli.commands.stability import add_stability
 from zeno_orbits.cli.commands.verify import add_verify
 from zeno_orbits.cli.old_forms import in_new_forms
-from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser, print_json
+from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser, only_json, print_json
 from zeno_orbits.cli.process import Interrupts, patient_streams
 from zeno_orbits.cli.typed import as_typed
 from zeno_orbits.errors import EquationsWarning, InputError, ZenoOrbitsError
@@ -83,9 +83,11 @@ def _answer(options: argparse.Namespace) -> int:
     # A second interrupt must not end the report of the first.
     with Interrupts() as interrupts, _warnings_as_notes():
         options.interrupts = interrupts
+        options.refused = False
         BUILD_WATCH.set(lambda: report.ProgressLine(interrupts.check))
         try:
-            code: int = options.run(options)
+            with only_json() if options.json else nullcontext():
+                code: int = options.run(options)
             # A disk may turn out to be full as late as here.
             sys.stdout.flush()
             return _of_signal(options) if code == INTERRUPTED else code
@@ -138,6 +140,9 @@ def _about_unexpected(error: Exception) -> str:
 
 def _tell_of_loop(options: argparse.Namespace) -> None:
     """Print why executions run in Python if they do, and with `--verbose` how they run."""
+    if options.refused and not options.verbose:
+        # An error is one line.
+        return
     if "zeno_orbits.loop.library" not in sys.modules:
         return
     from zeno_orbits.loop import loop_account, loop_trouble, refusals
@@ -164,6 +169,7 @@ def _end(error: Exception, code: int, options: argparse.Namespace, text: str = "
     """Print an error, by its message or another text, for users and for programs."""
     if options.debug:
         raise error
+    options.refused = code == MISUSE
     said = text or as_typed(str(error), options.words, options)
     report.print_error(said)
     if options.json:

@@ -11,10 +11,11 @@ from pathlib import Path
 from zeno_orbits.cli.old_forms import OPTIONS
 
 _UNKNOWN = re.compile(
-    r"Argument `(?:parameter|gain|state|name|vary)` must be one of (.*), but it is `([^`]*)`\."
-    r"( Did you mean `[^`]*`\?)?"
+    r"Argument `(?:parameter|gain|state|name|vary)`: unknown (\w+) `([^`]*)`\."
+    r"( Did you mean `[^`]*`\?)? Known: (.*)\."
 )
 _ARGUMENT = re.compile(r"Argument `([^`]+)`:? (.*)", flags=re.DOTALL)
+_FILE = re.compile(r"[A-Z][a-z]+ file `")
 _ROOM_NAMES = {
     "gain": "--set",
     "most_steps": "--max-steps",
@@ -38,23 +39,34 @@ def as_typed(message: str, words: Sequence[str], options: argparse.Namespace) ->
     found = _UNKNOWN.fullmatch(message)
     typed = "" if found is None else _option_of_name(found[2], words)
     if found is not None and typed:
-        known, name, near = found.groups()
-        kind = _KINDS.get(re.split(r"[ =]", typed)[0], "name")
+        noun, name, near, known = found.groups()
+        kind = _KINDS.get(re.split(r"[ =]", typed)[0], noun)
         return f"{typed}: unknown {kind} `{name}`.{near or ''} Known: {known}."
     folder = f"Checkpoint `{getattr(options, 'checkpoint', None)}` "
     if message.startswith(folder):
         return f"{_typed({'--checkpoint'}, words)}: {message.removeprefix(folder)}"
     about = _ARGUMENT.fullmatch(message)
     if about is None:
-        return message
+        label = _option_of_path(message, words, options) if _FILE.match(message) else ""
+        return f"{label}: {message}" if label else message
     if about[1].startswith("--"):
         return f"{about[1]}: {about[2]}"
     label = (
         _option_of_path(about[2], words, options)
         or _option_of(about[1], words, options)
         or _option_of_name(about[1], words)
+        or _positional(about[1], options)
     )
     return f"{label}: {about[2]}" if label else message
+
+
+def _positional(argument: str, options: argparse.Namespace) -> str:
+    """Return a word without an option that gave an argument, after its name in the usage."""
+    for action in options.parser.actions():
+        given = getattr(options, action.dest, None)
+        if action.dest == argument and not action.option_strings and given is not None:
+            return f"{action.metavar or action.dest} {given}"
+    return ""
 
 
 def _option_of_path(clause: str, words: Sequence[str], options: argparse.Namespace) -> str:
@@ -62,7 +74,8 @@ def _option_of_path(clause: str, words: Sequence[str], options: argparse.Namespa
     named = [
         action
         for action in options.parser.actions()
-        if action.type is Path and f"`{getattr(options, action.dest, None)}`" in clause
+        if (action.type is Path or action.dest == "problem")
+        and f"`{getattr(options, action.dest, None)}`" in clause
     ]
     return _typed({*named[0].option_strings}, words) if len(named) == 1 else ""
 
@@ -88,7 +101,9 @@ def _typed(strings: set[str], words: Sequence[str]) -> str:
 def _strings(argument: str, options: argparse.Namespace) -> set[str]:
     """Return the option strings of an argument in the command."""
     command = options.parser.prog.split()[-1]
-    wanted = {f"--{argument.replace('_', '-')}", _ROOM_NAMES.get(argument, "")}
+    own = f"--{argument.replace('_', '-')}"
+    known = {one for action in options.parser.actions() for one in action.option_strings}
+    wanted = {own} if own in known else {own, _ROOM_NAMES.get(argument, "")}
     wanted |= {OPTIONS.get(command, {}).get(one, "") for one in tuple(wanted)}
     found: set[str] = set()
     for action in options.parser.actions():

@@ -153,7 +153,7 @@ def start_at_release(
         metric=_metric(cycle, box, orbit.period),
         simulation=settings.simulation,
     )
-    return FamilyStart(setup=setup, x=x, s=_checked(problem, values, "in", parameter, box))
+    return FamilyStart(setup=setup, x=x, s=_checked(problem, values, "parameter", parameter, box))
 
 
 _SAMPLES = 20
@@ -184,7 +184,7 @@ def start_at_impact(
         InputError: If a name or a range does not fit.
         SimulationError: If the impacts do not converge, or contact persists.
     """
-    s = _checked(problem, values, "in", parameter, box)
+    s = _checked(problem, values, "parameter", parameter, box)
     settling = run_to_attractor(problem.dynamics(values), [state], problem=problem)
     cycle = settling.cycle
     lacking = "The motion does not converge to an orbit without a Zeno point"
@@ -219,7 +219,7 @@ def start_at_impacts_of(
     """
     _require_orbit_of(problem, orbit.problem)
     values = orbit.values(problem)
-    s = _checked(problem, values, "in", parameter, box)
+    s = _checked(problem, values, "parameter", parameter, box)
     cycle = cycle_of(
         problem.dynamics(values),
         np.array(problem.state_vector(orbit.start_state)),
@@ -280,7 +280,7 @@ def start_at_event(
     """
     _require_orbit_of(problem, orbit.problem)
     values = orbit.values(problem)
-    s = _checked(problem, values, "in", parameter, box)
+    s = _checked(problem, values, "parameter", parameter, box)
     graph = problem.graph_dynamics(values)
     x = np.array(problem.state_vector(orbit.start_state))
     found = event_return(
@@ -348,7 +348,7 @@ def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
         parameter: Name of the parameter that changes.
     """
     direction = np.zeros(p.size)
-    direction[problem.place(parameter, argument="in")] = 1.0
+    direction[problem.place(parameter, argument="parameter")] = 1.0
     return Line(origin=p * (1 - direction), direction=direction)
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
-from zeno_orbits.errors import InputError, KernelError
+from zeno_orbits.errors import InputError, KernelError, not_known
 from zeno_orbits.loop.compiler import find_compiler
 from zeno_orbits.loop.export import (
     ExportedRun,
@@ -98,8 +98,7 @@ class ExportedUnit:
         known = self.run.parameter_names
         for name in self.inputs:
             if name not in known:
-                message = f"must be one of {', '.join(known)}, but it is `{name}`"
-                raise InputError(f"Argument `input` {message}.")
+                raise InputError(f"Argument `input`: {not_known(name, known)}")
 
 
 def exported_unit(program: Program | GraphProgram, unit: ExportedUnit) -> tuple[bytes, str]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from zeno_orbits.errors import MapFileError
+from zeno_orbits.errors import BoundaryFileError, MapFileError
 from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
 from zeno_orbits.maps.mapping import FORMAT, BetweenPoint, Boundary, ParameterMap
 from zeno_orbits.maps.plane import MOST_HALVINGS
@@ -71,18 +71,21 @@ def read_boundaries(path: Path, x: str, y: str) -> tuple[Boundary, ...]:
         y: Gain or parameter of the vertical axis.
 
     Raises:
-        MapFileError: If the file is missing, or does not contain a curve in this plane.
+        BoundaryFileError: If the file is missing, or does not contain a curve in this plane.
     """
     try:
         data = read_json(path)
+    except ValueError as error:
+        raise BoundaryFileError(path, str(error)) from error
+    try:
         if isinstance(data, dict):
             data = cast("dict[str, Any]", data)["boundaries"]
         curves = cast("list[Mapping[str, Any]]", data)
         found = [boundary for curve in curves if (boundary := _boundary_of(curve, x, y))]
     except (ValueError, KeyError, TypeError) as error:
-        raise MapFileError(path, f"it holds no boundaries ({type(error).__name__})") from error
+        raise BoundaryFileError(path, "it has none") from error
     if not found:
-        raise MapFileError(path, f"it holds no boundary over {x} and {y}")
+        raise BoundaryFileError(path, f"it has none over {x} and {y}")
     return tuple(found)
 
 

@@ -284,6 +284,11 @@ def _gaps(gap: ca.SX | None, stops: Sequence[Stop]) -> tuple[ca.SX, ...]:
                 f"Argument `gap` of the stop `{stop.name}` must be one formula, but its shape is "
                 f"{shape}."
             )
+    if gap is not None and not gap.is_scalar():
+        raise ValueError(
+            f"Argument `gap` must be one formula, but its shape is {gap.shape}. Declare several "
+            "stops with `stops`."
+        )
     return (gap,) if gap is not None else tuple(ca.SX(stop.gap) for stop in stops)
 
 

@@ -56,14 +56,64 @@ def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
     numeric = next(_numeric_calls(tree), None)
     if isinstance(error, NotSymbolicError) or (text.endswith("it is not finite") and numeric):
         return _NOT_SYMBOLIC, numeric
-    line = _line_in_trace(error, file) or next(_arguments(tree, _argument_in(text)), None)
+    text = _about_inductance(text, tree)
+    line = _line_of_argument(tree, text, _line_in_trace(error, file))
     if _NO_TRUTH in text:
         return _CONDITION, line
     if set(re.findall(r"'(\w+)'", text)) >= _TWO_SYMBOLS:
         return "symbols of two kinds. Write `ca.SX.sym` for every symbol", line
+    if "Assertion" in text and "casadi" in text:
+        reason = text.partition("failed:")[2].strip() or "a dimension is wrong"
+        return f"formulas whose shapes do not fit ({reason})", line
     if isinstance(error, ValueError):
         return text, line
     return f"{type(error).__name__}: {text}", line
+
+
+def _about_inductance(text: str, tree: ast.AST) -> str:
+    """Return a message about the coenergy in the word of a file that gives an inductance."""
+    if not text.startswith("Argument `coenergy`") or next(_arguments(tree, "coenergy"), None):
+        return text
+    return "Argument `inductance` must be positive (definite for several motors)"
+
+
+def _line_of_argument(tree: ast.AST, text: str, line: int | None) -> int | None:
+    """Return the line of the argument that a message names, in the call that a trace ends in.
+
+    Args:
+        tree: The file.
+        text: The message.
+        line: Line of the trace, or None for a check after the file was read.
+    """
+    names = [_argument_in(text), *(("kinetic", "mass_matrix") if "mass matrix" in text else ())]
+    calls = [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and line in (None, node.lineno)
+    ]
+    if line is not None:
+        # The call itself is the outermost of those that begin in its line.
+        calls = calls[:1]
+    for name in names:
+        for call in calls:
+            if any(word.arg == name for word in call.keywords):
+                return next(word.lineno for word in call.keywords if word.arg == name)
+    mistake = re.split(r": write| Known | Did you mean", text)[0]
+    values = re.findall(r"`'?([^`']+)'?`", mistake)
+    for value in reversed(values) if line is not None else ():
+        nodes = [node for call in calls for node in ast.walk(call)]
+        # A declared name is the first argument of its `Quantity`, or `name`.
+        declared = [one for node in nodes if isinstance(node, ast.Call) for one in _names(node)]
+        for node in (*declared, *nodes):
+            if isinstance(node, ast.Constant) and node.value == value:
+                return node.lineno
+    elsewhere = list(_arguments(tree, names[0])) if calls else []
+    return elsewhere[0] if len(elsewhere) == 1 else line
+
+
+def _names(call: ast.Call) -> list[ast.expr]:
+    """Return the expressions that name what a call makes."""
+    return [*call.args[:1], *(word.value for word in call.keywords if word.arg == "name")]
 
 
 def _line_in_trace(error: BaseException, file: Path) -> int | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError, did_you_mean, finite_number, shortened
+from zeno_orbits.errors import InputError, finite_number, not_known, shortened
 from zeno_orbits.model.units import powers_of
 from zeno_orbits.work import require_kinds
 
@@ -185,7 +185,7 @@ class ParameterValues:
 
 def _require_name(argument: str, name: str) -> None:
     if not name.isidentifier():
-        wanted = "must be a word of letters, digits and underscores"
+        wanted = "must begin with a letter and hold letters, digits and underscores only"
         raise InputError(f"Argument `{argument}` {wanted}, but it is `{shortened(name)}`.")
 
 
@@ -306,5 +306,5 @@ def unknown(kind: str, name: str, known: tuple[str, ...]) -> str:
         name: The name.
         known: The names that it may be.
     """
-    refusal = f"Argument `{kind}` must be one of {', '.join(known) or 'none'}, but it is `{name}`."
-    return refusal + did_you_mean(name, known)
+    noun = kind if kind in ("problem", "gain", "parameter", "state") else "name"
+    return f"Argument `{kind}`: {not_known(name, known, noun)}"

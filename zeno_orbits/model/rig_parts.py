@@ -7,12 +7,13 @@ declare the parts of its own machine (``Problem.rig``). Their behaviour is defin
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, ClassVar
 
-from zeno_orbits.errors import InputError, did_you_mean
+from zeno_orbits.errors import InputError, did_you_mean, not_known
 from zeno_orbits.model.quantities import Quantity, positive
 from zeno_orbits.work import require_kinds
 
@@ -274,7 +275,13 @@ def rig_with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
             raise InputError(_unknown_number(name, part, known))
         given.setdefault((part, owner), {})[field_name] = value
     for (part, owner), changes in given.items():
-        rig = _with_part(rig, part, owner, changes)
+        try:
+            rig = _with_part(rig, part, owner, changes)
+        except InputError as error:
+            # The user wrote the whole name of the value.
+            whole = ".".join(filter(None, (part, owner)))
+            text = re.sub(r"^Argument `(\w+)`", rf"Argument `{whole}.\1`", str(error))
+            raise InputError(text) from error
     return rig
 
 
@@ -307,9 +314,7 @@ def _unknown_number(name: str, part: str, known: Sequence[str]) -> str:
     if not known:
         parts = (*_ONE, *_MANY)
         near = did_you_mean(name.partition(".")[0], parts)
-        wanted = f"must begin with one of {', '.join(parts)}"
-        return f"Argument `part` {wanted}, but it is `{name}`.{near}"
+        return f"Argument `part`: unknown part in `{name}`.{near} Known: {', '.join(parts)}."
     owner = {"friction": "COORDINATE.", "gears": "MOTOR."}.get(part, "")
     forms = [f"{part}.{owner}{field_name}" for field_name in known]
-    near = did_you_mean(name, forms)
-    return f"Argument `part` must be one of {', '.join(forms)}, but it is `{name}`.{near}"
+    return f"Argument `part`: {not_known(name, forms)}"

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits.errors import InputError, any_number, did_you_mean, named_numbers, number_range
+from zeno_orbits.errors import InputError, any_number, named_numbers, not_known, number_range
 from zeno_orbits.work import Checked, require_kinds
 
 if TYPE_CHECKING:
@@ -234,6 +234,31 @@ class TargetPeriod(Target):
         """Return the period of a simulated cycle [s]."""
         return cycle.period
 
+    def is_far_from(self, period: float) -> bool:
+        """Return True if a period or time scale [s] differs by more than a factor of 100."""
+        return not 1.0 / _FARTHEST < self.target / period < _FARTHEST
+
+    def require_near(self, periods: Sequence[float]) -> None:
+        """Refuse a period that is far from the periods of all orbits that were seen.
+
+        Args:
+            periods: Periods of the orbits [s]. Without an orbit nothing is refused.
+
+        Raises:
+            InputError: If no period is within a factor of 100.
+        """
+        if not periods or not all(map(self.is_far_from, periods)):
+            return
+        seen = " to ".join(dict.fromkeys(f"{one:.4g}" for one in (min(periods), max(periods))))
+        raise InputError(
+            f"Argument `objective` asks for a period of {self.target:g} s, but the orbits seen "
+            f"have periods of {seen} s. Give the period in seconds."
+        )
+
+
+_FARTHEST = 100.0
+"""Ratio beyond which a prescribed period is taken for a slip of the unit."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetAmplitude(Target):
@@ -359,9 +384,7 @@ class MinPeak(WorstCase):
         else:
             known = signal_names(problem.compiled())
         if self.signal not in known:
-            wanted = f"must name a signal of the problem ({', '.join(known)})"
-            near = did_you_mean(self.signal, known)
-            raise InputError(f"Argument `objective` {wanted}, but it names `{self.signal}`.{near}")
+            raise InputError(f"Argument `objective`: {not_known(self.signal, known)}")
         WorstCase.check(self, problem, free)
 
 

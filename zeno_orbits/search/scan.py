@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Accuracy, Attractor, AttractorClass, attractors_at
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem, own_time
 from zeno_orbits.orbits import (
     Cycle,
     EventSequence,
@@ -26,7 +26,7 @@ from zeno_orbits.orbits import (
     objection_to,
     place_on_section,
 )
-from zeno_orbits.search.objectives import Target
+from zeno_orbits.search.objectives import Target, TargetPeriod
 from zeno_orbits.search.search_problem import SearchProblem, clipped
 from zeno_orbits.search.shooting.closing import orbit_of
 from zeno_orbits.search.shooting.guess import TransientSettings
@@ -105,6 +105,27 @@ def scan_summary(search: SearchProblem) -> str:
     counts = Counter(one.phrase for one in _attractors(search)).most_common()
     found = ", ".join(f"{phrase} ({count})" for phrase, count in counts)
     return f"{len(_places(search))} points of the box were simulated: {found}."
+
+
+def require_period_in_reach(search: SearchProblem) -> None:
+    """Refuse a period that is far from those of all orbits of the scan.
+
+    The scan takes seconds, so it is asked only if the period is also far from the time scale of the
+    problem.
+
+    Args:
+        search: The search.
+
+    Raises:
+        InputError: If no period of an orbit is near it (`TargetPeriod.require_near`).
+    """
+    objective, problem = search.objective, search.problem
+    if not isinstance(objective, TargetPeriod) or not search.free:
+        return
+    start = np.array(problem.state_vector(problem.starts[0], search.values))
+    if objective.is_far_from(own_time(problem.dynamics(search.values), start)):
+        orbits = [one for one in _attractors(search) if one.fate in PHASE]
+        objective.require_near([one.period for one in orbits])
 
 
 class _Rank(NamedTuple):

@@ -112,9 +112,17 @@ def search_orbits(
     if near is not None:
         search = replace(search, shape=near.shape.agreed(shape))
     search = with_targets(search)
+    _require_reach(search)
     if spread is None:
         return _ranked(search, outcomes_here(search, accept), accept)
     return _ranked(search, outcomes_spread(search, accept, spread), accept)
+
+
+def _require_reach(search: SearchProblem) -> None:
+    """Refuse a target that no orbit comes near to."""
+    from zeno_orbits.search.scan import require_period_in_reach
+
+    require_period_in_reach(search)
 
 
 def _ranked(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from zeno_orbits.errors import InputError, SimulationError, did_you_mean
+from zeno_orbits.errors import InputError, SimulationError, not_known
 from zeno_orbits.model import HybridDynamics, Problem, bind
 from zeno_orbits.orbits import Cycle, ZenoOrbit, orbit_multipliers, place_on_section
 from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal, signal_names
@@ -42,9 +42,7 @@ def require_quantities(names: Sequence[str], problem: Problem, argument: str) ->
     known = quantity_names(problem)
     for name in names:
         if name not in known:
-            wanted = f"must name a quantity of the problem ({', '.join(known)})"
-            near = did_you_mean(name, known)
-            raise InputError(f"Argument `{argument}` {wanted}, but it names `{name}`.{near}")
+            raise InputError(f"Argument `{argument}`: {not_known(name, known)}")
 
 
 def measure(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import sys
 import tempfile
 import threading
 import time
@@ -239,6 +240,8 @@ def _begin(parent: int, notes: str) -> None:
         parent: Identifier of the parent process.
         notes: Folder of the parent's progress files, removed if the parent ended without doing so.
     """
+    # What the code of a problem prints does not belong to the output of a command.
+    sys.stdout = sys.stderr
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

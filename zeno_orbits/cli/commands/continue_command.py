@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
+    PROBLEM_HELP,
     YES,
     add_command,
     add_place,
     add_problem,
+    add_problem_file,
     add_shared,
     hand_out,
     numbers_of,
@@ -44,15 +46,15 @@ def add_continue(commands: Any) -> None:
         "continue an orbit in a gain or a parameter, stable or not, to the ends of its branch",
         [
             "zeno-orbits continue motor_pendulum --parameter restitution=0:0.5 --plot family.png",
-            "zeno-orbits continue motor_pendulum --parameter Kd=-2.5:0 --near orbit.json "
-            "-o family.json",
+            "zeno-orbits continue orbit.json --parameter Kd=-2.5:0 -o family.json",
             "zeno-orbits continue motor_pendulum --parameter Kd=-2.5:0 "
             "--parameter2 Kp=1:6 --kind fold",
             "zeno-orbits continue forced_oscillator --parameter A=0.05:1.5 --section impact "
             "--set c=0.1 --set stop=1 --set restitution=0.8 --start speed=1 --start cosine=1",
         ],
     )
-    add_problem(parser)
+    add_problem(parser, f"{PROBLEM_HELP}, or an orbit file to start from")
+    add_problem_file(parser, "problem_file")
     add_shared(parser, "parameter", dest="range", type=read_range, required=True)
     add_shared(
         parser,
@@ -108,9 +110,9 @@ def _add_second(parser: argparse.ArgumentParser) -> None:
 def _run_continue(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
 
-    problem = api.known_problem(options.problem)
+    problem = _problem(options)
     require_outputs(options)
-    problem.require_range(*options.range, argument="in")
+    problem.require_range(*options.range, argument="parameter")
     if options.second is not None:
         problem.require_range(*options.second, argument="second")
 
@@ -127,6 +129,18 @@ def _run_continue(options: argparse.Namespace) -> int:
         return NO if any(end.kind is zo.SpecialPointKind.GAVE_UP for end in ends) else YES
 
     return run_resumable(options, work, finish)
+
+
+def _problem(options: argparse.Namespace) -> zo.Problem:
+    """Return the problem, which an orbit file in its place names and starts."""
+    if Path(options.problem).suffix != ".json":
+        if options.problem_file is not None:
+            raise InputError("Argument `--problem` needs an orbit file in place of PROBLEM.")
+        return api.known_problem(options.problem)
+    if options.start_orbit is not None:
+        raise InputError(f"Argument `--from` is not needed: the start is `{options.problem}`.")
+    options.start_orbit = Path(options.problem)
+    return api.problem_of(api.any_orbit(options.start_orbit), options.problem_file)
 
 
 def _print_held(options: argparse.Namespace, problem: zo.Problem, found: zo.Continuation) -> None:
@@ -155,7 +169,7 @@ def _continued(
     }
     if options.section == "impact":
         return api.continue_impacts(
-            options.problem,
+            problem,
             (name, *box),
             start=options.start,
             **numbers_of(problem, options),
@@ -165,9 +179,7 @@ def _continued(
     if options.second is not None:
         second = api.second_parameter(options.second.name, options.second.box, options.point)
     orbit = _orbit(options, problem, progress)
-    return api.continue_orbit(
-        orbit, (name, *box), problem=options.problem, parameter2=second, **common
-    )
+    return api.continue_orbit(orbit, (name, *box), problem=problem, parameter2=second, **common)
 
 
 def _require_agreement(options: argparse.Namespace) -> None:
@@ -191,5 +203,5 @@ def _orbit(
         return api.orbit_inside(problem, dict(ranges), numbers=options.set, on_progress=progress)
     if options.set:
         message = "cannot be combined with --set: the orbit file defines all values"
-        raise InputError(f"Argument `near` {message}.")
+        raise InputError(f"Argument `--near {options.start_orbit}` {message}.")
     return api.any_orbit(options.start_orbit)

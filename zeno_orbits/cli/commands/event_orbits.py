@@ -6,7 +6,14 @@ import argparse
 from typing import TYPE_CHECKING
 
 from zeno_orbits import api
-from zeno_orbits.cli.options import NO, YES, numbers_of, print_json, say_written
+from zeno_orbits.cli.options import (
+    NO,
+    YES,
+    numbers_of,
+    print_json,
+    require_data_name,
+    say_written,
+)
 from zeno_orbits.cli.parsing import over_ranges, read_wish, require_starts_inside
 from zeno_orbits.cli.search_output import lacking_orbits, ranking
 from zeno_orbits.errors import InputError
@@ -65,6 +72,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
 
     _refuse(options, _SEARCH)
     if options.output is not None:
+        require_data_name(options.output)
         require_writable(options.output)
     varies = options.vary or options.objective or options.bounds or options.uncertain
     if varies or options.candidates > 1:

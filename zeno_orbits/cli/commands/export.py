@@ -106,7 +106,7 @@ def _exported(
     """
     import numpy as np
 
-    from zeno_orbits.loop import ExportedRun, program_or_reason
+    from zeno_orbits.loop import ExportedRun, loop_trouble, program_or_reason
     from zeno_orbits.simulation import (
         SimulationTask,
         run_settings,
@@ -126,7 +126,8 @@ def _exported(
     else:
         program, settings = whole_program(graph.compiled), settings_of_stops(task, graph)
     if isinstance(program, str):
-        raise InputError(f"Argument `problem` cannot be exported: {program}.")
+        reason = loop_trouble() or program
+        raise InputError(f"Argument `problem` cannot be exported: {reason}.")
     run = ExportedRun(
         name=problem.name,
         state_names=problem.state_names,

@@ -21,7 +21,7 @@ from zeno_orbits.cli.options import (
     require_outputs,
     run_resumable,
 )
-from zeno_orbits.cli.parsing import Once, Range, read_grid, read_number, read_range, read_seed
+from zeno_orbits.cli.parsing import AxisRange, Once, read_axis, read_grid, read_number, read_seed
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
@@ -49,14 +49,14 @@ def add_map(commands: Any) -> None:
     add_start(parser)
     for side in ("x", "y"):
         more = ": a gain, a parameter or an initial state"
-        add_shared(parser, side, more, action=Once, type=read_range, required=True)
+        add_shared(parser, side, more, action=Once, type=read_axis, required=True)
     parser.add_argument(
         "--grid",
         dest="points",
         type=read_grid,
         default=(50, 50),
         metavar="NxM",
-        help="number of points along x and y (default: 50x50)",
+        help="number of points along x and y, if the axes give none (default: 50x50)",
     )
     parser.add_argument(
         "--orbit",
@@ -144,8 +144,8 @@ def _plane(options: argparse.Namespace) -> Plane:
     )
 
 
-def _axis(asked: Range, count: int) -> Axis:
+def _axis(asked: AxisRange, count: int) -> Axis:
     from zeno_orbits.maps import Axis
 
-    lower, upper = asked.box
-    return Axis(name=asked.name, lower=lower, upper=upper, count=count)
+    lower, upper = asked.range.box
+    return Axis(name=asked.range.name, lower=lower, upper=upper, count=asked.points or count)

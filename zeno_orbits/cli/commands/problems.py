@@ -96,7 +96,7 @@ def template(*, with_motor: bool, with_circuit: bool = False) -> str:
 
 def _run_new(options: argparse.Namespace) -> int:
     if not options.name.isidentifier():
-        wanted = "must be a word of letters, digits and underscores"
+        wanted = "must begin with a letter and hold letters, digits and underscores only"
         raise InputError(f"Argument `name` {wanted}, but it is `{options.name}`.")
     if options.name in api.bundled_names():
         wanted = "must not be the name of a bundled problem"

@@ -13,6 +13,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_orbit,
     add_problem,
+    add_problem_file,
     add_recording,
     print_json,
     require_outputs,
@@ -97,6 +98,7 @@ def add_identify(commands: Any) -> None:
         ],
     )
     add_problem(parser, "a problem's name or Python file, or the file of an orbit near the data")
+    add_problem_file(parser, "problem_file")
     add_recording(parser)
     parser.add_argument(
         "--fit",
@@ -114,7 +116,9 @@ def add_identify(commands: Any) -> None:
 def _run_identify(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
 
-    problem, gains, parameters = api.problem_or_orbit(options.problem, options.set)
+    problem, gains, parameters = api.problem_or_orbit(
+        options.problem, options.set, options.problem_file
+    )
     problem.values(gains=gains, parameters=parameters)
     require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
     with report.ProgressLine(options.interrupts.check) as progress:

@@ -15,6 +15,7 @@ from zeno_orbits.cli.options import (
     add_problem,
     add_shared,
     place_of,
+    require_data_name,
     run_resumable,
 )
 from zeno_orbits.cli.parsing import (
@@ -186,6 +187,7 @@ def _run_search(options: argparse.Namespace) -> int:
     if near is not None:
         near.shape.agreed(options.shape)
     if options.output is not None:
+        require_data_name(options.output)
         require_writable(options.output)
     settings = api.search_settings(
         horizon=options.until,

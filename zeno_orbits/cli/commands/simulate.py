@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -102,6 +103,10 @@ def _add_samples(parser: argparse.ArgumentParser) -> None:
     )
 
 
+_MOST_ANGLE = 4 * math.pi
+"""Largest angle of a start without a note [rad]: a larger one is often in degrees."""
+
+
 def _run_simulate(options: argparse.Namespace) -> int:
     problem = api.known_problem(options.problem)
     require_outputs(options, pictures=("plot",))
@@ -110,6 +115,12 @@ def _run_simulate(options: argparse.Namespace) -> int:
     sampling = {"rate": options.rate, "noise": options.noise, "seed": options.seed}
     if options.output is not None:
         api.require_samples(options.until, **sampling)
+    for name, value in options.start.items():
+        unit = dict(zip(problem.state_names, problem.state_units, strict=True)).get(name)
+        if unit == "rad" and abs(value) > _MOST_ANGLE:
+            turns = abs(value) / (2 * math.pi)
+            note = f"--initial {name}={value:g}: in radians this is {turns:.3g} turns"
+            report.print_note(f"{note} ({value:g} degrees are {math.radians(value):.4g}).")
     stopped = None
     try:
         assured = _simulated(options, problem)

@@ -19,6 +19,7 @@ from zeno_orbits.cli.options import (
     print_json,
 )
 from zeno_orbits.cli.parsing import read_count, read_share
+from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
@@ -88,6 +89,7 @@ def _run_verify(options: argparse.Namespace) -> int:
     proved = proof_of(options, orbit, problem)
     with report.ProgressLine(options.interrupts.check) as progress:
         certificate = api.verify(orbit, problem=problem, settings=settings, on_progress=progress)
+    _require_whole_run(certificate, options)
     enclosure = _enclosure(options, orbit, problem, settings.tolerance)
     if options.json:
         error = certificate.orbit_error
@@ -114,6 +116,17 @@ def _run_verify(options: argparse.Namespace) -> int:
     if certificate.passed and not certain and not options.json:
         report.print_lines([f"That exceeds the requested accuracy {options.accuracy:.0e}."])
     return YES if certificate.passed and certain and shown else NO
+
+
+def _require_whole_run(certificate: zo.OrbitCertificate, options: argparse.Namespace) -> None:
+    """Refuse more periods than the steps of a simulation allow: they say nothing of the orbit.
+
+    Raises:
+        InputError: If the simulation ended for this reason.
+    """
+    if "--max-steps" in certificate.trouble:
+        message = "needs more steps than a simulation may take: verify fewer periods"
+        raise InputError(f"Argument `--periods {options.periods}` {message}.")
 
 
 def _enclosure(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, did_you_mean
+from zeno_orbits.errors import InputError, not_known
 from zeno_orbits.experiment.recordings.recording import Recording
 
 CONTACT = "contact"
@@ -57,12 +57,7 @@ def contact_channels(recording: Recording, stops: Sequence[str]) -> dict[str, Ve
         if name not in known and not name.startswith(f"{CONTACT}.") and name != CONTACT:
             continue
         if name not in known:
-            listed = ", ".join(known)
-            hint = did_you_mean(name, known)
-            raise InputError(
-                f"Argument `recording` has a contact channel `{name}`, but the channels of the "
-                f"machine are {listed}.{hint}"
-            )
+            raise InputError(f"Argument `recording`: contact channel: {not_known(name, known)}")
         values = signal.values
         odd = np.isfinite(values) & (values != 0.0) & (values != 1.0)
         if signal.unit != "1" or np.any(odd):

@@ -21,7 +21,11 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.recordings.delays import delays_of, period_error
 
-_MOST_BINS = 1 << 15
+_MOST_BINS, _FINEST = 1 << 15, 1 << 19
+"""Bins of a record, and of one with thousands of cycles: 16 harmonics over the latter take 300 MB.
+"""
+_PER_CYCLE = 16
+"""Bins of a cycle, at least."""
 _PEAK = 0.9
 """A peak of the autocorrelation counts from this part of the greatest on."""
 _OVERLAP = 0.15
@@ -96,7 +100,7 @@ def periodicity(time: Vector, values: Vector, *, near: float | None = None) -> P
         near: Value that the period is near, by default the first large peak of the
             autocorrelation or a part of it [s].
     """
-    grid = _gathered(time, values)
+    grid = _gathered(time, values, _bins(time, values))
     period = _first_period(grid) if near is None else near
     if period is None:
         return None
@@ -110,6 +114,21 @@ def periodicity(time: Vector, values: Vector, *, near: float | None = None) -> P
             break
         stretch *= _GROWTH
     return _described(grid, period if near is not None else _undivided(grid, period))
+
+
+def _bins(time: Vector, values: Vector) -> int:
+    """Return the number of bins of a record: more than usual if it has thousands of cycles.
+
+    Bins longer than a cycle average it away, and the rest seems to repeat at another period. The
+    beginning of the record shows the cycles sample by sample.
+    """
+    if len(time) <= _MOST_BINS:
+        return _MOST_BINS
+    begin = _gathered(time[:_MOST_BINS], values[:, :_MOST_BINS], _MOST_BINS)
+    period = _first_period(begin)
+    if period is None:
+        return _MOST_BINS
+    return int(np.clip(_PER_CYCLE * (time[-1] - time[0]) / period, _MOST_BINS, _FINEST))
 
 
 def _undivided(grid: _Grid, period: float) -> float:
@@ -157,9 +176,9 @@ class _Grid:
     scale: Vector
 
 
-def _gathered(time: Vector, values: Vector) -> _Grid:
+def _gathered(time: Vector, values: Vector, n_bins: int) -> _Grid:
     # One sample a bin, if they are even: empty bins would hide a period of few samples.
-    n = int(np.clip(len(time), 2, _MOST_BINS))
+    n = int(np.clip(len(time), 2, n_bins))
     since = time - time[0]
     step = since[-1] / (n - 1) if since[-1] > 0.0 else 1.0
     places = np.minimum(np.rint(since / step).astype(np.int64), n - 1)

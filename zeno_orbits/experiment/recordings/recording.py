@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import DataFileError, InputError, counted
+from zeno_orbits.errors import DataFileError, InputError, counted, not_known
 from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
 from zeno_orbits.model.units import in_si
 from zeno_orbits.work import ByValue, checked
@@ -126,8 +126,7 @@ class Recording(ByValue):
         for signal in self.signals:
             if signal.name == name:
                 return signal
-        known = ", ".join(self.names)
-        raise InputError(f"Argument `signal` must be one of {known}, but it is `{name}`.")
+        raise InputError(f"Argument `signal`: {not_known(name, self.names)}")
 
 
 def crop_recording(recording: Recording, since: float | None, until: float | None) -> Recording:
@@ -150,7 +149,8 @@ def crop_recording(recording: Recording, since: float | None, until: float | Non
     if last - first < 2:
         whole = f"[{recording.time[0]:.6g}, {recording.time[-1]:.6g}] s"
         wanted = f"must leave two rows of the recording, which covers {whole}"
-        raise InputError(f"Argument `from` {wanted}, but [{low:g}, {high:g}] s leaves fewer.")
+        argument = "t_end" if since is None else "t_start"
+        raise InputError(f"Argument `{argument}` {wanted}, but [{low:g}, {high:g}] s leaves fewer.")
     part = slice(first, last)
     signals = tuple(replace(one, values=one.values[part]) for one in recording.signals)
     return replace(recording, time=recording.time[part], signals=signals)

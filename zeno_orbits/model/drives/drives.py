@@ -13,6 +13,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from zeno_orbits.errors import counted
 from zeno_orbits.model.drives.auxiliary import Auxiliary, joined_auxiliary
 from zeno_orbits.model.drives.circuits import (
     Circuit,
@@ -156,6 +157,13 @@ def _bank_drive(
     Its coenergy is :math:`i^\top L\,i / 2 + i^\top K_\omega S^\top q` (theory (1.10)).
     Torque constants other than the back-EMF constants are a converter that loses or gains power.
     """
+    n_q = lagrangian.q.numel()
+    if motors.selection.shape[0] != n_q:
+        rows = counted(motors.selection.shape[0], "row")
+        raise ValueError(
+            f"Argument `selection` must have {counted(n_q, 'row')}, one per coordinate, but it has "
+            f"{rows}."
+        )
     speed = ca.mtimes(motors.selection.T, lagrangian.v)
     torque = ca.mtimes(motors.torque_constant, current)
     emf = ca.mtimes(motors.emf_constant, speed)

@@ -61,24 +61,32 @@ def require_outside(
         raise inside_stop(gap, stop, subject)
 
 
-def require_start(system: HybridDynamics | GraphDynamics, x: Vector, contact: float) -> None:
+def require_start(
+    system: HybridDynamics | GraphDynamics,
+    x: Vector,
+    contact: float,
+    *,
+    subject: str = "Argument `state`",
+) -> None:
     """Reject a first state that is not admissible.
 
     Args:
         system: The system, or its graph of modes.
         x: The state.
         contact: Relative threshold below which a gap counts as zero.
+        subject: Subject of the message.
 
     Raises:
         InputError: If the state is not admissible. The message contains the reason.
     """
     if isinstance(system, HybridDynamics):
         require_admissible(system, x)
-        require_outside(system, x, contact)
+        require_outside(system, x, contact, subject=subject)
         return
     require_admissible(system.first, x)
     for k, name in enumerate(system.stop_names):
-        require_outside(system.view(system.open_mode, k), x, contact, name)
+        view = system.view(system.open_mode, k)
+        require_outside(view, x, contact, name, subject=subject)
 
 
 def inside_stop(gap: float, stop: str = "", subject: str = "Argument `state`") -> InputError:

@@ -698,8 +698,15 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     Raises:
         InputError: If the event of the section does not occur, or belongs to impacts that
             accumulate.
-        SimulationError: If the motion has no events, or does not return.
+        SimulationError: If the motion comes to rest, has no events, or does not return.
     """
+    if _is_at_rest(execution, graph, execution.end_time / 2):
+        raise SimulationError(
+            "The motion comes to rest: start elsewhere (`start`, --initial), or take values that "
+            "drive the machine more strongly",
+            time=execution.end_time,
+            state=tuple(execution.end_state.tolist()),
+        )
     names = [orbit_event_name(event) for event in execution.events]
     if not names:
         raise SimulationError(
@@ -748,6 +755,25 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         time=execution.end_time,
         state=tuple(execution.end_state.tolist()),
     )
+
+
+_STILL, _LOOKS = 1e-4, 7
+"""Relative change of the states of a motion at rest, and the number of states per arc."""
+
+
+def _is_at_rest(execution: Execution, graph: GraphDynamics, since: float) -> bool:
+    """Return True if all states but those of the clock stay the same from a time on."""
+    last = [arc for arc in execution.arcs if arc.end_time > since]
+    starts = [max(arc.start_time, since) for arc in last]
+    states = np.concatenate(
+        [
+            arc.states_at(np.linspace(start, arc.end_time, _LOOKS))
+            for arc, start in zip(last, starts, strict=True)
+        ]
+    )
+    spread = np.ptp(states, axis=0) / largest_states(execution.arcs, graph)
+    spread[list(graph.first.clock)] = 0.0
+    return bool(np.all(spread < _STILL))
 
 
 def _limits(names: Sequence[str]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, shortened
 from zeno_orbits.work import enclosing_decimal
 
 Array = Any
@@ -238,6 +238,13 @@ def radii(data: Any, shape: tuple[int, ...], bits: int, *, exact: bool = True) -
 
 def entries(data: Any, *names: str) -> list[Any]:
     """Return the entries of an object of a certificate, which must have exactly these names."""
-    if not isinstance(data, dict) or set(cast("dict[str, Any]", data)) != set(names):
+    if not isinstance(data, dict):
         raise InputError(f"The certificate must have an object with {', '.join(names)} here.")
+    given = list(cast("dict[str, Any]", data))
+    missing = [name for name in names if name not in given]
+    if missing:
+        raise InputError(f"The certificate lacks the entries {', '.join(missing)}.")
+    if len(given) > len(names):
+        extra = ", ".join(shortened(name) for name in given if name not in names)
+        raise InputError(f"The certificate has unknown entries: {extra}. Remove them.")
     return [cast("dict[str, Any]", data)[name] for name in names]

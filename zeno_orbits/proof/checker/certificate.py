@@ -115,6 +115,9 @@ def check_proof(
     return ProofVerdict(theorem=theorem, claims=tuple(verdicts))
 
 
+_KIND = "zeno_orbits proof"
+
+
 def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
     if not isinstance(certificate, Mapping):
         path = Path(certificate)
@@ -122,11 +125,14 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
             certificate = read_json(path)
         except ValueError as error:
             raise InputError(f"File `{path}` is not a certificate ({error}).") from None
+        if not isinstance(certificate, dict) or certificate.get("kind") != _KIND:
+            remedy = "Make one with `zeno-orbits prove ORBIT.json -o FILE`"
+            raise InputError(f"File `{path}` is not a certificate. {remedy}.")
     data = cast("Mapping[str, Any]", certificate)
     optional = ("basin",) if "basin" in data else ()
     entries(data, *_TOP, *optional)
     kind, bits = (data["format"], data["kind"]), data["bits"]
-    if kind != (2, "zeno_orbits proof") or type(bits) is not int or bits not in _BITS:
+    if kind != (2, _KIND) or type(bits) is not int or bits not in _BITS:
         known = "The certificate must be of format 2 and of 64 to 1024 bits"
         raise InputError(f"{known}. Prove the orbit again with `zeno-orbits prove`.")
     if not isinstance(data["problem"], str):

@@ -255,6 +255,8 @@ class _Search:
             names=tuple(self.free),
             simulation=self.simulation,
         )
+        if isinstance(self.objective, TargetPeriod):
+            self.objective.require_near([found.period])
         orbits.begin(found)
         task = _Task(
             orbits=orbits,

@@ -1,0 +1,230 @@
+"""Mistakes at the start: one line with the option as typed, the problem and the remedy."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import zeno_orbits as zo
+from tests.support.commands import NO, YES, ask, assert_refused
+from zeno_orbits import api
+
+pytestmark = pytest.mark.usefixtures("here")
+
+MAP = ("map", "motor_pendulum", "--x", "Kp=2:3", "--y", "Kd=-2:-1")
+SEARCH = ("search", "motor_pendulum")
+REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "a problem where an orbit belongs": (
+        ("verify", "motor_pendulum"),
+        "ORBIT.json: `motor_pendulum` is a problem: run "
+        "`zeno-orbits search motor_pendulum -o orbit.json` first.",
+    ),
+    "a problem file where an orbit belongs": (("plot", "mine.py"), "`mine.py` is a problem: run"),
+    "decimal comma": (
+        ("simulate", "motor_pendulum", "--set", "Kp=2,5"),
+        "--set: must have a number for `Kp`, but it is `2,5`. Write a decimal point: 2.5.",
+    ),
+    "no count": ((*MAP[:-1], "Kd=-2:-1:0"), "--y: must be a positive whole number"),
+    "two counts": ((*MAP[:-1], "Kd=-2:-1:4:5"), "--y: "),
+    "spreadsheet": ((*SEARCH, "-o", "out.xlsx"), "-o out.xlsx: cannot be written as .xlsx. Take"),
+    "spreadsheet of a map": ((*MAP, "-o", "m.xlsx"), "-o m.xlsx: cannot be written as .xlsx"),
+    "empty output": ((*SEARCH, "-o", ""), "-o: the value is empty."),
+    "empty output after =": ((*SEARCH, "--output="), "--output: the value is empty."),
+    "empty name": (("new", ""), "an argument: the value is empty."),
+    "short option": ((*MAP, "-j", "0"), "-j: must be a positive whole number, but it is `0`"),
+    "short option with its value": ((*MAP, "-j0"), "-j: must be a positive whole number"),
+    "long option": ((*MAP, "--workers", "0"), "--workers: must be a positive whole number"),
+    "file of an option": (
+        (*SEARCH, "--from", "none.json"),
+        "--from none.json: Orbit file `none.json` cannot be read",
+    ),
+    "orbit of a map": ((*MAP, "--orbit", "none.json"), "--orbit none.json: Orbit file `none.json`"),
+    "problem of a wrong name": (
+        ("simulate", "motor_pendulm"),
+        "PROBLEM motor_pendulm: unknown problem `motor_pendulm`. Did you mean `motor_pendulum`? "
+        "Known: bouncing_ball, ",
+    ),
+    "name with a digit": (
+        ("new", "1abc"),
+        "NAME 1abc: must begin with a letter and hold letters, digits and underscores only",
+    ),
+    "objective without value": (
+        (*SEARCH, "--objective", "period="),
+        "--objective: `period=` lacks its value. Write period=SECONDS.",
+    ),
+    "objective with a value": ((*SEARCH, "--objective", "energy=3"), "`energy` takes no value"),
+    "objective of a wrong name": (
+        (*SEARCH, "--objective", "enrgy"),
+        "--objective: unknown objective `enrgy`. Did you mean `energy`? Known: nearest, ",
+    ),
+    "part of a wrong value": (
+        ("rig", "motor_pendulum", "--part", "contact.stiffness=-1"),
+        "--part contact.stiffness=-1: must be greater than 0, but it is -1.",
+    ),
+    "parameter of a wrong name": (
+        ("continue", "motor_pendulum", "--parameter", "Q=1:2"),
+        "--parameter Q=1:2: unknown parameter `Q`. Known: Kp, Kd, ",
+    ),
+    "milliseconds": (
+        (*SEARCH, "--vary", "Kp=1:5", "--objective", "period=1800"),
+        "--objective period=1800: asks for a period of 1800 s, but the orbits seen have periods of "
+        "1.666 to 1.946 s. Give the period in seconds.",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(one, marks=[pytest.mark.slow] if one == "milliseconds" else [])
+        for one in REFUSED
+    ],
+)
+def test_a_mistake_is_one_line_with_its_remedy(case: str) -> None:
+    words, told = REFUSED[case]
+    answer = ask(*words)
+    assert_refused(answer)
+    assert told in answer.err
+
+
+def test_a_negative_number_with_an_exponent_is_a_value(orbit_file: Path) -> None:
+    answer = ask("compare", orbit_file, "none.csv", "--t-start", "-1e-1")
+    assert "Data file `none.csv` cannot be read" in answer.err
+    missing = ask("compare", orbit_file, "none.csv", "--t-start")
+    assert_refused(missing, "--t-start: a value is missing.")
+
+
+def test_the_axes_of_a_map_may_give_their_number_of_points() -> None:
+    one = ask("map", "bouncing_ball", "--x", "m=1:2:3", "--y", "g=5:9:2", "-j", "1", "--json")
+    assert [one.data[side]["count"] for side in "xy"] == [3, 2]
+    words = ("--x", "m=1:2:3", "--y", "g=5:9", "--grid", "7x2", "-j", "1", "--json")
+    assert ask("map", "bouncing_ball", *words).data["x"]["count"] == 3
+
+
+@pytest.mark.parametrize(("angle", "turns"), [("60", "9.55"), ("-90", "14.3")])
+def test_a_start_in_degrees_is_noted(angle: str, turns: str) -> None:
+    words = ("simulate", "motor_pendulum", f"--initial=theta1={angle}", "--t-end", "0.01")
+    answer = ask(*words)
+    note = f"note: --initial theta1={angle}: in radians this is {turns} turns"
+    assert answer.err.count("\n") == 1
+    assert note in answer.err
+    assert ask(*words[:-2], "--initial=theta2=3", "--t-end", "0.01").err.count("theta2") == 0
+
+
+@pytest.mark.slow
+def test_continue_takes_an_orbit_file_as_the_function_takes_an_orbit(orbit_file: Path) -> None:
+    words = ("--parameter", "Kp=2.4:2.6", "-j", "1", "--json")
+    by_command = ask("continue", orbit_file, *words)
+    assert by_command.code == YES
+    by_function = zo.continue_orbit(orbit_file, "Kp", (2.4, 2.6))
+    assert by_command.data == json.loads(json.dumps(by_function.as_json()))
+    assert "not needed" in ask("continue", orbit_file, "--from", orbit_file, *words).err
+
+
+def test_the_orbit_of_an_own_problem_is_continued_with_its_file(tmp_path: Path) -> None:
+    assert ask("new", "mine").code == YES
+    zo.write_orbit(zo.find_orbit("mine.py").unwrap(), "orbit.json")
+    (tmp_path / "far").mkdir()
+    Path("mine.py").rename(tmp_path / "far" / "mine.py")
+    words = ("continue", "orbit.json", "--parameter", "c=0.99:1.01", "-j", "1")
+    assert "--problem" in ask(*words).err
+    assert ask(*words, "--problem", tmp_path / "far" / "mine.py").code == YES
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ('{"a": 1', "must hold the curves of `continue --parameter2`, but it is not complete JSON"),
+        ("{}", "must hold the curves of `continue --parameter2`, but it has none."),
+    ],
+)
+def test_a_broken_file_of_boundaries_is_named(content: str, told: str) -> None:
+    Path("b.json").write_text(content)
+    answer = ask(*MAP, "--plot", "m.png", "--boundaries", "b.json")
+    assert_refused(answer, "--boundaries b.json: Boundary file `b.json` ", told)
+
+
+def test_too_many_periods_are_refused_with_the_remedy(
+    orbit_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = api.verification_settings
+
+    def settings(**asked: Any) -> zo.VerificationSettings:
+        one = made(**asked)
+        return replace(one, simulation=replace(one.simulation, most_steps=500))
+
+    monkeypatch.setattr(api, "verification_settings", settings)
+    answer = ask("verify", orbit_file, "--periods", "2000")
+    assert_refused(answer, "--periods 2000: needs more steps than a simulation may take: verify")
+
+
+@pytest.mark.slow
+def test_an_export_without_a_compiler_is_one_line(here: Path) -> None:
+    environment = {**os.environ, "CC": "nothing", "ZENO_ORBITS_CACHE": str(here / "cache")}
+    words = [sys.executable, "-m", "zeno_orbits", "export", "motor_pendulum", "-o", "c"]
+    ended = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1
+    assert "cannot be exported: `CC` must name a C compiler" in ended.stderr
+
+
+def test_what_a_problem_file_prints_is_not_among_the_json() -> None:
+    assert ask("new", "mine").code == YES
+    text = Path("mine.py").read_text().replace("    q, v =", '    print("in model")\n    q, v =')
+    Path("mine.py").write_text(f'print("at the top")\n{text}')
+    answer = ask("simulate", "mine.py", "--t-end", "0.1", "--json")
+    assert answer.data["problem"] == "mine"
+    assert "at the top" in answer.err
+    assert "in model" in answer.err
+    refused = ask("simulate", "mine.py", "--t-end", "-1", "--json")
+    assert refused.data["error"] == "InputError"
+
+
+RESTING = """
+import casadi as ca
+import zeno_orbits as zo
+
+
+def model(p):
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    stops = tuple(
+        zo.Stop(name=name, gap=gap, restitution=0.5)
+        for name, gap in (("left", 1 + q), ("right", 1 - q))
+    )
+    mass = zo.HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=v**2 / 2, potential=q**2 / 2, passive_force=-p["c"] * v, stops=stops
+    )
+    return zo.hybrid_system(mass, zo.no_drive(mass))
+
+
+PROBLEM = zo.Problem(
+    name="resting",
+    title="a damped mass between two stops",
+    source="tests",
+    state_names=("q", "v"),
+    state_units=("m", "m/s"),
+    parameters=(zo.Quantity.positive("c", 0.2, "1/s", "damping"),),
+    gains=(),
+    model=model,
+    starts=({"v": 5.0},),
+    portraits=(("q", "v"),),
+    amplitude_of="q",
+)
+"""
+
+
+@pytest.mark.parametrize("start", ["5", "0.1"])
+def test_a_search_whose_motion_comes_to_rest_says_so(start: str) -> None:
+    Path("resting.py").write_text(RESTING)
+    answer = ask("search", "resting.py", "--initial", f"v={start}", "-o", "o.json")
+    assert answer.code == NO
+    assert "comes to rest" in answer.err
+    assert "longer" not in answer.err
