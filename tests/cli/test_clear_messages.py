@@ -38,7 +38,7 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
     "spreadsheet of a map": ((*MAP, "-o", "m.xlsx"), "-o m.xlsx: cannot be written as .xlsx"),
     "empty output": ((*SEARCH, "-o", ""), "-o: the value is empty."),
     "empty output after =": ((*SEARCH, "--output="), "--output: the value is empty."),
-    "empty name": (("new", ""), "an argument: the value is empty."),
+    "empty name": (("new", ""), "An argument: the value is empty."),
     "short option": ((*MAP, "-j", "0"), "-j: must be a positive whole number, but it is `0`"),
     "short option with its value": ((*MAP, "-j0"), "-j: must be a positive whole number"),
     "long option": ((*MAP, "--workers", "0"), "--workers: must be a positive whole number"),

@@ -164,7 +164,7 @@ def test_the_map_that_a_failed_search_names_can_be_made() -> None:
         command = map_command(load_problem(name), _options(problem=name, set={}), notes)
         options = build_parser().parse_args(command.split()[1:])
         assert options.x.range.name == "restitution"
-        assert options.y[0] in load_problem(name).names
+        assert options.y.range.name in load_problem(name).names
 
 
 def test_a_failed_search_says_that_the_file_it_would_have_written_is_older(

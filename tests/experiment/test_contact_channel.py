@@ -88,7 +88,7 @@ def _with_channel(name: str, values: list[float], unit: str = "1") -> Recording:
         ("contact.closed", [0.0, 1.0, 2.0], "1", "but it has 2"),
         ("contact.closed", [0.0, 1.0, 1.0], "V", "the unit V"),
         ("contact.close", [0.0, 1.0, 1.0], "1", "`contact.close`.*mean `contact.closed`"),
-        ("contact", [0.0, 1.0, 1.0], "1", "`contact`, but the channels .* contact.open"),
+        ("contact", [0.0, 1.0, 1.0], "1", "contact channel: unknown name `contact`.*contact.open"),
     ],
 )
 def test_a_false_channel_is_refused_in_one_line(

@@ -326,7 +326,7 @@ def test_numbers_of_a_rig_are_changed_by_name_and_parts_are_added() -> None:
         ("contact.a.stiffness", "Known: contact.stiffness"),
         ("friction.coulomb", "Known: friction.COORDINATE.coulomb"),
         ("gears.one.play", "must be a number in `gears.MOTOR.NAME`, but it is `one`"),
-        ("gears.1.play", "`rotor_inertia` must be given for a part that is added"),
+        ("gears.1.play", "`gears.1.rotor_inertia` must be given for a part that is added"),
     ],
 )
 def test_a_number_that_no_part_has_is_refused_with_those_that_there_are(

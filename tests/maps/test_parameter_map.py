@@ -484,7 +484,7 @@ def test_curves_of_a_family_file_are_read_whichever_way_round(tmp_path: Path) ->
         ("no JSON", "not complete JSON"),
         ("{}", "it has none"),
         ('[{"name": "fold"}]', "it has none"),
-        ('[{"name": "f", "parameters": ["a", "b"], "x": [], "y": []}]', "no boundary over m and e"),
+        ('[{"name": "f", "parameters": ["a", "b"], "x": [], "y": []}]', "none over m and e"),
     ],
 )
 def test_a_file_without_curves_of_the_plane_is_refused(

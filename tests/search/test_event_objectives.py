@@ -389,8 +389,8 @@ def test_a_known_orbit_that_is_lost_on_the_way_is_named() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"objective": zo.MinPeak(signal="hight")}, r"names `hight`. Did you mean `height`"),
-        ({"objective": zo.MinPeak(signal="period")}, "must name a signal"),
+        ({"objective": zo.MinPeak(signal="hight")}, r"unknown name `hight`. Did you mean `height`"),
+        ({"objective": zo.MinPeak(signal="period")}, "unknown name `period`. Known: height"),
         ({"objective": zo.TargetAmplitude(state="x", target=1.0)}, "names `x`"),
         ({"objective": zo.MaxPush(direction={"hight": 1.0})}, "`hight`. Did you mean `height`"),
         ({"objective": zo.MinEnergy(uncertain={"U": (7.0, 8.0)})}, "`U`"),

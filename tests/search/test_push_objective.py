@@ -168,12 +168,12 @@ def test_gains_move_until_every_corner_has_an_orbit() -> None:
             "unknown name `theta3`. Did you mean `theta2`? Known: theta1, theta2.",
         ),
         (("--objective", "push:theta1=0"), "must have a finite length above zero"),
-        (("--objective", "push=1"), "robustness, impacts or bounce, but it is `push=1`"),
+        (("--objective", "push=1"), "unknown objective `push=1`. Did you mean `push`?"),
         (
             ("--objective", "robustness", "--uncertain", "restitution=0.5:1.5"),
             "--uncertain restitution=0.5:1.5: must lie in [0, 1)",
         ),
-        (("--objective", "robustness", "--uncertain", "Kp=1:2"), "but it is `Kp`"),
+        (("--objective", "robustness", "--uncertain", "Kp=1:2"), "unknown name `Kp`. Known: L1"),
         (
             ("--vary", "R=2:4", "--objective", "robustness", "--uncertain", "R=2:3"),
             "must not name the unknown `R`",
