@@ -8,6 +8,7 @@ import math
 import random
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,28 @@ def test_a_set_is_at_least_one_percent_of_the_sampled_ball_and_attracts(
         assert proof.basin[name].low == middle - radius
         assert proof.basin[name].high == middle + radius
     assert "Every execution from the set converges to the periodic orbit." in verdict.lines()
+
+
+def test_a_set_that_the_checker_refuses_is_followed_by_smaller_ones(
+    orbit: ZenoOrbit, proof: zo.Proof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = list[int]()
+
+    def stern(data: Any, problem: Any) -> Any:
+        verdict = check_proof(data, problem)
+        seen.append(len(data["basin"]))
+        if len(seen) > 1:
+            return verdict
+        claims = [replace(one, ok=one.ok and one.name != "basin") for one in verdict.claims]
+        return replace(verdict, claims=tuple(claims))
+
+    monkeypatch.setattr("zeno_orbits.proof.prover.check_proof", stern)
+    smaller = zo.prove(orbit, basin=True)
+    assert len(seen) == 2
+    assert smaller.no_basin == ""
+    assert check_proof(smaller.certificate).ok
+    for name, half in smaller.initial_states.items():
+        assert 0.3 * proof.initial_states[name] < half < 0.6 * proof.initial_states[name]
 
 
 def test_a_printed_set_excludes_the_release_at_the_opposite_current(

@@ -91,6 +91,7 @@ MACHINES: Mapping[str, Sheets] = {
     "two sheets": TWO,
     "three sheets": THREE,
     "an elastic stop": TWO._replace(restitution=0.25),
+    "many bounces": TWO._replace(restitution=0.4),
     "a hard stop": THREE._replace(restitution=0.7),
     "millimetres": TWO._replace(length=1e3),
     "micrometres and heavy": TWO._replace(length=1e6, inertia=1e3),

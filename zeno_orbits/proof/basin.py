@@ -48,11 +48,12 @@ _LONGEST = 0.125
 
 def large_sets(
     orbit: ZenoOrbit, system: BallSystem, found: JudgedBox, on_progress: Progress
-) -> list[PolynomialPass]:
-    """Return a large set around a box with the sets that lead from its image to the box.
+) -> Iterator[list[PolynomialPass]]:
+    """Yield ever smaller sets around a box, each with the sets that lead from its image to the box.
 
-    Trial sets shrink by a constant factor until the image of a set lies in its interior. The list
-    contains only this set if the images are not proved to reach the box.
+    Trial sets shrink by a constant factor until the image of a set lies in its interior. A list
+    contains only this set if the images are not proved to reach the box. Doubles compute the sets,
+    so the checker may refuse one: then the next one has half the radius.
 
     Args:
         orbit: The orbit.
@@ -61,7 +62,7 @@ def large_sets(
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
-        ProofError: If no set is larger than the box, or the section is a single point.
+        ProofError: If no further set is larger than the box, or the section is a single point.
     """
     d = len(found.start.places)
     if not d:
@@ -69,22 +70,34 @@ def large_sets(
     box = np.array([float(one.rad()) for one in found.start.at.U])
     sizes = [max(abs(float(found.start.at.m[k].mid())), LEAST_SIZE) for k in found.start.places]
     factor = _LARGEST / float(np.max(box[:d] / np.array(sizes)))
-    sets: list[PolynomialPass] = []
     count, reason = 0, "box 1 is already larger than the largest trial set"
-    while factor > 1.0 and not sets:
+    while factor > 1.0:
         radii = np.concatenate([factor * box[:d], box[d:]])
         count += 1
         try:
             tried = _pass(orbit, system, found, radii, on_progress)
             inside = bool(np.all(_image(tried)[:d] < _WITHIN * radii[:d]))
             require_proved(inside, "basin", "the image of the set is not inside the set")
-            sets.append(tried)
         except ProofError as error:
             reason = f"none of {counted(count, 'trial set')} succeeds. The smallest is"
             reason += f" {factor:.3g} times as large as box 1: {error.reason}"
             factor *= _SMALLER
-    if not sets:
-        raise ProofError("basin", reason)
+            continue
+        yield _chain(orbit, system, found, tried, on_progress)
+        factor /= 2.0
+    raise ProofError("basin", reason)
+
+
+def _chain(
+    orbit: ZenoOrbit,
+    system: BallSystem,
+    found: JudgedBox,
+    first: PolynomialPass,
+    on_progress: Progress,
+) -> list[PolynomialPass]:
+    """Return a set with the sets that lead from its image to a box, or alone without them."""
+    d, sets = len(found.start.places), [first]
+    box = np.array([float(one.rad()) for one in found.start.at.U])
     while len(sets) < _MOST_SETS:
         image = _image(sets[-1])
         if bool(np.all(image[:d] < _WITHIN * box[:d])):

@@ -165,7 +165,6 @@ def certificate(
     system: BallSystem,
     passes: Sequence[tuple[SectionStart, ProofPassage]],
     claims: Sequence[Mapping[str, Any]],
-    basin: Sequence[PolynomialPass] = (),
 ) -> dict[str, Any]:
     """Return the certificate of a proof.
 
@@ -176,7 +175,6 @@ def certificate(
         system: The problem in balls.
         passes: Enclosures of one period, with their starts.
         claims: The claims, with numbers as texts.
-        basin: Enclosures of one period in polynomials, from a large box to ever smaller boxes.
     """
     writer = CertificateWriter(system, passes[0][0].places)
     return {
@@ -189,7 +187,6 @@ def certificate(
         },
         "passes": [writer.passage(start, passage) for start, passage in passes],
         "claims": [dict(claim) for claim in claims],
-        **({"basin": [writer.polynomial_pass(one) for one in basin]} if basin else {}),
         "versions": proof_versions(),
     }
 

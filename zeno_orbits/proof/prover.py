@@ -6,7 +6,7 @@ import math
 import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import islice
 
 import numpy as np
 from flint import arb, ctx
@@ -33,10 +33,15 @@ from zeno_orbits.proof.integration.orbit_walk import (
     require_fit,
     walk_period,
 )
-from zeno_orbits.proof.integration.polynomial_walk import PolynomialPass
 from zeno_orbits.proof.integration.section import SectionStart, section_places, start_on_section
 from zeno_orbits.proof.integration.walk import WalkSettings
-from zeno_orbits.proof.proof_file import certificate, check_bits, proof_versions, require_hypotheses
+from zeno_orbits.proof.proof_file import (
+    CertificateWriter,
+    certificate,
+    check_bits,
+    proof_versions,
+    require_hypotheses,
+)
 from zeno_orbits.proof.theorem import Proof
 from zeno_orbits.work import Progress, silent
 
@@ -50,6 +55,8 @@ _FINE = 4e-15
 _BITS = 96
 _ENLARGEMENTS = 12
 """Largest number of larger boxes that are tried for a basin."""
+_MOST_SETS = 4
+"""Largest number of sets that the checker judges."""
 _GROWTH, _WORTH = 100.0, 2.0
 """First and smallest factor from a box to a larger box."""
 _THINNEST = 0.01
@@ -111,21 +118,14 @@ def prove_orbit(
             system = BallSystem(problem, values, over, orbit.period)
             require_hypotheses(problem, values, over, system)
             found = _found(orbit, problem, system, over, settings, on_progress)
-            sets, no_basin = list[PolynomialPass](), ""
             if settings.basin:
                 found = _enlarged(orbit, system, found, settings, on_progress)
-                try:
-                    sets = large_sets(orbit, system, found, on_progress)
-                except ProofError as error:
-                    no_basin = error.reason
             passes = [found]
             if found.by_krawczyk and found.start.places and not over and settings.radius is None:
                 passes += _refined(orbit, system, found, settings, on_progress)
-            proof = _proof(orbit, problem, values, over, system, passes, sets)
-            proof = replace(proof, no_basin=no_basin)
-        if sets:
-            on_progress("check the set of initial states", 0.0)
-            proof = _with_basin(proof, problem, system, sets[0])
+            proof = _proof(orbit, problem, values, over, system, passes)
+            if settings.basin:
+                proof = _with_basin(proof, orbit, problem, system, found, on_progress)
     except ProofError as error:
         proof = Proof(
             problem=problem.name,
@@ -235,23 +235,41 @@ def _enlarged(
     return largest
 
 
-def _with_basin(proof: Proof, problem: Problem, system: BallSystem, first: PolynomialPass) -> Proof:
-    """Return a proof with the set of initial states in its certificate, if the checker accepts it.
+def _with_basin(
+    proof: Proof,
+    orbit: ZenoOrbit,
+    problem: Problem,
+    system: BallSystem,
+    found: JudgedBox,
+    on_progress: Progress,
+) -> Proof:
+    """Return a proof with the largest set of initial states that the checker accepts.
 
     Polynomials are computed in doubles, so only the checker proves a set.
     """
-    kept = dict(proof.certificate)
+    writer = CertificateWriter(system, found.start.places)
     # The other box and its claims do not concern the set.
-    asked: dict[str, Any] = kept | {"passes": kept["passes"][:1], "claims": []}
-    claims = {claim.name: claim for claim in check_proof(asked, problem).claims}
-    if not claims["basin"].ok:
-        del kept["basin"]
-        reason = f"the checker refuses the set: {claims['basin'].evidence}"
-        return replace(proof, certificate=kept, no_basin=reason)
-    attracted = "attraction" in claims and claims["attraction"].ok
-    kept["basin"] = kept["basin"] if attracted else kept["basin"][:1]
-    shown = section_box(problem, system, first.start)
-    return replace(proof, certificate=kept, basin_box=shown, attracted=attracted)
+    asked = {**proof.certificate, "passes": proof.certificate["passes"][:1], "claims": []}
+    reason = ""
+    try:
+        for sets in islice(large_sets(orbit, system, found, on_progress), _MOST_SETS):
+            on_progress("check the set of initial states", 0.0)
+            written = [writer.polynomial_pass(one) for one in sets]
+            verdict = check_proof(asked | {"basin": written}, problem)
+            claims = {claim.name: claim for claim in verdict.claims}
+            if claims["basin"].ok:
+                attracted = "attraction" in claims and claims["attraction"].ok
+                basin = written if attracted else written[:1]
+                return replace(
+                    proof,
+                    certificate={**proof.certificate, "basin": basin},
+                    basin_box=section_box(problem, system, sets[0].start),
+                    attracted=attracted,
+                )
+            reason = f"the checker refuses the set: {claims['basin'].evidence}"
+    except ProofError as error:
+        reason = reason or error.reason
+    return replace(proof, no_basin=reason)
 
 
 def _refined(
@@ -290,9 +308,8 @@ def _proof(
     over: Mapping[str, float],
     system: BallSystem,
     passes: list[JudgedBox],
-    sets: list[PolynomialPass],
 ) -> Proof:
-    """Return the theorem of a box, with digits from a smaller box, and unchecked larger sets."""
+    """Return the theorem of a box, with digits from a smaller box."""
     fine, numbers = passes[-1], [float(x) for x in values.vector]
     bits = check_bits(system, numbers)
     bounds = proof_bounds(problem, system, fine, bits)
@@ -309,7 +326,7 @@ def _proof(
         stable=bool(fine.start.places) and (fine.discs.stable or passes[0].returned.included),
         repelling=fine.discs.repelling,
         bounds=bounds,
-        certificate=certificate(problem, values, over, system, ways, claims, sets),
+        certificate=certificate(problem, values, over, system, ways, claims),
         n_records=sum(len(one.passage.records) for one in passes),
         wall_time=0.0,
         versions=proof_versions(),

@@ -46,9 +46,9 @@ _SPARE = 1.25
 """Factor by which a window is widened, so that the checker's arithmetic also confirms it."""
 _SPARE_OF_POINT = 16.0
 """The same factor for the window of a point, whose width results from the remainders alone."""
-_LEAST_WINDOW = arb(2) ** -110
+_LEAST_WINDOW = arb(2) ** -80
 """Smallest half width of a window, per period, so that the fixed-point checker separates the
-guard from 0."""
+guard from 0. Its remainders are larger than those of the prover."""
 _TRIES = 12
 _GRID = 16
 """Number of intervals of the time in which a crossing is located."""
@@ -95,15 +95,18 @@ def cross(
     """
     claim = "release" if stage.departure is Departure.LOCKED else "impact"
     guard, locked = _guard(system, stage.departure), stage.departure is Departure.LOCKED
-    least = _LEAST_WINDOW * system.period
-    a_m, b_m = _window(guard, step, guess, lambda t: step.point(series, t), None, claim, least)
-    middle = joined(a_m, b_m)
 
     def spread(time: Ball) -> list[Ball]:
         return product(step.derivative(time), stage.at.deviation)
 
-    a, b = _window(guard, step, guess, lambda t: step.point(series, t), spread, claim, least)
+    def window_of(others: Callable[[Ball], list[Ball]] | None, half: Ball) -> tuple[Ball, Ball]:
+        return _window(guard, step, guess, lambda t: step.point(series, t), others, claim, half)
+
+    a_m, b_m = window_of(None, _LEAST_WINDOW * system.period)
+    # The checker rounds the whole set as it rounds the point.
+    a, b = window_of(spread, (b_m - a_m) / 2)
     a, b = _lesser(a, a_m), _greater(b, b_m)
+    middle = joined(a_m, b_m)
     window = joined(a, b)
     whole = step.derivative(window)
     box = [
