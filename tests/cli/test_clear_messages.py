@@ -43,8 +43,8 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
     "short option with its value": ((*MAP, "-j0"), "-j: must be a positive whole number"),
     "long option": ((*MAP, "--workers", "0"), "--workers: must be a positive whole number"),
     "file of an option": (
-        (*SEARCH, "--from", "none.json"),
-        "--from none.json: Orbit file `none.json` cannot be read",
+        (*SEARCH, "--near", "none.json"),
+        "--near none.json: Orbit file `none.json` cannot be read",
     ),
     "orbit of a map": ((*MAP, "--orbit", "none.json"), "--orbit none.json: Orbit file `none.json`"),
     "problem of a wrong name": (
@@ -111,12 +111,12 @@ def test_the_axes_of_a_map_may_give_their_number_of_points() -> None:
 
 @pytest.mark.parametrize(("angle", "turns"), [("60", "9.55"), ("-90", "14.3")])
 def test_a_start_in_degrees_is_noted(angle: str, turns: str) -> None:
-    words = ("simulate", "motor_pendulum", f"--initial=theta1={angle}", "--t-end", "0.01")
+    words = ("simulate", "motor_pendulum", f"--start=theta1={angle}", "--until", "0.01")
     answer = ask(*words)
-    note = f"note: --initial theta1={angle}: in radians this is {turns} turns"
+    note = f"note: --start theta1={angle}: in radians this is {turns} turns"
     assert answer.err.count("\n") == 1
     assert note in answer.err
-    assert ask(*words[:-2], "--initial=theta2=3", "--t-end", "0.01").err.count("theta2") == 0
+    assert ask(*words[:-2], "--start=theta2=3", "--until", "0.01").err.count("theta2") == 0
 
 
 @pytest.mark.slow
@@ -126,7 +126,7 @@ def test_continue_takes_an_orbit_file_as_the_function_takes_an_orbit(orbit_file:
     assert by_command.code == YES
     by_function = zo.continue_orbit(orbit_file, "Kp", (2.4, 2.6))
     assert by_command.data == json.loads(json.dumps(by_function.as_json()))
-    assert "not needed" in ask("continue", orbit_file, "--from", orbit_file, *words).err
+    assert "not needed" in ask("continue", orbit_file, "--near", orbit_file, *words).err
 
 
 def test_the_orbit_of_an_own_problem_is_continued_with_its_file(tmp_path: Path) -> None:
@@ -180,11 +180,11 @@ def test_what_a_problem_file_prints_is_not_among_the_json() -> None:
     assert ask("new", "mine").code == YES
     text = Path("mine.py").read_text().replace("    q, v =", '    print("in model")\n    q, v =')
     Path("mine.py").write_text(f'print("at the top")\n{text}')
-    answer = ask("simulate", "mine.py", "--t-end", "0.1", "--json")
+    answer = ask("simulate", "mine.py", "--until", "0.1", "--json")
     assert answer.data["problem"] == "mine"
     assert "at the top" in answer.err
     assert "in model" in answer.err
-    refused = ask("simulate", "mine.py", "--t-end", "-1", "--json")
+    refused = ask("simulate", "mine.py", "--until", "-1", "--json")
     assert refused.data["error"] == "InputError"
 
 
@@ -224,7 +224,7 @@ PROBLEM = zo.Problem(
 @pytest.mark.parametrize("start", ["5", "0.1"])
 def test_a_search_whose_motion_comes_to_rest_says_so(start: str) -> None:
     Path("resting.py").write_text(RESTING)
-    answer = ask("search", "resting.py", "--initial", f"v={start}", "-o", "o.json")
+    answer = ask("search", "resting.py", "--start", f"v={start}", "-o", "o.json")
     assert answer.code == NO
     assert "comes to rest" in answer.err
     assert "longer" not in answer.err

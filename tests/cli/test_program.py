@@ -134,7 +134,8 @@ def test_the_package_runs_as_a_module() -> None:
     with started("simulate", "bouncing_ball", "--until", "1", "--json") as process:
         out, err = process.communicate(timeout=60)
     assert process.returncode == YES
-    assert err == ""
+    # Progress is shown on a slow machine.
+    assert all("simulating" in line for line in err.splitlines())
     assert json.loads(out)["problem"] == "bouncing_ball"
 
 

@@ -114,7 +114,7 @@ def test_a_short_pulse_is_not_lost_in_exported_code() -> None:
     width = 1e-7
     force = f"zo.piecewise(clock, (0, {1 / width!r}, 0), (1.0, 1.0 + {width!r}))"
     Path("pulsed.py").write_text(nested_problem(force), encoding="utf-8")
-    found = _events_of("pulsed.py", "--t-end", "7")
+    found = _events_of("pulsed.py", "--until", "7")
     assert found == _expected("pulsed.py", 7.0)
     # The impulse is 1 N s, and the rounding of its ends is 1e-15 s.
     kind, numbers = found[1]

@@ -211,7 +211,7 @@ def test_units_of_machines_with_several_stops_or_switches_follow_simulate(
 @pytest.mark.parametrize("name", FORCES)
 def test_units_with_nested_kinks_move_in_closed_form(name: str) -> None:
     Path("nested.py").write_text(nested_problem(FORCES[name][0]), encoding="utf-8")
-    answer = ask("export", "nested.py", "--fmu", "-o", name.replace(" ", "_"), "--t-end", "13")
+    answer = ask("export", "nested.py", "--fmu", "-o", name.replace(" ", "_"), "--until", "13")
     assert answer.code == YES, answer.err
     unit = Unit(next(Path(name.replace(" ", "_")).glob("*.fmu")))
     assert unit.initialize(13.0) == OK

@@ -144,5 +144,5 @@ def test_a_name_with_a_file_in_the_current_folder_is_told(folder: Path) -> None:
     assert ask("new", "tapper").code == YES
     answer = ask("simulate", "tapper")
     assert "Unknown problem `tapper`. For the file, pass `tapper.py`." in answer.err
-    assert ask("simulate", "tapper.py", "--t-end", "1").code == YES
+    assert ask("simulate", "tapper.py", "--until", "1").code == YES
     assert (folder / "tapper.py").exists()

@@ -128,7 +128,7 @@ def options_line(arguments: Iterable[str]) -> str:
 
 def names_table() -> str:
     """Return the names as a table in Markdown."""
-    rows = ["| Argument | Option | Meaning | Until 0.3 |", "|---|---|---|---|"]
+    rows = ["| Argument | Option | Meaning | Old name |", "|---|---|---|---|"]
     for one in NAMES.values():
         old = ", ".join(f"`{name}`" for name in (*one.old_options, *one.old_arguments))
         rows.append(f"| `{one.name}` | `{one.option} {one.form}` | {one.meaning} | {old} |")

@@ -138,7 +138,7 @@ def _problem(options: argparse.Namespace) -> zo.Problem:
             raise InputError("Argument `--problem` needs an orbit file in place of PROBLEM.")
         return api.known_problem(options.problem)
     if options.start_orbit is not None:
-        raise InputError(f"Argument `--from` is not needed: the start is `{options.problem}`.")
+        raise InputError(f"Argument `--near` is not needed: the start is `{options.problem}`.")
     options.start_orbit = Path(options.problem)
     return api.problem_of(api.any_orbit(options.start_orbit), options.problem_file)
 

@@ -119,7 +119,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
         unit = dict(zip(problem.state_names, problem.state_units, strict=True)).get(name)
         if unit == "rad" and abs(value) > _MOST_ANGLE:
             turns = abs(value) / (2 * math.pi)
-            note = f"--initial {name}={value:g}: in radians this is {turns:.3g} turns"
+            note = f"--start {name}={value:g}: in radians this is {turns:.3g} turns"
             report.print_note(f"{note} ({value:g} degrees are {math.radians(value):.4g}).")
     stopped = None
     try:

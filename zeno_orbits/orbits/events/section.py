@@ -702,7 +702,7 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     """
     if _is_at_rest(execution, graph, execution.end_time / 2):
         raise SimulationError(
-            "The motion comes to rest: start elsewhere (`start`, --initial), or take values that "
+            "The motion comes to rest: start elsewhere (`start`, --start), or take values that "
             "drive the machine more strongly",
             time=execution.end_time,
             state=tuple(execution.end_state.tolist()),
