@@ -32,7 +32,6 @@ from zeno_orbits.experiment.orbit_table import (
 from zeno_orbits.model import GraphDynamics, Problem
 from zeno_orbits.orbits import (
     EventReturn,
-    SectionMode,
     closed_return,
     orbit_event_name,
     start_by_parameters,
@@ -107,7 +106,7 @@ class EventPredictions(OrbitPredictions[EventPeriod]):
             guess=near.period,
             settings=self._settings,
             parameters=self.unknowns.places,
-            mode=SectionMode.of(near.execution.arcs[0], section),
+            mode=near.mode,
         )
         if len(found.events) > self._most:
             raise SimulationError("Too many events per period", time=0.0, state=())

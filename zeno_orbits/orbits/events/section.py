@@ -86,8 +86,9 @@ class SectionMode:
     Attributes:
         closed: Names of the closed stops.
         sides: Side of every kink.
-        stop: Name of the stop that the event has just left with a speed, or empty.
-        released: Name of the stop that the event has just released, or empty.
+        stop: Name of the stop that the event has just left, other than at contact force zero, or
+            empty.
+        released: Name of the stop that has just been released at contact force zero, or empty.
     """
 
     closed: tuple[str, ...]
@@ -96,17 +97,21 @@ class SectionMode:
     released: str = ""
 
     @classmethod
-    def of(cls, first: Arc, section: str) -> SectionMode:
+    def of(cls, first: Arc, events: Sequence[Event]) -> SectionMode:
         """Return the mode of the first arc of a motion.
 
         Args:
             first: The arc.
-            section: Name of the event at which it starts.
+            events: Events up to the event at which it starts, in order.
         """
+        section = orbit_event_name(events[-1])
         kind, _, name = section.partition(" ")
         left = "" if name in first.closed else name
-        stop = first.stop or (left if kind == "impact" else "")
-        released = left if kind == "release" else ""
+        is_caused = any(event.time == events[-1].time for event in events[:-1])
+        # At a release that another event causes, the contact force is not zero.
+        is_thrown = kind == "impact" or (kind == "release" and is_caused)
+        stop = first.stop or (left if is_thrown else "")
+        released = left if kind == "release" and not is_caused else ""
         return cls(closed=first.closed, sides=first.sides, stop=stop, released=released)
 
     @classmethod
@@ -121,10 +126,13 @@ class SectionMode:
         Returns:
             The mode, or ``None`` if the execution ends at all times.
         """
+        names = [orbit_event_name(event) for event in execution.events]
         for time in times:
             first = next((arc for arc in execution.arcs if arc.start_time >= time), None)
-            if first is not None:
-                return cls.of(first, section)
+            last = [k for k, event in enumerate(execution.events) if event.time == time]
+            place = next((k for k in last if names[k] == section), None)
+            if first is not None and place is not None:
+                return cls.of(first, execution.events[: place + 1])
         return None
 
 
@@ -196,7 +204,7 @@ class EventReturn:
     @property
     def mode(self) -> SectionMode:
         """The mode of the start."""
-        return SectionMode.of(self.execution.arcs[0], orbit_event_name(self.events[-1]))
+        return SectionMode.of(self.execution.arcs[0], self.events)
 
     @cached_property
     def passages(self) -> tuple[ArcPassage, ...]:
@@ -342,7 +350,7 @@ def _times_of(execution: Execution, section: str, guess: float) -> list[float]:
 def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
     """Return a state projected onto its closed stops, and onto the stop that it leaves.
 
-    A release also has the contact force zero.
+    A release also has the contact force zero, unless another event caused it.
 
     Args:
         graph: The graph of modes.
@@ -410,7 +418,7 @@ def section_of_family(found: EventReturn) -> tuple[EventSection, Vector]:
     """
     names = [orbit_event_name(event) for event in found.events]
     name, sequence, x = names[-1], sequence_of(names), found.start
-    mode = SectionMode.of(found.execution.arcs[0], name)
+    mode = found.mode
     n_returns = names.count(name)
     release = found.events[0]
     if isinstance(release, Release) and name == f"zeno {release.stop}":
@@ -502,7 +510,7 @@ def closed_return(
     for _ in range(_MOST_ITERATIONS):
         found = returned(x, guess=guess, parameters=parameters, mode=mode)
         if mode is None:
-            mode = SectionMode.of(found.execution.arcs[0], section)
+            mode = found.mode
             x = on_section(graph, found.start, mode)
             if np.any(x != found.start):
                 continue
@@ -561,7 +569,7 @@ def shortest_return(
                 guess=event.time,
                 settings=settings,
                 parameters=found.differentiation.chosen,
-                mode=SectionMode.of(found.execution.arcs[0], section),
+                mode=found.mode,
                 is_near=True,
             )
         except SimulationError:

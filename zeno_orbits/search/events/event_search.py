@@ -18,7 +18,6 @@ from zeno_orbits.orbits import (
     EventOrbit,
     EventReturn,
     OrbitEvent,
-    SectionMode,
     StepControl,
     closed_return,
     digest_of,
@@ -150,7 +149,7 @@ def return_near(
             n_returns=near.n_returns,
             guess=near.period if last is None else last.orbit.period,
             settings=settings,
-            mode=last and SectionMode.of(last.orbit.execution.arcs[0], near.section),
+            mode=last and last.orbit.mode,
         )
         return LinePoint(part=part, start=found.start, orbit=found, margins={})
 

@@ -28,7 +28,6 @@ from zeno_orbits.orbits import (
     EventQuantities,
     EventReturn,
     Reading,
-    SectionMode,
     StepError,
     closed_return,
     course_signal_names,
@@ -357,7 +356,7 @@ class OrbitsOverValues:
             settings=self.simulation,
             parameters=chosen,
             # A stop that moves may otherwise pass the last start.
-            mode=SectionMode.of(near.execution.arcs[0], section),
+            mode=near.mode,
         )
 
     def differenced(
