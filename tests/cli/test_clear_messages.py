@@ -124,7 +124,7 @@ def test_continue_takes_an_orbit_file_as_the_function_takes_an_orbit(orbit_file:
     words = ("--parameter", "Kp=2.4:2.6", "-j", "1", "--json")
     by_command = ask("continue", orbit_file, *words)
     assert by_command.code == YES
-    by_function = zo.continue_orbit(orbit_file, "Kp", (2.4, 2.6))
+    by_function = zo.continue_orbit(orbit_file, ("Kp", 2.4, 2.6))
     assert by_command.data == json.loads(json.dumps(by_function.as_json()))
     assert "not needed" in ask("continue", orbit_file, "--near", orbit_file, *words).err
 
