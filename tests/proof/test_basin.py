@@ -112,7 +112,7 @@ def test_a_set_that_the_checker_refuses_is_followed_by_smaller_ones(
         seen.append(len(data["basin"]))
         if len(seen) > 1:
             return verdict
-        claims = [replace(one, ok=one.ok and one.name != "basin") for one in verdict.claims]
+        claims = [one._replace(ok=one.ok and one.name != "basin") for one in verdict.claims]
         return replace(verdict, claims=tuple(claims))
 
     monkeypatch.setattr("zeno_orbits.proof.prover.check_proof", stern)
