@@ -7,6 +7,7 @@ import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 from flint import arb, ctx
@@ -249,7 +250,11 @@ def _with_basin(
     """
     writer = CertificateWriter(system, found.start.places)
     # The other box and its claims do not concern the set.
-    asked = {**proof.certificate, "passes": proof.certificate["passes"][:1], "claims": []}
+    asked: dict[str, Any] = {
+        **proof.certificate,
+        "passes": proof.certificate["passes"][:1],
+        "claims": [],
+    }
     reason = ""
     try:
         for sets in islice(large_sets(orbit, system, found, on_progress), _MOST_SETS):
