@@ -150,7 +150,7 @@ def test_a_machine_with_too_many_modes_is_refused() -> None:
     Path("many.py").write_text(MANY, encoding="utf-8")
     answer = ask("export", "many.py", "-o", "exported")
     assert answer.code == MISUSE
-    assert "`problem` cannot be exported: it has 512 modes, and at most 256 are exported" in (
+    assert "many.py: cannot be exported: it has 512 modes, and at most 256 are exported" in (
         answer.err
     )
 

@@ -142,7 +142,10 @@ def test_a_point_outside_the_finest_grid_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--x", "heigth=0:1", "--y", "speed=0:1"), "but it is `heigth`. Did you mean `height`?"),
+        (
+            ("--x", "heigth=0:1", "--y", "speed=0:1"),
+            "unknown name `heigth`. Did you mean `height`?",
+        ),
         (("--x", "height=1:0", "--y", "speed=0:1"), "LOWER < UPPER for `height`"),
         (("--x", "height=0:1", "--y", "sine=0:1"), "must not be a state of the clock"),
         (("--x", "height=0:1", "--y", "height=0:2"), "another name than `x`"),

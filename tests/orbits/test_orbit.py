@@ -130,7 +130,7 @@ def test_the_file_has_every_entry_of_the_contract(
 
 def test_an_orbit_gives_the_numbers_of_its_problem(orbit: ZenoOrbit, problem: Problem) -> None:
     assert orbit.values(problem) == problem.values()
-    with pytest.raises(InputError, match="but it is `Ki`"):
+    with pytest.raises(InputError, match="unknown gain `Ki`"):
         replace(orbit, gains={"Ki": 1.0}).values(problem)
 
 
