@@ -102,6 +102,7 @@ def test_a_negative_number_with_an_exponent_is_a_value(orbit_file: Path) -> None
     assert_refused(missing, "--t-start: a value is missing.")
 
 
+@pytest.mark.slow
 def test_the_axes_of_a_map_may_give_their_number_of_points() -> None:
     one = ask("map", "bouncing_ball", "--x", "m=1:2:3", "--y", "g=5:9:2", "-j", "1", "--json")
     assert [one.data[side]["count"] for side in "xy"] == [3, 2]
@@ -129,6 +130,7 @@ def test_continue_takes_an_orbit_file_as_the_function_takes_an_orbit(orbit_file:
     assert "not needed" in ask("continue", orbit_file, "--near", orbit_file, *words).err
 
 
+@pytest.mark.slow
 def test_the_orbit_of_an_own_problem_is_continued_with_its_file(tmp_path: Path) -> None:
     assert ask("new", "mine").code == YES
     zo.write_orbit(zo.find_orbit("mine.py").unwrap(), "orbit.json")

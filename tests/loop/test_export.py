@@ -73,6 +73,7 @@ def test_an_exported_problem_gives_the_same_to_the_last_digit(name: str) -> None
     assert found == _expected(name, 3.0)
 
 
+@pytest.mark.slow
 def test_a_sequence_of_many_impacts_runs_to_its_end() -> None:
     # The valve bounces once a turn of its limit cycle, so its impacts never accumulate.
     options = ("--set", "q=2", "--set", "restitution=0.8", "--until", "24000")
@@ -110,6 +111,7 @@ def test_a_machine_with_nested_kinks_gives_the_same_digits() -> None:
     assert numbers[:3] == pytest.approx([2 * math.pi, *y[:2]], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_short_pulse_is_not_lost_in_exported_code() -> None:
     width = 1e-7
     force = f"zo.piecewise(clock, (0, {1 / width!r}, 0), (1.0, 1.0 + {width!r}))"

@@ -172,7 +172,12 @@ OLD: dict[str, tuple[Callable[[], Any], Callable[[], Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", OLD)
+SLOW = {"second", "over", "box by name"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in OLD]
+)
 def test_an_old_argument_warns_and_gives_the_same_answer(name: str) -> None:
     old, new, said = OLD[name]
     with pytest.warns(DeprecationWarning, match=said.replace("(", r"\(").replace(")", r"\)")):
