@@ -1398,6 +1398,8 @@ static int fly_on(Graph *g) {
         } else
             run->pace.n_estimates = 0;
     }
+    /* Along the curve of the impacts, no kink changes its side within a flight. */
+    if (found == CURVE && graph->split_before) found = NO_LIMIT;
     if (found == CURVE) {
         run->stage = AT_CURVE;
         run->answered = 0;

@@ -64,7 +64,7 @@ from zeno_orbits.simulation.interruptions import (
 )
 from zeno_orbits.simulation.recorded import LoopTrajectory
 from zeno_orbits.simulation.reference_run import ImpactSequence, ReferenceRun, is_slack
-from zeno_orbits.simulation.zeno.completion import ZenoExtrapolation
+from zeno_orbits.simulation.zeno.completion import ZenoExtrapolation, ZenoPassage
 from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit
 
 _APART = 1e-11
@@ -280,11 +280,15 @@ class GraphRun(ReferenceRun):
 
     def limit_of(self, estimates: Sequence[TailEstimate]) -> ZenoLimit | None:
         """Return the Zeno point. Flights that a kink splits determine it less accurately."""
-        limit = ReferenceRun.limit_of(self, estimates)
-        if limit is None and self.split_by[0]:
-            rough = ZenoExtrapolation(tolerance=_SPLIT, resolved=_SPLIT_RESOLVED)
-            return rough.limit(self.dynamics, estimates)
-        return limit
+        if not self.split_by[0]:
+            return ReferenceRun.limit_of(self, estimates)
+        rule = self.settings.completion
+        if isinstance(rule, ZenoPassage):
+            # Along the curve of the impacts, no kink changes its side within a flight.
+            rule = rule.one_by_one
+        rough = ZenoExtrapolation(tolerance=_SPLIT, resolved=_SPLIT_RESOLVED)
+        limit = rule.limit(self.dynamics, estimates)
+        return limit or rough.limit(self.dynamics, estimates)
 
     def reaches(self, arc: Arc, natural: Ending) -> bool:
         """Return True if an arc ended at the event of the stop that the run looks at."""
