@@ -1,6 +1,6 @@
 """A digest of a problem's equations, which identifies the problem of an orbit.
 
-The compiled functions are evaluated at one fixed state and parameter vector of order 1. The entries
+The compiled functions are evaluated at fixed states and at a parameter vector of order 1. The entries
 of each result are summed with fixed weights. Equivalent equations in another form have the same
 digest, on any machine and with any version of CasADi. Other equations have another digest.
 """
@@ -21,6 +21,8 @@ from zeno_orbits.model import Problem
 _SAME = 1e-6
 """Largest relative difference of the digests of the same equations."""
 
+_SIZES = (0.1, 1.0, 10.0, 100.0)
+"""Sizes of the states at which the formulas of a graph are evaluated."""
 _SPREAD = (math.sqrt(5) - 1) / 2
 
 
@@ -46,9 +48,10 @@ def digest_of(problem: Problem) -> tuple[float, ...]:
 
 
 def _digest_of_graph(problem: Problem) -> tuple[float, ...]:
-    """Return the values of flow, energy, gaps, switches and resets, at a state and its negative.
+    """Return the values of flow, energy, gaps, switches and resets at states of several sizes.
 
-    A kink takes the branch that holds at the state, so another branch does not contribute.
+    A kink takes the branch that holds at a state. States of all sizes and signs reach the branches
+    of a limit, and small states are not lost beside large ones.
     """
     symbols = problem.symbols()
     system = problem.model(symbols)
@@ -69,8 +72,12 @@ def _digest_of_graph(problem: Problem) -> tuple[float, ...]:
     outputs = [ca.vertcat(*(ca.vec(ca.SX(one)) for one in group)) for group in groups]
     function = ca.Function("digest", [graph.state, names], [ca.densify(one) for one in outputs])
     x, p = _spread(graph.state.numel(), 0.2), _spread(names.numel(), 0.5)
-    at = [function.call([state, p]) for state in (x, -x)]
-    return tuple(_number([_defined(one) for one in found]) for found in zip(*at, strict=True))
+    turned = x * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
+    found: list[float] = []
+    for size in _SIZES:
+        at = [function.call([size * state, p]) for state in (x, -x, turned, -turned)]
+        found += [_number([_defined(one) for one in each]) for each in zip(*at, strict=True)]
+    return tuple(found)
 
 
 def _defined(entries: Any) -> Vector:
