@@ -54,6 +54,19 @@ def test_the_section_of_several_stops_is_named_by_its_event() -> None:
     assert "Slowest direction: speed alone" in answer.out
 
 
+@pytest.mark.parametrize("gain", [-0.9, -1.5])
+def test_a_file_whose_motion_does_not_return_is_not_called_stable(gain: float) -> None:
+    path = Path(_file("motor_pendulum"))
+    data = json.loads(path.read_text())
+    assert data["gains"]["Kd"] == -1.0
+    data["gains"]["Kd"] = gain
+    path.write_text(json.dumps(data))
+    answer = ask("stability", path)
+    assert answer.code == NO
+    assert "Orbit of motor_pendulum: undecided" in answer.out
+    assert "The motion does not return to its start: `verify` measures by how much." in answer.out
+
+
 def test_a_complex_pair_turns() -> None:
     answer = ask("stability", _file("impact_oscillator"))
     # The published multipliers -0.584295 +- 0.005600 i.

@@ -24,6 +24,8 @@ from zeno_orbits.work import Columns, TableRepr, versions
 
 RECOVERED = {"1/e": math.exp(-1.0), "1 %": 0.01}
 """Parts of a small disturbance whose times are printed, by their names."""
+_SURE = 1e-3
+"""Errors of the multipliers of an orbit that closes are smaller, relative to 1 or the largest."""
 _SEEN = 0.1
 """Least size of a state in a direction, relative to that of the first state, to be named."""
 
@@ -126,14 +128,19 @@ class Stability(TableRepr):
         return max(self.errors, default=0.0)
 
     @property
+    def closes(self) -> bool:
+        """True if the errors are so small that the motion from the start returns to it."""
+        return self.error < _SURE * max(1.0, self.spectral_radius)
+
+    @property
     def stable(self) -> bool:
         """True if all multipliers, with their errors, are inside the unit circle."""
-        return self.spectral_radius + self.error < 1.0
+        return self.closes and self.spectral_radius + self.error < 1.0
 
     @property
     def unstable(self) -> bool:
         """True if a multiplier is outside the unit circle by more than the error."""
-        return self.spectral_radius - self.error > 1.0
+        return self.closes and self.spectral_radius - self.error > 1.0
 
     @property
     def verdict(self) -> str:

@@ -233,6 +233,8 @@ def recovery_words(found: Stability) -> list[str]:
         lines.append(f"A small disturbance grows to {', '.join(times)}.")
     else:
         lines.append("The errors of the multipliers leave open whether a disturbance decays.")
+    if not found.closes:
+        lines.append("The motion does not return to its start: `verify` measures by how much.")
     return lines
 
 
