@@ -69,8 +69,9 @@ def test_the_spectral_radius_exceeds_one_between_two_close_flips_only() -> None:
     assert family.resolution < 1e-2 * (second - first)
     for one in family.special:
         assert radius_by_itself(family, one.at) == pytest.approx(1.0, abs=1e-8)
-        # The looser computation stays beyond the error of the finer one.
-        assert abs(one.at.spectral_radius - 1) <= one.at.multiplier_error < 1e-6
+        # The flip is located to the accuracy of the motion.
+        assert abs(one.at.spectral_radius - 1) < 1e-8
+        assert one.at.multiplier_error < 1e-6
     inside = [point for point in family.points if first < point.value < second]
     assert inside
     for point in inside:
