@@ -582,3 +582,29 @@ def test_a_coarse_encoder_is_no_deviation(
         lambda time, values: (time, rounded(time, 1.2 * values)[1]),
     )
     assert compare_recording(orbit, problem, stretched).differences
+
+
+@pytest.mark.parametrize(
+    ("channel", "why"),
+    [
+        (lambda closed: closed, ""),
+        (lambda closed: 1.0 - closed, "channel and signals contradict each other"),
+        (np.ones_like, "channel and signals contradict each other"),
+        (np.zeros_like, "the contact `stop` never closes"),
+    ],
+    ids=["true", "inverted", "always closed", "never closed"],
+)
+def test_a_contact_channel_must_agree_with_the_recorded_gap(
+    channel: Callable[[np.ndarray], np.ndarray],
+    why: str,
+    orbit: ZenoOrbit,
+    problem: Problem,
+    table: OrbitTable,
+) -> None:
+    plain = recorded(table, problem)
+    time = (plain.time + 0.3 * orbit.period) % orbit.period
+    closed = np.array(time > orbit.zeno_time, dtype=np.float64)
+    contact = RecordedSignal(name="contact", unit="1", values=channel(closed))
+    found = compare_recording(orbit, problem, replace(plain, signals=(*plain.signals, contact)))
+    assert found.agrees == (not why)
+    assert any(why in reason for reason in found.reasons) == bool(why), found.reasons

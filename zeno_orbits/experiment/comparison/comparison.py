@@ -244,11 +244,11 @@ def compare_recording(
     contacts, seen = _contact_evidence(overlay, problem, recording, channels)
     if contacts is not None and not (seen.reasons or seen.unresolved or seen.unseen):
         reasons = overlay.reasons(alike=RELATED)
-    against = (
-        contradictions(problem, values, recording, names, overlay.seen, channels)
-        if problem.has_graph
-        else ()
-    )
+    against = contradictions(problem, values, recording, names, overlay.seen, channels)
+    if contacts is not None:
+        # The gap shows contact.
+        silent = (one.name for one in overlay.seen.stops if not one.n_contacts)
+        against += tuple(f"the contact `{name}` never closes" for name in silent)
     if found.repeats < 1.0 - _STRAY:
         remarks.append(
             f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
