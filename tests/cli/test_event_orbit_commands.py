@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import NO, YES, ask, assert_refused
+from zeno_orbits import api
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -77,6 +80,26 @@ def test_report_writes_the_page_and_returns_the_verdict() -> None:
     data["start_state"]["speed"] *= 1.001
     Path("hopper.json").write_text(json.dumps(data))
     assert ask("report", "hopper.json", "-o", "page.html").code == NO
+
+
+def test_an_unstable_orbit_is_written_only_if_it_is_accepted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    verify = api.verify
+
+    def doubled(*args: Any, **options: Any) -> zo.OrbitCertificate:
+        return replace(verify(*args, **options), multipliers=(2.0 + 0.0j,))
+
+    monkeypatch.setattr(api, "verify", doubled)
+    words = ("search", "hopper", "-o", "orbit.json")
+    refused = ask(*words)
+    assert refused.code == NO
+    said = "The orbit is not stable, and orbit.json was not written: --allow-unstable accepts"
+    assert said in refused.out
+    assert not Path("orbit.json").exists()
+    assert "--allow-unstable accepts the orbit." in ask(*words[:2]).out
+    assert ask(*words, "--allow-unstable").code == YES
+    assert Path("orbit.json").exists()
 
 
 def test_verify_refuses_a_changed_file() -> None:

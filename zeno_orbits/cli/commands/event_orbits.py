@@ -96,8 +96,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
         print_json(orbit.as_json())
         return YES if passes else NO
     report.print_event_orbit(orbit, certificate)
-    if passes:
-        say_written(options, [] if options.output is None else [options.output])
+    _say_output(options, certificate, passes=passes)
     if options.accuracy is not None:
         report.print_error_estimate(certificate.orbit_error)
     return YES if passes else NO
@@ -148,8 +147,7 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
         print_json(orbit.as_json() | {"search": result.as_json()} | ranking(options, result) | told)
         return YES if passes else NO
     report.print_event_orbit(orbit, certificate)
-    if passes:
-        say_written(options, [] if options.output is None else [options.output])
+    _say_output(options, certificate, passes=passes)
     if result.candidates:
         report.print_candidates(result)
     if free:
@@ -158,6 +156,18 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
     if options.accuracy is not None:
         report.print_error_estimate(certificate.orbit_error)
     return YES if passes else NO
+
+
+def _say_output(
+    options: argparse.Namespace, certificate: zo.OrbitCertificate, *, passes: bool
+) -> None:
+    """Print that the orbit was written, or why it was not."""
+    outputs = [] if options.output is None else [options.output]
+    if passes:
+        say_written(options, outputs)
+    elif certificate.passed:
+        left = f", and {options.output} was not written" if outputs else ""
+        report.print_lines([f"The orbit is not stable{left}: --allow-unstable accepts the orbit."])
 
 
 def run_verify_events(options: argparse.Namespace) -> int:
