@@ -92,6 +92,17 @@ def test_the_file_without_a_mistake_is_accepted(tmp_path: Path) -> None:
     assert ask("simulate", file, "--until", "1").code == 0
 
 
+def test_a_file_that_changes_the_folder_is_loaded_in_the_folder_of_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("ball.py").write_text(f"import os\nos.chdir('/')\n{FILE}", encoding="utf-8")
+    answer = ask("simulate", "ball.py", "--until", "1", "-o", "ball.csv")
+    assert answer.code == 0
+    assert Path("ball.csv").exists()
+    assert Path.cwd() == tmp_path
+
+
 def test_a_negative_inductance_is_named_with_its_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,7 @@ import casadi as ca
 import pytest
 
 import zeno_orbits as zo
-from tests.support.commands import NO, YES, ask
+from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.api import any_orbit
 from zeno_orbits.model import load_problem
 from zeno_orbits.orbits import digest_of, same_equations
@@ -138,6 +138,26 @@ def test_the_digest_of_a_machine_with_modes_is_that_of_its_equations(name: str) 
 
     assert same_equations(digest, digest_of(replace(problem, model=rewritten)))
     assert not same_equations(digest, digest_of(replace(problem, model=changed)))
+
+
+def test_a_script_that_is_no_model_is_not_run_because_an_orbit_names_it(folder: Path) -> None:
+    _own_orbit("template", Path("orbit.json"))
+    (folder / "wipe.py").write_text("open('it ran', 'w')\n")
+    data = json.loads(Path("orbit.json").read_text())
+    Path("orbit.json").write_text(json.dumps(data | {"problem_file": "wipe.py"}))
+    answer = ask("verify", "orbit.json")
+    assert answer.code == MISUSE
+    assert "`wipe.py` is not run unless you name it, since it defines no `PROBLEM`" in answer.err
+    assert not Path("it ran").exists()
+
+
+def test_the_remedy_names_the_file_that_is_there(folder: Path) -> None:
+    (folder / "results").mkdir()
+    _own_orbit("template", Path("results/orbit.json"))
+    (folder / "mine.py").chmod(0o666)
+    answer = ask("verify", "results/orbit.json")
+    assert answer.code == MISUSE
+    assert "pass --problem mine.py (" in answer.err
 
 
 LIMITS = {

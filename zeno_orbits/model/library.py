@@ -9,7 +9,7 @@ import re
 import stat
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import chdir, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.machinery import SourceFileLoader
@@ -129,19 +129,20 @@ class RecordedFile:
         places = [own] if self.near else []
         if own.name and Path.cwd() / own.name not in places:
             places.append(Path.cwd() / own.name)
-        reasons: list[str] = []
+        reasons: list[tuple[str, Path]] = []
         for path in places:
             reason = _reason_not_to_run(path)
             if not reason:
                 return path
             if reason != _MISSING:
-                reasons.append(reason)
+                reasons.append((reason, path))
         if not reasons and not self.near and _is_there(own):
-            reasons.append("it is in another folder")
+            reasons.append(("it is in another folder", own))
         clause, file = f"`{shortened(own.name)}` is missing", "FILE.py"
         if reasons:
-            clause = f"`{shortened(own.name)}` is not run unless you name it, since {reasons[0]}"
-            file = _typable(self.path)
+            reason, path = reasons[0]
+            clause = f"`{shortened(own.name)}` is not run unless you name it, since {reason}"
+            file = _typable(str(path))
         raise InputError(f"{clause}: pass --problem {file} (`problem=` in Python)")
 
 
@@ -163,6 +164,9 @@ def _reason_not_to_run(path: Path) -> str:
                 return "another user owns it or may write to it"
         if not folder.st_mode & stat.S_ISVTX and others_may_write(path.parent):
             return "another user may write to its folder"
+        # A script of the user's that is no model must not run because data name it.
+        if not any(b"PROBLEM" in one.read_bytes() for one in files if one.is_file()):
+            return "it defines no `PROBLEM`"
     except FileNotFoundError:
         return _MISSING
     except (OSError, ValueError):
@@ -317,7 +321,9 @@ def _execute(file: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        # Paths that the user typed remain valid.
+        with chdir(Path.cwd()):
+            spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise ProblemFileError(file, *account_of(error, file)) from error

@@ -1,8 +1,9 @@
 """A digest of a problem's equations, which identifies the problem of an orbit.
 
-The compiled functions are evaluated at fixed states and at a parameter vector of order 1. The entries
-of each result are summed with fixed weights. Equivalent equations in another form have the same
-digest, on any machine and with any version of CasADi. Other equations have another digest.
+The compiled functions are evaluated at fixed states and at a parameter vector of order 1. The
+entries of each result are summed with fixed weights. Equivalent equations in another form have the
+same digest, on any machine and with any version of CasADi. Other equations have another digest,
+unless they differ on branches of kinks that hold at none of the states.
 """
 
 from __future__ import annotations
