@@ -120,7 +120,7 @@ def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
         (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "1e12"), "two to 10000000"),
         (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "1e-3"), "two to 10000000"),
         (("simulate", "motor_pendulum", "-o", "d.csv", "--noise", "-1"), "--noise -1: must be"),
-        (("simulate", "motor_pendulum", "-o", "no/d.csv"), "must be in a writable folder"),
+        (("simulate", "motor_pendulum", "-o", "no/d.csv"), "the folder `no` does not exist"),
     ],
 )
 def test_misuse_is_one_line(folder: Path, arguments: tuple[str, ...], reason: str) -> None:

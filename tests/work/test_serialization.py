@@ -170,6 +170,7 @@ def test_numbers_that_are_not_finite_are_refused_where_a_result_must_be(number: 
         ('{"a": 1, "b": {"c": 1, "c": 1}}', "names `c` twice"),
         ('{"a": 1', "not complete JSON"),
         ("[" * 100_000, "not complete JSON"),
+        (" \n", "it is empty"),
         (b"\xff", "not UTF-8 text"),
         (None, r"cannot be read \(No such file"),
     ],

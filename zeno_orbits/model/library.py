@@ -313,7 +313,9 @@ class _NoCache(SourceFileLoader):
 
 def _execute(file: Path) -> ModuleType:
     if file.suffix != ".py" or not file.is_file():
-        raise ProblemFileError(file, "it is not a Python file")
+        raise ProblemFileError(
+            file, "it is not a Python file: a problem is a name of `problems` or a file `NAME.py`"
+        )
     name = f"zeno_orbits_problem_{file.parent.name}_{file.stem}".replace("-", "_")
     spec = importlib.util.spec_from_file_location(name, file, loader=_NoCache(name, str(file)))
     if spec is None or spec.loader is None:

@@ -67,7 +67,8 @@ def require_writable(path: Path, argument: str = "output") -> None:
     if _is_special(path):
         return
     if not folder.is_dir() or not os.access(folder, os.W_OK):
-        message = f"must be in a writable folder, but `{path}` is not"
+        why = "" if folder.is_dir() else f": the folder `{path.parent}` does not exist"
+        message = f"must be in a writable folder, but `{path}` is not{why}"
         raise InputError(f"Argument `{argument}` {message}.")
 
 
@@ -145,6 +146,8 @@ def _read_text(path: Path, most: int) -> str:
     commands = "\x7f" in text or not (text.isascii() or CONTROLS.search(text) is None)
     if commands or ("\\" in text and _ESCAPED.search(text)):
         raise _ContentError("it holds control characters in a text")
+    if not text.strip():
+        raise _ContentError("it is empty")
     return text
 
 
