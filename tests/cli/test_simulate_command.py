@@ -19,6 +19,7 @@ from tests.support.commands import (
 )
 from zeno_orbits.errors import PenetrationError
 from zeno_orbits.integrators import Tolerance
+from zeno_orbits.report import terminal as report
 from zeno_orbits.simulation import Execution, SimulationSettings, simulate
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -29,6 +30,16 @@ def test_simulate_names_impacts_zeno_points_and_releases() -> None:
     assert answer.code == YES
     for word in ("impact", "Zeno point", "release", "The last arc is"):
         assert word in answer.out
+
+
+@pytest.mark.parametrize("error", [1e-10, 1e-4, 0.088])
+def test_an_estimate_that_leaves_few_digits_is_followed_by_a_warning(
+    error: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report.print_error_estimate(error)
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == f"Estimated relative error: {error:.1e}."
+    assert (len(said) == 2 and "events may be false" in said[1]) == (error > 1e-3)
 
 
 def test_simulate_as_json_follows_the_ball_to_its_zeno_time() -> None:

@@ -36,6 +36,8 @@ _MOST_STATES = 3
 """States of an event that are printed: as many as 80 columns hold."""
 _BEFORE_STATES, _STATE = 45, 11
 """Width of the columns before the states, and of one of a state: others go into another table."""
+_ROUGH = 1e-3
+"""Estimated relative error from which the order of events is in doubt."""
 _STILL = 1e-9
 """A state that changes less from event to event stands still, relative."""
 
@@ -198,6 +200,8 @@ def print_engine(engine: str, why: str, error: float) -> None:
 def print_error_estimate(error: float) -> None:
     """Print an estimated error."""
     print_lines([f"Estimated relative error: {error:.1e}."])
+    if error > _ROUGH:
+        print_lines(["So few digits are left that later events may be false or missing."])
 
 
 def print_summary(
