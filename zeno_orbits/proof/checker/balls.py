@@ -245,6 +245,6 @@ def entries(data: Any, *names: str) -> list[Any]:
     if missing:
         raise InputError(f"The certificate lacks the entries {', '.join(missing)}.")
     if len(given) > len(names):
-        extra = ", ".join(shortened(name) for name in given if name not in names)
+        extra = shortened(", ".join(name for name in given if name not in names))
         raise InputError(f"The certificate has unknown entries: {extra}. Remove them.")
     return [cast("dict[str, Any]", data)[name] for name in names]
