@@ -136,7 +136,7 @@ def test_an_orbit_file_that_is_cut_short_is_refused(
     text = orbit_file.read_text().rstrip()
     orbit_file.write_text(text[: int(part * len(text))])
     before = contents(here)
-    assert_refused(ask(*command, orbit_file.name), "orbit.json", "JSON")
+    assert_refused(ask(*command, orbit_file.name), "orbit.json", "JSON" if part else "it is empty")
     assert contents(here) == before
 
 

@@ -8,8 +8,8 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Mapping
-from contextlib import chdir, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import chdir, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.machinery import SourceFileLoader
@@ -324,12 +324,24 @@ def _execute(file: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         # Paths that the user typed remain valid.
-        with chdir(Path.cwd()):
+        with _same_folder():
             spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise ProblemFileError(file, *account_of(error, file)) from error
     return module
+
+
+@contextmanager
+def _same_folder() -> Iterator[None]:
+    """Return to the current folder at the end. A folder that was deleted is left as it is."""
+    try:
+        here = Path.cwd()
+    except OSError:
+        yield
+        return
+    with chdir(here):
+        yield
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
