@@ -8,7 +8,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import chdir, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -333,7 +333,7 @@ def _execute(file: Path) -> ModuleType:
 
 
 @contextmanager
-def _same_folder() -> Iterator[None]:
+def _same_folder() -> Generator[None, None, None]:
     """Return to the current folder at the end. A folder that was deleted is left as it is."""
     try:
         here = Path.cwd()
