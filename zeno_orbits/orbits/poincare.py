@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,12 +18,7 @@ from zeno_orbits.arrays import Vector, eigenvalue_errors, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits.looser_run import relaxed_settings
-from zeno_orbits.orbits.monodromy import (
-    PeriodDerivative,
-    ReturnDerivative,
-    Sensitivity,
-    period_derivative,
-)
+from zeno_orbits.orbits.monodromy import ReturnDerivative, Sensitivity, period_derivative
 from zeno_orbits.orbits.period import cycle_of, first_return, place_on_section, to_next_release
 from zeno_orbits.orbits.section import RELEASE_ROWS, Section, rows_of, section_around
 from zeno_orbits.orbits.shape import ONE_ZENO, EventSequence
@@ -172,31 +168,15 @@ def orbit_multipliers(
     """
     if dynamics.differentiation is None:
         near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
-        section = _section(dynamics, shape, x, scale)
-        values = eigenvalues((4 * near - far) / 3)
-        errors = estimated_errors(values, eigenvalues(near), noise / _DIFFERENCE)
-        return Multipliers(
-            values=values,
-            errors=errors,
-            jacobian=(4 * near - far) / 3,
-            section=section,
-            event=event_of(shape),
-        )
-
-    def slope(start: Vector, accuracy: SimulationSettings) -> tuple[PeriodDerivative, Section]:
-        derivative = period_derivative(
-            dynamics, start, shape, horizon=2 * period, settings=accuracy
-        )
-        return derivative, _section(dynamics, shape, derivative.start, scale)
-
-    exact, section = slope(x, settings)
-    jacobian = section.components(exact.by_state @ section.lift)
-    values, least = eigenvalues(jacobian), _LEAST * settings.tolerance.relative
-    try:
-        rough, other = slope(exact.end, relaxed_settings(settings, resolved=_FEWER))
-        others = eigenvalues(other.components(rough.by_state @ other.lift))
-    except SimulationError:
-        others = ()
+        jacobian, section = (4 * near - far) / 3, _section(dynamics, shape, x, scale)
+        others, least = eigenvalues(near), noise / _DIFFERENCE
+    else:
+        jacobian, section, end = _exact_return(dynamics, x, shape, scale, period, settings)
+        others, least = (), _LEAST * settings.tolerance.relative
+        rough = relaxed_settings(settings, resolved=_FEWER)
+        with suppress(SimulationError):
+            others = eigenvalues(_exact_return(dynamics, end, shape, scale, period, rough)[0])
+    values = eigenvalues(jacobian)
     return Multipliers(
         values=values,
         errors=estimated_errors(values, others, least),
@@ -204,6 +184,20 @@ def orbit_multipliers(
         section=section,
         event=event_of(shape),
     )
+
+
+def _exact_return(
+    dynamics: HybridDynamics,
+    x: Vector,
+    shape: EventSequence,
+    scale: Vector,
+    period: float,
+    settings: SimulationSettings,
+) -> tuple[Vector, Section, Vector]:
+    """Return the derivative of a return in the chart of its section, the chart, and its end."""
+    found = period_derivative(dynamics, x, shape, horizon=2 * period, settings=settings)
+    section = _section(dynamics, shape, found.start, scale)
+    return section.components(found.by_state @ section.lift), section, found.end
 
 
 def estimated_errors(
@@ -254,9 +248,7 @@ def poincare_jacobian(
     if dynamics.differentiation is None:
         near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
         return (4 * near - far) / 3
-    derivative = period_derivative(dynamics, x, shape, horizon=2 * period, settings=settings)
-    section = _section(dynamics, shape, derivative.start, scale)
-    return section.components(derivative.by_state @ section.lift)
+    return _exact_return(dynamics, x, shape, scale, period, settings)[0]
 
 
 _FEWER = 10.0
