@@ -17,10 +17,9 @@ from zeno_orbits.model import Problem, ProblemFile, locate_problem, recorded_pro
 from zeno_orbits.orbits import (
     EventOrbit,
     ZenoOrbit,
-    digest_of,
+    other_equations,
     read_any_orbit,
     read_orbit,
-    same_equations,
 )
 from zeno_orbits.work import ExecutionPlan, Workers, checked
 
@@ -168,9 +167,8 @@ def problem_of(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> P
             is neither bundled nor found (`RecordedFile.trusted`).
     """
     found = problem_to_check(orbit, problem)
-    if orbit.problem_digest and not same_equations(orbit.problem_digest, digest_of(found)):
-        message = f"The equations of problem `{found.name}` differ from those that gave the orbit."
-        warnings.warn(message, EquationsWarning, stacklevel=2)
+    if other := other_equations(orbit.problem_digest, found):
+        warnings.warn(f"{other[0].upper()}{other[1:]}.", EquationsWarning, stacklevel=2)
     return found
 
 

@@ -10,6 +10,7 @@ from .cycle import first_cycles as first_cycles
 from .cycle import minimal_period as minimal_period
 from .cycle import round_again as round_again
 from .digest import digest_of as digest_of
+from .digest import other_equations as other_equations
 from .digest import same_equations as same_equations
 from .events.return_map import event_chart as event_chart
 from .events.return_map import multipliers_of_return as multipliers_of_return

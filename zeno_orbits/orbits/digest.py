@@ -93,6 +93,18 @@ def same_equations(digest: Sequence[float], other: Sequence[float]) -> bool:
     )
 
 
+def other_equations(digest: Sequence[float], problem: Problem) -> str:
+    """Return the clause that an orbit's digest belongs to other equations, or no text.
+
+    Args:
+        digest: Digest of the orbit, empty if its file has none.
+        problem: The problem.
+    """
+    if not digest or same_equations(digest, digest_of(problem)):
+        return ""
+    return f"the equations of problem `{problem.name}` differ from those that gave the orbit"
+
+
 def _spread(n: int, least: float) -> Vector:
     """Return distinct numbers between ``least`` and ``1 + least``, ``(n,)``."""
     return least + np.mod(_SPREAD * np.arange(1, n + 1), 1.0)

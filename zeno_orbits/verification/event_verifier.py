@@ -29,7 +29,6 @@ from zeno_orbits.orbits import (
     OrbitEvent,
     caused_releases,
     derivative_of_return,
-    digest_of,
     estimated_errors,
     event_return,
     events_as_listed,
@@ -38,8 +37,8 @@ from zeno_orbits.orbits import (
     lasting_events,
     multipliers_of_return,
     orbit_event_name,
+    other_equations,
     relaxed_tolerance,
-    same_equations,
     sequence_of,
 )
 from zeno_orbits.simulation import (
@@ -160,8 +159,7 @@ def verify_events(
     if known.spectral_radius >= 1.0:
         residuals.pop("drift", None)
         trouble = "" if periods else trouble
-    if orbit.problem_digest and not same_equations(orbit.problem_digest, digest_of(problem)):
-        trouble = f"the equations of problem `{problem.name}` differ from those that gave the orbit"
+    trouble = other_equations(orbit.problem_digest, problem) or trouble
     errors = [one.limit_error for one in _of_kind(periods, ZenoPoint)]
     return OrbitCertificate(
         tolerance=settings.tolerance,

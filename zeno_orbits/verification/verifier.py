@@ -20,10 +20,9 @@ from zeno_orbits.orbits import (
     EventOrbit,
     Multipliers,
     ZenoOrbit,
-    digest_of,
     orbit_multipliers,
+    other_equations,
     place_on_section,
-    same_equations,
 )
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
@@ -199,8 +198,8 @@ def _contradictions(
     orbit: ZenoOrbit, problem: Problem, dynamics: HybridDynamics, seen: Observation
 ) -> Iterator[str]:
     """Yield clauses on false statements in an orbit's data, and on coordinates that escape."""
-    if orbit.problem_digest and not same_equations(orbit.problem_digest, digest_of(problem)):
-        yield f"the equations of problem `{problem.name}` differ from those that gave the orbit"
+    if other := other_equations(orbit.problem_digest, problem):
+        yield other
     shape = orbit.shape.at_restitution(dynamics.restitution)
     if shape != orbit.shape:
         at = f"at restitution {dynamics.restitution:g} it is `{shape.text}`"

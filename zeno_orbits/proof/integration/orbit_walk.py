@@ -9,7 +9,7 @@ from flint import arb
 
 from zeno_orbits.errors import InputError, ProofError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import ZenoOrbit, digest_of, same_equations
+from zeno_orbits.orbits import ZenoOrbit, other_equations
 from zeno_orbits.proof.arithmetic.balls import Ball
 from zeno_orbits.proof.arithmetic.expressions import stop_identities
 from zeno_orbits.proof.arithmetic.program import BallProgram
@@ -42,8 +42,7 @@ def require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> 
         ProofError: If the orbit does not fit, or is of another kind.
         InputError: If the restitution is out of range.
     """
-    digest = orbit.problem_digest
-    if digest and not same_equations(digest, digest_of(problem)):
+    if other_equations(orbit.problem_digest, problem):
         raise ProofError("problem", "the orbit was computed from other equations")
     _require_stop(orbit, problem, values)
     if not orbit.shape.starts_at_release:
