@@ -247,8 +247,7 @@ def compare_recording(
     against = contradictions(problem, values, recording, names, overlay.seen, channels)
     if contacts is not None:
         # The gap shows contact.
-        silent = (one.name for one in overlay.seen.stops if not one.n_contacts)
-        against += tuple(f"the contact `{name}` never closes" for name in silent)
+        against += tuple(one.silence for one in overlay.seen.stops if one.silence)
     if found.repeats < 1.0 - _STRAY:
         remarks.append(
             f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"

@@ -51,6 +51,11 @@ class _Stop:
     others: int
     n_contacts: int
 
+    @property
+    def silence(self) -> str:
+        """The reason against the orbit if no contact is recorded, else no text."""
+        return "" if self.n_contacts else f"the contact `{self.name}` never closes"
+
     def labels(self) -> list[str]:
         """Return the names of its sequences."""
         if len(self.orbit) == 1:
@@ -146,8 +151,8 @@ class SeenEvents:
         found: Sequence[SeenSequence],
         partly: bool,
     ) -> tuple[list[str], list[str]]:
-        if not stop.n_contacts:
-            return [f"the contact `{stop.name}` never closes"], []
+        if stop.silence:
+            return [stop.silence], []
         if not found:
             what = f"no whole sequence of contacts of `{label}` is seen in {self.span:.4g} s"
             return ([], [what]) if self.span < 2.5 * self.orbit_period else ([what], [])
