@@ -107,7 +107,7 @@ def scan_summary(search: SearchProblem) -> str:
     return f"{len(_places(search))} points of the box were simulated: {found}."
 
 
-def require_period_in_reach(search: SearchProblem) -> None:
+def require_period_in_reach(search: SearchProblem, objective: TargetPeriod) -> None:
     """Refuse a period that is far from those of all orbits of the scan.
 
     The scan takes seconds, so it is asked only if the period is also far from the time scale of the
@@ -115,13 +115,12 @@ def require_period_in_reach(search: SearchProblem) -> None:
 
     Args:
         search: The search.
+        objective: Its objective, with the period.
 
     Raises:
         InputError: If no period of an orbit is near it (`TargetPeriod.require_near`).
     """
-    objective, problem = search.objective, search.problem
-    if not isinstance(objective, TargetPeriod) or not search.free:
-        return
+    problem = search.problem
     start = np.array(problem.state_vector(problem.starts[0], search.values))
     if objective.is_far_from(own_time(problem.dynamics(search.values), start)):
         orbits = [one for one in _attractors(search) if one.fate in PHASE]

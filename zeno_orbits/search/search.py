@@ -14,7 +14,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, Cycle, EventSequence, ZenoOrbit
 from zeno_orbits.search.multistart import StartWorkers, outcomes_here, outcomes_spread
-from zeno_orbits.search.objectives import NearestGains, Objective, Target
+from zeno_orbits.search.objectives import NearestGains, Objective, Target, TargetPeriod
 from zeno_orbits.search.outcome import (
     Accept,
     Candidate,
@@ -120,9 +120,10 @@ def search_orbits(
 
 def _require_reach(search: SearchProblem) -> None:
     """Refuse a target that no orbit comes near to."""
-    from zeno_orbits.search.scan import require_period_in_reach
+    if isinstance(search.objective, TargetPeriod) and search.free:
+        from zeno_orbits.search.scan import require_period_in_reach
 
-    require_period_in_reach(search)
+        require_period_in_reach(search, search.objective)
 
 
 def _ranked(
