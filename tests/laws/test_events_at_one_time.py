@@ -18,7 +18,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import zeno_orbits as zo
-from tests.loop.agreement import needs_compiler
 from tests.support.mechanisms import machine_of
 from zeno_orbits.errors import ChatterError
 from zeno_orbits.simulation import GraphShifts, SimulationSettings, event_name
@@ -31,16 +30,7 @@ LINE = {"x": "m", "dx": "m/s"}
 Formula = Callable[[ca.SX, ca.SX], ca.SX]
 
 
-@pytest.fixture(
-    autouse=True,
-    params=[
-        pytest.param("use", marks=needs_compiler),
-        pytest.param("never", marks=pytest.mark.slow),
-    ],
-)
-def loop(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run every test with the compiled loop and with its reference in Python."""
-    monkeypatch.setenv("ZENO_ORBITS_LOOP", request.param)
+pytestmark = pytest.mark.usefixtures("both_loops")
 
 
 def named(run: zo.Execution, *kinds: str) -> list[tuple[str, float]]:

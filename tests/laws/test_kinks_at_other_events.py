@@ -18,7 +18,6 @@ from scipy.integrate import quad
 from scipy.linalg import expm
 
 import zeno_orbits as zo
-from tests.loop.agreement import needs_compiler
 from tests.support.mechanisms import machine_of
 
 ca: Any = casadi
@@ -33,16 +32,7 @@ Force = Callable[[Any, Any, zo.Clock], Any]
 Truth = Callable[[float], float]
 
 
-@pytest.fixture(
-    autouse=True,
-    params=[
-        pytest.param("use", marks=needs_compiler),
-        pytest.param("never", marks=pytest.mark.slow),
-    ],
-)
-def loop(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run every test with the compiled loop and with its reference in Python."""
-    monkeypatch.setenv("ZENO_ORBITS_LOOP", request.param)
+pytestmark = pytest.mark.usefixtures("both_loops")
 
 
 def driven(force: Force, *start: float, e: float = 0.5) -> zo.Problem:

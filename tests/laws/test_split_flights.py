@@ -15,7 +15,6 @@ import casadi
 import pytest
 
 import zeno_orbits as zo
-from tests.loop.agreement import needs_compiler
 from tests.support.mechanisms import machine_of
 from zeno_orbits.simulation import ZenoPoint
 
@@ -23,16 +22,7 @@ ca: Any = casadi
 G, HEIGHT = 9.81, 1.0
 
 
-@pytest.fixture(
-    autouse=True,
-    params=[
-        pytest.param("use", marks=needs_compiler),
-        pytest.param("never", marks=pytest.mark.slow),
-    ],
-)
-def loop(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run every test with the compiled loop and with its reference in Python."""
-    monkeypatch.setenv("ZENO_ORBITS_LOOP", request.param)
+pytestmark = pytest.mark.usefixtures("both_loops")
 
 
 def zeno_time(e: float, k: float) -> float:

@@ -14,6 +14,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import MISUSE, NO, YES, ask
+from tests.support.nested_kinks import nested_problem
 from zeno_orbits.api import any_orbit
 from zeno_orbits.model import load_problem
 from zeno_orbits.orbits import digest_of, same_equations
@@ -174,32 +175,13 @@ def test_an_edit_behind_a_kink_changes_the_digest(other: str, folder: Path) -> N
     def digest(form: str) -> tuple[float, ...]:
         force = form.replace("WISH", "(5 - 40 * q - 3 * v)")
         path = folder / "limited.py"
-        path.write_text(_LIMITED.replace("FORCE", force), encoding="utf-8")
+        path.write_text(nested_problem(force), encoding="utf-8")
         return digest_of(load_problem(path))
 
     own = digest("ca.fmin(12, ca.fmax(-12, WISH))")
     # The same limits in another order.
     assert same_equations(own, digest("ca.fmax(-12, ca.fmin(12, WISH))"))
     assert not same_equations(own, digest(other))
-
-
-_LIMITED = """
-import casadi as ca
-import zeno_orbits as zo
-
-def model(p):
-    q, v = ca.SX.sym("q"), ca.SX.sym("v")
-    mass = zo.HybridLagrangian.from_energies(
-        q=q, v=v, kinetic=v**2 / 2, potential=9.81 * q, passive_force=FORCE, gap=q
-    )
-    return zo.hybrid_system(mass, zo.no_drive(mass), p["restitution"])
-
-PROBLEM = zo.Problem(
-    name="limited", title="limited", source="own", state_names=("q", "v"),
-    state_units=("m", "m/s"), parameters=(zo.Quantity.restitution(0.5),), gains=(),
-    model=model, starts=({"q": 1.0},), portraits=(("q", "v"),), amplitude_of="q",
-)
-"""
 
 
 def test_a_name_with_a_file_in_the_current_folder_is_told(folder: Path) -> None:
