@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -170,7 +171,12 @@ def test_too_many_periods_are_refused_with_the_remedy(
 
 @pytest.mark.slow
 def test_an_export_without_a_compiler_is_one_line(here: Path) -> None:
+    # Other code than that of any installed package, whose library would serve this one as well.
+    shutil.copytree(Path(zo.__file__).parent, here / "zeno_orbits")
+    with (here / "zeno_orbits/loop/check.c").open("a") as code:
+        code.write("/* Other code. */\n")
     environment = {**os.environ, "CC": "nothing", "ZENO_ORBITS_CACHE": str(here / "cache")}
+    environment["PYTHONPATH"] = str(here)
     words = [sys.executable, "-m", "zeno_orbits", "export", "motor_pendulum", "-o", "c"]
     ended = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
     assert ended.returncode == 2

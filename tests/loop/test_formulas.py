@@ -17,7 +17,15 @@ from tests.loop.agreement import needs_compiler, task_of
 from tests.support.commands import NO, YES, ask
 from tests.support.one_stop import one_stop_problems
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Tolerance
-from zeno_orbits.loop import LoopRun, Program, binding, loop_library, problem_source, program_of
+from zeno_orbits.loop import (
+    LoopRun,
+    Program,
+    binding,
+    filled,
+    loop_library,
+    problem_source,
+    program_of,
+)
 from zeno_orbits.model import (
     CompiledSystem,
     HybridLagrangian,
@@ -66,9 +74,9 @@ def _both(system: CompiledSystem) -> Both:
 
 def _followed(program: Program, task: SimulationTask) -> tuple[list[int], list[bytes]]:
     """Return every status of a run, and the bytes of all that it recorded."""
-    formulas = task.dynamics.formulas
+    formulas = task.graph.first.formulas
     assert formulas is not None
-    run = LoopRun(program, run_settings(task).filled(), formulas.values, task.state)
+    run = LoopRun(program, filled(run_settings(task)), formulas.values, task.state)
     statuses: list[int] = []
     while not statuses or statuses[-1] in (binding.FULL, binding.CURVE):
         statuses.append(run.resume())
@@ -138,8 +146,8 @@ def _ball_in_everything() -> SimulationTask:
 @pytest.mark.parametrize("engine", [RungeKutta(), Radau()])
 def test_every_operation_gives_the_same_bits(engine: RungeKutta | Radau) -> None:
     task = replace(_ball_in_everything(), settings=SimulationSettings(engine=engine))
-    assert task.dynamics.formulas is not None
-    both = _both(task.dynamics.formulas.system)
+    assert task.graph.first.formulas is not None
+    both = _both(task.graph.first.formulas.system)
     statuses, parts = _followed(both.compiled, task)
     assert (statuses, parts) == _followed(both.tapes, task)
     assert all(parts[k] for k in (0, 2, 3))
@@ -164,10 +172,10 @@ def test_compiled_formulas_are_found_by_later_programs_of_the_same_problem(
 @pytest.mark.slow
 def test_formulas_that_are_compiled_in_the_middle_of_a_run_carry_it_on() -> None:
     task = _tasks("bouncing_ball", 2.0)[0]
-    assert task.dynamics.formulas is not None
-    program = _both(task.dynamics.formulas.system).tapes
+    assert task.graph.first.formulas is not None
+    program = _both(task.graph.first.formulas.system).tapes
     expected = _followed(program, task)[1][3]
-    run = LoopRun(program, run_settings(task).filled(), task.dynamics.formulas.values, task.state)
+    run = LoopRun(program, filled(run_settings(task)), task.graph.first.formulas.values, task.state)
     assert run.resume(events=3, arcs=3) == binding.FULL
     program.compile()
     assert program.is_compiled

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from tests.support.cases import fast
 from tests.support.random_machines import RandomMachine
 from zeno_orbits.errors import RunawayError, SimulationError, SimultaneousEventsError
 from zeno_orbits.integrators import Engine, Radau, RungeKutta
-from zeno_orbits.loop import LoopRun, binding
+from zeno_orbits.loop import LoopRun, binding, filled
 from zeno_orbits.simulation import (
     Arc,
     Event,
@@ -27,10 +28,11 @@ from zeno_orbits.simulation import (
     SimulationSettings,
     SimulationTask,
     SwitchEvent,
-    settings_of_stops,
-    simulator,
+    by_reference,
+    run_settings,
 )
-from zeno_orbits.simulation.compiled.graph_executions import graph_program
+from zeno_orbits.simulation.compiled.executions import by_loop
+from zeno_orbits.simulation.compiled.programs import graph_program
 
 pytestmark = needs_compiler
 
@@ -59,7 +61,7 @@ def both(
     """Return what the loop and the reference give: executions, and the errors that ended them."""
     graph = problem.graph_dynamics(problem.values(parameters=dict(values)))
     task = SimulationTask(
-        dynamics=graph.first,
+        dynamics=graph,
         state=np.array(problem.state_vector(start or problem.starts[0])),
         until=until,
         settings=settings,
@@ -67,9 +69,9 @@ def both(
         most_impacts=(limits or {}).get("impacts", np.inf),
     )
     found: list[tuple[Execution | None, SimulationError | None]] = []
-    for run in (simulator.by_graph_loop, simulator.by_graph):
+    for run in (by_loop, partial(by_reference, plain=False)):
         try:
-            execution = run(task, graph)
+            execution = run(task)
             found.append((execution, None))
         except SimulationError as error:
             found.append((error.execution, error))
@@ -226,19 +228,18 @@ def test_a_run_goes_on_after_every_step(name: str) -> None:
     problem = zo.load_problem(name)
     graph = problem.graph_dynamics(problem.values())
     state = np.array(problem.state_vector(problem.starts[0]))
-    task = SimulationTask(dynamics=graph.first, state=state, until=2.0, settings=EXPLICIT)
-    whole = simulator.by_graph_loop(task, graph)
+    task = SimulationTask(dynamics=graph, state=state, until=2.0, settings=EXPLICIT)
+    whole = by_loop(task)
     program = graph_program(graph.compiled)
     assert whole is not None
     assert not isinstance(program, str)
-    settings = settings_of_stops(task, graph)
-    place = (binding.SettingsType * len(settings))(*(one.filled() for one in settings))
-    run = LoopRun(program, place, graph.p, state)
+    run = LoopRun(program, filled(run_settings(task)), graph.p, state)
+    fewest = 2 + 4 * len(graph.stop_names)
     status = binding.FULL
     while status == binding.FULL:
-        with pytest.raises(ValueError, match="`events` must be at least 34, but it is 33"):
-            run.resume(events=33)
-        status = run.resume(steps=1, polynomials=1, arcs=3, events=34)
+        with pytest.raises(ValueError, match=f"`events` must be at least {fewest}"):
+            run.resume(events=fewest - 1)
+        status = run.resume(steps=1, polynomials=1, arcs=3, events=fewest)
     assert status == binding.DONE
     record, n_x = run.record(), len(state)
     expected = [numbers(event) for event in whole.events]

@@ -20,6 +20,7 @@ from zeno_orbits.loop import (
     LoopRun,
     UnknownOperationError,
     binding,
+    filled,
     loop_library,
     program_of,
     refusals,
@@ -80,7 +81,7 @@ class _Tried:
         program = program_of(dynamics.formulas.system)
         assert program is not None
         self._tape = tape_of(function)
-        self._program = program
+        self._program, self._zero = program, ctypes.c_longlong(0)
         self._problem = binding.ProblemType.from_buffer_copy(program.problem)
         place = self._problem.tapes[binding.LIFT]
         tape = self._tape
@@ -91,6 +92,11 @@ class _Tried:
         place.code, place.constants = tape.code.ctypes.data, tape.constants.ctypes.data
         place.outputs = tape.outputs.ctypes.data
         self._function = function
+        whole, zero = ctypes.addressof(self._problem), ctypes.addressof(self._zero)
+        self._graph = binding.GraphType(n_stops=1, n_views=1, views=whole)
+        self._graph.n_numbers = loop_library().zl_room(whole)
+        self._graph.view_keys = self._graph.view_places = zero
+        self._problem.graph = ctypes.addressof(self._graph)
 
     def __call__(self, x: Vector, p: Vector) -> Vector:
         library, address = loop_library(), ctypes.addressof(self._problem)
@@ -158,7 +164,7 @@ def test_formulas_of_problems_are_those_of_the_interpreter(name: str) -> None:
     )
     program = program_of(system)
     assert program is not None
-    run = LoopRun(program, run_settings(task).filled(), values, task.state)
+    run = LoopRun(program, filled(run_settings(task)), values, task.state)
     rng = np.random.default_rng(2)
     for _ in range(10):
         x = task.state + rng.uniform(-0.3, 0.3, task.state.size)

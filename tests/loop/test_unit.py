@@ -455,7 +455,7 @@ def test_misuse_and_failures_end_in_a_status_with_a_message(export: Export) -> N
     assert unit.step(0.0, 0.1) == ERROR
     assert unit.set("height", -1.0) == OK
     assert unit.initialize(2.0) == ERROR
-    assert unit.messages[-1] == "The state is inside of the stop at 0 s"
+    assert unit.messages[-1] == "The state is inside of a stop at 0 s"
     assert unit.call("Reset") == OK
     assert unit.initialize(2.0) == OK
     assert unit.step(0.5, 0.1) == ERROR

@@ -3,8 +3,8 @@ from .export import exported_files as exported_files
 from .formulas import problem_source as problem_source
 from .graph_program import GraphFormulas as GraphFormulas
 from .graph_program import GraphProgram as GraphProgram
-from .graph_program import Side as Side
-from .graph_program import View as View
+from .views import Side as Side
+from .views import View as View
 from .compiler import find_compiler as find_compiler
 from .folder import library_folder as library_folder
 from .library import loop_account as loop_account
@@ -25,6 +25,7 @@ from .run import Detail as Detail
 from .run import LoopRun as LoopRun
 from .run import Record as Record
 from .run import RunSettings as RunSettings
+from .run import filled as filled
 from .source import whole_source as whole_source
 from .tangent import TangentProgram as TangentProgram
 from .tangent import Track as Track

@@ -17,9 +17,8 @@ enum { EVENTS = 64, ESTIMATES = 64 };
 static void print_name(const double *row) {
     static const char *const kinds[] = {"impact", "zeno", "release", "", "switch"};
     const int kind = (int)row[0], index = (int)row[5];
-    printf("%s", kinds[kind]);
-    if (PROBLEM_problem.graph)
-        printf(" %s", (kind == ZL_SWITCH ? PROBLEM_switch_names : PROBLEM_stop_names)[index]);
+    const char *name = (kind == ZL_SWITCH ? PROBLEM_switch_names : PROBLEM_stop_names)[index];
+    printf("%s%s%s", kinds[kind], *name ? " " : "", name);
 }
 
 static void print_events(const zl_records *records, long long n_x) {
@@ -50,7 +49,7 @@ static int take_more(zl_records *records, size_t bytes) {
 int main(void) {
     const zl_problem *problem = &PROBLEM_problem;
     const long long n_x = problem->n_x;
-    const int n_stops = problem->graph ? (int)problem->graph->n_stops : 1;
+    const int n_stops = (int)problem->graph->n_stops;
     zl_settings settings[ZL_STOPS];
     zl_run *run = malloc((size_t)zl_size(problem));
     double *events = malloc(sizeof(double) * EVENTS * (size_t)(ZL_EVENT_WIDTH + 2 * n_x));

@@ -17,7 +17,7 @@ from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.formulas import FILE as FORMULAS
 from zeno_orbits.loop.formulas import formulas_source
 from zeno_orbits.loop.graph_program import GraphProgram
-from zeno_orbits.loop.program import Program, TapedProblem, scheme
+from zeno_orbits.loop.program import TapedProblem, scheme
 from zeno_orbits.loop.run import RunSettings
 from zeno_orbits.loop.source import HERE, whole_source
 from zeno_orbits.loop.tape import Tape
@@ -48,11 +48,11 @@ class ExportedRun:
     switch_names: Sequence[str] = ()
 
 
-def exported_files(program: Program | GraphProgram, run: ExportedRun) -> dict[str, str]:
+def exported_files(program: GraphProgram, run: ExportedRun) -> dict[str, str]:
     """Return the exported files, name to text: the code, its header and an example.
 
     Args:
-        program: The formulas. Of several stops, those of all modes.
+        program: The formulas of all modes.
         run: Values and names.
     """
     stem = stem_of(run.name)
@@ -65,8 +65,8 @@ def exported_files(program: Program | GraphProgram, run: ExportedRun) -> dict[st
         "loop.h": f'#include "{stem}.h"\n',
         **dict.fromkeys(("tangent.h", "tangent.c"), ""),
     }
-    if isinstance(program, Program):
-        places[FORMULAS] = formulas_source(program.n_x, program.tapes)
+    if program.only_view is not None:
+        places[FORMULAS] = formulas_source(program.n_x, program.only_view.tapes)
     library = whole_source(skipped=places)
     code = "\n".join((library, *_data(program, run, stem)))
     main = (HERE / "example.c").read_text(encoding="utf-8").replace("PROBLEM", stem)
@@ -123,7 +123,7 @@ class _Arrays:
         return "{" + ", ".join((*map(str, counts), *names)) + "}"
 
     def problem(self, program: TapedProblem, graph: str = "0") -> str:
-        """Return a machine with one stop, or a graph, as an entry."""
+        """Return a view, or a graph, as an entry."""
         problem, tapes = program.problem, list(map(self.tape, program.tapes)) or ["{0}"]
         carried = ", ".join(map(str, problem.carried))
         counts = f"{problem.n_x}, {problem.n_q}, {problem.n_p}, {{{carried}}}"
@@ -162,19 +162,15 @@ class _Arrays:
         return "{\n    " + ",\n    ".join(entries) + "\n}"
 
 
-def _data(program: Program | GraphProgram, run: ExportedRun, stem: str) -> Iterable[str]:
+def _data(program: GraphProgram, run: ExportedRun, stem: str) -> Iterable[str]:
     """Yield the definitions of the variables that the header declares."""
     numbers = ",\n    ".join(_scheme(scheme()))
     yield f"static const zl_scheme scheme = {{\n    {numbers}\n}};\n"
     arrays = _Arrays()
-    if isinstance(program, GraphProgram):
-        graph = arrays.graph(program)
-        whole = arrays.problem(program, "&graph")
-        yield from arrays.texts
-        yield f"static const zl_graph graph = {graph};\n"
-    else:
-        whole = arrays.problem(program)
-        yield from arrays.texts
+    graph = arrays.graph(program)
+    whole = arrays.problem(program, "&graph")
+    yield from arrays.texts
+    yield f"static const zl_graph graph = {graph};\n"
     yield f"const zl_problem {stem}_problem = {whole};\n"
     settings = ["{\n    " + _settings(one) + "\n}" for one in run.settings]
     yield f"const zl_settings {stem}_settings[] = {{{', '.join(settings)}}};\n"

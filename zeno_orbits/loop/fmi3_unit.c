@@ -7,7 +7,7 @@
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };
-enum { PENDING = 64, ROOM = ZL_AT_ONCE + 2, ESTIMATES = 64 };
+enum { PENDING = 64, ROOM = ZL_AT_ONCE(ZL_STOPS) + 2, ESTIMATES = 64 };
 
 #define OFF_CIRCLE 1e-9 /* of a clock, as in model/numeric/admission.py */
 
@@ -68,7 +68,7 @@ static size_t steps_size(long long n) {
 static size_t polynomials_size(long long n) {
     return (size_t)n * (size_t)(ZL_STAGES * (problem->n_x + 2)) * sizeof(double);
 }
-static int number_of_stops(void) { return problem->graph ? (int)problem->graph->n_stops : 1; }
+static int number_of_stops(void) { return (int)problem->graph->n_stops; }
 
 /* Which variable of a stop a reference means, if there are several stops; else MODE. */
 static int of_stop(uint32_t ref, int *stop) {
@@ -127,13 +127,10 @@ static int interrupted(const Unit *unit, int status) {
 static double slow_restitution(const Unit *unit, int stop) {
     const zl_settings *settings = &PROBLEM_settings[stop];
     double approach = -settings->contact * settings->gap_rate, speed;
-    Machine m = machine_of(problem, unit->run, 0);
-    if (problem->graph) {
-        long long view = 0;
-        while ((problem->graph->view_keys[view] & 31) != stop) view++;
-        m = machine_of_view(problem, unit->run, 0, view);
-        prepare_formulas(&m, unit->p);
-    }
+    long long view = 0;
+    Machine m;
+    while ((problem->graph->view_keys[view] & 31) != stop) view++;
+    m = machine_of_view(problem, unit->run, 0, view);
     evaluate_at(&m, ZL_REBOUND, &approach, &speed);
     return speed / -approach;
 }
@@ -180,8 +177,6 @@ static int require_derived(const Unit *unit) {
 /* Start the run from the state reached, with the parameters as they are. */
 static int begin(Unit *unit) {
     Reached *reached = &unit->reached;
-    const zl_settings *own = &PROBLEM_settings[0];
-    double gap[2];
     zl_settings settings[ZL_STOPS];
     int k;
     if (require_derived(unit) != OK) return ERROR;
@@ -195,8 +190,7 @@ static int begin(Unit *unit) {
     zl_begin(problem, unit->run, settings, unit->p, reached->state);
     if (memcmp(unit->p, PROBLEM_parameters, (size_t)problem->n_p * sizeof(double)) != 0)
         for (k = 0; k < number_of_stops(); k++)
-            (problem->graph ? settings_at(unit->run) + k : &unit->run->settings)->restitution =
-                slow_restitution(unit, k);
+            settings_at(unit->run)[k].restitution = slow_restitution(unit, k);
     reached->origin = reached->time;
     reached->piece.way = NOWHERE;
     reached->piece.end = 0.0;
@@ -204,10 +198,7 @@ static int begin(Unit *unit) {
     reached->begun = 1;
     reached->n_passed = 0;
     reached->arc[8] = 0.0;
-    if (problem->graph) return OK;
-    zl_evaluate(problem, unit->run, ZL_GAP, reached->state, gap);
-    if (gap[0] >= -greater(START_OFF, own->contact) * own->gap) return OK;
-    return fail_at(unit, "The state is inside of the stop", reached->time);
+    return OK;
 }
 
 /* Give the estimates of a sequence of impacts more memory. */
@@ -248,31 +239,6 @@ static void keep_events(Unit *unit) {
     }
 }
 
-/* Take the step that has just been recorded, from the leg that it was taken in. */
-static void keep_step(Unit *unit, const Leg *leg, int ended) {
-    const zl_records *records = &unit->records;
-    const double *arc = records->arcs, *row = records->steps;
-    Piece *piece = &unit->reached.piece;
-    const size_t n_x = (size_t)problem->n_x;
-    const int goes_on = unit->run->stage == IN_LEG && unit->run->leg.n_steps == leg->n_steps + 1;
-    piece->way = NOWHERE;
-    piece->start = piece->end = leg->start_time + leg->unit * leg->time;
-    if (!ended && !goes_on) return; /* the leg was refused, and starts again in another mode */
-    piece->way = records->n_polynomials ? IMPLICIT : EXPLICIT;
-    piece->mode = (int)leg->mode;
-    piece->unit = leg->unit;
-    piece->leg_start = leg->start_time;
-    piece->offset = leg->time;
-    piece->size = row[1];
-    piece->end = ended ? arc[2] : leg->start_time + leg->unit * (leg->time + row[1]);
-    memcpy(piece->before, leg->y, sizeof piece->before);
-    memcpy(piece->after, ended ? arc + ZL_ARC_WIDTH + n_x : row + ZL_STEP_WIDTH,
-           n_x * sizeof(double));
-    if (records->n_polynomials)
-        memcpy(piece->coefficients, records->polynomials,
-               (size_t)(ZL_STAGES * leg->n_y) * sizeof(double));
-}
-
 /* Take the way to a Zeno point, which is an arc without steps. */
 static void keep_tail(Unit *unit) {
     const double *arc = unit->records.arcs;
@@ -289,14 +255,9 @@ static void keep_tail(Unit *unit) {
 
 /* Do the next thing of a run. */
 static int advance(zl_run *run, zl_records *records) {
-    Machine m;
-    if (problem->graph) {
-        Graph g;
-        enter_graph(&g, problem, run, records);
-        return advance_in_graph(&g);
-    }
-    m = machine_of(problem, run, records);
-    return do_next(&m);
+    Graph g;
+    enter_graph(&g, problem, run, records);
+    return advance_in_graph(&g);
 }
 
 /* Take the next step of the present arc; 0 if there is none. */
@@ -338,10 +299,9 @@ static int pass_step(Unit *unit) {
 }
 
 static int carried_on(Unit *unit, int status);
-static void keep_tail(Unit *unit);
 
-/* Take the next piece of a run over a graph: a step of the present arc, or of the next. */
-static int move_on_in_graph(Unit *unit) {
+/* Take the next piece of a run: a step of the present arc, or of the next. */
+static int move_on(Unit *unit) {
     Reached *reached = &unit->reached;
     zl_records *records = &unit->records;
     if (!pass_step(unit)) {
@@ -365,24 +325,6 @@ static int move_on_in_graph(Unit *unit) {
         }
     }
     reached->over = unit->run->stage == OVER && reached->n_passed >= (long long)reached->arc[8];
-    return OK;
-}
-
-/* Let the run do its next thing. */
-static int move_on(Unit *unit) {
-    zl_records *records = &unit->records;
-    const Leg leg = unit->run->leg;
-    const long long n_arcs = unit->run->n_arcs;
-    int status;
-    if (problem->graph) return move_on_in_graph(unit);
-    records->n_steps = records->n_polynomials = records->n_arcs = records->n_events = 0;
-    status = carried_on(unit, advance(unit->run, records));
-    if (status != OK) return status;
-    if (records->n_steps)
-        keep_step(unit, &leg, unit->run->n_arcs > n_arcs);
-    else if (records->n_arcs)
-        keep_tail(unit);
-    unit->reached.over = unit->run->stage == OVER;
     return OK;
 }
 
@@ -451,9 +393,7 @@ static void pass_events(Reached *reached, double time) {
 /* The closed stops of a piece, as bits. */
 static long long closed_in(const Piece *piece) {
     const int on_stop = piece->mode == ZL_LOCKED;
-    long long key;
-    if (!problem->graph) return on_stop;
-    key = problem->graph->view_keys[piece->view];
+    const long long key = problem->graph->view_keys[piece->view];
     return (key >> 5 & (BIT(ZL_STOPS) - 1)) | (on_stop ? BIT(key & 31) : 0);
 }
 

@@ -1,4 +1,4 @@
-/* The event machine over a graph of modes, of several stops, switches and kinks: `GraphRun` in Python.
+/* The event machine over a graph of modes, of stops, switches and kinks: `GraphRun` in Python.
 
    A run looks at one stop at a time. The stops that are closed beside it are constraints of both its
    flows. Sets of stops and of switches are bits. */
@@ -34,24 +34,8 @@ static void ask(Graph *g, int is_side, long long mode, long long index, long lon
     g->asked[3] = positive;
 }
 
-static void prepare_formulas(const Machine *m, const double *p) {
-    const zl_problem *problem = m->problem;
-    int k;
-    memset(m->ready, 0, sizeof *m->ready);
-    memcpy(m->p, p, (size_t)problem->n_p * sizeof(double));
-    m->p[problem->n_p] = NAN;
-    for (k = 0; k < ZL_TAPES; k++)
-        if (is_watched(k))
-            intervals_prepare(&problem->tapes[k], m->registers[k], m->p);
-        else if ((k < ZL_JACOBIAN || k >= ZL_GAP) && problem->tapes[k].n_outputs)
-            tape_prepare(&problem->tapes[k], m->registers[k], m->p);
-    m->ready->prepared = 1;
-}
-
 static Machine view_by_place(Graph *g, long long place) {
-    Machine m = machine_of_view(g->whole, g->m.run, g->m.records, place);
-    if (!m.ready->prepared) prepare_formulas(&m, parameters_at(m.graph, m.run));
-    return m;
+    return machine_of_view(g->whole, g->m.run, g->m.records, place);
 }
 
 /* The machine of an open stop in a mode. */
@@ -339,8 +323,9 @@ static int coincide(const Graph *g, int kind, long long index, int other_kind, l
 static int begin_arc(Graph *g, int kind) {
     Graphed *graph = &g->m.run->graph;
     graph->kind = kind;
-    graph->window = g->m.run->pace.window;
-    graph->careful = graph->retried = 0;
+    graph->window = has_others(&g->m) ? g->m.run->pace.window : INFINITY;
+    graph->careful = !has_others(&g->m);
+    graph->retried = 0;
     g->m.run->stage = LAUNCHES;
     return GO_ON;
 }
@@ -413,7 +398,7 @@ static int step_failed_at(Graph *g, int status) {
         run->detail.index = -1;
         return status;
     }
-    if (!(0.0 < reached && reached <= graph->window))
+    if (!has_others(&g->m) || !(0.0 < reached && reached <= graph->window))
         return is_singular(g, status, run->start.time + reached);
     graph->window = reached * (1.0 - PART_BEFORE);
     graph->retried = 1;
@@ -1249,7 +1234,8 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
     for (k = 0; k < n; k++) {
         const zl_settings *settings = settings_of(g, k);
         const double contact = settings->contact;
-        const double small = was_closed & BIT(k) ? greater(START_OFF, contact) : contact;
+        const int is_known = has_others(&g->m) && (was_closed & BIT(k));
+        const double small = is_known ? greater(START_OFF, contact) : contact;
         int is_on, falls;
         gap_of(g, k, x, gap);
         is_on = gap[0] >= -small * settings->gap;
@@ -1503,11 +1489,18 @@ static int do_next_in_graph(Graph *g) {
     }
 }
 
+/* Whether no view and no side can be missing. */
+static int is_whole(const zl_graph *graph) {
+    const long long n_kinks = graph->n_switches - graph->n_declared;
+    return graph->n_views == graph->n_stops << (graph->n_stops - 1 + n_kinks) &&
+           graph->n_sides == 2 * graph->n_switches << (graph->n_stops + n_kinks);
+}
+
 /* The same. Where a view or side is missing, the run stands where it was, and asks for it. */
 static int advance_in_graph(Graph *g) {
     zl_run *run = g->m.run;
     const long long stage = run->stage;
-    const int may_ask = stage != IN_LEG && stage != IN_SIDE;
+    const int may_ask = stage != IN_LEG && stage != IN_SIDE && !is_whole(g->whole->graph);
     double before[offsetof(zl_run, settings) / sizeof(double)];
     const zl_records records = *g->m.records;
     int status;
@@ -1550,7 +1543,7 @@ static void begin_in_graph(const zl_problem *problem, zl_run *run, const zl_sett
         ((Ready *)(void *)(numbers + graph->view_places[k]))->prepared = 0;
     for (k = 0; k < graph->n_sides; k++) numbers[graph->sides[k].place] = 0.0;
     if (graph->n_switches) tape_prepare(&graph->switches, numbers + graph->switches_place, p);
-    tape_prepare(&graph->delassus, numbers + graph->delassus_place, p);
+    if (graph->n_stops > 1) tape_prepare(&graph->delassus, numbers + graph->delassus_place, p);
     if (graph->orders.n_outputs) tape_prepare(&graph->orders, numbers + graph->orders_place, p);
     for (k = 0; k < graph->n_declared; k++)
         tape_prepare(&graph->resets[k], numbers + graph->reset_places[k], p);

@@ -9,54 +9,15 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 
 from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.program import Program, TapedProblem, fill_tape, scheme
 from zeno_orbits.loop.tape import Tape, tape_of
+from zeno_orbits.loop.views import Side, View
 from zeno_orbits.model import ModeFunctions
-
-
-class View(NamedTuple):
-    """An open stop in a mode.
-
-    Attributes:
-        closed: The closed stops beside the stop.
-        stop: The stop.
-        sides: Side of every kink, True where its condition is positive.
-    """
-
-    closed: tuple[int, ...]
-    stop: int
-    sides: tuple[bool, ...]
-
-    @property
-    def key(self) -> int:
-        """The key in the library."""
-        return c.view_key(_mode_key(self.closed, self.sides), self.stop)
-
-
-class Side(NamedTuple):
-    """The sign of a switch's guard in a mode.
-
-    Attributes:
-        closed: The closed stops.
-        sides: Side of every kink.
-        switch: The switch.
-        positive: Whether its guard is positive there.
-    """
-
-    closed: tuple[int, ...]
-    sides: tuple[bool, ...]
-    switch: int
-    positive: bool
-
-    @property
-    def key(self) -> int:
-        """The key in the library."""
-        return c.side_key(_mode_key(self.closed, self.sides), self.switch, int(self.positive))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,7 +89,7 @@ class GraphProgram(TapedProblem):
         """
         for view, program in views.items():
             self.views[view] = program
-            self._place(view, self.library.zl_room(program.address))
+            self._place(view, self._tapes_library.zl_room(program.address))
         for side, mode in sides.items():
             bounds = Tape.empty() if mode.bounded is None else tape_of(mode.bounded)
             value = tape_of(mode.guard)
@@ -152,6 +113,24 @@ class GraphProgram(TapedProblem):
         closed = tuple(k for k in range(self.formulas.n_stops) if mode >> k & 1)
         sides = tuple(bool(mode >> (c.STOPS + k) & 1) for k in range(n_kinks))
         return Side(closed, sides, index, bool(positive)) if is_side else View(closed, index, sides)
+
+    @property
+    def library(self) -> Any:
+        """The library that carries out the formulas: compiled for the only view, or any."""
+        return self._tapes_library if self.only_view is None else self.only_view.library
+
+    @property
+    def only_view(self) -> Program | None:
+        """The formulas of the only view of a machine with one stop and no switch, else ``None``."""
+        formulas = self.formulas
+        if formulas.n_stops + formulas.n_switches > 1 or not self.views:
+            return None
+        return next(iter(self.views.values()))
+
+    @property
+    def n_stops(self) -> int:
+        """Number of stops."""
+        return self.formulas.n_stops
 
     @property
     def n_numbers(self) -> int:
@@ -215,11 +194,6 @@ class GraphProgram(TapedProblem):
         self._kept.append((problem, table, tables))
         self.problem, self.address = problem, ctypes.addressof(problem)
         self._size, self._spare = self.library.zl_size(self.address), []
-
-
-def _mode_key(closed: Sequence[int], sides: Sequence[bool]) -> int:
-    bits = sum(1 << k for k, side in enumerate(sides) if side)
-    return c.mode_key(sum(1 << k for k in closed), bits)
 
 
 def _whole(numbers: Sequence[int]) -> Any:

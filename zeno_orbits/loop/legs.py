@@ -18,7 +18,7 @@ from zeno_orbits.loop.run import Detail, detail_of
 from zeno_orbits.loop.tape import Tape, UnknownOperationError, tape_of
 from zeno_orbits.model import ModeFunctions
 
-_STEPS, _POLYNOMIALS, _ROWS = 1024, 256, 3
+_STEPS, _POLYNOMIALS, _ROWS = 1024, 256, 8
 """Rows of the records that one call writes."""
 
 _NO_POLYNOMIALS = np.zeros((0, c.STAGES, 0))

@@ -31,9 +31,9 @@ long long zl_room(const zl_problem *problem) { return numbers_of(problem); }
 
 long long zl_size(const zl_problem *problem) {
     const zl_graph *graph = problem->graph;
-    long long n = graph ? problem->n_p + graph->n_numbers : numbers_of(problem);
-    if (graph) n += graph->n_stops * (long long)(sizeof(zl_settings) / sizeof(double));
-    return (long long)sizeof(zl_run) + n * (long long)sizeof(double);
+    const long long n = problem->n_p + graph->n_numbers;
+    return (long long)(sizeof(zl_run) + (size_t)graph->n_stops * sizeof(zl_settings)) +
+           n * (long long)sizeof(double);
 }
 
 int zl_begin(const zl_problem *problem, zl_run *run, const zl_settings *settings, const double *p,
@@ -41,12 +41,7 @@ int zl_begin(const zl_problem *problem, zl_run *run, const zl_settings *settings
     if (problem->n_x + 2 > ZL_MOST) return ZL_TOO_LARGE;
     memset(run, 0, offsetof(zl_run, factors));
     run->settings = *settings;
-    if (problem->graph) {
-        begin_in_graph(problem, run, settings, p);
-    } else {
-        const Machine m = machine_of(problem, run, 0);
-        prepare_formulas(&m, p);
-    }
+    begin_in_graph(problem, run, settings, p);
     memcpy(run->start.state, x, (size_t)problem->n_x * sizeof(double));
     run->small_gap = settings->contact * settings->gap;
     run->small_rate = settings->contact * settings->gap_rate;
@@ -57,29 +52,15 @@ int zl_begin(const zl_problem *problem, zl_run *run, const zl_settings *settings
     return ZL_DONE;
 }
 
-static int resume_in_graph(const zl_problem *problem, zl_run *run, zl_records *records) {
+int zl_resume(const zl_problem *problem, zl_run *run, zl_records *records) {
     int status = GO_ON;
     Graph g;
+    records->n_steps = records->n_polynomials = records->n_arcs = records->n_events = 0;
     enter_graph(&g, problem, run, records);
     while (status == GO_ON) {
         if (run->stage == OVER) return ZL_DONE;
         if (!has_room(&g.m)) return ZL_FULL;
         status = advance_in_graph(&g);
-    }
-    return status;
-}
-
-int zl_resume(const zl_problem *problem, zl_run *run, zl_records *records) {
-    int status = GO_ON;
-    records->n_steps = records->n_polynomials = records->n_arcs = records->n_events = 0;
-    if (problem->graph) return resume_in_graph(problem, run, records);
-    {
-        const Machine m = machine_of(problem, run, records);
-        while (status == GO_ON) {
-            if (run->stage == OVER) return ZL_DONE;
-            if (!has_room(&m)) return ZL_FULL;
-            status = do_next(&m);
-        }
     }
     return status;
 }
@@ -94,7 +75,7 @@ void zl_answer(zl_run *run, int found, double time, double error, const double *
 void zl_tell(const zl_run *run, zl_detail *detail) { *detail = run->detail; }
 
 double zl_now(const zl_problem *problem, const zl_run *run, int *mode, double *state) {
-    const int in_leg = run->stage == IN_LEG;
+    const int in_leg = run->stage == IN_LEG || run->stage == ENDED;
     const double *x = in_leg ? run->leg.y : run->start.state;
     *mode = (int)(in_leg ? run->leg.mode : run->start.mode);
     memcpy(state, x, (size_t)problem->n_x * sizeof(double));

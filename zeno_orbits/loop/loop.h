@@ -118,9 +118,8 @@ typedef struct {
     long long most_estimates;
 } zl_records;
 
-/* Events at one time at most, of several stops: a switch, and an impact, a Zeno point and two releases
-   of each stop. */
-enum { ZL_AT_ONCE = 1 + 4 * ZL_STOPS };
+/* Events at one time at most: a switch, and an impact, a Zeno point and two releases of each stop. */
+#define ZL_AT_ONCE(n_stops) (1 + 4 * (n_stops))
 
 enum { ZL_STEP_WIDTH = 2, ZL_ARC_WIDTH = 13, ZL_EVENT_WIDTH = 6, ZL_ESTIMATE_WIDTH = 4 };
 /* Entries of a record before its states: after a step; at start and end of an arc; before and after

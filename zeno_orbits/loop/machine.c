@@ -1,4 +1,4 @@
-/* The event machine: what each event leads to, as `simulator` in Python has it. */
+/* Events of the stop that a run looks at, and the legs between them: `reference_run` in Python. */
 
 enum { GO_ON = 200 };
 
@@ -119,7 +119,7 @@ static void reach(const Machine *m, const Limit *limit, double last_time, double
     }
 }
 
-/* Whether a sequence of impacts may end at a Zeno point, in a machine with switches: `graph.c`. */
+/* Whether a sequence of impacts may end at a Zeno point: `accumulations.c`. */
 static int may_reach(const Machine *m, const Limit *limit);
 
 /* Apply the reset map and see what follows it. */
@@ -158,13 +158,12 @@ static int impact(const Machine *m, double time, const double *before, double ap
         if (mode == ZL_FREE || speed == 0.0) {
             if (mode == ZL_LOCKED) {
                 Limit limit;
+                int status;
                 limit.time = time;
                 limit.error = 0.0;
                 memcpy(limit.state, start->resting, bytes);
-                if (m->graph) {
-                    int status = may_reach(m, &limit);
-                    if (status != GO_ON) return status;
-                }
+                status = may_reach(m, &limit);
+                if (status != GO_ON) return status;
                 reach(m, &limit, time, 0.0);
             }
             start_without_speed(run, mode, time);
@@ -216,18 +215,14 @@ static int release(const Machine *m, double time, const double *x) {
     return GO_ON;
 }
 
-/* See what follows where the gap closes: no faster than rounding, the stop is touched, not struck. */
-static int meet(const Machine *m, double time, const double *x, double rate) {
-    if (!(fabs(rate) <= m->run->small_rate)) return landing(m, time, x, rate);
-    start_on_stop(m, time, x);
-    return GO_ON;
-}
+/* Whether there are guards beside that of the stop. */
+static int has_others(const Machine *m) { return m->graph->n_stops + m->graph->n_switches > 1; }
 
 /* The time before the end of a run in which no event counts: a leg from there would be shorter than
    the rounding of times, or than the time by which two events are apart. */
 static double late_in(const Machine *m) {
     const double late = LATE * spacing(m->run->settings.until);
-    return m->graph ? greater(late, APART * m->run->settings.time) : late;
+    return has_others(m) ? greater(late, APART * m->run->settings.time) : late;
 }
 
 /* Start a leg of a mode from where the next arc starts, up to a time. A flight is launched at a scaled
@@ -265,15 +260,6 @@ static double flight_error(const zl_run *run) {
         return settings->absolute;
     rounding = ROUNDING * size / greater(lift, settings->contact * size);
     return rounding > settings->relative ? rounding : settings->absolute;
-}
-
-static int start_leg(const Machine *m, int mode, double size, int on_guard) {
-    const zl_settings *settings = &m->run->settings;
-    const int flies = mode == ZL_FLIGHT;
-    m->run->in_hop = 0;
-    return start_leg_at(m, mode, flies ? m->run->start.speed : 1.0, 1.0, settings->contact * size,
-                        flies ? flight_error(m->run) : settings->absolute, on_guard,
-                        settings->until);
 }
 
 /* Start on the stop in the other mode: the flow itself decides which one holds. With gap, rate and
@@ -328,159 +314,11 @@ static Hop small_hop(const Machine *m) {
     return hop;
 }
 
-/* Go on from the start of a leg that left the admissible set. */
-static int leave_leg(const Machine *m) {
-    zl_run *run = m->run;
-    Hop hop;
-    if (run->leg.mode == ZL_FLIGHT) return run->in_hop ? start_other_mode(m, ZL_LOCKED) : ZL_LEFT;
-    run->first_detail = run->detail;
-    if (run->leg.mode == ZL_LOCKED) return start_other_mode(m, ZL_FREE);
-    hop = small_hop(m);
-    if (hop.duration == 0.0) return start_other_mode(m, ZL_LOCKED);
-    run->in_hop = 1;
-    return start_leg_at(m, ZL_FLIGHT, hop.duration, hop.launch, 0.0, hop.error, 1,
-                        run->settings.until);
-}
-
-/* See what the end of a leg leads to. */
-static int end_leg(const Machine *m, int outcome) {
-    zl_run *run = m->run;
-    const Leg *leg = &run->leg;
-    double end[ZL_MOST], gap[2], time = leg->start_time + leg->unit * leg->duration;
-    if (outcome == LEG_AT_HORIZON) {
-        write_leg(m, ZL_HORIZON, run->settings.until);
-        run->stage = OVER;
-        return GO_ON;
-    }
-    memcpy(end, leg->end, sizeof end);
-    if (leg->mode == ZL_FLIGHT && !run->in_hop &&
-        end[m->problem->n_x] > ABOVE * fabs(end[m->problem->n_x + 1]) * leg->duration) {
-        /* The way meets the stop where the scaled gap is unaware of it: it is flown again. */
-        evaluate_at(m, ZL_GAP, run->start.state, gap);
-        return start_leg(m, ZL_FREE, run->settings.gap, gap[0] <= run->small_gap);
-    }
-    write_leg(m, leg->mode == ZL_LOCKED ? ZL_RELEASE : ZL_IMPACT, time);
-    if (leg->mode == ZL_LOCKED) return release(m, time, end);
-    if (leg->mode == ZL_FLIGHT)
-        return landing(m, time, end, leg->unit * end[m->problem->n_x + 1]);
-    evaluate_at(m, ZL_GAP, end, gap);
-    return meet(m, time, end, gap[1]);
-}
-
-/* Go over to the locked arc after a Zeno point: NO_LIMIT if there is none before the end of the time. */
-static int accepted(const Machine *m, const Limit *limit) {
-    zl_run *run = m->run;
-    if (limit->time >= run->settings.until || mode_on_stop(m, limit->state) == ZL_FREE) return NO_LIMIT;
-    reach(m, limit, run->start.time, run->start.speed);
-    start_without_speed(run, ZL_LOCKED, limit->time);
-    memcpy(run->start.state, limit->state, (size_t)m->problem->n_x * sizeof(double));
-    return GO_ON;
-}
-
-/* Start the flight after an impact, unless the impacts so far tell their Zeno point. */
-static int start_flight(const Machine *m) {
-    zl_run *run = m->run;
-    const zl_start *start = &run->start;
-    Limit limit;
-    int found = NO_LIMIT;
-    if (!run->pace.in_sequence) {
-        run->pace.in_sequence = 1;
-        run->pace.first_impact = run->n_impacts;
-        run->pace.n_estimates = 0;
-    }
-    if (run->stage == AT_CURVE) {
-        if (run->answered) {
-            limit.time = run->answer_time;
-            limit.error = run->answer_error;
-            memcpy(limit.state, run->answer, sizeof limit.state);
-            found = LIMIT;
-        }
-    } else if (start->has_impact) {
-        if (run->pace.n_estimates == m->records->most_estimates) return ZL_ESTIMATES;
-        if (run->pace.n_estimates && start->speed >= speed_of(m, run->pace.n_estimates - 1))
-            run->pace.n_estimates = 0;
-        if (add_estimate(m))
-            found = limit_by_rule(m, &limit);
-        else
-            run->pace.n_estimates = 0;
-    }
-    if (found == CURVE) {
-        run->stage = AT_CURVE;
-        run->answered = 0;
-        return ZL_CURVE;
-    }
-    if (found == LIMIT) {
-        int status = accepted(m, &limit);
-        if (status != NO_LIMIT) return status;
-    }
-    if (run->n_impacts - run->pace.first_impact > run->settings.most_impacts) {
-        run->detail.time = start->time;
-        run->detail.n_state = m->problem->n_x;
-        memcpy(run->detail.state, start->state, sizeof start->state);
-        return ZL_MANY_IMPACTS;
-    }
-    return start_leg(m, ZL_FLIGHT, 1 / run->settings.gap_acceleration, 1);
-}
-
-/* Start what comes next: a locked arc, a flight, or the next flight of a sequence. */
-static int start_phase(const Machine *m) {
-    zl_run *run = m->run;
-    const double *x = run->start.state;
-    double gap[2];
-    if (run->start.has_speed) return start_flight(m);
-    run->pace.in_sequence = 0;
-    if (run->start.mode == ZL_LOCKED)
-        return start_leg(m, ZL_LOCKED, run->settings.multiplier,
-                         is_slack(m, x, number_at(m, ZL_LIFT, x)));
-    evaluate_at(m, ZL_GAP, x, gap);
-    return start_leg(m, ZL_FREE, run->settings.gap, gap[0] <= run->small_gap);
-}
-
-/* The first start, from an admissible state. An impact at once is the next thing to happen. */
-static int admit(const Machine *m) {
-    zl_run *run = m->run;
-    zl_start *start = &run->start;
-    double x[ZL_MOST], gap[2];
-    memcpy(x, start->state, sizeof x);
-    evaluate_at(m, ZL_GAP, x, gap);
-    start_without_speed(run, ZL_FREE, 0.0);
-    if (gap[0] > run->small_gap) return GO_ON;
-    if (gap[1] < -run->small_rate) return impact(m, 0.0, x, gap[1]);
-    if (gap[1] > run->small_rate) {
-        start->speed = gap[1];
-        start->has_speed = 1;
-        return GO_ON;
-    }
-    start_on_stop(m, 0.0, x);
-    return GO_ON;
-}
-
 static int has_room(const Machine *m) {
     const zl_records *records = m->records;
     const int records_all = (int)m->run->settings.records;
-    return records->n_events + (m->graph ? ZL_AT_ONCE : 2) < records->most_events &&
+    return records->n_events + ZL_AT_ONCE(m->graph->n_stops) < records->most_events &&
            (!records_all || (records->n_arcs + 2 < records->most_arcs &&
                              records->n_steps < records->most_steps &&
                              records->n_polynomials < records->most_polynomials));
-}
-
-/* Do the next thing: a step, an event, the start of an arc. */
-static int do_next(const Machine *m) {
-    zl_run *run = m->run;
-    int outcome;
-    switch (run->stage) {
-    case BEFORE:
-        return admit(m);
-    case AT_START:
-    case AT_CURVE:
-        return start_phase(m);
-    case IN_LEG:
-        outcome = step_leg(m);
-        if (outcome == LEG_GOES_ON) return GO_ON;
-        if (outcome == ZL_LEFT) return leave_leg(m);
-        if (outcome >= LEG_FELL) return end_leg(m, outcome);
-        return outcome;
-    default:
-        return ZL_DONE;
-    }
 }

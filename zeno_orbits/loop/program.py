@@ -23,6 +23,7 @@ from zeno_orbits.loop.library import (
     may_have_formulas,
 )
 from zeno_orbits.loop.tape import Tape, UnknownOperationError, tape_of
+from zeno_orbits.loop.views import View
 from zeno_orbits.model import (
     GAP,
     GAP_ACCELERATION,
@@ -57,6 +58,8 @@ class TapedProblem:
         self._scheme = scheme()
         self.problem.scheme = ctypes.addressof(self._scheme)
         self.address = ctypes.addressof(self.problem)
+        self._alone = _Alone(library, self.address)
+        self.problem.graph = ctypes.addressof(self._alone.table)
         self._size: int = library.zl_size(self.address)
         self._spare: list[Any] = []
         self._rooms: list[_StepRoom] = []
@@ -65,6 +68,11 @@ class TapedProblem:
     def library(self) -> Any:
         """The library that carries out the formulas."""
         return self._tapes_library
+
+    @property
+    def n_stops(self) -> int:
+        """Number of stops."""
+        return 1
 
     @property
     def size(self) -> int:
@@ -112,6 +120,16 @@ class TapedProblem:
         return states
 
 
+class _Alone:
+    """Tables of a graph with one stop, whose only view is a problem."""
+
+    def __init__(self, library: Any, address: int) -> None:
+        self._zero = ctypes.c_longlong(0)
+        zero = ctypes.addressof(self._zero)
+        self.table = c.GraphType(n_stops=1, n_views=1, n_numbers=library.zl_room(address))
+        self.table.view_keys, self.table.view_places, self.table.views = zero, zero, address
+
+
 class _StepRoom:
     """Memory for single steps, shared by flows. `numbers` are the parameters stored in it."""
 
@@ -145,6 +163,11 @@ class Program(TapedProblem):
     def library(self) -> Any:
         """The library that carries out the formulas: compiled for them, or any."""
         return self._compiled or self._tapes_library
+
+    @property
+    def views(self) -> dict[View, Program]:
+        """The only view, which is this problem."""
+        return {View((), 0, ()): self}
 
     @property
     def is_compiled(self) -> bool:

@@ -31,8 +31,8 @@ typedef struct {
     double duration, launch, error;
 } Hop;
 
-/* What a run over a graph of modes knows besides: `graph_run` and `accumulations` in Python. Sets of
-   stops and switches are bits. */
+/* What a run knows of modes and events: `graph_run` and `accumulations` in Python. Sets of stops and
+   switches are bits. */
 typedef struct {
     long long view, rest, focus, sides, above;
     /* The sequence of impacts that a kink may have split, and the kinks that split its flights. */
@@ -61,7 +61,7 @@ struct zl_run {
     long long in_hop;
     long long stage, answered, n_impacts, n_landings, n_releases, n_arcs, n_rows, n_polynomials;
     Graphed graph;
-    zl_settings settings; /* from here on a graph repeats nothing that asks for a missing mode */
+    zl_settings settings; /* from here on nothing is repeated that asks for a missing mode */
     double spread[ZL_MODES];
     double answer_time, answer_error, answer[ZL_MOST];
     Factors factors; /* from here on a run begins with anything */
@@ -91,7 +91,7 @@ typedef struct {
    settings and formulas that all views share in between, and those of every view. */
 typedef struct {
     const zl_problem *problem;
-    const zl_graph *graph; /* or null */
+    const zl_graph *graph;
     zl_run *run;
     zl_records *records;
     const zl_settings *settings;
@@ -152,6 +152,21 @@ static double *numbers_at(const zl_problem *problem, zl_run *run) {
     return parameters_at(problem->graph, run) + problem->n_p;
 }
 
+static void prepare_formulas(const Machine *m, const double *p) {
+    const zl_problem *problem = m->problem;
+    int k;
+    memset(m->ready, 0, sizeof *m->ready);
+    memcpy(m->p, p, (size_t)problem->n_p * sizeof(double));
+    m->p[problem->n_p] = NAN;
+    for (k = 0; k < ZL_TAPES; k++)
+        if (is_watched(k))
+            intervals_prepare(&problem->tapes[k], m->registers[k], m->p);
+        else if ((k < ZL_JACOBIAN || k >= ZL_GAP) && problem->tapes[k].n_outputs)
+            tape_prepare(&problem->tapes[k], m->registers[k], m->p);
+    m->ready->prepared = 1;
+}
+
+/* The machine of a view, whose formulas are prepared when a run first needs them. */
 static Machine machine_of_view(const zl_problem *problem, zl_run *run, zl_records *records,
                                long long view) {
     const zl_graph *graph = problem->graph;
@@ -159,12 +174,13 @@ static Machine machine_of_view(const zl_problem *problem, zl_run *run, zl_record
                            numbers_at(problem, run) + graph->view_places[view]);
     m.graph = graph;
     m.settings = settings_at(run) + (graph->view_keys[view] & 31);
+    if (!m.ready->prepared) prepare_formulas(&m, parameters_at(graph, run));
     return m;
 }
 
+/* The machine of the view that a run looks at. */
 static Machine machine_of(const zl_problem *problem, zl_run *run, zl_records *records) {
-    if (problem->graph) return machine_of_view(problem, run, records, run->graph.view);
-    return machine_at(problem, run, records, (double *)(void *)(run + 1));
+    return machine_of_view(problem, run, records, run->graph.view);
 }
 
 static void evaluate_at(const Machine *m, int tape, const double *varying, double *outputs) {

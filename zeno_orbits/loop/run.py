@@ -12,7 +12,6 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.loop import binding as c
-from zeno_orbits.loop.graph_program import GraphProgram
 from zeno_orbits.loop.program import TapedProblem
 
 _STEPS, _POLYNOMIALS, _ARCS, _EVENTS = 1024, 256, 128, 128
@@ -97,6 +96,15 @@ class RunSettings:
         return place
 
 
+def filled(settings: Sequence[RunSettings]) -> Any:
+    """Return accuracy and limits at every stop as the library has them.
+
+    Args:
+        settings: The settings, one for each stop.
+    """
+    return (c.SettingsType * len(settings))(*(one.filled() for one in settings))
+
+
 @dataclass(slots=True, kw_only=True)
 class Record:
     """Record of a run, with the columns defined in `loop.h`.
@@ -176,9 +184,7 @@ class _Buffers:
 
 def _least_rows(program: TapedProblem, settings: Any) -> tuple[int, ...]:
     """Return the rows of records that one event needs. `has_room` in C has the same numbers."""
-    several = isinstance(program, GraphProgram)
-    records = (settings[0] if several else settings).records
-    return (*((1, 1, 3) if records else (0, 0, 0)), 2 + 4 * c.STOPS if several else 3)
+    return (*((1, 1, 3) if settings[0].records else (0, 0, 0)), 2 + 4 * program.n_stops)
 
 
 class LoopRun:
@@ -189,7 +195,7 @@ class LoopRun:
 
         Args:
             program: The problem.
-            settings: Accuracy and limits, as the library has them. Of several stops, an array.
+            settings: Accuracy and limits at every stop, as `filled` returns them.
             p: Gains and parameters, ``(n_p,)``.
             x: Admissible state, ``(n_x,)``.
         """
@@ -251,8 +257,8 @@ class LoopRun:
             steps: Rows of the record of steps.
             polynomials: Rows of the record of polynomials.
             arcs: Rows of the record of arcs, at least 3.
-            events: Rows of the record of events, at least 3. Of several stops or switches, 34: one
-                event may strike and open every stop.
+            events: Rows of the record of events, at least 2, and 4 for each stop: one event may
+                strike and open every stop.
 
         Returns:
             A status of `loop.h`. A request of memory for estimates is already handled.

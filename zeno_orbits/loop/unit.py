@@ -31,7 +31,6 @@ from zeno_orbits.loop.export import (
     stem_of,
 )
 from zeno_orbits.loop.graph_program import GraphProgram
-from zeno_orbits.loop.program import Program
 from zeno_orbits.loop.source import FLAGS, LIBRARIES, whole_source
 
 _OWN = ("mode", "impacts", "zeno_points", "zeno_time")
@@ -101,11 +100,11 @@ class ExportedUnit:
                 raise InputError(f"Argument `input`: {not_known(name, known)}")
 
 
-def exported_unit(program: Program | GraphProgram, unit: ExportedUnit) -> tuple[bytes, str]:
+def exported_unit(program: GraphProgram, unit: ExportedUnit) -> tuple[bytes, str]:
     """Return the unit as the bytes of a file `.fmu`, and the reason if it lacks a library.
 
     Args:
-        program: The formulas. Of several stops, those of all modes.
+        program: The formulas of all modes.
         unit: Names, values and kinds of the variables.
 
     Raises:

@@ -53,6 +53,8 @@ from .numeric.derivatives import LinearFormula as LinearFormula
 from .numeric.graph_dynamics import CompiledGraph as CompiledGraph
 from .numeric.graph_dynamics import GraphDynamics as GraphDynamics
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
+from .numeric.one_stop import OneStop as OneStop
+from .numeric.one_stop import graph_of as graph_of
 from .numeric.stop_states import ContactProjection as ContactProjection
 from .numeric.own_scale import constraint_sizes as constraint_sizes
 from .numeric.own_scale import own_time as own_time

@@ -52,9 +52,8 @@ from .derivatives.graph_shifts import GraphShifts as GraphShifts
 from .compiled.legs import LegFollower as LegFollower
 from .compiled.legs import states_after_steps as states_after_steps
 from .recorded import LoopTrajectory as LoopTrajectory
-from .compiled.executions import run_settings as run_settings
-from .compiled.graph_executions import settings_of_stops as settings_of_stops
-from .compiled.graph_executions import whole_program as whole_program
+from .compiled.programs import whole_program as whole_program
+from .compiled.task_settings import run_settings as run_settings
 from .settings import SimulationSettings as SimulationSettings
 from .settings import SimulationTask as SimulationTask
 from .simulator import by_reference as by_reference

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -29,6 +30,16 @@ class Ending(Enum):
     RELEASE = "release"
     SWITCH = "switch"
     HORIZON = "end of the simulation"
+
+
+def named(names: Sequence[str], stops: Iterable[int]) -> tuple[str, ...]:
+    """Return the names of stops. A stop without a name is the only one, and needs none.
+
+    Args:
+        names: Name of each stop.
+        stops: Indices of the stops.
+    """
+    return tuple(names[k] for k in stops if names[k])
 
 
 @fast_dataclass

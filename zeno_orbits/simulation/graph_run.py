@@ -30,6 +30,7 @@ from zeno_orbits.errors import PenetrationError, SimulationError, StepSizeError
 from zeno_orbits.integrators import (
     LEAVES,
     BoxedStep,
+    Engine,
     FlowWithEvent,
     Segment,
     SegmentResult,
@@ -39,7 +40,7 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.model import START_OFF, GraphDynamics, GraphMode, HybridDynamics, require_start
 from zeno_orbits.simulation.accumulations import Accumulations
-from zeno_orbits.simulation.arc_follower import ArcStart, launched
+from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart, launched
 from zeno_orbits.simulation.event_rules import stop_holds
 from zeno_orbits.simulation.execution import (
     Arc,
@@ -49,6 +50,7 @@ from zeno_orbits.simulation.execution import (
     Mode,
     Release,
     SwitchEvent,
+    named,
 )
 from zeno_orbits.simulation.interruptions import (
     accumulate_together,
@@ -64,6 +66,7 @@ from zeno_orbits.simulation.interruptions import (
 )
 from zeno_orbits.simulation.recorded import LoopTrajectory
 from zeno_orbits.simulation.reference_run import ImpactSequence, ReferenceRun, is_slack
+from zeno_orbits.simulation.settings import SimulationTask
 from zeno_orbits.simulation.zeno.completion import ZenoExtrapolation, ZenoPassage
 from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit
 
@@ -225,6 +228,33 @@ class GraphRun(ReferenceRun):
     n_switches: int = 0
     seen: Accumulations = field(default_factory=Accumulations)
 
+    @classmethod
+    def of(cls, task: SimulationTask, engine: Engine | None = None) -> GraphRun:
+        """Return the run of a task at its start.
+
+        Args:
+            task: The simulation task.
+            engine: Integrator of the arcs, by default that of the settings.
+        """
+        graph, chosen = task.graph, task.settings
+        follower = ArcFollower(
+            dynamics=graph.first,
+            engine=engine or chosen.engine,
+            tolerance=chosen.tolerance.times(graph.own.least),
+            until=task.until,
+            contact=chosen.contact,
+            far=chosen.far,
+            most_steps=chosen.most_steps,
+        )
+        return cls(
+            dynamics=graph.first,
+            settings=chosen,
+            follower=follower,
+            most_releases=task.most_releases,
+            most_impacts=task.most_impacts,
+            graph=graph,
+        )
+
     def execution(self) -> Execution:
         """Return the execution so far."""
         return replace(ReferenceRun.execution(self), own=self.graph.own)
@@ -239,7 +269,7 @@ class GraphRun(ReferenceRun):
             require_start(self.graph, x, self.settings.contact)
         self.sides = (True,) * (len(self.graph.switch_names) - self.graph.n_declared)
         self._take_sides(x)
-        self._look((), 0)
+        self.look((), 0)
         return self._placed(0.0, x, None)
 
     # What the reference asks of a run that has more than one stop.
@@ -252,15 +282,18 @@ class GraphRun(ReferenceRun):
     def sequence(self) -> ImpactSequence:
         """Return the sequence that begins, or goes on after a kink split one of its flights."""
         if self.current is None or self.current.place != self.place:
-            self.current = ReferenceRun.sequence(self)
+            self.current = ImpactSequence(place=self.place, first_impact=self.n_impacts)
             self.split_by = frozenset(), frozenset()
         return self.current
 
-    def impact_sequence(self, start: ArcStart) -> ArcStart | None:
-        """Follow one flight of a sequence of impacts, or go to its Zeno point."""
-        if start.speed is None:
-            return start
-        return self.after_impact(self.sequence(), start, start.speed)
+    def impact_sequence(self, start: ArcStart, speed: float) -> ArcStart | None:
+        """Follow one flight of a sequence of impacts, or go to its Zeno point.
+
+        Args:
+            start: Start of the flight.
+            speed: Gap rate there.
+        """
+        return self.after_impact(self.sequence(), start, speed)
 
     def on_stop(self, time: float, x: Vector) -> ArcStart:
         """Return the mode that holds on the stop at zero gap rate."""
@@ -302,7 +335,8 @@ class GraphRun(ReferenceRun):
         The event is first looked for within a few times the previous arc: the flow of a branch need
         not exist far beyond the zero of its kink.
         """
-        follower, window, n_arcs = self.follower, self.window, len(self.arcs)
+        follower, n_arcs = self.follower, len(self.arcs)
+        window = self.window if self._has_others else math.inf
         last = follower.until - follower.late
         try:
             while True:
@@ -315,7 +349,7 @@ class GraphRun(ReferenceRun):
                     # Another guard may fall before the flow of this branch ends to exist.
                     del self.arcs[n_arcs:]
                     reached = (start.speed or 1.0) * error.time
-                    if not 0.0 < reached <= window:
+                    if not self._has_others or not 0.0 < reached <= window:
                         raise self._singular(error, start.time + reached) from error
                     window = reached * (1.0 - _BEFORE)
                     follower.window = start.time + window
@@ -332,6 +366,11 @@ class GraphRun(ReferenceRun):
             follower.window = math.inf
         self.window = max(_GROW * (arc.end_time - arc.start_time), _SHORTEST * self.own.time)
         return arc, end
+
+    @property
+    def _has_others(self) -> bool:
+        """True if there are guards beside that of the stop."""
+        return len(self.graph.stop_names) + len(self.graph.switch_names) > 1
 
     def _singular(self, error: StepSizeError, time: float) -> StepSizeError:
         """Return an error with the time of the execution, and a kink that is zero there."""
@@ -446,7 +485,11 @@ class GraphRun(ReferenceRun):
         s = self._due(start)
         if s is not None:
             return self._switched(start, start.time, start.state, s)
-        return ReferenceRun.after_phase(self, start)
+        if start.mode is Mode.LOCKED:
+            return self.locked_arc(start)
+        if start.speed is None:
+            return self.free_flight(start)
+        return self.impact_sequence(start, start.speed)
 
     def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
         """Return the next start after an arc that another event ended."""
@@ -490,9 +533,9 @@ class GraphRun(ReferenceRun):
             return self._switched(start, time, x, index)
         self.current = None
         if kind is Kind.MULTIPLIER:
-            self._look(tuple(k for k in closed if k != index), index)
+            self.look(tuple(k for k in closed if k != index), index)
             return self.release(time, x)
-        self._look(closed, index)
+        self.look(closed, index)
         return self.meet(time, x, self.dynamics.gap_rate(x) if rate is None else rate)
 
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
@@ -503,9 +546,9 @@ class GraphRun(ReferenceRun):
         )
         self.split_by = self.split_by[1], frozenset()
         if approach_rate < 0.0:
-            self._look(self._kept(state_minus), self.focus)
+            self.look(self._kept(state_minus), self.focus)
             self._take_sides(self.dynamics.reset_map(state_minus, approach_rate))
-            self._look(self.rest, self.focus)
+            self.look(self.rest, self.focus)
         after = ReferenceRun.impact(self, time, state_minus, approach_rate)
         if after is None:
             return None
@@ -531,7 +574,7 @@ class GraphRun(ReferenceRun):
     def _opened_by_impact(self, after: ArcStart, closed: tuple[int, ...]) -> ArcStart:
         """Return the start after an impact whose change of forces opens closed stops."""
         self.current = None
-        self._look(tuple(k for k in closed if k != self.focus), self.focus)
+        self.look(tuple(k for k in closed if k != self.focus), self.focus)
         if after.mode is Mode.LOCKED and self.focus not in closed:
             return replace(after, mode=Mode.FREE)
         if after.impact is None:
@@ -552,7 +595,7 @@ class GraphRun(ReferenceRun):
                 view.gap(x), rate, self.settings.contact * view.own.gap
             ):
                 self._require_apart(sorted((self.focus, k)), closed, time, x)
-                self._look(closed, k)
+                self.look(closed, k)
                 return self.impact(time, x, rate)
         return after
 
@@ -565,12 +608,17 @@ class GraphRun(ReferenceRun):
         """Return the system in which a closed stop of a mode is the stop."""
         return self.graph.holding((closed, self.sides), stop)
 
-    def _look(self, rest: tuple[int, ...], focus: int) -> None:
-        """Look at a stop, with others closed beside it."""
+    def look(self, rest: tuple[int, ...], focus: int) -> None:
+        """Look at a stop, with others closed beside it.
+
+        Args:
+            rest: The closed stops.
+            focus: The stop.
+        """
         self.rest, self.focus = rest, focus
         self.dynamics = self.follower.dynamics = self._view(rest, focus)
         self.own = self.dynamics.own
-        self.follower.apart = _APART * self.own.time
+        self.follower.apart = _APART * self.own.time if self._has_others else 0.0
         self.small_gap = self.settings.contact * self.own.gap
         self.small_rate = self.settings.contact * self.own.gap_rate
         self.stop_name = self.graph.stop_names[focus]
@@ -592,8 +640,8 @@ class GraphRun(ReferenceRun):
 
     def _named(self, arc: Arc, closed: tuple[int, ...], stop: str = "") -> Arc:
         """Return an arc with its mode, and with the stop of a rescaled flight."""
-        names = tuple(self.graph.stop_names[k] for k in closed)
         mode = Mode.LOCKED if closed else Mode.FREE
+        names = named(self.graph.stop_names, closed)
         return replace(arc, closed=names, mode=mode, stop=stop, sides=self.sides)
 
     def _take_sides(self, x: Vector) -> None:
@@ -909,7 +957,7 @@ class GraphRun(ReferenceRun):
                 # The guard rose by less than its rounding and fell again.
                 raise switches_accumulate(name, start.time, x)
         self._change_side(s, x)
-        self._look(self.rest, self.focus)
+        self.look(self.rest, self.focus)
         if start.impact is None:
             return start
         return replace(start, resting=self.dynamics.resting(start.impact.state_plus))
@@ -1049,7 +1097,8 @@ class GraphRun(ReferenceRun):
         contact = self.settings.contact
         for k, name in enumerate(self.graph.stop_names):
             view = self._view((), k)
-            small = max(START_OFF, contact) if was_closed is None or k in was_closed else contact
+            known = self._has_others and (was_closed is None or k in was_closed)
+            small = max(START_OFF, contact) if known else contact
             gap, rate = view.gap(x), view.gap_rate(x)
             is_on = gap >= -small * view.own.gap
             falls = rate < -small * view.own.gap_rate
@@ -1071,16 +1120,16 @@ class GraphRun(ReferenceRun):
         if self._opened([k for k in was_closed or () if k not in stay], time, x):
             return None
         if struck:
-            self._look(closed, struck[0])
+            self.look(closed, struck[0])
             return self.impact(time, x, self.dynamics.gap_rate(x))
         leaving = [k for k in (*still, *opening) if k not in closed]
         if flying is not None and not leaving:
             leaving = [flying]
         if closed and not leaving:
-            self._look(closed[:-1], closed[-1])
+            self.look(closed[:-1], closed[-1])
             return ArcStart(mode=Mode.LOCKED, time=time, state=x)
         focus = leaving[0] if leaving else self.focus
-        self._look(closed, focus)
+        self.look(closed, focus)
         rate = self.dynamics.gap_rate(x)
         launches = self.dynamics.gap(x) <= self.small_gap and rate > self.small_rate
         return ArcStart(mode=Mode.FREE, time=time, state=x, speed=rate if launches else None)

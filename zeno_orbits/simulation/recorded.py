@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,13 @@ from zeno_orbits.integrators import (
     Trajectory,
     radau_scheme,
 )
-from zeno_orbits.loop import Record, TapedProblem, binding, program_of
-from zeno_orbits.model import CharacteristicScales, CompiledFlow, HybridDynamics
+from zeno_orbits.loop import Record, TapedProblem, View, binding, program_of
+from zeno_orbits.model import (
+    CharacteristicScales,
+    CompiledFlow,
+    GraphDynamics,
+    HybridDynamics,
+)
 from zeno_orbits.simulation.execution import (
     Arc,
     Ending,
@@ -33,6 +38,7 @@ from zeno_orbits.simulation.execution import (
     Release,
     SwitchEvent,
     ZenoPoint,
+    named,
 )
 
 _ENDINGS = {
@@ -79,65 +85,44 @@ def _event_of(numbers: list[float], before: Vector, after: Vector, stop: str) ->
     )
 
 
-class History(Protocol):
-    """The source of an execution, whose arcs and events are made at the first question."""
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Name of each state."""
-        ...
-
-    @property
-    def own(self) -> CharacteristicScales:
-        """Characteristic scales of the problem."""
-        ...
-
-    @property
-    def end_time(self) -> float:
-        """Time of the end [s]."""
-        ...
-
-    @property
-    def end_state(self) -> Vector:
-        """State at the end, ``(n_x,)``."""
-        ...
-
-
 @dataclass(kw_only=True, eq=False)
 class RecordedRun:
-    """A run with the context of its record.
+    """A run with the context of its record. Its arcs and events are made at the first question.
 
     Attributes:
-        dynamics: The system.
+        graph: The graph of modes.
+        views: The stops and modes of the arcs, in the order of their indices.
         tolerance: Local error of the steps.
         record: Record of the run.
         paths: Curves of the impacts by the times of Zeno points that were found along them.
     """
 
-    dynamics: HybridDynamics
+    graph: GraphDynamics
+    views: Sequence[View]
     tolerance: Tolerance
     record: Record
     paths: Mapping[float, tuple[Step, ...]]
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Name of each state."""
+        return self.graph.state_names
+
+    @property
+    def own(self) -> CharacteristicScales:
+        """Characteristic scales of the problem."""
+        return self.graph.own
+
     @cached_property
     def events(self) -> tuple[Event, ...]:
         """The events in order of time."""
-        return tuple(events_of(self.record.events, self._n_x))
+        names = self.graph.stop_names, self.graph.switch_names
+        return tuple(events_of(self.record.events, len(self.state_names), *names))
 
     @cached_property
     def arcs(self) -> tuple[Arc, ...]:
         """The arcs in order of time."""
         return tuple(map(self._arc, self.record.arcs))
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Name of each state."""
-        return self.dynamics.state_names
-
-    @property
-    def own(self) -> CharacteristicScales:
-        """Characteristic scales of the problem."""
-        return self.dynamics.own
 
     @property
     def end_time(self) -> float:
@@ -147,14 +132,23 @@ class RecordedRun:
     @property
     def end_state(self) -> Vector:
         """State at the end, ``(n_x,)``."""
-        return self.record.arcs[-1, binding.ARC_WIDTH + self._n_x :][: self._n_x]
-
-    @property
-    def _n_x(self) -> int:
-        return len(self.dynamics.state_names)
+        n_x = len(self.state_names)
+        return self.record.arcs[-1, binding.ARC_WIDTH + n_x :][:n_x]
 
     def _arc(self, row: Vector) -> Arc:
-        return arc_of(row, self.record, self.dynamics, self.tolerance, self.paths)
+        view, names = self.views[int(row[binding.ARC_WIDTH - 1])], self.graph.stop_names
+        dynamics = self.graph.view((view.closed, view.sides), view.stop)
+        arc = arc_of(row, self.record, dynamics, self.tolerance, self.paths)
+        closed = view.closed
+        if arc.mode is Mode.LOCKED:
+            closed = tuple(sorted((*closed, view.stop)))
+        return replace(
+            arc,
+            mode=Mode.LOCKED if closed else Mode.FREE,
+            closed=named(names, closed),
+            stop=names[view.stop] if row[0] == binding.FLIGHT else "",
+            sides=view.sides,
+        )
 
 
 def arc_of(
@@ -220,10 +214,10 @@ class RecordedExecution(Execution):
     """An execution whose arcs and events are made of a record at the first question."""
 
     __slots__ = ("_run",)
-    _run: History
+    _run: RecordedRun
 
     @classmethod
-    def of(cls, run: History) -> RecordedExecution:
+    def of(cls, run: RecordedRun) -> RecordedExecution:
         """Return the execution of a run."""
         made = object.__new__(cls)
         for name, value in (
@@ -266,9 +260,11 @@ class RecordedExecution(Execution):
 
 
 def record_of(execution: Execution) -> Record | None:
-    """Return the record of an execution, if the loop made it in this process."""
+    """Return the record of an execution with one view, if the loop made it in this process."""
     run = getattr(execution, "_run", None)
-    return run.record if isinstance(run, RecordedRun) else None
+    if not isinstance(run, RecordedRun) or len(run.views) > 1 or run.graph.switch_names:
+        return None
+    return run.record
 
 
 def _execution(*values: Any) -> RecordedExecution:

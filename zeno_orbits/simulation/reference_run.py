@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import PenetrationError
 from zeno_orbits.integrators import FlowWithEvent, SteppedTrajectory, Trajectory
-from zeno_orbits.model import CharacteristicScales, HybridDynamics, require_start
+from zeno_orbits.model import CharacteristicScales, HybridDynamics
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
 from zeno_orbits.simulation.execution import (
@@ -143,36 +143,6 @@ class ReferenceRun:
     def reached(self) -> float:
         """Time that the arcs have reached [s]."""
         return self.arcs[-1].end_time if self.arcs else 0.0
-
-    def admitted(self, x: Vector, *, checked: bool = True) -> ArcStart | None:
-        """Return the first start.
-
-        Args:
-            x: State, ``(n_x,)``.
-            checked: Whether to check that the state is admissible.
-
-        Raises:
-            InputError: If the state is not admissible. The message contains the reason.
-        """
-        dynamics, small, small_rate = self.dynamics, self.small_gap, self.small_rate
-        if checked:
-            require_start(dynamics, x, self.settings.contact)
-        rate = dynamics.gap_rate(x)
-        if dynamics.gap(x) > small:
-            return ArcStart(mode=Mode.FREE, time=0.0, state=x)
-        if rate > small_rate:
-            return ArcStart(mode=Mode.FREE, time=0.0, state=x, speed=rate)
-        if rate < -small_rate:
-            return self.impact(0.0, x, rate)
-        return self.on_stop(0.0, dynamics.on_stop(x))
-
-    def after_phase(self, start: ArcStart) -> ArcStart | None:
-        """Follow a locked arc, a flight, or a sequence of impacts to its Zeno point."""
-        if start.mode is Mode.LOCKED:
-            return self.locked_arc(start)
-        if start.speed is None:
-            return self.free_flight(start)
-        return self.impact_sequence(start)
 
     def locked_arc(self, start: ArcStart) -> ArcStart | None:
         """Follow the locked flow to the release, where the multiplier falls through zero."""
@@ -341,14 +311,6 @@ class ReferenceRun:
         holds = stop_holds(lift, rate, slack)
         return ArcStart(mode=Mode.LOCKED if holds else Mode.FREE, time=time, state=x)
 
-    def impact_sequence(self, start: ArcStart) -> ArcStart | None:
-        """Follow a sequence of impacts to its Zeno point, or until it turns into a free flight."""
-        sequence = self.sequence()
-        here: ArcStart | None = start
-        while here is not None and here.speed is not None and sequence.place == self.place:
-            here = self.after_impact(sequence, here, here.speed)
-        return here
-
     def after_impact(
         self, sequence: ImpactSequence, start: ArcStart, speed: float
     ) -> ArcStart | None:
@@ -369,23 +331,13 @@ class ReferenceRun:
             raise does_not_accumulate(self.settings.most_impacts, start.time, start.state)
         return self.rescaled_flight(start, speed)
 
-    @property
-    def place(self) -> object:
-        """What the impacts of a sequence have in common, here nothing beyond the one stop."""
-        return None
-
-    def sequence(self) -> ImpactSequence:
-        """Return the sequence of impacts that begins."""
-        return ImpactSequence(place=self.place, first_impact=self.n_impacts)
-
     def limit_of(self, estimates: Sequence[TailEstimate]) -> ZenoLimit | None:
         """Return the Zeno point of a sequence, or ``None`` if more impacts are to be resolved."""
         return self.settings.completion.limit(self.dynamics, estimates)
 
     def is_clear(self, limit: ZenoLimit) -> bool:
         """Return True if no other event can occur on the way to a Zeno point."""
-        del limit
-        return True
+        raise NotImplementedError
 
     def rescaled_flight(self, start: ArcStart, speed: float) -> ArcStart | None:
         """Follow one rescaled flight from an impact to the next (theory (2.6))."""

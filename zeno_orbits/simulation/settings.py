@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import require_counts
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import GraphDynamics, HybridDynamics, graph_of
 from zeno_orbits.simulation.zeno.completion import Completion, ZenoPassage
 from zeno_orbits.work import Checked, Progress, silent
 
@@ -49,7 +49,8 @@ class SimulationTask:
     """A simulation task.
 
     Attributes:
-        dynamics: The system at fixed parameter values.
+        dynamics: The system at fixed parameter values, or the graph of modes of a machine with
+            several stops or switches.
         state: Initial state, ``(n_x,)``, at time 0.
         until: End time [s].
         most_releases: Number of releases after which the execution ends.
@@ -58,9 +59,10 @@ class SimulationTask:
         on_progress: Called with the simulated part of the time.
         goes_on: Whether the state continues an earlier execution, or is near a state of it. Then it
             may violate its constraints by the errors of that execution.
+        graph: The system as a graph of modes.
     """
 
-    dynamics: HybridDynamics
+    dynamics: HybridDynamics | GraphDynamics
     state: Vector
     until: float
     most_releases: float = math.inf
@@ -68,3 +70,8 @@ class SimulationTask:
     settings: SimulationSettings = field(default_factory=SimulationSettings)
     on_progress: Progress = silent
     goes_on: bool = False
+    graph: GraphDynamics = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Look at the system as a graph of modes."""
+        object.__setattr__(self, "graph", graph_of(self.dynamics))

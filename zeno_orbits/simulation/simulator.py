@@ -9,23 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, StepLimitError, any_number
-from zeno_orbits.integrators import Engine
 from zeno_orbits.loop import loop_library
 from zeno_orbits.model import GraphDynamics, HybridDynamics
-from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
+from zeno_orbits.simulation.arc_follower import ArcStart
 from zeno_orbits.simulation.compiled.executions import by_loop, pieces_by_loop, serves
-from zeno_orbits.simulation.compiled.graph_executions import looped
 from zeno_orbits.simulation.compiled.legs import LegFollower
 from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.graph_run import GraphRun
 from zeno_orbits.simulation.pieces import Piece
-from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
 from zeno_orbits.work import Progress, silent
 
@@ -61,10 +57,6 @@ def simulate(
         raise InputError(
             f"Argument `until` must be a positive number of seconds, but it is {until}."
         )
-    if isinstance(dynamics, GraphDynamics):
-        graph, dynamics = dynamics, dynamics.first
-    else:
-        graph = None
     task = SimulationTask(
         dynamics=dynamics,
         state=np.array(state, dtype=np.float64),
@@ -74,9 +66,7 @@ def simulate(
         settings=settings or SimulationSettings(),
         on_progress=on_progress,
     )
-    if graph is not None:
-        return by_graph_loop(task, graph) or by_graph(task, graph)
-    return by_loop(task) if serves(task) else by_reference(task)
+    return by_loop(task) or by_reference(task, plain=False)
 
 
 def simulated_at_most(
@@ -109,34 +99,6 @@ def simulated_at_most(
         return error.execution, True
 
 
-def by_graph_loop(task: SimulationTask, graph: GraphDynamics) -> Execution | None:
-    """Return the same over a graph of modes, or ``None`` if the loop cannot carry it out.
-
-    Args:
-        task: The simulation task, with the system of the graph's first stop.
-        graph: The graph.
-
-    Raises:
-        InputError: If the state is not admissible.
-        SimulationError: If the execution cannot be continued.
-    """
-    return looped(task, GraphRun(**_graph_parts(task, graph)))
-
-
-def by_graph(task: SimulationTask, graph: GraphDynamics) -> Execution:
-    """Return the same, followed in Python: the reference of the compiled loop.
-
-    Args:
-        task: The simulation task, with the system of the graph's first stop.
-        graph: The graph.
-
-    Raises:
-        InputError: If the state is not admissible.
-        SimulationError: If the execution cannot be continued.
-    """
-    return _followed(GraphRun(**_graph_parts(task, graph)), task)
-
-
 def simulator_in_use() -> str:
     """Return the name of the simulator of this process, for the identity of work that is kept.
 
@@ -145,22 +107,19 @@ def simulator_in_use() -> str:
     return "Python" if loop_library() is None else "loop"
 
 
-def by_reference(task: SimulationTask) -> Execution:
+def by_reference(task: SimulationTask, *, plain: bool = True) -> Execution:
     """Return the completed execution, followed in Python: the reference of the compiled loop.
 
     Args:
         task: The simulation task.
+        plain: Whether steps are taken in Python too, otherwise by compiled code where possible.
 
     Raises:
         InputError: If the state is not admissible.
         SimulationError: If the execution cannot be continued.
     """
-    return _followed(_run_of(task), task)
-
-
-def _followed(run: ReferenceRun, task: SimulationTask) -> Execution:
-    """Return the execution of a run, phase by phase to its end."""
-    start = run.admitted(task.state)
+    run = GraphRun.of(task, None if plain else LegFollower(task.settings.engine))
+    start = run.admitted(task.state, checked=not task.goes_on)
     try:
         while start is not None:
             start = run.after_phase(start)
@@ -194,7 +153,7 @@ def pieces_by_reference(task: SimulationTask) -> Iterator[Piece]:
         InputError: If the state is not admissible.
         SimulationError: If the execution cannot be continued, after the piece before that.
     """
-    run, n_x = _run_of(task), len(task.dynamics.state_names)
+    run, n_x = GraphRun.of(task), len(task.graph.state_names)
     start = run.admitted(task.state, checked=not task.goes_on)
     interruption: SimulationError | None = None
     while start is not None and interruption is None:
@@ -209,7 +168,7 @@ def pieces_by_reference(task: SimulationTask) -> Iterator[Piece]:
         raise interruption
 
 
-def _piece(run: ReferenceRun, start: ArcStart | None, before: ArcStart, n_x: int) -> Piece:
+def _piece(run: GraphRun, start: ArcStart | None, before: ArcStart, n_x: int) -> Piece:
     """Return the piece of a run in a phase, with the present state.
 
     Args:
@@ -229,41 +188,4 @@ def _piece(run: ReferenceRun, start: ArcStart | None, before: ArcStart, n_x: int
         time=last.end_time if ended and last is not None else now.time,
         state=last.end_state if ended and last is not None else now.state,
         locked=(last.mode if ended and last is not None else now.mode) is Mode.LOCKED,
-    )
-
-
-def _run_of(task: SimulationTask) -> ReferenceRun:
-    """Return a run at its start."""
-    return ReferenceRun(
-        dynamics=task.dynamics,
-        settings=task.settings,
-        follower=_follower(task, task.settings.engine),
-        most_releases=task.most_releases,
-        most_impacts=task.most_impacts,
-    )
-
-
-def _graph_parts(task: SimulationTask, graph: GraphDynamics) -> dict[str, Any]:
-    """Return what a run over a graph of modes begins with."""
-    return {
-        "dynamics": task.dynamics,
-        "settings": task.settings,
-        "follower": _follower(task, LegFollower(task.settings.engine)),
-        "most_releases": task.most_releases,
-        "most_impacts": task.most_impacts,
-        "graph": graph,
-    }
-
-
-def _follower(task: SimulationTask, engine: Engine) -> ArcFollower:
-    """Return the follower of the arcs of a task."""
-    dynamics, chosen = task.dynamics, task.settings
-    return ArcFollower(
-        dynamics=dynamics,
-        engine=engine,
-        tolerance=chosen.tolerance.times(dynamics.own.least),
-        until=task.until,
-        contact=chosen.contact,
-        far=chosen.far,
-        most_steps=chosen.most_steps,
     )

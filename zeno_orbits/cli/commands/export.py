@@ -24,7 +24,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.loop import ExportedRun, GraphProgram, Program
+    from zeno_orbits.loop import ExportedRun, GraphProgram
     from zeno_orbits.model import ParameterValues, Problem
 
 
@@ -98,7 +98,7 @@ def _run_export(options: argparse.Namespace) -> int:
 
 def _exported(
     problem: Problem, values: ParameterValues, options: argparse.Namespace
-) -> tuple[Program | GraphProgram, ExportedRun]:
+) -> tuple[GraphProgram, ExportedRun]:
     """Return the formulas of a problem, and the values and names of its exported run.
 
     Raises:
@@ -106,25 +106,14 @@ def _exported(
     """
     import numpy as np
 
-    from zeno_orbits.loop import ExportedRun, loop_trouble, program_or_reason
-    from zeno_orbits.simulation import (
-        SimulationTask,
-        run_settings,
-        settings_of_stops,
-        whole_program,
-    )
+    from zeno_orbits.loop import ExportedRun, loop_trouble
+    from zeno_orbits.simulation import SimulationTask, run_settings, whole_program
 
-    graph = problem.graph_dynamics(values) if problem.has_graph else None
+    graph = problem.graph_dynamics(values)
     task = SimulationTask(
-        dynamics=problem.dynamics(values) if graph is None else graph.first,
-        state=np.array(start_of(problem, options)),
-        until=options.until,
+        dynamics=graph, state=np.array(start_of(problem, options)), until=options.until
     )
-    program: Program | GraphProgram | str
-    if graph is None:
-        program, settings = program_or_reason(problem.compiled()), [run_settings(task)]
-    else:
-        program, settings = whole_program(graph.compiled), settings_of_stops(task, graph)
+    program = whole_program(graph.compiled)
     if isinstance(program, str):
         reason = loop_trouble() or program
         raise InputError(f"Argument `problem` cannot be exported: {reason}.")
@@ -134,9 +123,9 @@ def _exported(
         parameter_names=tuple(problem.symbols()),
         values=np.array(values.vector),
         state=task.state,
-        settings=settings,
-        stop_names=("",) if graph is None else graph.stop_names,
-        switch_names=() if graph is None else graph.switch_names,
+        settings=run_settings(task),
+        stop_names=graph.stop_names if problem.has_graph else ("",),
+        switch_names=graph.switch_names,
     )
     return program, run
 
@@ -171,7 +160,7 @@ _SHIFT = 2.0**-20
 
 def _unit(
     problem: Problem,
-    program: Program | GraphProgram,
+    program: GraphProgram,
     run: ExportedRun,
     options: argparse.Namespace,
 ) -> tuple[dict[str, bytes], str]:

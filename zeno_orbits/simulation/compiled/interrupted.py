@@ -1,0 +1,102 @@
+"""Errors that the statuses of the loop stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from zeno_orbits.errors import InputError, SimulationError, StepSizeError
+from zeno_orbits.integrators import not_finite, too_small
+from zeno_orbits.loop import Detail, binding
+from zeno_orbits.model import inside_stop
+from zeno_orbits.simulation.interruptions import (
+    accumulate_together,
+    armed_at_start,
+    coincide,
+    does_not_accumulate,
+    does_not_close,
+    enters_by_reset,
+    enters_by_switch,
+    grows_without_end,
+    leaves_set,
+    runs_away,
+    slides,
+    switches_accumulate,
+    too_many_steps,
+    undefined_guard,
+    undetermined_contact,
+)
+from zeno_orbits.simulation.settings import SimulationTask
+
+_KINDS = {binding.IMPACT: "impact", binding.RELEASE: "release", binding.SWITCH: "switch"}
+
+_Made = dict[int, Callable[[], SimulationError | InputError]]
+
+
+def interruption(task: SimulationTask, status: int, told: Detail) -> SimulationError | InputError:
+    """Return the error that a status stands for.
+
+    Args:
+        task: The simulation task.
+        status: The status.
+        told: Its details.
+    """
+    error = {**_of_flows(task, told), **_of_events(task, told)}[status]()
+    if isinstance(error, StepSizeError) and told.index >= 0:
+        kink = task.graph.switch_names[told.index]
+        text = f"{error.reason}; a formula is not differentiable at its own kink `{kink}`"
+        return StepSizeError(text, time=error.time, state=error.state)
+    return error
+
+
+def _of_flows(task: SimulationTask, told: Detail) -> _Made:
+    """Return the errors of flows, steps and impacts by status."""
+    settings, names, time, state = task.settings, task.graph.state_names, told.time, told.state
+    return {
+        binding.TOO_STIFF: lambda: too_small("the flow is too stiff or singular", time, state),
+        binding.SINGULAR: lambda: too_small("the flow is singular", time, state),
+        binding.NOT_FINITE: lambda: not_finite(state),
+        binding.LEFT: lambda: leaves_set(time, state),
+        binding.MANY_STEPS: lambda: too_many_steps(settings.most_steps, time, state),
+        binding.MANY_IMPACTS: lambda: does_not_accumulate(settings.most_impacts, time, state),
+        binding.BEYOND: lambda: runs_away(names[told.index], time, state),
+        binding.GROWS: lambda: grows_without_end(
+            names[told.index], int(told.steps), told.number, time, state
+        ),
+        binding.NOT_CLOSING: lambda: does_not_close(told.number, time, state),
+        binding.INTO_STOP: lambda: enters_by_reset(time, state),
+    }
+
+
+def _of_events(task: SimulationTask, told: Detail) -> _Made:
+    """Return the errors of stops and switches by status."""
+    about, time, state = told.about, told.time, told.state
+    stops, switches = task.graph.stop_names, task.graph.switch_names
+
+    def event(kind: int, index: int) -> str:
+        return f"{_KINDS[kind]} {(switches if kind == binding.SWITCH else stops)[index]}"
+
+    def chosen(bits: int) -> list[str]:
+        return [name for k, name in enumerate(stops) if bits >> k & 1]
+
+    def together(what: str) -> SimulationError:
+        return accumulate_together(stops[about[0]], what, time, state)
+
+    return {
+        binding.INSIDE: lambda: inside_stop(told.number, stops[told.index]),
+        binding.SLIDES: lambda: slides(switches[told.index], time, state),
+        binding.COINCIDE: lambda: coincide(event(*about[:2]), event(*about[2:]), time, state),
+        binding.SPLITS: lambda: together(f"the switch `{switches[about[1]]}` changes"),
+        binding.TOGETHER: lambda: together(f"events of the switch `{switches[about[1]]}` come"),
+        binding.IN_TURN: lambda: together(
+            f"impacts on {', '.join(f'`{name}`' for name in sorted(chosen(about[1])))} come"
+        ),
+        binding.ACCUMULATE: lambda: switches_accumulate(switches[told.index], time, state),
+        binding.UNDEFINED: lambda: undefined_guard(switches[told.index], time, state),
+        binding.UNDETERMINED: lambda: undetermined_contact(
+            ", ".join(f"`{name}`" for name in chosen(about[0])), time, state
+        ),
+        binding.BY_SWITCH: lambda: enters_by_switch(
+            switches[about[0]], stops[about[1]], time, state
+        ),
+        binding.ARMED: lambda: armed_at_start(switches[told.index], time, state),
+    }
