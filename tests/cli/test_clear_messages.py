@@ -172,7 +172,9 @@ def test_too_many_periods_are_refused_with_the_remedy(
 @pytest.mark.slow
 def test_an_export_without_a_compiler_is_one_line(here: Path) -> None:
     # Other code than that of any installed package, whose library would serve this one as well.
-    shutil.copytree(Path(zo.__file__).parent, here / "zeno_orbits")
+    source = Path(zo.__file__).parents[1]
+    for name in ("zeno_orbits", "problems"):
+        shutil.copytree(source / name, here / name)
     with (here / "zeno_orbits/loop/check.c").open("a") as code:
         code.write("/* Other code. */\n")
     environment = {**os.environ, "CC": "nothing", "ZENO_ORBITS_CACHE": str(here / "cache")}

@@ -25,6 +25,8 @@ from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
 from zeno_orbits.work import Progress, silent
 
+_USUAL = SimulationSettings()
+
 
 def simulate(
     dynamics: HybridDynamics | GraphDynamics,
@@ -63,7 +65,7 @@ def simulate(
         until=until,
         most_releases=math.inf if releases is None else releases,
         most_impacts=math.inf if impacts is None else impacts,
-        settings=settings or SimulationSettings(),
+        settings=settings or _USUAL,
         on_progress=on_progress,
     )
     return by_loop(task) or by_reference(task, plain=False)
