@@ -1234,11 +1234,12 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
     for (k = 0; k < n; k++) {
         const zl_settings *settings = settings_of(g, k);
         const double contact = settings->contact;
-        const int is_known = has_others(&g->m) && (was_closed & BIT(k));
-        const double small = is_known ? greater(START_OFF, contact) : contact;
+        const double below = was_closed & BIT(k) ? greater(START_OFF, contact) : contact;
+        /* Of one stop alone, a start is as exact as its user gives it. */
+        const double small = has_others(&g->m) ? below : contact;
         int is_on, falls;
         gap_of(g, k, x, gap);
-        is_on = gap[0] >= -small * settings->gap;
+        is_on = gap[0] >= -below * settings->gap;
         falls = gap[1] < -small * settings->gap_rate;
         if (gap[0] > small * settings->gap || (k == flying && !(is_on && falls))) continue;
         if (is_on && fabs(gap[1]) <= small * settings->gap_rate)

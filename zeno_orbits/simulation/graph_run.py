@@ -1097,10 +1097,11 @@ class GraphRun(ReferenceRun):
         contact = self.settings.contact
         for k, name in enumerate(self.graph.stop_names):
             view = self._view((), k)
-            known = self._has_others and (was_closed is None or k in was_closed)
-            small = max(START_OFF, contact) if known else contact
+            below = max(START_OFF, contact) if was_closed is None or k in was_closed else contact
+            # Of one stop alone, a start is as exact as its user gives it.
+            small = below if self._has_others else contact
             gap, rate = view.gap(x), view.gap_rate(x)
-            is_on = gap >= -small * view.own.gap
+            is_on = gap >= -below * view.own.gap
             falls = rate < -small * view.own.gap_rate
             if gap > small * view.own.gap or (k == flying and not (is_on and falls)):
                 continue
