@@ -1,6 +1,6 @@
 /* Guards beside that of the stop which a run looks at, in a machine with several stops or switches.
 
-   The earliest fall of any guard ends an arc: `GraphRun._earliest` in Python. As a rule a leg ends
+   The earliest fall of any guard ends an arc: `ReferenceRun._earliest` in Python. As a rule a leg ends
    where the first guard falls in a step. Where a guard begins on its zero, or below, every guard is
    followed to its own end, and `graph.c` decides as Python does. */
 

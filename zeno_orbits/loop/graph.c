@@ -1,4 +1,4 @@
-/* The event machine over a graph of modes, of stops, switches and kinks: `GraphRun` in Python.
+/* The event machine over a graph of modes, of stops, switches and kinks: `ReferenceRun` in Python.
 
    A run looks at one stop at a time. The stops that are closed beside it are constraints of both its
    flows. Sets of stops and of switches are bits. */
@@ -374,7 +374,7 @@ static int launch(Graph *g) {
     return GO_ON;
 }
 
-/* Go on from the start of an arc that left the admissible set: `ReferenceRun.locked_arc` and others. */
+/* Go on from the start of an arc that left the admissible set: `StopRun.locked_arc` and others. */
 static int leave_arc(Graph *g) {
     zl_run *run = g->m.run;
     const int kind = (int)run->graph.kind;

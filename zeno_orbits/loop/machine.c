@@ -1,4 +1,4 @@
-/* Events of the stop that a run looks at, and the legs between them: `reference_run` in Python. */
+/* Events of the stop that a run looks at, and the legs between them: `stop_run` in Python. */
 
 enum { GO_ON = 200 };
 

@@ -50,7 +50,7 @@
 #define HOP_PART 1e-05
 #define HOP_LOW 1e-08
 
-/* simulation/simulator.py */
+/* simulation/stop_run.py */
 #define ABOVE 1e-06
 #define STEADY 1e-09
 
@@ -92,7 +92,7 @@
 /* model/numeric/admission.py */
 #define START_OFF 1e-09
 
-/* simulation/graph_run.py */
+/* simulation/reference_run.py */
 #define APART 1e-11
 #define CONTINUOUS 1e-06
 #define ONE_SURFACE 1e-06

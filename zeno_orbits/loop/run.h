@@ -31,7 +31,7 @@ typedef struct {
     double duration, launch, error;
 } Hop;
 
-/* What a run knows of modes and events: `graph_run` and `accumulations` in Python. Sets of stops and
+/* What a run knows of modes and events: `reference_run` and `accumulations` in Python. Sets of stops and
    switches are bits. */
 typedef struct {
     long long view, rest, focus, sides, above;

@@ -1,432 +1,1207 @@
-"""The reference of the compiled loop: one execution, followed event by event in Python.
+r"""The reference of the compiled loop: an execution over a graph of modes, followed in Python.
 
-A flight after an impact is integrated in the scaled variables of theory (2.6), so none is missed
-and none invented however slow the impact was. Source: [OrAmes2011]_ for the completion.
+A run looks at one stop at a time. The stops that are closed beside it are constraints of both its
+flows. Along the steps of an arc every guard is followed: the gaps of the open stops, the
+multipliers of the closed stops, and the switches. The earliest zero ends the arc. A flight after an
+impact is integrated in the scaled variables of theory (2.6), so none is missed and none invented
+however slow the impact was. Source: [OrAmes2011]_ for the completion.
+
+While a set `S` of stops is closed, an impact on the stop `k` has the impulses :math:`p` of `k` and
+:math:`\Lambda \ge 0` of `S` with
+
+.. math:: G_{SS}\,\Lambda + G_{Sk}\,p \ge 0,\qquad \Lambda \perp (G_{SS}\,\Lambda + G_{Sk}\,p),
+    \qquad G = J W J^\top
+
+A stop whose impulse would be negative opens. `G` is positive definite, so there is one solution.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
+from itertools import combinations
+from typing import cast
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import PenetrationError
-from zeno_orbits.integrators import FlowWithEvent, SteppedTrajectory, Trajectory
-from zeno_orbits.model import CharacteristicScales, HybridDynamics
-from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
-from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
+from zeno_orbits.errors import PenetrationError, SimulationError, StepSizeError
+from zeno_orbits.integrators import (
+    LEAVES,
+    BoxedStep,
+    Engine,
+    FlowWithEvent,
+    Segment,
+    SegmentResult,
+    SteppedTrajectory,
+    Termination,
+    follow_steps,
+)
+from zeno_orbits.model import START_OFF, GraphDynamics, GraphMode, HybridDynamics, require_start
+from zeno_orbits.simulation.accumulations import Accumulations
+from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart, launched
+from zeno_orbits.simulation.event_rules import stop_holds
 from zeno_orbits.simulation.execution import (
     Arc,
     Ending,
-    Event,
     Execution,
     Impact,
     Mode,
     Release,
-    ZenoPoint,
+    SwitchEvent,
+    named,
 )
 from zeno_orbits.simulation.interruptions import (
+    accumulate_together,
+    armed_at_start,
+    coincide,
     does_not_accumulate,
-    does_not_close,
-    enters_by_reset,
+    enters_by_switch,
+    leaves_set,
+    slides,
+    switches_accumulate,
+    undefined_guard,
+    undetermined_contact,
 )
-from zeno_orbits.simulation.settings import SimulationSettings
-from zeno_orbits.simulation.small_hops import small_hop
-from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, tail_from
+from zeno_orbits.simulation.recorded import LoopTrajectory
+from zeno_orbits.simulation.settings import SimulationTask
+from zeno_orbits.simulation.stop_run import ImpactSequence, StopRun, is_slack
+from zeno_orbits.simulation.zeno.completion import ZenoExtrapolation, ZenoPassage
+from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit
 
-_STEADY = 1e-9
-"""Part of the problem's own rate of the multiplier below which that decides nothing."""
-_ABOVE = 1e-6
-"""Relative threshold of the scaled gap at a flight's end, above which the stop was reached
-unexpectedly."""
+_APART = 1e-11
+"""Times of two events differ at least by this part of the problem's time."""
+_CONTINUOUS = 1e-6
+"""Relative difference of gap accelerations on both sides of a kink, below which it is continuous.
+"""
+_GROW, _SHORTEST = 4.0, 1e-3
+"""Next window over the previous arc or window, and the shortest window over the problem's time."""
+_SPENT = 1e3
+"""Rounding levels below zero to which a guard may be at a Zeno point."""
+_LEAST_IMPULSE = 1e-12
+"""Impulse or rate of a closed stop in an impact that counts as zero, over the largest."""
+_BEFORE = 1e-9
+"""Part of a window that is left out where the flow of a branch ends to exist."""
+_NEAR_KINK = 1e6
+"""Distance of a singular state from a kink, in rounding levels of its condition."""
+_SPLIT, _SPLIT_RESOLVED = 1e-8, 1e-4
+"""Largest error of a Zeno point whose flights are split by a kink, and the part of the first speed
+from which it is accepted."""
+_ACCUMULATED = 1e-3
+"""Part of the first speed of a sequence below which its impacts accumulate."""
 
 
-def is_slack(dynamics: HybridDynamics, x: Vector, lift: float, contact: float) -> bool:
-    """Return True if the stop neither holds nor repels a state on it, to rounding.
+_ONE_SURFACE = 1e-6
+"""Relative difference between the slopes of two kinks, over their rates, that is rounding."""
+_LOW, _SLOW = 1e-9, 3e-5
+"""Gap and gap rate over the problem's own, below which a flight beside another has few digits."""
+_COUPLED = 1e-12
+"""Entry of `J W J^T`, over the roots of its diagonal entries, above which two stops are coupled."""
 
-    Args:
-        dynamics: The system.
-        x: The state, ``(n_x,)``.
-        lift: Its gap acceleration.
-        contact: Relative threshold below which an acceleration counts as zero.
+
+class Kind(Enum):
+    """Kinds of guards."""
+
+    GAP = "impact"
+    MULTIPLIER = "release"
+    SWITCH = "switch"
+
+
+_ENDINGS = {
+    Kind.GAP: Ending.IMPACT,
+    Kind.MULTIPLIER: Ending.RELEASE,
+    Kind.SWITCH: Ending.SWITCH,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Guard:
+    """A guard beside the guard of the stop that a run looks at.
+
+    Attributes:
+        kind: Its kind.
+        index: Index of the stop or switch.
+        flow: The flow of the mode with this guard.
+        y: Start of the flow.
+        launched: Speed with which another stop is just left, or ``None``. Its flight is followed in
+            rescaled time. All other guards are followed along the steps of the arc.
+        on_guard: Whether the start is a root that does not count.
+        rounding: Rounding level of the guard.
     """
-    if abs(lift) <= contact * dynamics.own.gap_acceleration:
-        return True
-    if not lift > 0.0:
+
+    kind: Kind
+    index: int
+    flow: FlowWithEvent
+    y: Vector
+    launched: float | None
+    on_guard: bool
+    rounding: float
+
+
+@dataclass(frozen=True, slots=True)
+class _AlongArc:
+    """A guard of a state along an arc, whose flow may have further entries and its own time.
+
+    Attributes:
+        flow: The flow with the guard.
+        n_x: Number of states.
+        unit: Length of one unit of the arc's own time [s].
+    """
+
+    flow: FlowWithEvent
+    n_x: int
+    unit: float
+
+    def guard(self, y: Vector) -> tuple[float, float]:
+        """Return the guard and its rate in the arc's own time."""
+        value, rate = self.flow.guard(y[: self.n_x])
+        return value, rate * self.unit
+
+    @property
+    def is_bounded(self) -> bool:
+        """True if the guard varies otherwise than the state, and its bounds are known."""
+        return self.flow.is_bounded
+
+    @property
+    def is_carried(self) -> bool:
+        """False: the guard is no state in addition to its formula."""
         return False
-    largest = float(np.max(np.abs(x[: dynamics.n_q])))
-    rate, inertia = dynamics.multiplier_rate(x), dynamics.normal_inertia(x)
-    return closes_at_once(lift, rate, inertia, largest)
+
+    def guard_bounds(self, lower: Vector, upper: Vector) -> Sequence[float]:
+        """Return bounds of the guard, its rate and its second derivative over a box of states."""
+        n_x, unit = self.n_x, self.unit
+        low, high, *rates = self.flow.guard_bounds(lower[:n_x], upper[:n_x])
+        slow, fast, bend, most_bend = rates
+        square = unit * unit
+        return low, high, slow * unit, fast * unit, bend * square, most_bend * square
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interruption:
+    """An event that ends an arc before the event of the stop that a run looks at.
+
+    Attributes:
+        kind: Kind of the guard that fell.
+        index: Index of its stop or switch.
+        passage: The flow up to its zero, or ``None`` if the arc began on the wrong side of it.
+        launched: Gap rate at the start of the flight, if the flight is rescaled.
+        cut: Whether the guard of another event, which is of no account, fell first by rounding.
+    """
+
+    kind: Kind
+    index: int
+    passage: SegmentResult | None
+    launched: float | None = None
+    cut: bool = False
 
 
 @dataclass(slots=True, kw_only=True)
-class ImpactSequence:
-    """A sequence of impacts.
+class ReferenceRun(StopRun):
+    """A running execution over a graph of modes.
 
     Attributes:
-        place: What its impacts have in common.
-        first_impact: Number of impacts before its second impact.
-        estimates: The Zeno point to first order from its impacts.
+        graph: The graph.
+        rest: The closed stops beside the stop that the run looks at.
+        focus: The stop that the run looks at.
+        sides: Side of every kink, True where its condition is positive.
+        above: For each declared switch, whether its guard is positive.
+        interruption: The event that ended the present arc early.
+        current: The sequence of impacts that a kink may have split.
+        split_by: The kinks that split the last flight of that sequence, and the present flight.
+        window: Time in which the next event is first looked for [s].
+        flipped: Time of the last start on the wrong side of a switch, and the switches then.
+        n_switches: Number of switches so far.
+        seen: The last impacts and switches, by which accumulations are recognized.
     """
 
-    place: object
-    first_impact: int
-    estimates: list[TailEstimate] = field(default_factory=list[TailEstimate])
+    graph: GraphDynamics
+    rest: tuple[int, ...] = ()
+    focus: int = 0
+    sides: tuple[bool, ...] = ()
+    above: tuple[bool, ...] = ()
+    interruption: Interruption | None = None
+    current: ImpactSequence | None = None
+    split_by: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
+    window: float = np.inf
+    flipped: tuple[float, frozenset[int]] = (math.nan, frozenset())
+    n_switches: int = 0
+    seen: Accumulations = field(default_factory=Accumulations)
 
+    @classmethod
+    def of(cls, task: SimulationTask, engine: Engine | None = None) -> ReferenceRun:
+        """Return the run of a task at its start.
 
-@dataclass(slots=True, kw_only=True)
-class ReferenceRun:
-    """A running execution, with the transition after each event.
-
-    Every method returns the start of the next arc, or ``None`` at the end of the execution.
-
-    Attributes:
-        dynamics: The system.
-        settings: Accuracy.
-        follower: Integrator of the arcs until the end of the time.
-        most_releases: Number of releases after which the execution ends.
-        most_impacts: Number of impacts that end a flight, after which the execution ends.
-        arcs: Arcs so far.
-        events: Events so far.
-        n_impacts: Number of impacts so far.
-        n_landings: Number of impacts that ended a flight, so without an impact at the start of the
-            execution.
-        n_releases: Number of releases so far.
-        refused: Time of the last start in a mode that ended immediately [s].
-        stop_name: Name of the stop in events.
-        own: Characteristic scales of the problem.
-        small_gap: A gap below this counts as zero.
-        small_rate: A gap rate below this counts as zero.
-    """
-
-    dynamics: HybridDynamics
-    settings: SimulationSettings
-    follower: ArcFollower
-    most_releases: float
-    most_impacts: float
-    arcs: list[Arc] = field(default_factory=list[Arc])
-    events: list[Event] = field(default_factory=list[Event])
-    n_impacts: int = 0
-    n_landings: int = 0
-    n_releases: int = 0
-    refused: float = -1.0
-    stop_name: str = ""
-    own: CharacteristicScales = field(init=False)
-    small_gap: float = field(init=False)
-    small_rate: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Look up the quantities that every event needs."""
-        self.own = self.dynamics.own
-        self.small_gap = self.settings.contact * self.own.gap
-        self.small_rate = self.settings.contact * self.own.gap_rate
+        Args:
+            task: The simulation task.
+            engine: Integrator of the arcs, by default that of the settings.
+        """
+        graph, chosen = task.graph, task.settings
+        follower = ArcFollower(
+            dynamics=graph.first,
+            engine=engine or chosen.engine,
+            tolerance=chosen.tolerance.times(graph.own.least),
+            until=task.until,
+            contact=chosen.contact,
+            far=chosen.far,
+            most_steps=chosen.most_steps,
+        )
+        return cls(
+            dynamics=graph.first,
+            settings=chosen,
+            follower=follower,
+            most_releases=task.most_releases,
+            most_impacts=task.most_impacts,
+            graph=graph,
+        )
 
     def execution(self) -> Execution:
         """Return the execution so far."""
-        names = self.dynamics.state_names
         return Execution(
-            state_names=names,
+            state_names=self.graph.state_names,
             arcs=tuple(self.arcs),
             events=tuple(self.events),
-            own=self.own,
+            own=self.graph.own,
         )
 
-    @property
-    def has_flown(self) -> bool:
-        """True if an arc has been followed."""
-        return bool(self.arcs)
-
-    @property
-    def reached(self) -> float:
-        """Time that the arcs have reached [s]."""
-        return self.arcs[-1].end_time if self.arcs else 0.0
-
-    def locked_arc(self, start: ArcStart) -> ArcStart | None:
-        """Follow the locked flow to the release, where the multiplier falls through zero."""
-        slack = self._is_slack(start.state, self.dynamics.gap_acceleration(start.state))
-        try:
-            arc, _ = self.follow_arc(start, self.dynamics.locked, Ending.RELEASE, on_guard=slack)
-        except PenetrationError as error:
-            return self._in_other_mode(start, error)
-        if not self.reaches(arc, Ending.RELEASE):
-            return self.interrupted(start, arc)
-        return self.release(arc.end_time, arc.end_state)
-
-    def release(self, time: float, x: Vector) -> ArcStart | None:
-        """Record a release, and return the start of the flight after it.
-
-        Args:
-            time: When [s].
-            x: State at the end of the contact, ``(n_x,)``.
-        """
-        state = self.dynamics.on_stop(x)
-        self.events.append(Release(time=time, state=state, stop=self.stop_name))
-        self.n_releases += 1
-        if self.n_releases >= self.most_releases:
-            return None
-        return ArcStart(mode=Mode.FREE, time=time, state=state)
-
-    def free_flight(self, start: ArcStart) -> ArcStart | None:
-        """Follow the free flow from a start or a release to an impact."""
-        released = self.dynamics.gap(start.state) <= self.small_gap
-        try:
-            arc, _ = self.follow_arc(start, self.dynamics.free, Ending.IMPACT, on_guard=released)
-        except PenetrationError as error:
-            return self._hop(start, error)
-        if not self.reaches(arc, Ending.IMPACT):
-            return self.interrupted(start, arc)
-        return self.meet(arc.end_time, arc.end_state, self.dynamics.gap_rate(arc.end_state))
-
-    def meet(self, time: float, x: Vector, rate: float) -> ArcStart | None:
-        """Return the next start where the gap closes: the stop is struck, or only touched.
-
-        Args:
-            time: When [s].
-            x: State there, ``(n_x,)``.
-            rate: Gap rate there. If it is no larger than rounding, the stop is touched.
-        """
-        if abs(rate) <= self.small_rate:
-            return self.on_stop(time, self.dynamics.on_stop(x))
-        return self.landing(time, x, rate)
-
-    def _hop(self, start: ArcStart, error: PenetrationError) -> ArcStart | None:
-        """Follow a flight that is lower than the rounding of the gap, if that explains an error."""
-        dynamics, x = self.dynamics, start.state
-        rests = dynamics.gap(x) <= self.small_gap and abs(dynamics.gap_rate(x)) <= self.small_rate
-        least = -self.settings.contact * self.own.gap_acceleration
-        may_lift = rests and dynamics.gap_acceleration(x) >= least
-        relative = self.settings.tolerance.relative
-        if not may_lift or (hop := small_hop(dynamics, x, relative)) is None:
-            return self._in_other_mode(start, error)
-        launched = replace(start, speed=hop.duration, hop=hop)
-        flight = self.dynamics.flight(hop.duration)
-        try:
-            arc, end = self.follow_arc(launched, flight, Ending.IMPACT, on_guard=True)
-        except PenetrationError:
-            return self._in_other_mode(start, error)
-        if not self.reaches(arc, Ending.IMPACT):
-            return self.interrupted(start, arc)
-        return self.landing(arc.end_time, arc.end_state, hop.duration * float(end[-1]))
-
-    def _in_other_mode(self, start: ArcStart, error: PenetrationError) -> ArcStart:
-        """Return a start on the stop in the other mode: the flow itself decides which one holds.
-
-        The first derivative that is not zero has one sign in the multiplier, the other in the gap.
+    def admitted(self, x: Vector, *, checked: bool = True) -> ArcStart | None:
+        """Return the first start.
 
         Raises:
-            PenetrationError: If both are left at once, or multiplier and rate are not zero.
+            InputError: If the state is not admissible. The message contains the reason.
         """
-        x, own = start.state, self.own
-        steady = abs(self.dynamics.multiplier_rate(x)) <= _STEADY * own.multiplier / own.time
-        slack = self._is_slack(x, self.dynamics.gap_acceleration(x))
-        if self.refused == start.time or not (steady and slack):
-            raise error
-        self.refused = start.time
-        return replace(start, mode=Mode.FREE if start.mode is Mode.LOCKED else Mode.LOCKED)
+        if checked:
+            require_start(self.graph, x, self.settings.contact)
+        self.sides = (True,) * (len(self.graph.switch_names) - self.graph.n_declared)
+        self._take_sides(x)
+        self.look((), 0)
+        return self._placed(0.0, x, None)
 
-    def reaches(self, arc: Arc, natural: Ending) -> bool:
-        """Return True if an arc ended at the event that it was followed to."""
-        return arc.ending is natural
+    # What the reference asks of a run that has more than one stop.
 
-    def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
-        """Return the next start after an arc that ended otherwise, here at the end of the time.
+    @property
+    def place(self) -> object:
+        """The stop of the impacts of a sequence, and the stops closed beside it."""
+        return self.rest, self.focus
+
+    def sequence(self) -> ImpactSequence:
+        """Return the sequence that begins, or goes on after a kink split one of its flights."""
+        if self.current is None or self.current.place != self.place:
+            self.current = ImpactSequence(place=self.place, first_impact=self.n_impacts)
+            self.split_by = frozenset(), frozenset()
+        return self.current
+
+    def impact_sequence(self, start: ArcStart, speed: float) -> ArcStart | None:
+        """Follow one flight of a sequence of impacts, or go to its Zeno point.
 
         Args:
-            start: Start of the arc.
-            arc: The arc.
-        """
-        del start, arc
-        return None
-
-    def landing(self, time: float, state: Vector, rate: float) -> ArcStart | None:
-        """Apply the impact at the end of a flight, or fly on from a graze.
-
-        Args:
-            time: When the gap closes [s].
-            state: State there, ``(n_x,)``.
-            rate: Gap rate there. Dense output may see a fall where the steps, a rounding later,
-                find the gap opening again.
-        """
-        if rate > 0.0:
-            return ArcStart(mode=Mode.FREE, time=time, state=state, speed=rate)
-        return self.impact(time, state, rate)
-
-    def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
-        """Apply the reset map and return the next start, if the execution continues.
-
-        Args:
-            time: Time of the impact [s].
-            state_minus: State before it, ``(n_x,)``.
-            approach_rate: Exact gap rate before the impact.
-
-        Raises:
-            SimulationError: If the gap does not close, or the reset sends the state into the stop.
-        """
-        dynamics = self.dynamics
-        if not approach_rate < 0.0:
-            raise does_not_close(approach_rate, time, state_minus)
-        landed = dynamics.landed(state_minus, approach_rate)
-        state_plus = landed.state_plus
-        speed = dynamics.speed_after(approach_rate)
-        if enters_stop(landed.gap_rate, approach_rate, self.own.gap_rate):
-            raise enters_by_reset(time, state_minus)
-        impact = Impact(
-            time=time,
-            state_minus=state_minus,
-            state_plus=state_plus,
-            approach_rate=approach_rate,
-            stop=self.stop_name,
-        )
-        self.events.append(impact)
-        self.n_impacts += 1
-        if self.has_flown:
-            self.n_landings += 1
-            if self.n_landings >= self.most_impacts:
-                return None
-        if speed <= self.small_rate:
-            state = landed.state
-            after = self.on_stop(time, state)
-            if after.mode is Mode.FREE:
-                # Contact ends: the flight follows the free flow, for any remaining speed.
-                return after
-            if speed == 0.0:
-                self.reach(ZenoLimit(time=time, state=state, error=0.0), impact, 0.0)
-                return after
-        return ArcStart(
-            mode=Mode.FREE,
-            time=time,
-            state=state_plus,
-            speed=speed,
-            impact=impact,
-            resting=landed,
-        )
-
-    def on_stop(self, time: float, x: Vector) -> ArcStart:
-        """Return the mode that holds on the stop at zero gap rate: locked, or released at once."""
-        slack = self._is_slack(x, lift := self.dynamics.gap_acceleration(x))
-        rate = self.dynamics.multiplier_rate(x) if slack else math.nan
-        holds = stop_holds(lift, rate, slack)
-        return ArcStart(mode=Mode.LOCKED if holds else Mode.FREE, time=time, state=x)
-
-    def after_impact(
-        self, sequence: ImpactSequence, start: ArcStart, speed: float
-    ) -> ArcStart | None:
-        """Go to the Zeno point if the impacts so far determine it, else follow one flight.
-
-        Args:
-            sequence: The sequence of impacts.
             start: Start of the flight.
             speed: Gap rate there.
-
-        Raises:
-            ChatterError: If the sequence has too many impacts.
         """
-        zeno = self._zeno_point(start, speed, sequence.estimates)
-        if zeno is not None:
-            return zeno
-        if self.n_impacts - sequence.first_impact > self.settings.most_impacts:
-            raise does_not_accumulate(self.settings.most_impacts, start.time, start.state)
-        return self.rescaled_flight(start, speed)
+        return self.after_impact(self.sequence(), start, speed)
 
-    def limit_of(self, estimates: Sequence[TailEstimate]) -> ZenoLimit | None:
-        """Return the Zeno point of a sequence, or ``None`` if more impacts are to be resolved."""
-        return self.settings.completion.limit(self.dynamics, estimates)
-
-    def is_clear(self, limit: ZenoLimit) -> bool:
-        """Return True if no other event can occur on the way to a Zeno point."""
-        raise NotImplementedError
-
-    def rescaled_flight(self, start: ArcStart, speed: float) -> ArcStart | None:
-        """Follow one rescaled flight from an impact to the next (theory (2.6))."""
-        arc, end = self.follow_arc(start, self.dynamics.flight(speed), Ending.IMPACT, on_guard=True)
-        if not self.reaches(arc, Ending.IMPACT):
-            return self.interrupted(start, arc)
-        if end[-2] > _ABOVE * abs(end[-1]) * arc.duration:
-            self.arcs.pop()
-            return self.free_flight(replace(start, speed=None))
-        return self.landing(arc.end_time, arc.end_state, speed * float(end[-1]))
-
-    def _zeno_point(
-        self, start: ArcStart, speed: float, estimates: list[TailEstimate]
-    ) -> ArcStart | None:
-        """Return the start of the locked arc if the impacts so far determine the Zeno point."""
-        if start.impact is None or start.resting is None:
-            return None
-        if estimates and speed >= estimates[-1].speed:
-            estimates.clear()
-        estimate = tail_from(start.resting, self.dynamics.restitution, start.time, speed)
-        if estimate is None:
-            estimates.clear()
-            return None
-        estimates.append(estimate)
-        limit = self.limit_of(estimates)
-        if limit is None or limit.time >= self.follower.until or not self.is_clear(limit):
-            return None
-        after = self.on_stop(limit.time, limit.state)
+    def on_stop(self, time: float, x: Vector) -> ArcStart:
+        """Return the mode that holds on the stop at zero gap rate."""
+        after = StopRun.on_stop(self, time, x)
         if after.mode is Mode.FREE:
-            return None
-        self.reach(limit, start.impact, speed)
+            self.current = None
         return after
 
     def reach(self, limit: ZenoLimit, last: Impact, last_speed: float) -> None:
-        """Record a Zeno point, and the tail that leads to it as an arc without steps."""
-        self.events.append(
-            ZenoPoint(
-                time=limit.time,
-                state=limit.state,
-                limit_error=limit.error,
-                tail=limit.time - last.time,
-                last_speed=last_speed,
-                stop=self.stop_name,
-            )
-        )
-        if limit.time > last.time:
-            self.arcs.append(
-                Arc(
-                    mode=Mode.FREE,
-                    start_time=last.time,
-                    end_time=limit.time,
-                    start_state=self.dynamics.on_stop(last.state_plus),
-                    end_state=limit.state,
-                    ending=Ending.ZENO,
-                    impact_index=self.n_impacts,
-                    time_unit=1.0,
-                    trajectory=_tail_of(limit, last.time),
-                )
-            )
+        """Record a Zeno point."""
+        self.seen.require_no_switches(limit.time, self.stop_name, limit.state, self.own.time)
+        n_arcs = len(self.arcs)
+        StopRun.reach(self, limit, last, last_speed)
+        if len(self.arcs) > n_arcs:
+            self.arcs[-1] = self._named(self.arcs[-1], self.rest)
+        self.current = None
 
-    def _is_slack(self, x: Vector, lift: float) -> bool:
-        """Return True if the stop neither holds nor repels a state on it, to rounding.
+    def limit_of(self, estimates: Sequence[TailEstimate]) -> ZenoLimit | None:
+        """Return the Zeno point. Flights that a kink splits determine it less accurately."""
+        if not self.split_by[0]:
+            return StopRun.limit_of(self, estimates)
+        rule = self.settings.completion
+        if isinstance(rule, ZenoPassage):
+            # Along the curve of the impacts, no kink changes its side within a flight.
+            rule = rule.one_by_one
+        rough = ZenoExtrapolation(tolerance=_SPLIT, resolved=_SPLIT_RESOLVED)
+        limit = rule.limit(self.dynamics, estimates)
+        return limit or rough.limit(self.dynamics, estimates)
 
-        Args:
-            x: The state, ``(n_x,)``.
-            lift: Its gap acceleration.
-        """
-        return is_slack(self.dynamics, x, lift, self.settings.contact)
+    def reaches(self, arc: Arc, natural: Ending) -> bool:
+        """Return True if an arc ended at the event of the stop that the run looks at."""
+        return self.interruption is None and arc.ending is natural
 
     def follow_arc(
         self, start: ArcStart, flow: FlowWithEvent, natural: Ending, *, on_guard: bool
     ) -> tuple[Arc, Vector]:
-        """Return the next arc, recorded, and the last state of the flow itself.
+        """Return the next arc, to the earliest event, and the last state of the flow itself.
 
-        Args:
-            start: Start of the arc. With a speed the flight is rescaled.
-            flow: The flow.
-            natural: Kind of ending at a zero crossing of the guard.
-            on_guard: Whether the start is a root of the guard that does not count.
+        The event is first looked for within a few times the previous arc: the flow of a branch need
+        not exist far beyond the zero of its kink.
         """
-        arc, end = self.follower.follow(
-            start, flow, natural, impact_index=self.n_impacts, on_guard=on_guard
-        )
-        self.arcs.append(arc)
+        follower, n_arcs = self.follower, len(self.arcs)
+        window = self.window if self._has_others else math.inf
+        last = follower.until - follower.late
+        try:
+            while True:
+                follower.window = start.time + window
+                if follower.window >= last:
+                    follower.window = follower.until
+                try:
+                    arc, end = self._followed(start, flow, natural, on_guard=on_guard)
+                except StepSizeError as error:
+                    # Another guard may fall before the flow of this branch ends to exist.
+                    del self.arcs[n_arcs:]
+                    reached = (start.speed or 1.0) * error.time
+                    if not self._has_others or not 0.0 < reached <= window:
+                        raise self._singular(error, start.time + reached) from error
+                    window = reached * (1.0 - _BEFORE)
+                    follower.window = start.time + window
+                    arc, end = self._followed(start, flow, natural, on_guard=on_guard)
+                    if arc.ending is Ending.HORIZON and self.interruption is None:
+                        raise self._singular(error, start.time + reached) from error
+                if follower.window >= follower.until or arc.ending is not Ending.HORIZON:
+                    break
+                if self.interruption is not None and self.interruption.passage is None:
+                    break
+                self.arcs.pop()
+                window *= _GROW
+        finally:
+            follower.window = math.inf
+        self.window = max(_GROW * (arc.end_time - arc.start_time), _SHORTEST * self.own.time)
         return arc, end
 
+    @property
+    def _has_others(self) -> bool:
+        """True if there are guards beside that of the stop."""
+        return len(self.graph.stop_names) + len(self.graph.switch_names) > 1
 
-def _tail_of(limit: ZenoLimit, start: float) -> Trajectory | None:
-    """Return the way to a limit if it was followed, along the curve of the impacts."""
-    if not limit.path:
+    def _singular(self, error: StepSizeError, time: float) -> StepSizeError:
+        """Return an error with the time of the execution, and a kink that is zero there."""
+        x = np.array(error.state)[: len(self.dynamics.state_names)]
+        guards, rounding, _ = self.graph.guards(x, self.sides)
+        n = self.graph.n_declared
+        kinks = np.flatnonzero(np.abs(guards[n:]) <= _NEAR_KINK * rounding[n:])
+        reason = error.reason
+        if kinks.size:
+            name = self.graph.switch_names[n + int(kinks[0])]
+            reason = f"{reason}; a formula is not differentiable at its own kink `{name}`"
+        return StepSizeError(reason, time=time, state=error.state)
+
+    def _followed(
+        self, start: ArcStart, flow: FlowWithEvent, natural: Ending, *, on_guard: bool
+    ) -> tuple[Arc, Vector]:
+        """Return the next arc within the present window."""
+        arc, end = StopRun.follow_arc(self, start, flow, natural, on_guard=on_guard)
+        closed = self._closed(start)
+        try:
+            guards = list(self._guards(start, closed))
+            found = self._earliest(guards, arc)
+            self.interruption = self._first_of_surface(guards, found, start.state.size)
+        except SimulationError:
+            # The arc does not reach its end.
+            self.arcs.pop()
+            raise
+        found = self.interruption
+        stop = self.stop_name if start.speed is not None else ""
+        if found is None:
+            self.arcs[-1] = arc = self._named(arc, closed, stop)
+        elif found.passage is None:
+            self.arcs.pop()
+            return arc, end
+        else:
+            arc = self._cut(start, arc, found, found.passage)
+            if found.launched is not None:
+                stop = self.graph.stop_names[found.index]
+            self.arcs[-1] = arc = self._named(arc, closed, stop)
+            end = found.passage.state
+        if arc.ending is not Ending.HORIZON:
+            kind, index = self._event_at(start, arc, guards, closed)
+            if found is None and kind is Kind.SWITCH:
+                found = self._at_end(arc, end)
+            if found is not None and (kind, index) != (found.kind, found.index):
+                self.interruption = replace(found, kind=kind, index=index, cut=True)
+                self.arcs[-1] = arc = replace(arc, ending=_ENDINGS[kind])
+        return arc, end
+
+    def _at_end(self, arc: Arc, end: Vector) -> Interruption:
+        """Return the event of the stop that the run looks at as one that ends its arc early.
+
+        Raises:
+            AssertionError: If the arc has no flow.
+        """
+        if arc.trajectory is None:
+            raise AssertionError("An arc that ends at a guard has a flow.")
+        passage = SegmentResult(
+            outcome=Termination.FALL, duration=arc.duration, state=end, trajectory=arc.trajectory
+        )
+        return Interruption(kind=Kind.MULTIPLIER, index=self.focus, passage=passage)
+
+    def is_clear(self, limit: ZenoLimit) -> bool:
+        """Return True if no other guard falls on the way to a Zeno point.
+
+        Raises:
+            SimultaneousEventsError: If a kink that changes the acceleration of the gap changes its
+                side in every flight. The impacts then do not accumulate by the law of the tail.
+        """
+        mode = (self.rest, self.sides)
+        for x in (*(step.after for step in limit.path), limit.state):
+            for k in self._open_beside(self.rest):
+                if not self.graph.view(mode, k).gap(x) > 0.0:
+                    return False
+            for j in self.rest:
+                if not self._holding(self.rest, j).multiplier(x) > 0.0:
+                    return False
+            guards, rounding, _ = self.graph.guards(x, self.sides)
+            signs = np.where(self._signs(), guards, -guards)
+            # A kink that splits every flight is zero at the limit itself.
+            signs[list(self.split_by[0])] = np.inf
+            if not np.all(signs > -_SPENT * rounding):
+                return False
+        values, rounding, _ = self.graph.guards(limit.state, self.sides)
+        for kink in self.split_by[0]:
+            if abs(values[kink]) <= _SPENT * rounding[kink]:
+                self._require_continuous(kink, limit.time, limit.state)
+        return True
+
+    def after_phase(self, start: ArcStart) -> ArcStart | None:
+        """Follow one phase.
+
+        Raises:
+            SlidingError: If the state leaves the admissible set where a kink is zero, as by dry
+                friction at rest.
+        """
+        try:
+            return self.phase(start)
+        except PenetrationError as error:
+            x = np.array(error.state)[: start.state.size]
+            guards, rounding, _ = self.graph.guards(x, self.sides)
+            zero = np.flatnonzero(np.abs(guards) <= _SPENT * rounding)
+            kinks = [int(s) for s in zero if s >= self.graph.n_declared]
+            if self.seen.is_in_corner(self.own.time):
+                raise self.seen.in_turn(error.time, x) from error
+            if not kinks:
+                raise
+            raise slides(self.graph.switch_names[kinks[0]], error.time, x) from error
+
+    def phase(self, start: ArcStart) -> ArcStart | None:
+        """Follow one phase, without the names of its errors."""
+        s = self._due(start)
+        if s is not None:
+            return self._switched(start, start.time, start.state, s)
+        if start.mode is Mode.LOCKED:
+            return self.locked_arc(start)
+        if start.speed is None:
+            return self.free_flight(start)
+        return self.impact_sequence(start, start.speed)
+
+    def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
+        """Return the next start after an arc that another event ended."""
+        found, self.interruption = self.interruption, None
+        if found is None:
+            return None
+        if found.passage is None:
+            return self.on_other_side(start, found.index)
+        time, x, last = arc.end_time, arc.end_state, float(found.passage.state[-1])
+        is_own = start.mode is Mode.FREE and found.index == self.focus
+        if found.kind is Kind.GAP and is_own:
+            if start.speed is None or found.launched is not None:
+                return self.meet(time, x, self.dynamics.gap_rate(x))
+            return self.landing(time, x, arc.time_unit * last)
+        rate = None
+        if found.launched is not None and not found.cut:
+            rate = found.launched * last
+        return self.after_other(start, time, x, found.kind, found.index, rate)
+
+    def after_other(
+        self,
+        start: ArcStart,
+        time: float,
+        x: Vector,
+        kind: Kind,
+        index: int,
+        rate: float | None = None,
+    ) -> ArcStart | None:
+        """Return the next start after the event of another guard.
+
+        Args:
+            start: Start of the arc that it ended.
+            time: When [s].
+            x: State there, ``(n_x,)``.
+            kind: Kind of the guard.
+            index: Index of the stop or switch.
+            rate: Gap rate of the stop, by default that of the state.
+        """
+        closed = self._closed(start)
+        if kind is Kind.SWITCH:
+            return self._switched(start, time, x, index)
+        self.current = None
+        if kind is Kind.MULTIPLIER:
+            self.look(tuple(k for k in closed if k != index), index)
+            return self.release(time, x)
+        self.look(closed, index)
+        return self.meet(time, x, self.dynamics.gap_rate(x) if rate is None else rate)
+
+    def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
+        """Apply the reset map in the mode that its impulses determine."""
+        before = self.rest
+        self.seen.see_impact(
+            time, self.stop_name, state_minus, lambda stops: self._rest(stops, state_minus)
+        )
+        self.split_by = self.split_by[1], frozenset()
+        if approach_rate < 0.0:
+            self.look(self._kept(state_minus), self.focus)
+            self._take_sides(self.dynamics.reset_map(state_minus, approach_rate))
+            self.look(self.rest, self.focus)
+        after = StopRun.impact(self, time, state_minus, approach_rate)
+        if after is None:
+            return None
+        # The reset changes the forces on the other closed stops.
+        candidates = self._closed(after)
+        closed = self._contact_set(time, after.state, candidates) if self.rest else candidates
+        held = {*self.rest, self.focus}.intersection(closed) if self.rest else {self.focus}
+        if self._opened([k for k in before if k not in held], time, after.state):
+            return None
+        if closed != candidates:
+            after = self._opened_by_impact(after, closed)
+        return self._struck_again(time, after)
+
+    def _rest(self, stops: Collection[str], x: Vector) -> bool:
+        """Return True if stops have zero gap and gap rate to the accuracy of a flight."""
+        views = [self._view((), self.graph.stop_names.index(name)) for name in stops]
+        return all(
+            view.gap(x) <= _LOW * view.own.gap
+            and abs(view.gap_rate(x)) <= _SLOW * view.own.gap_rate
+            for view in views
+        )
+
+    def _opened_by_impact(self, after: ArcStart, closed: tuple[int, ...]) -> ArcStart:
+        """Return the start after an impact whose change of forces opens closed stops."""
+        self.current = None
+        self.look(tuple(k for k in closed if k != self.focus), self.focus)
+        if after.mode is Mode.LOCKED and self.focus not in closed:
+            return replace(after, mode=Mode.FREE)
+        if after.impact is None:
+            return after
+        return replace(after, resting=self.dynamics.resting(after.impact.state_plus))
+
+    def _struck_again(self, time: float, after: ArcStart) -> ArcStart | None:
+        """Strike a stop that closes at the time of an impact on another stop, if there is one.
+
+        Raises:
+            SimultaneousEventsError: If the two stops are coupled.
+        """
+        closed, x = self._closed(after), after.state
+        for k in self._open_beside(closed):
+            view = self._view((), k)
+            rate = view.gap_rate(x)
+            if rate < -self.settings.contact * view.own.gap_rate and self._is_zero(
+                view.gap(x), rate, self.settings.contact * view.own.gap
+            ):
+                self._require_apart(sorted((self.focus, k)), closed, time, x)
+                self.look(closed, k)
+                return self.impact(time, x, rate)
+        return after
+
+    # Modes.
+
+    def _view(self, closed: tuple[int, ...], stop: int) -> HybridDynamics:
+        return self.graph.view((closed, self.sides), stop)
+
+    def _holding(self, closed: tuple[int, ...], stop: int) -> HybridDynamics:
+        """Return the system in which a closed stop of a mode is the stop."""
+        return self.graph.holding((closed, self.sides), stop)
+
+    def look(self, rest: tuple[int, ...], focus: int) -> None:
+        """Look at a stop, with others closed beside it.
+
+        Args:
+            rest: The closed stops.
+            focus: The stop.
+        """
+        self.rest, self.focus = rest, focus
+        self.dynamics = self.follower.dynamics = self._view(rest, focus)
+        self.own = self.dynamics.own
+        self.follower.apart = _APART * self.own.time if self._has_others else 0.0
+        self.small_gap = self.settings.contact * self.own.gap
+        self.small_rate = self.settings.contact * self.own.gap_rate
+        self.stop_name = self.graph.stop_names[focus]
+
+    def _closed(self, start: ArcStart) -> tuple[int, ...]:
+        """Return the closed stops of an arc."""
+        if start.mode is Mode.FREE:
+            return self.rest
+        return tuple(sorted((*self.rest, self.focus)))
+
+    def _open_beside(self, closed: Sequence[int]) -> list[int]:
+        """Return the open stops beside the stop that the run looks at."""
+        known = (*closed, self.focus)
+        return [k for k in range(len(self.graph.stop_names)) if k not in known]
+
+    def _signs(self) -> Vector:
+        """Return for every switch whether its guard is positive, the declared switches first."""
+        return np.array([*self.above, *self.sides], dtype=bool)
+
+    def _named(self, arc: Arc, closed: tuple[int, ...], stop: str = "") -> Arc:
+        """Return an arc with its mode, and with the stop of a rescaled flight."""
+        mode = Mode.LOCKED if closed else Mode.FREE
+        names = named(self.graph.stop_names, closed)
+        return replace(arc, closed=names, mode=mode, stop=stop, sides=self.sides)
+
+    def _take_sides(self, x: Vector) -> None:
+        """Take the side of every switch at a state. A zero keeps the side of a kink."""
+        guards, rounding, _ = self.graph.guards(x, self.sides)
+        declared = range(self.graph.n_declared)
+        self.above = tuple(bool(not guards[k] < -rounding[k]) for k in declared)
+        self.sides = self.graph.sides_at(x, self.sides)
+
+    # Guards.
+
+    def _guards(self, start: ArcStart, closed: tuple[int, ...]) -> Iterator[_Guard]:
+        """Yield the guards of an arc beside the guard of the stop that the run looks at."""
+        x, contact = start.state, self.settings.contact
+        mode: GraphMode = (closed, self.sides)
+        for j in self.rest:
+            view = self._holding(closed, j)
+            rounding = contact * view.own.multiplier
+            on_guard = view.multiplier(x) <= rounding
+            yield _Guard(Kind.MULTIPLIER, j, view.locked, x, None, on_guard, rounding)
+        for k in self._open_beside(closed):
+            view = self.graph.view(mode, k)
+            on_guard, rate = view.gap(x) <= contact * view.own.gap, view.gap_rate(x)
+            if on_guard and rate > contact * view.own.gap_rate:
+                rounding = contact / view.own.gap_acceleration
+                flight, y = view.flight(rate), launched(x, 1.0)
+                yield _Guard(Kind.GAP, k, flight, y, rate, True, rounding)
+            else:
+                rounding = contact * view.own.gap
+                yield _Guard(Kind.GAP, k, view.free, x, None, on_guard, rounding)
+        values, levels, _ = self.graph.guards(x, self.sides)
+        unknown = np.flatnonzero(np.isnan(values))
+        if unknown.size:
+            raise undefined_guard(self.graph.switch_names[int(unknown[0])], start.time, x)
+        for s, above in enumerate(self._signs()):
+            value = float(values[s] if above else -values[s])
+            flow = self.graph.guard_flow(mode, s, bool(above))
+            on_guard = value <= float(levels[s])
+            yield _Guard(Kind.SWITCH, s, flow, x, None, on_guard, float(levels[s]))
+
+    def _earliest(self, guards: Sequence[_Guard], arc: Arc) -> Interruption | None:
+        """Return the earliest event of other guards within an arc, if there is one.
+
+        Raises:
+            PenetrationError: If a stop is left on the wrong side.
+        """
+        found: Interruption | None = None
+        duration, late = arc.duration, 0.0
+        if arc.ending is Ending.HORIZON and arc.end_time == self.follower.until:
+            late = self.follower.late / arc.time_unit
+        for guard in guards:
+            unit = arc.time_unit if guard.launched is None else guard.launched
+            passage = self._passage(guard, arc, duration, late)
+            if passage.outcome is Termination.LEFT:
+                if guard.kind is Kind.SWITCH:
+                    return Interruption(kind=guard.kind, index=guard.index, passage=None)
+                time = arc.start_time + unit * passage.duration
+                raise leaves_set(time, passage.state[: arc.start_state.size])
+            if passage.outcome is Termination.FALL:
+                found = Interruption(
+                    kind=guard.kind,
+                    index=guard.index,
+                    passage=passage,
+                    launched=guard.launched,
+                )
+                duration, late = passage.duration, 0.0
+                if guard.launched is not None:
+                    duration *= guard.launched / arc.time_unit
+        return self._left_within(guards, found, arc, duration * arc.time_unit) or found
+
+    def _left_within(
+        self, guards: Sequence[_Guard], found: Interruption | None, arc: Arc, duration: float
+    ) -> Interruption | None:
+        """Return a switch that an arc leaves on its wrong side, if it ends in its first step."""
+        end = arc.end_state
+        if found is not None and found.passage is not None:
+            end = found.passage.state[: arc.start_state.size]
+        for guard in guards:
+            is_found = found is not None and (guard.kind, guard.index) == (found.kind, found.index)
+            if guard.kind is not Kind.SWITCH or not guard.on_guard or is_found:
+                continue
+            value, rate = guard.flow.guard(end)
+            if value < -max(LEAVES * abs(rate) * duration, guard.rounding):
+                return Interruption(kind=guard.kind, index=guard.index, passage=None)
         return None
-    return SteppedTrajectory(steps=limit.path, duration=limit.time - start, end=limit.state)
+
+    def _first_of_surface(
+        self, guards: Sequence[_Guard], found: Interruption | None, n_x: int
+    ) -> Interruption | None:
+        """Return the event of the first kink that falls where a kink fell, on one surface."""
+        if found is None or found.passage is None or not self._is_kink(found):
+            return found
+        x = found.passage.state[:n_x]
+        kinks = [guard for guard in guards if self._is_kink(guard)]
+        fell = next(guard for guard in kinks if guard.index == found.index)
+        for one in kinks[: kinks.index(fell)]:
+            value, rate = one.flow.guard(x)
+            falls = not one.on_guard and self._is_zero(value, rate, one.rounding)
+            if falls and self._is_one_surface(one, fell, x):
+                return replace(found, index=one.index)
+        return found
+
+    def _is_one_surface(self, one: _Guard, other: _Guard, x: Vector) -> bool:
+        """Return True if the surfaces of two kinks touch at a state where both fall.
+
+        Their slopes are then in the ratio of their rates, and the order of both events has no
+        effect to first order.
+        """
+        _, rate = one.flow.guard(x)
+        _, other_rate = other.flow.guard(x)
+        slopes = self.graph.slopes(x, self.sides)
+        first, second = np.abs(slopes[one.index] * other_rate), np.abs(slopes[other.index] * rate)
+        return bool(np.max(np.abs(first - second)) <= _ONE_SURFACE * np.max(first))
+
+    def _is_kink(self, event: _Guard | Interruption) -> bool:
+        return event.kind is Kind.SWITCH and event.index >= self.graph.n_declared
+
+    def _passage(self, guard: _Guard, arc: Arc, duration: float, late: float) -> SegmentResult:
+        """Return a guard along an arc, up to a duration in the arc's own time.
+
+        A zero in the last part `late` of that duration does not count.
+        """
+        way, n_x = arc.trajectory, arc.start_state.size
+        if guard.launched is not None or not isinstance(way, SteppedTrajectory | LoopTrajectory):
+            unit = 1.0 if guard.launched is None else guard.launched
+            return self.follower.beside(
+                guard.flow,
+                guard.y,
+                horizon=duration * arc.time_unit / unit,
+                late=late * arc.time_unit / unit,
+                on_guard=guard.on_guard,
+                rounding=guard.rounding,
+            )
+        steps = cast("Sequence[BoxedStep]", way.steps)
+        along = _AlongArc(guard.flow, n_x, arc.time_unit)
+        leg = Segment(
+            flow=cast("FlowWithEvent", along),
+            y=steps[0].before,
+            horizon=duration,
+            tolerance=self.follower.tolerance,
+            on_guard=guard.on_guard,
+            rounding=guard.rounding,
+            late=late,
+        )
+        return follow_steps(iter(steps), leg)
+
+    def _cut(self, start: ArcStart, arc: Arc, found: Interruption, passage: SegmentResult) -> Arc:
+        """Return an arc that ends at another event."""
+        unit = arc.time_unit if found.launched is None else found.launched
+        return replace(
+            arc,
+            end_time=start.time + unit * passage.duration,
+            end_state=passage.state[: start.state.size],
+            ending=_ENDINGS[found.kind],
+            time_unit=unit,
+            trajectory=passage.trajectory,
+        )
+
+    def _event_at(
+        self, start: ArcStart, arc: Arc, guards: Sequence[_Guard], closed: tuple[int, ...]
+    ) -> tuple[Kind, int]:
+        """Return the event at the end of an arc, of all events whose guards are zero there.
+
+        A switch that is not armed, or rises, is no event. A kink changes no state, and an impact
+        does not depend on it: its side is taken after the impact. Impacts on stops that are not
+        coupled change nothing for each other, so their order has no effect. A kink comes before a
+        release that takes place on both of its sides.
+
+        Raises:
+            SimultaneousEventsError: If the order of two events matters. It names both events.
+        """
+        x, found = arc.end_state, self.interruption
+        main = (Kind.MULTIPLIER if start.mode is Mode.LOCKED else Kind.GAP), self.focus
+        fell = main if found is None else (found.kind, found.index)
+        zero = [fell]
+        for guard in guards:
+            event = guard.kind, guard.index
+            if event == fell or (guard.on_guard and guard.kind is not Kind.GAP):
+                continue
+            if found is not None and self._is_kink(found) and self._is_kink(guard):
+                first = next(one for one in guards if (one.kind, one.index) == fell)
+                if self._is_one_surface(guard, first, x):
+                    continue
+            if self._is_zero(*self._value(guard, closed, x), guard.rounding):
+                zero.append(event)
+        if found is not None and self._main_is_zero(start, x):
+            zero.append(main)
+        events = [event for event in zero if self._occurs(*event, x)]
+        impacts = [index for kind, index in events if kind is Kind.GAP]
+        if len(events) < 2:
+            return (events or zero)[0]
+        kinks = [index for kind, index in events if kind is Kind.SWITCH]
+        if not impacts and self._opens_beyond(kinks, events, closed, x):
+            return Kind.SWITCH, kinks[0]
+        if not impacts or not all(
+            kind is Kind.GAP or (kind is Kind.SWITCH and index >= self.graph.n_declared)
+            for kind, index in events
+        ):
+            first, second = (self._event_of(*event) for event in events[:2])
+            raise coincide(first, second, arc.end_time, x)
+        impacts.sort()
+        self._require_apart(impacts, closed, arc.end_time, x)
+        return Kind.GAP, impacts[0]
+
+    def _opens_beyond(
+        self,
+        kinks: Sequence[int],
+        events: Sequence[tuple[Kind, int]],
+        closed: tuple[int, ...],
+        x: Vector,
+    ) -> bool:
+        """Return True if one kink falls, and all others are stops that open on both its sides.
+
+        The flow does not change at a release, so the order of the kink and of the releases has no
+        effect if no stop is pressed beyond the kink.
+        """
+        if len(kinks) != 1 or kinks[0] < self.graph.n_declared:
+            return False
+        mode = closed, self._beyond(kinks[0], x)
+        for _, stop in [event for event in events if event[0] is Kind.MULTIPLIER]:
+            view = self.graph.holding(mode, stop)
+            value, rate = view.multiplier(x), view.multiplier_rate(x)
+            rounding = self.settings.contact * view.own.multiplier
+            if not (self._is_zero(value, rate, rounding) or value < -rounding):
+                return False
+        return True
+
+    def _beyond(self, kink: int, x: Vector) -> tuple[bool, ...]:
+        """Return the sides of all kinks beyond one of them, which is zero at a state."""
+        k = kink - self.graph.n_declared
+        sides = tuple(one ^ (i == k) for i, one in enumerate(self.sides))
+        return self.graph.sides_at(x, sides, (k,))
+
+    def _main_is_zero(self, start: ArcStart, x: Vector) -> bool:
+        """Return True if the guard of the stop that the run looks at falls through zero here."""
+        if start.mode is Mode.LOCKED:
+            value, rate = self.dynamics.multiplier(x), self.dynamics.multiplier_rate(x)
+            return self._is_zero(value, rate, self.settings.contact * self.own.multiplier)
+        return self._is_zero(self.dynamics.gap(x), self.dynamics.gap_rate(x), self.small_gap)
+
+    def _occurs(self, kind: Kind, index: int, x: Vector) -> bool:
+        """Return True if the zero of a guard is an event: a declared switch is armed and falls."""
+        if kind is not Kind.SWITCH or index >= self.graph.n_declared:
+            return True
+        return self.above[index] and bool(self.graph.guards(x, self.sides)[2][index] > 0.0)
+
+    def _require_apart(
+        self, struck: Sequence[int], closed: Sequence[int], time: float, x: Vector
+    ) -> None:
+        """Refuse impacts at one time on stops that are coupled, directly or by closed stops.
+
+        Raises:
+            SimultaneousEventsError: If two stops are coupled.
+        """
+        if len(struck) < 2:
+            return
+        matrix = self.graph.delassus(x)
+        for place, first in enumerate(struck):
+            reached, new = {first}, {first}
+            others = {*closed, *struck[place + 1 :]}
+            while new:
+                new = {
+                    k for k in others - reached if any(_are_coupled(matrix, j, k) for j in reached)
+                }
+                reached |= new
+            for second in struck[place + 1 :]:
+                if second in reached:
+                    one, other = (self._event_of(Kind.GAP, k) for k in (first, second))
+                    raise coincide(one, other, time, x)
+
+    def _value(self, guard: _Guard, closed: tuple[int, ...], x: Vector) -> tuple[float, float]:
+        """Return a guard and its rate at a state."""
+        if guard.kind is Kind.GAP:
+            view = self._view(closed, guard.index)
+            return view.gap(x), view.gap_rate(x)
+        value, rate = guard.flow.guard(x)
+        return float(value), float(rate)
+
+    def _is_zero(self, value: float, rate: float, rounding: float) -> bool:
+        """Return True if a guard falls through zero here, to rounding."""
+        return rate < 0.0 and value <= max(rounding, -rate * _APART * self.own.time)
+
+    def _event_of(self, kind: Kind, index: int) -> str:
+        names = self.graph.switch_names if kind is Kind.SWITCH else self.graph.stop_names
+        return f"{kind.value} {names[index]}"
+
+    # Events.
+
+    def on_other_side(self, start: ArcStart, s: int) -> ArcStart | None:
+        """Return the start on the other side of a switch, whose guard is zero at a start and falls.
+
+        A declared switch occurs there if it is armed, unless it has just occurred.
+
+        Args:
+            start: Start of an arc.
+            s: Index of the switch.
+
+        Raises:
+            SlidingError: If both sides are left at once.
+            ChatterError: If a switch occurs again at the same time.
+        """
+        name, x = self.graph.switch_names[s], start.state
+        time, crossed = self.flipped
+        crossed = crossed if time == start.time else frozenset[int]()
+        if s in crossed:
+            raise slides(name, start.time, x)
+        self.flipped = start.time, crossed | {s}
+        if s < self.graph.n_declared and self._occurs(Kind.SWITCH, s, x):
+            if self._occurs_at_once(start, s):
+                return self._switched(start, start.time, x, s)
+            mode: GraphMode = (self._closed(start), self.sides)
+            if self.graph.guard_flow(mode, s, above=True).guard(x)[1] > 0.0:
+                # The guard rose by less than its rounding and fell again.
+                raise switches_accumulate(name, start.time, x)
+        self._change_side(s, x)
+        self.look(self.rest, self.focus)
+        if start.impact is None:
+            return start
+        return replace(start, resting=self.dynamics.resting(start.impact.state_plus))
+
+    def _due(self, start: ArcStart) -> int | None:
+        """Return the declared switch that occurs at a start: it is armed, and its guard falls.
+
+        A switch that has just occurred goes over to its other side.
+        """
+        if not self.graph.n_declared:
+            return None
+        x, closed = start.state, self._closed(start)
+        values, levels, armed = self.graph.guards(x, self.sides)
+        for s in range(self.graph.n_declared):
+            if not (self.above[s] and abs(values[s]) <= levels[s] and armed[s] > 0.0):
+                continue
+            rate = self.graph.guard_flow((closed, self.sides), s, above=True).guard(x)[1]
+            if not rate < -levels[s] / self.own.time:
+                continue
+            if self._occurs_at_once(start, s):
+                return s
+            self._change_side(s, x)
+        return None
+
+    def _occurs_at_once(self, start: ArcStart, s: int) -> bool:
+        """Return True if a switch that is armed and falls at a start has not just occurred.
+
+        Raises:
+            SimulationError: If it is the start of the execution.
+            ChatterError: If another switch led back to it at the same time.
+        """
+        name, declared = (
+            self.graph.switch_names[s],
+            self.graph.switch_names[: self.graph.n_declared],
+        )
+        if not self.events and start.time == 0.0:
+            raise armed_at_start(name, start.time, start.state)
+        if start.time not in self.seen.switches.get(name, ())[-1:]:
+            return True
+        switches = (one.name for one in reversed(self.events) if isinstance(one, SwitchEvent))
+        if name != next(one for one in switches if one in declared):
+            raise switches_accumulate(name, start.time, start.state)
+        return False
+
+    def _change_side(self, switch: int, x: Vector) -> None:
+        """Go to the other side of a switch. Conditions that depend on a kink may change as well."""
+        if switch < self.graph.n_declared:
+            self.above = tuple(one ^ (k == switch) for k, one in enumerate(self.above))
+        else:
+            self.sides = self._beyond(switch, x)
+
+    def _switched(self, start: ArcStart, time: float, x: Vector, s: int) -> ArcStart | None:
+        """Apply a switch whose guard fell through zero.
+
+        Raises:
+            SlidingError: If the flow of the other side points back.
+        """
+        closed = self._closed(start)
+        name, is_kink = self.graph.switch_names[s], s >= self.graph.n_declared
+        was_above = bool(self._signs()[s])
+        if not is_kink and was_above and self.graph.guards(x, self.sides)[2][s] > 0.0:
+            after = self.graph.after_switch(s, x)
+            self.flipped = math.nan, frozenset()
+            self._count_switch(time, name, x, after)
+            self.current = None
+            self._take_sides(after)
+            return self._placed(time, after, closed, switch=name)
+        self._change_side(s, x)
+        if is_kink:
+            rate = self.graph.guard_flow((closed, self.sides), s, not was_above).guard(x)[1]
+            if rate < 0.0:
+                raise slides(name, time, x)
+            self._count_switch(time, name, x, x)
+            if start.mode is Mode.FREE and self.current is not None:
+                before, present = self.split_by
+                self.split_by = before, present | {s}
+                if s in before:
+                    self._require_slow_decay(s, time, x)
+        flying = self.focus if start.mode is Mode.FREE else None
+        return self._placed(time, x, closed, flying=flying)
+
+    def _count_switch(self, time: float, name: str, before: Vector, after: Vector) -> None:
+        event = SwitchEvent(time=time, name=name, state_minus=before, state_plus=after)
+        self.events.append(event)
+        self.n_switches += 1
+        if self.graph.switch_names.index(name) < self.graph.n_declared:
+            self.seen.see_switch(time, name, after, self.own.time)
+        if self.n_switches > self.settings.most_impacts:
+            raise does_not_accumulate(self.settings.most_impacts, time, after)
+
+    def _require_slow_decay(self, kink: int, time: float, x: Vector) -> None:
+        """Refuse impacts that accumulate while a kink changes the acceleration of the gap."""
+        estimates = self.current.estimates if self.current is not None else []
+        if estimates and estimates[-1].speed < _ACCUMULATED * estimates[0].speed:
+            self._require_continuous(kink, time, x)
+
+    def _require_continuous(self, kink: int, time: float, x: Vector) -> None:
+        """Refuse a kink that changes the acceleration of the gap in every flight."""
+        other = self._beyond(kink, x)
+        here = self._view(self.rest, self.focus).gap_acceleration(x)
+        there = self.graph.view((self.rest, other), self.focus).gap_acceleration(x)
+        if abs(here - there) > _CONTINUOUS * abs(here):
+            what = f"the switch `{self.graph.switch_names[kink]}` changes"
+            raise accumulate_together(self.stop_name, what, time, x)
+
+    # Contact.
+
+    def _placed(
+        self,
+        time: float,
+        x: Vector,
+        was_closed: tuple[int, ...] | None,
+        *,
+        switch: str = "",
+        flying: int | None = None,
+    ) -> ArcStart | None:
+        """Return the start at a state: each stop with zero gap and rate holds, or opens.
+
+        Args:
+            time: When [s].
+            x: The state, ``(n_x,)``.
+            was_closed: The stops that were closed. ``None`` for a first state, which may be one of
+                another run.
+            switch: Name of the switch whose reset led to the state, if there is one.
+            flying: The stop that the run looked at in a flight, if it was in one.
+
+        Returns:
+            The start, or ``None`` if the execution ends with the last of its releases.
+
+        Raises:
+            PenetrationError: If a switch sends the state into a stop.
+            SimultaneousEventsError: If two stops that are coupled are struck at once.
+        """
+        still: list[int] = []
+        opening: list[int] = []
+        struck: list[int] = []
+        contact = self.settings.contact
+        for k, name in enumerate(self.graph.stop_names):
+            view = self._view((), k)
+            below = max(START_OFF, contact) if was_closed is None or k in was_closed else contact
+            # Of one stop alone, a start is as exact as its user gives it.
+            small = below if self._has_others else contact
+            gap, rate = view.gap(x), view.gap_rate(x)
+            is_on = gap >= -below * view.own.gap
+            falls = rate < -small * view.own.gap_rate
+            if gap > small * view.own.gap or (k == flying and not (is_on and falls)):
+                continue
+            if is_on and abs(rate) <= small * view.own.gap_rate:
+                still.append(k)
+            elif is_on and rate > 0.0:
+                opening.append(k)
+            elif switch and not is_on:
+                raise enters_by_switch(switch, name, time, x)
+            else:
+                struck.append(k)
+        closed = self._contact_set(time, x, still)
+        for k in closed:
+            x = self._holding(closed, k).on_stop(x)
+        self._require_apart(struck, closed, time, x)
+        stay = (*closed, *(k for k in struck if self._view((), k).restitution == 0.0))
+        if self._opened([k for k in was_closed or () if k not in stay], time, x):
+            return None
+        if struck:
+            self.look(closed, struck[0])
+            return self.impact(time, x, self.dynamics.gap_rate(x))
+        leaving = [k for k in (*still, *opening) if k not in closed]
+        if flying is not None and not leaving:
+            leaving = [flying]
+        if closed and not leaving:
+            self.look(closed[:-1], closed[-1])
+            return ArcStart(mode=Mode.LOCKED, time=time, state=x)
+        focus = leaving[0] if leaving else self.focus
+        self.look(closed, focus)
+        rate = self.dynamics.gap_rate(x)
+        launches = self.dynamics.gap(x) <= self.small_gap and rate > self.small_rate
+        return ArcStart(mode=Mode.FREE, time=time, state=x, speed=rate if launches else None)
+
+    def _opened(self, stops: Sequence[int], time: float, x: Vector) -> bool:
+        """Record the releases of stops that another event opens.
+
+        Args:
+            stops: The stops.
+            time: When [s].
+            x: State after the event, ``(n_x,)``.
+
+        Returns:
+            True if the execution ends with the last of its releases.
+        """
+        for k in stops:
+            self.events.append(Release(time=time, state=x, stop=self.graph.stop_names[k]))
+            self.n_releases += 1
+        return bool(stops) and self.n_releases >= self.most_releases
+
+    def _contact_set(self, time: float, x: Vector, still: Sequence[int]) -> tuple[int, ...]:
+        """Return the stops that stay closed, of those with zero gap and gap rate.
+
+        Raises:
+            SimultaneousEventsError: If no set of closed stops, or more than one fulfils the laws.
+        """
+        found = [
+            closed
+            for n in range(len(still) + 1)
+            for closed in combinations(still, n)
+            if all(self._holds(self._holding(closed, k), x) for k in closed)
+            and not any(self._holds(self._view(closed, k), x) for k in still if k not in closed)
+        ]
+        if len(found) == 1:
+            return found[0]
+        names = ", ".join(f"`{self.graph.stop_names[k]}`" for k in still)
+        raise undetermined_contact(names, time, x)
+
+    def _holds(self, view: HybridDynamics, x: Vector) -> bool:
+        """Return True if a stop at zero gap and rate stays closed."""
+        lift = view.gap_acceleration(x)
+        slack = is_slack(view, x, lift, self.settings.contact)
+        return bool(stop_holds(lift, view.multiplier_rate(x) if slack else np.nan, slack))
+
+    def _kept(self, x: Vector) -> tuple[int, ...]:
+        """Return the closed stops that stay closed in an impact: none of them pulls."""
+        if not self.rest:
+            return ()
+        matrix, k = self.graph.delassus(x), self.focus
+        small = _LEAST_IMPULSE * float(np.max(np.abs(matrix)))
+        for n in range(len(self.rest), -1, -1):
+            for closed in combinations(self.rest, n):
+                kept = list(closed)
+                share = matrix[kept, k]
+                if kept:
+                    share = np.linalg.solve(matrix[np.ix_(kept, kept)], matrix[kept, k])
+                opened = [j for j in self.rest if j not in closed]
+                rates = matrix[opened, k] - matrix[np.ix_(opened, kept)] @ share
+                pulls = share > small / np.maximum(np.abs(matrix[kept, kept]), small)
+                if not np.any(pulls) and np.all(rates >= -small):
+                    return closed
+        raise AssertionError("A positive definite matrix has a solution.")
+
+
+def _are_coupled(matrix: Vector, j: int, k: int) -> bool:
+    """Return True if an impulse on one of two stops changes the gap rate of the other."""
+    size = math.sqrt(float(matrix[j, j]) * float(matrix[k, k]))
+    return abs(float(matrix[j, k])) > _COUPLED * size

@@ -20,8 +20,8 @@ from zeno_orbits.simulation.arc_follower import ArcStart
 from zeno_orbits.simulation.compiled.executions import by_loop, pieces_by_loop, serves
 from zeno_orbits.simulation.compiled.legs import LegFollower
 from zeno_orbits.simulation.execution import Execution, Mode
-from zeno_orbits.simulation.graph_run import GraphRun
 from zeno_orbits.simulation.pieces import Piece
+from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
 from zeno_orbits.work import Progress, silent
 
@@ -120,7 +120,7 @@ def by_reference(task: SimulationTask, *, plain: bool = True) -> Execution:
         InputError: If the state is not admissible.
         SimulationError: If the execution cannot be continued.
     """
-    run = GraphRun.of(task, None if plain else LegFollower(task.settings.engine))
+    run = ReferenceRun.of(task, None if plain else LegFollower(task.settings.engine))
     start = run.admitted(task.state, checked=not task.goes_on)
     try:
         while start is not None:
@@ -155,7 +155,7 @@ def pieces_by_reference(task: SimulationTask) -> Iterator[Piece]:
         InputError: If the state is not admissible.
         SimulationError: If the execution cannot be continued, after the piece before that.
     """
-    run, n_x = GraphRun.of(task), len(task.graph.state_names)
+    run, n_x = ReferenceRun.of(task), len(task.graph.state_names)
     start = run.admitted(task.state, checked=not task.goes_on)
     interruption: SimulationError | None = None
     while start is not None and interruption is None:
@@ -170,7 +170,7 @@ def pieces_by_reference(task: SimulationTask) -> Iterator[Piece]:
         raise interruption
 
 
-def _piece(run: GraphRun, start: ArcStart | None, before: ArcStart, n_x: int) -> Piece:
+def _piece(run: ReferenceRun, start: ArcStart | None, before: ArcStart, n_x: int) -> Piece:
     """Return the piece of a run in a phase, with the present state.
 
     Args:

@@ -22,9 +22,9 @@ from zeno_orbits.simulation.compiled.task_settings import (
     tolerance_of,
 )
 from zeno_orbits.simulation.execution import Event, Execution
-from zeno_orbits.simulation.graph_run import GraphRun
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.recorded import RecordedExecution, RecordedRun, events_of
+from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationTask
 from zeno_orbits.simulation.zeno.completion import FINEST, Completion, ZenoPassage
 from zeno_orbits.simulation.zeno.rescaled_flight import Flight, rescaled_flights
@@ -172,7 +172,7 @@ class _Run:
             require_start(graph, task.state, task.settings.contact)
         self._task, self._program = task, program
         self._paths: dict[float, tuple[Step, ...]] = {}
-        self._rules: GraphRun | None = None
+        self._rules: ReferenceRun | None = None
         settings = filled_settings(task, records=records)
         self.loop = LoopRun(program, settings, graph.p, task.state)
         self.is_over = False
@@ -230,10 +230,10 @@ class _Run:
             return None
         return limit
 
-    def _looking(self) -> GraphRun:
+    def _looking(self) -> ReferenceRun:
         """Return a run of the reference, whose rules apply along the curve of many impacts."""
         if self._rules is None:
-            self._rules = GraphRun.of(self._task)
+            self._rules = ReferenceRun.of(self._task)
         rules, seen, graph = self._rules, self.loop.outlook(), self._task.graph
         n_stops, n_switches, n = len(graph.stop_names), len(graph.switch_names), graph.n_declared
         rules.above = tuple(bool(seen.above >> k & 1) for k in range(n))
