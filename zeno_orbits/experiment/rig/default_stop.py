@@ -17,13 +17,12 @@ from zeno_orbits.experiment.rig.run import time_scale_of
 from zeno_orbits.model import (
     Contact,
     GraphDynamics,
-    HybridDynamics,
     ParameterValues,
     Problem,
     Rig,
 )
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
-from zeno_orbits.simulation import Execution, Mode, SimulationSettings, simulated_at_most
+from zeno_orbits.simulation import Execution, SimulationSettings, simulated_at_most
 
 PENETRATION = 1e-3
 """Penetration of a default stop at most, in parts of the highest gap."""
@@ -67,16 +66,15 @@ def _stop(
     problem: Problem, values: ParameterValues, start: tuple[float, ...], until: float
 ) -> Contact:
     """Return the stop for a motion, or by the problem's scales if the motion is without impacts."""
-    graph = problem.graph_dynamics(values) if problem.has_graph else None
-    dynamics = problem.dynamics(values) if graph is None else graph.first
-    own, usual = dynamics.own, Contact()
+    graph = problem.graph_dynamics(values)
+    own, usual = graph.own, Contact()
     sized = Contact(
         stiffness=usual.stiffness * own.multiplier / own.gap,
         slowest=usual.slowest * own.gap_rate,
     )
     try:
         motion, _ = simulated_at_most(
-            dynamics if graph is None else graph,
+            graph,
             start,
             until=until,
             most_steps=_STEPS,
@@ -84,8 +82,7 @@ def _stop(
         )
     except SimulationError:
         return sized
-    loads = _loads(dynamics, motion) if graph is None else list(_loads_of_stops(graph, motion))
-    struck = [one for one in loads if one.speed > 0.0 and one.height > 0.0]
+    struck = [one for one in _loads(graph, motion) if one.speed > 0.0 and one.height > 0.0]
     if not struck:
         return sized
     return Contact(
@@ -117,24 +114,8 @@ class _Load:
         return self.inertia * max(self.speed**2 / depth**2, self.pull / depth)
 
 
-def _loads(dynamics: HybridDynamics, motion: Execution) -> list[_Load]:
-    """Return the load of the stop of a machine with one stop."""
-    ends = [arc.end_state for arc in motion.arcs if arc.mode is Mode.FREE]
-    sampled = [x for arc in motion.arcs for x in arc.sampled(50)[1]]
-    locked = [arc for arc in motion.arcs if arc.mode is Mode.LOCKED]
-    pulls = [-dynamics.gap_acceleration(x) for arc in locked for x in arc.sampled(20)[1]]
-    return [
-        _Load(
-            speed=max((-dynamics.gap_rate(x) for x in ends), default=0.0),
-            height=max(map(dynamics.gap, sampled), default=0.0),
-            inertia=max(map(dynamics.normal_inertia, ends), default=0.0),
-            pull=max(pulls, default=0.0),
-        )
-    ]
-
-
-def _loads_of_stops(graph: GraphDynamics, motion: Execution) -> Iterator[_Load]:
-    """Yield the load of every stop of a machine with several stops or switches."""
+def _loads(graph: GraphDynamics, motion: Execution) -> Iterator[_Load]:
+    """Yield the load of every stop."""
     sampled = [x for arc in motion.arcs for x in arc.sampled(50)[1]]
     for k, name in enumerate(graph.stop_names):
         view = graph.view(graph.open_mode, k)

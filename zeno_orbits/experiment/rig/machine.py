@@ -35,6 +35,7 @@ from zeno_orbits.model import (
     Rig,
     accelerate,
     dense_function,
+    graph_of_one_stop,
     mode_functions,
     system_of_stop,
 )
@@ -76,7 +77,7 @@ class Machine:
     rest: ca.Function
     inertia: ca.Function
     _branch: Callable[[tuple[bool, ...], tuple[int, ...]], _Parts] = field(repr=False)
-    _graph: ModeGraph | None = field(repr=False)
+    _graph: ModeGraph = field(repr=False)
     _branches: dict[tuple[tuple[bool, ...], tuple[int, ...]], _Parts] = field(
         default_factory=dict["tuple[tuple[bool, ...], tuple[int, ...]]", "_Parts"], repr=False
     )
@@ -116,8 +117,6 @@ class Machine:
             sign = -1 if guard in touched else 1
             watched = sign * ca.vertcat(parts.gaps[guard], parts.gap_rates[guard])
             return mode_functions("machine", parts.state, parts.numbers, rate, watched)
-        if self._graph is None:
-            raise ValueError("Argument `guard` must be the index of a stop.")
         value = self._graph.guard(sides, guard - len(self.stop_names))
         value = value if above else -value
         slope = ca.jtimes(value, parts.state, rate)
@@ -155,11 +154,10 @@ def machine(problem: Problem, rig: Rig) -> Machine:
     system = problem.model(symbols)
     require_place(problem, system, rig)
     p = ca.vertcat(*symbols.values())
-    graph = system.graph
+    graph = system.graph or graph_of_one_stop(system)
+    system = replace(system, graph=graph)
 
     def branch(sides: tuple[bool, ...], touched: tuple[int, ...]) -> _Parts:
-        if graph is None:
-            return _Parts(problem, system, rig, p)
         one = system_of_stop(graph, ((), sides), 0, touched)
         return _Parts(problem, replace(one, graph=graph), rig, p)
 
@@ -174,7 +172,7 @@ def machine(problem: Problem, rig: Rig) -> Machine:
         n_x=system.state.numel(),
         n_q=system.n_q,
         n_motors=parts.held.numel(),
-        stop_names=("stop",) if graph is None else tuple(one.name for one in graph.stops),
+        stop_names=tuple(one.name for one in graph.stops),
         holds=parts.holds,
         observe=function("observe", seen),
         motors=function("motors", parts.current, parts.terminal),
@@ -391,9 +389,7 @@ class _Parts:
 
 def _one_by_one(system: CompletedSystem) -> list[CompletedSystem]:
     """Return the system of every stop, with all other stops open and any branch of the kinks."""
-    if system.graph is None:
-        return [system]
-    graph = system.graph
+    graph = system.graph or graph_of_one_stop(system)
     mode = (), (True,) * len(graph.conditions)
     return [system_of_stop(graph, mode, k) for k in range(len(graph.stops))]
 

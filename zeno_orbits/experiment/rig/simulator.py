@@ -48,7 +48,6 @@ from zeno_orbits.model import (
     Columns,
     CompiledFlow,
     FlowMemory,
-    GraphDynamics,
     ModeFunctions,
     ParameterValues,
     Problem,
@@ -123,13 +122,10 @@ class _Follower:
         seed: int,
     ) -> None:
         built = machine(problem, rig)
-        self._graph = problem.graph_dynamics(values) if problem.has_graph else None
-        if self._graph is None:
-            views, e = [problem.dynamics(values)], [values.number("restitution")]
-        else:
-            mode, n = self._graph.open_mode, len(built.stop_names)
-            views = [self._graph.view(mode, k) for k in range(n)]
-            e = [view.restitution for view in views]
+        self._graph = problem.graph_dynamics(values)
+        n_stops = len(built.stop_names)
+        views = [self._graph.view(self._graph.open_mode, k) for k in range(n_stops)]
+        e = [view.restitution for view in views]
         self._numbers_of = damping_numbers(dict(zip(built.stop_names, e, strict=True)))
         self._owns = tuple(view.own for view in views)
         own = self._owns[0]
@@ -141,7 +137,6 @@ class _Follower:
         self._spacing = SPACING * self._own_time if settings.spacing is None else settings.spacing
         self._legs = LegFollower(self._settings.engine)
         self._p = np.asarray(values.vector, dtype=np.float64)
-        n_stops = len(built.stop_names)
         self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), np.zeros(n_stops)])
         self._memories: dict[ModeFunctions, FlowMemory] = {}
         self._observe = Call(built.observe, self._numbers)
@@ -176,9 +171,8 @@ class _Follower:
             raise InputError(f"Argument `start` {wanted}, but it is {x.shape}.")
         self._require_inertia(x)
         self._y = Call(self._machine.rest, self._p)(x).copy()
-        if self._graph is not None:
-            above, sides = self._signs_at(self._graph, self._graph.open_mode[1])
-            self._mode = RigMode(sides=sides, above=above)
+        above, sides = self._signs_at(self._graph.open_mode[1])
+        self._mode = RigMode(sides=sides, above=above)
         self._take_contacts()
 
     def _take_contacts(self) -> None:
@@ -189,11 +183,9 @@ class _Follower:
             if touches != (k in self._mode.touched):
                 self._turn(k)
 
-    def _signs_at(
-        self, graph: GraphDynamics, before: tuple[bool, ...]
-    ) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
+    def _signs_at(self, before: tuple[bool, ...]) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
         """Return the side of every declared switch and kink at the state. A zero keeps the side."""
-        x = self._y[: self._machine.n_x]
+        graph, x = self._graph, self._y[: self._machine.n_x]
         guards, rounding, _ = graph.guards(x, before)
         above = tuple(bool(not guards[k] < -rounding[k]) for k in range(graph.n_declared))
         return above, graph.sides_at(x, before)
@@ -273,8 +265,6 @@ class _Follower:
         first = self._mode.touched[0] if self._mode.touched else int(np.argmin(soon))
         for k in sorted(range(gaps.size), key=lambda k: k != first):
             yield RigGuard(k, on_guard=bool(insides[k] <= 0.0))
-        if self._graph is None:
-            return
         x = self._y[: self._machine.n_x]
         values, levels, _ = self._graph.guards(x, self._mode.sides)
         sides = (*self._mode.above, *self._mode.sides)
@@ -379,8 +369,6 @@ class _Follower:
             PenetrationError: If a reset sends the state into a stop.
         """
         graph, x = self._graph, self._y[: self._machine.n_x]
-        if graph is None:
-            raise ValueError("Argument `switch` must belong to a machine with switches.")
         name, before = graph.switch_names[switch], self._mode
         falls = outcome is Termination.FALL
         armed = (
@@ -389,7 +377,7 @@ class _Follower:
             and bool(graph.guards(x, before.sides)[2][switch] > 0.0)
         )
         if armed and falls:
-            self._reset(graph, switch)
+            self._reset(switch)
             self._fallen = self._time, switch
             return
         if not falls and self._crossed == (self._time, switch):
@@ -404,13 +392,13 @@ class _Follower:
             if self._flow(beyond, self._numbers.copy()).guard(self._y)[1] < 0.0:
                 raise slides(name, self._time, x)
 
-    def _reset(self, graph: GraphDynamics, switch: int) -> None:
+    def _reset(self, switch: int) -> None:
         """Apply the reset of a declared switch."""
-        n_x = self._machine.n_x
+        graph, n_x = self._graph, self._machine.n_x
         after = self._y.copy()
         after[:n_x] = graph.after_switch(switch, self._y[:n_x])
         self._y = after
-        above, sides = self._signs_at(graph, self._mode.sides)
+        above, sides = self._signs_at(self._mode.sides)
         self._mode = replace(self._mode, above=above, sides=sides)
         gaps, _ = self._gaps()
         for k, (gap, own) in enumerate(zip(gaps, self._owns, strict=True)):

@@ -8,6 +8,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.numeric.one_stop import graph_of
 from zeno_orbits.model.numeric.own_scale import constraint_sizes
 
 START_OFF = 1e-9
@@ -79,13 +80,10 @@ def require_start(
     Raises:
         InputError: If the state is not admissible. The message contains the reason.
     """
-    if isinstance(system, HybridDynamics):
-        require_admissible(system, x)
-        require_outside(system, x, contact, subject=subject)
-        return
-    require_admissible(system.first, x)
-    for k, name in enumerate(system.stop_names):
-        view = system.view(system.open_mode, k)
+    graph = graph_of(system)
+    require_admissible(graph.first, x)
+    for k, name in enumerate(graph.stop_names):
+        view = graph.view(graph.open_mode, k)
         require_outside(view, x, contact, name, subject=subject)
 
 
