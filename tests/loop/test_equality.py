@@ -214,6 +214,31 @@ def test_impacts_without_a_zeno_point_end_both() -> None:
     assert "4 impacts" in str(looped(task).error)
 
 
+@pytest.mark.parametrize(
+    ("name", "until", "numbers"),
+    [
+        ("bouncing_ball", 40.0, {}),
+        ("vibrating_table", 10.0, {}),
+        ("impact_oscillator", 60.0, {"c": 0.0, "stop": 0.2}),
+    ],
+)
+def test_elastic_impacts_are_the_same(name: str, until: float, numbers: dict[str, float]) -> None:
+    for restitution in (1.0, 1.0 - 1e-12):
+        values = {**numbers, "restitution": restitution}
+        run = require_equal(task_of(zo.load_problem(name), until=until, values=values))
+        assert run is not None
+        assert len(run.impacts) > 8
+        assert not run.zeno_points
+
+
+def test_elastic_impacts_end_both_at_their_limit() -> None:
+    settings = SimulationSettings(most_impacts=6)
+    ball, values = zo.load_problem("bouncing_ball"), {"restitution": 1.0}
+    task = task_of(ball, until=90.0, settings=settings, values=values)
+    require_equal(task)
+    assert "6 impacts" in str(looped(task).error)
+
+
 def test_a_flow_that_leaves_the_doubles_ends_both() -> None:
     rising = BALL.at(m=1.0, g=-9.81, c=0.0, e=0.5)
     task = SimulationTask(dynamics=rising, state=np.array([1.0, 0.0]), until=1e200)

@@ -83,6 +83,13 @@ def test_a_sequence_of_many_impacts_runs_to_its_end() -> None:
 
 
 @pytest.mark.slow
+def test_elastic_impacts_give_the_same_digits() -> None:
+    found = _events_of("bouncing_ball", "--set", "restitution=1", "--until", "100")
+    assert len(found) == 111
+    assert found == _expected("bouncing_ball", 100.0, restitution=1.0)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", one_stop_problems())
 def test_every_bundled_problem_can_be_exported(name: str) -> None:
     assert _events_of(name, "--until", "4", level="-O2") == _expected(name, 4.0)

@@ -16,6 +16,7 @@ from tests.loop.agreement import needs_compiler
 from tests.loop.refused import REFUSED
 from tests.loop.shaken import shaken
 from tests.support.cases import fast
+from tests.support.elastic_machines import BLOCKS
 from tests.support.random_machines import RandomMachine
 from zeno_orbits.errors import RunawayError, SimulationError, SimultaneousEventsError
 from zeno_orbits.integrators import Engine, Radau, RungeKutta
@@ -126,6 +127,17 @@ def require_agreement(
             assert one.flow_times.tolist() == other.flow_times.tolist()
             assert one.flow_states.tolist() == other.flow_states.tolist()
     return found
+
+
+def test_elastic_impacts_on_several_stops_are_the_same() -> None:
+    start = {"q0": 1.0, "q1": 2.0, "v1": -1.0}
+    run = require_agreement(BLOCKS, 50.0, {"M": 2500.0}, EXPLICIT, 0.0, start=start)
+    assert run is not None
+    assert len(run.impacts) == 157
+    walker = zo.load_problem("kneed_walker")
+    run = require_agreement(walker, 3.0, {"restitution": 1.0}, EXPLICIT, 0.0)
+    assert run is not None
+    assert not run.zeno_points
 
 
 @pytest.mark.parametrize("use", ["use", "never"])

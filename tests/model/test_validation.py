@@ -163,12 +163,12 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
         "must be finite at start 1, but its free_flow",
     ),
     "no restitution": (
-        *(FORCED, "        Quantity.restitution(0.5),  # of the stop, in [0, 1)\n", ""),
+        *(FORCED, "        Quantity.restitution(0.5),  # of the stop, in [0, 1]\n", ""),
         "must hold a `restitution`.*the entry is missing",
     ),
-    "restitution of one": (
-        *(FORCED, "Quantity.restitution(0.5)", "Quantity.restitution(1.0)"),
-        r"`restitution` must lie in \[0, 1\), but it is 1",
+    "restitution above one": (
+        *(FORCED, "Quantity.restitution(0.5)", "Quantity.restitution(1.5)"),
+        r"`restitution` must lie in \[0, 1\], but it is 1.5",
     ),
     "restitution in a range of its own": (
         FORCED,

@@ -428,7 +428,7 @@ def test_gains_beyond_a_fold_lead_to_the_nearest_orbit_that_attracts(problem: Pr
 @pytest.mark.parametrize(
     ("free", "bounds", "objective", "said"),
     [
-        ({"restitution": (0.1, 1.0)}, [], None, r"`restitution` must lie in \[0, 1\)"),
+        ({"restitution": (0.1, 1.1)}, [], None, r"`restitution` must lie in \[0, 1\]"),
         ({"R": (4.0, 2.0)}, [], None, "`vary` must have finite bounds LOWER < UPPER for `R`"),
         ({"Q": (1.0, 2.0)}, [], None, "`vary`: unknown name `Q`.*Known: Kp, .*R"),
         ({}, [Bound(name="angle", upper=1.0)], None, "`bounds`: unknown name `angle`"),

@@ -171,7 +171,7 @@ def test_gains_move_until_every_corner_has_an_orbit() -> None:
         (("--objective", "push=1"), "unknown objective `push=1`. Did you mean `push`?"),
         (
             ("--objective", "robustness", "--uncertain", "restitution=0.5:1.5"),
-            "--uncertain restitution=0.5:1.5: must lie in [0, 1)",
+            "--uncertain restitution=0.5:1.5: must lie in [0, 1]",
         ),
         (("--objective", "robustness", "--uncertain", "Kp=1:2"), "unknown name `Kp`. Known: L1"),
         (

@@ -49,7 +49,8 @@ GROUPS = {
         *("--kind", "--recording", "--directions", "--phases", "--reach"),
     ),
     "effort": (
-        *("--until", "--n-starts", "--candidates", "--max-points", "--max-steps"),
+        *("--until", "--n-starts", "--candidates", "--max-points"),
+        *("--max-steps", "--max-impacts"),
         *("--periods", "--steps", "--quick", "--measure", "--settle", "--seed"),
         *("--trade", "--pushes", "--recovery"),
     ),

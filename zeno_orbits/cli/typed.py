@@ -18,6 +18,7 @@ _ARGUMENT = re.compile(r"Argument `([^`]+)`:? (.*)", flags=re.DOTALL)
 _FILE = re.compile(r"[A-Z][a-z]+ file `")
 _ROOM_NAMES = {
     "gain": "--set",
+    "most_impacts": "--max-impacts",
     "most_steps": "--max-steps",
     "name": "--set",
     "parameter": "--set",

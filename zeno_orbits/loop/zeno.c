@@ -199,14 +199,14 @@ static int limit_by_rule(const Machine *m, Limit *limit) {
     return CURVE;
 }
 
-/* Add the first-order guess of the Zeno point from an impact; 0 if the stop repels there. */
+/* Add the first-order guess of the Zeno point from an impact; 0 if the stop repels there or is elastic. */
 static int add_estimate(const Machine *m) {
     zl_run *run = m->run;
     const zl_start *start = &run->start;
     const long long n_x = m->problem->n_x;
     double *estimate = estimate_of(m, run->pace.n_estimates), remaining;
     long long i;
-    if (!(start->lift < 0.0)) return 0;
+    if (!(start->lift < 0.0) || run->settings.restitution == 1.0) return 0;
     remaining = 2 * start->speed / (-start->lift * (1 - run->settings.restitution));
     estimate[E_IMPACT] = start->time;
     estimate[E_SPEED] = start->speed;

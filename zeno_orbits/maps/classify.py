@@ -204,7 +204,7 @@ def usual_time(
 
     The limit is a fixed number of periods of the slowest clock or oscillation, rounded to one
     digit. Without a clock and for `e` above 0.5, impacts decay more slowly, and the limit is larger
-    by the factor `ln 0.5 / ln e`.
+    by the factor `ln 0.5 / ln e`, at most by a fixed factor, which also applies to `e = 1`.
 
     Args:
         problem: The problem.
@@ -217,8 +217,10 @@ def usual_time(
     if problem.clock:
         return float(f"{WAITING * slowest:.0e}")
     bounciest = max(_restitution(problem, values) for values in settings)
-    longer = math.log(_BOUNCY) / math.log(bounciest) if bounciest > _BOUNCY else 1.0
-    return float(f"{min(longer, _LONGEST) * OSCILLATIONS * slowest:.0e}")
+    longer = 1.0 if bounciest <= _BOUNCY else _LONGEST
+    if _BOUNCY < bounciest < 1.0:
+        longer = min(math.log(_BOUNCY) / math.log(bounciest), _LONGEST)
+    return float(f"{longer * OSCILLATIONS * slowest:.0e}")
 
 
 def _restitution(problem: Problem, values: ParameterValues) -> float:

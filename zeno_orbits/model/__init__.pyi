@@ -7,6 +7,7 @@ from .contact import GAP_RATE as GAP_RATE
 from .contact import ImpactLaw as ImpactLaw
 from .contact import MULTIPLIER as MULTIPLIER
 from .contact import MULTIPLIER_RATE as MULTIPLIER_RATE
+from .contact import require_zeno_points as require_zeno_points
 from .drives.drives import corrected_drive as corrected_drive
 from .drives.drives import full_drive as full_drive
 from .drives.drives import ideal_torque_drive as ideal_torque_drive

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from zeno_orbits.errors import InputError
+
 GAP, GAP_RATE, GAP_ACCELERATION, MULTIPLIER, MULTIPLIER_RATE = range(5)
 """Indices of the contact quantities in a vector, or rows in its derivative."""
 
@@ -63,3 +65,23 @@ class ImpactLaw(NamedTuple):
     def rate_drop(self, approach_rate: Any) -> Any:
         """Return the gap rate before an impact minus the gap rate after it."""
         return (1 + self.restitution) * approach_rate
+
+
+def require_zeno_points(restitution: float, stop: str = "") -> None:
+    """Refuse elastic impacts, for what needs a Zeno point.
+
+    At ``e = 1`` every impact keeps its speed, so impacts do not accumulate (theory (2.7)).
+
+    Args:
+        restitution: :math:`e` at fixed parameter values.
+        stop: Name of the stop, for machines with several stops.
+
+    Raises:
+        InputError: If the restitution is 1.
+    """
+    if restitution == 1.0:
+        at = f" at the stop `{stop}`" if stop else ""
+        raise InputError(
+            f"Argument `restitution` must be less than 1 for a Zeno point, but it is 1{at}: "
+            "elastic impacts do not accumulate."
+        )

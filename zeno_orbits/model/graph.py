@@ -49,7 +49,7 @@ def hybrid_system(
         lagrangian: The mechanism, with one gap or with ``stops``.
         drive: Drive or additional states, or a tuple of several. Their states follow in order.
         restitution: Coefficient of restitution :math:`e` of the one gap, a symbol or a number in
-            [0, 1). The ``stops`` of a mechanism have their own.
+            [0, 1]. The ``stops`` of a mechanism have their own.
         switches: Declared switches of the machine. Every kink of a formula (``fmin``, ``fmax``,
             ``fabs``, ``sign``, ``if_else``, ``atan2``) is a further switch, without a reset.
 

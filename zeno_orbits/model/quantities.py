@@ -78,7 +78,7 @@ class Quantity:
 
     @classmethod
     def restitution(cls, default: float) -> Quantity:
-        """Return the coefficient of restitution `e`, in [0, 1)."""
+        """Return the coefficient of restitution `e`, in [0, 1]."""
         return cls(
             name="restitution",
             unit="1",
@@ -86,7 +86,6 @@ class Quantity:
             default=default,
             lower=0.0,
             upper=1.0,
-            excluded=(1.0,),
         )
 
     def checked(self, value: float) -> float:
@@ -285,17 +284,13 @@ def require_restitution(parameters: Sequence[Quantity]) -> None:
         parameters: The parameters.
 
     Raises:
-        InputError: If the restitution is missing or may be negative or reach 1.
+        InputError: If the restitution is missing or may be negative or exceed 1.
     """
     impact = [quantity for quantity in parameters if quantity.name == "restitution"]
-    if not impact or impact[0].lower < 0.0 or not _is_below_one(impact[0]):
-        wanted = "must hold a `restitution` in [0, 1)"
+    if not impact or impact[0].lower < 0.0 or impact[0].upper > 1.0:
+        wanted = "must hold a `restitution` in [0, 1]"
         how = "the entry is missing" if not impact else "its range is different"
         raise InputError(f"Argument `parameters` {wanted}, but {how}. See `restitution()`.")
-
-
-def _is_below_one(quantity: Quantity) -> bool:
-    return quantity.upper < 1.0 or (quantity.upper == 1.0 and 1.0 in quantity.excluded)
 
 
 def unknown(kind: str, name: str, known: tuple[str, ...]) -> str:

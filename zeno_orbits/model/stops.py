@@ -18,7 +18,7 @@ class Stop(Checked):
     Attributes:
         name: Name of the stop in events, tables and messages.
         gap: :math:`h(q)`, scalar.
-        restitution: Coefficient of restitution :math:`e` in [0, 1), a symbol or a number.
+        restitution: Coefficient of restitution :math:`e` in [0, 1], a symbol or a number.
         unit: Unit of the gap. By default it follows from the units of the formula's symbols.
     """
 

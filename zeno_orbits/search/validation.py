@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import Problem
+from zeno_orbits.model import Problem, require_zeno_points
 from zeno_orbits.orbits import RELEASE_ROWS, Bound
 from zeno_orbits.search.objectives import (
     LEAST_RADIUS,
@@ -32,6 +32,7 @@ def check_search(search: SearchProblem) -> None:
     """
     problem, near = search.problem, search.near
     _check_boxes(problem, search.free)
+    _check_impacts(search)
     for state in search.initial_states:
         problem.state_vector(state)
     if isinstance(search.objective, OfImpacts):
@@ -58,6 +59,23 @@ def check_search(search: SearchProblem) -> None:
 def _check_boxes(problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
     for name, box in free.items():
         problem.require_range(name, box, argument="vary")
+
+
+def _check_impacts(search: SearchProblem) -> None:
+    """Reject elastic impacts if the shape of the orbits has a contact phase."""
+    shape = search.shape or (search.near.shape if search.near is not None else None)
+    if shape is None or shape.without_contact:
+        return
+    _, highest = search.free.get("restitution", (0.0, None))
+    bounciest = search.values
+    if highest is not None:
+        bounciest = bounciest.replaced({"restitution": highest})
+    try:
+        restitution = search.dynamics(bounciest).restitution
+    except InputError:
+        # The search reports values without a system at each of its starts.
+        return
+    require_zeno_points(restitution)
 
 
 _STEADY = 1e-9

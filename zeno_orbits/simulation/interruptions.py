@@ -114,7 +114,8 @@ def does_not_accumulate(most: int, time: float, state: Vector) -> ChatterError:
         state: State there, ``(n_x,)``.
     """
     return ChatterError(
-        f"More than {most} impacts came without a Zeno point",
+        f"More than {most} impacts came without a Zeno point (elastic impacts have none): "
+        "raise `most_impacts` (--max-impacts), or simulate a shorter time",
         time=time,
         state=tuple(state.tolist()),
     )

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, StepLimitError, any_number
 from zeno_orbits.loop import loop_library
-from zeno_orbits.model import GraphDynamics, HybridDynamics
+from zeno_orbits.model import GraphDynamics, HybridDynamics, graph_of
 from zeno_orbits.simulation.arc_follower import ArcStart
 from zeno_orbits.simulation.compiled.executions import by_loop, pieces_by_loop, serves
 from zeno_orbits.simulation.compiled.legs import LegFollower
@@ -23,6 +23,7 @@ from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
+from zeno_orbits.simulation.zeno.completion import require_completion
 from zeno_orbits.work import Progress, silent
 
 _USUAL = SimulationSettings()
@@ -51,7 +52,8 @@ def simulate(
         on_progress: Called with the simulated part of the time.
 
     Raises:
-        InputError: If the state is not admissible or the horizon is not a positive number.
+        InputError: If the state is not admissible or the horizon is not a positive number, or if
+            the completion ends sequences of impacts by force and every stop is elastic.
         SimulationError: If the execution cannot be continued. The error contains time, cause and
             the execution so far.
     """
@@ -68,7 +70,15 @@ def simulate(
         settings=settings or _USUAL,
         on_progress=on_progress,
     )
+    require_completion(task.settings.completion, lambda: _restitutions(dynamics))
     return by_loop(task) or by_reference(task, plain=False)
+
+
+def _restitutions(dynamics: HybridDynamics | GraphDynamics) -> list[float]:
+    """Return the restitution of every stop."""
+    graph = graph_of(dynamics)
+    stops = range(len(graph.stop_names))
+    return [graph.view(graph.open_mode, k).restitution for k in stops]
 
 
 def simulated_at_most(

@@ -204,6 +204,8 @@ def _contradictions(
     if shape != orbit.shape:
         at = f"at restitution {dynamics.restitution:g} it is `{shape.text}`"
         yield f"the orbit says that its shape is `{orbit.shape.text}`, but {at}"
+    if dynamics.restitution == 1.0 and not shape.without_contact:
+        yield f"elastic impacts have no Zeno point, but the orbit has the shape `{shape.text}`"
     if seen.first is not None:
         yield from (phrase for _, phrase in escapes_of(problem, seen.first).values())
 

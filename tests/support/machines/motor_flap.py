@@ -42,7 +42,7 @@ PROBLEM = Problem(
             "K_torque", 0.05, "N m/A", "torque constant, equal to the back-EMF constant"
         ),
         Quantity.positive("V0", 2.0, "V", "voltage on the stop"),
-        Quantity.restitution(0.3),  # of the stop, in [0, 1)
+        Quantity.restitution(0.3),  # of the stop, in [0, 1]
     ),
     gains=(  # of the feedback law; their ranges are what `search` looks through
         Quantity(name="Kp", unit="V/rad", meaning="feedback", default=10.0, lower=6.0, upper=20.0),

@@ -72,6 +72,13 @@ def add_simulate(commands: Any) -> None:
         help="stop after this many steps of the integrator (default: 2000000)",
     )
     parser.add_argument(
+        "--max-impacts",
+        dest="most_impacts",
+        type=read_count,
+        metavar="N",
+        help="stop after this many impacts in a sequence without a Zeno point (default: 100000)",
+    )
+    parser.add_argument(
         "--all-states", action="store_true", help="print every state, including constant states"
     )
     parser.add_argument(
@@ -181,6 +188,8 @@ def _settings(options: argparse.Namespace) -> zo.SimulationSettings:
         settings = replace(settings, completion=zo.Truncation(delta=options.truncation))
     if options.most_steps is not None:
         settings = replace(settings, most_steps=options.most_steps)
+    if options.most_impacts is not None:
+        settings = replace(settings, most_impacts=options.most_impacts)
     return settings
 
 

@@ -126,8 +126,9 @@ class HybridDynamics:
             object.__setattr__(self, "differentiation", None)
         if self.formulas is not None and self.formulas.parts != self.formula_parts:
             object.__setattr__(self, "formulas", None)
-        if not 0.0 <= self.restitution < 1.0:
-            message = f"must lie in [0, 1) at these values, but it is {self.restitution:g}"
+        if not 0.0 <= self.restitution <= 1.0:
+            # All digits: a formula may exceed 1 by rounding.
+            message = f"must lie in [0, 1] at these values, but it is {float(self.restitution)}"
             reason = "." if not math.isnan(self.restitution) else _BEYOND
             raise InputError(f"Argument `restitution` {message}{reason}")
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import GraphDynamics
+from zeno_orbits.model import GraphDynamics, require_zeno_points
 from zeno_orbits.orbits.events.event_orbit import (
     caused_releases,
     orbit_event_name,
@@ -704,8 +704,8 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
             release and an impact that occurs often enough in the second half of the execution.
 
     Raises:
-        InputError: If the event of the section does not occur, or belongs to impacts that
-            accumulate.
+        InputError: If the event of the section does not occur, belongs to impacts that accumulate,
+            or is a Zeno point of a stop with elastic impacts.
         SimulationError: If the motion comes to rest, has no events, or does not return.
     """
     if _is_at_rest(execution, graph, execution.end_time / 2):
@@ -724,6 +724,10 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
             state=tuple(execution.end_state.tolist()),
         )
     if section is not None and section not in names:
+        kind, _, stop = section.partition(" ")
+        if kind == "zeno" and stop in graph.stop_names:
+            view = graph.view(graph.open_mode, graph.stop_names.index(stop))
+            require_zeno_points(view.restitution, stop)
         known = ", ".join(sorted(set(names))) or "none"
         raise InputError(
             f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."

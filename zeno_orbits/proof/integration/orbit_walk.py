@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from flint import arb
 
-from zeno_orbits.errors import InputError, ProofError
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.errors import ProofError
+from zeno_orbits.model import ParameterValues, Problem, require_zeno_points
 from zeno_orbits.orbits import ZenoOrbit, other_equations
 from zeno_orbits.proof.arithmetic.balls import Ball
 from zeno_orbits.proof.arithmetic.expressions import stop_identities
@@ -40,16 +40,15 @@ def require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> 
 
     Raises:
         ProofError: If the orbit does not fit, or is of another kind.
-        InputError: If the restitution is out of range.
+        InputError: If the restitution is 1.
     """
     if other_equations(orbit.problem_digest, problem):
         raise ProofError("problem", "the orbit was computed from other equations")
+    require_zeno_points(values.parameters.get("restitution", 0.0))
     _require_stop(orbit, problem, values)
     if not orbit.shape.starts_at_release:
         reason = f"the period does not start at a release (shape `{orbit.shape.text}`)"
         raise ProofError("shape", reason)
-    if not 0.0 <= values.parameters.get("restitution", 0.0) < 1.0:
-        raise InputError("Argument `restitution` must lie in [0, 1).")
 
 
 def _require_stop(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> None:

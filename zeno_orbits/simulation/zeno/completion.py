@@ -6,13 +6,13 @@ Source: [OrAmes2011]_ for the cut, theory (2.3), (2.7) and (2.8).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from zeno_orbits.errors import positive_number
 from zeno_orbits.integrators import RungeKutta, Stepper, Tolerance
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import HybridDynamics, require_zeno_points
 from zeno_orbits.simulation.event_rules import is_geometric
 from zeno_orbits.simulation.zeno.rescaled_flight import rescaled_flights
 from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, combine, extrapolate
@@ -51,6 +51,20 @@ class Completion(Protocol):
             estimates: The Zeno point to first order from every impact of the sequence so far.
         """
         ...
+
+
+def require_completion(completion: Completion, restitutions: Callable[[], Iterable[float]]) -> None:
+    """Refuse a rule that ends sequences of impacts by force, if no impacts accumulate.
+
+    Args:
+        completion: The rule.
+        restitutions: Function that returns the restitution of every stop.
+
+    Raises:
+        InputError: If the restitution of every stop is 1.
+    """
+    if not isinstance(completion, ZenoExtrapolation | ZenoPassage):
+        require_zeno_points(min(restitutions(), default=0.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -170,13 +170,15 @@ def tail_from(
 ) -> TailEstimate | None:
     """Return the same from the state after an impact moved onto the stop.
 
+    Elastic impacts (:math:`e = 1`) have no Zeno point, and the result is ``None``.
+
     Args:
         resting: That state.
         restitution: :math:`e`.
         time: Time of the impact [s].
         speed: Gap rate just after it, exactly.
     """
-    if not resting.gap_acceleration < 0.0:
+    if not resting.gap_acceleration < 0.0 or restitution == 1.0:
         return None
     remaining = tail_time(speed, resting.gap_acceleration, restitution)
     return TailEstimate(
