@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -59,14 +60,14 @@ class Chain:
         start: Initial positions and velocities, ``(2 n,)``.
     """
 
-    mass: np.ndarray
-    stiffness: np.ndarray
-    place: np.ndarray
-    damping: np.ndarray
-    amplitude: np.ndarray
+    mass: Any
+    stiffness: Any
+    place: Any
+    damping: Any
+    amplitude: Any
     omega: float
-    restitution: np.ndarray
-    start: np.ndarray
+    restitution: Any
+    start: Any
 
     @property
     def n(self) -> int:
@@ -79,23 +80,23 @@ class Chain:
         still = not np.any(self.damping) and not np.any(self.amplitude)
         return still and bool(np.all(self.restitution == 1.0))
 
-    def energy(self, x: np.ndarray) -> float:
+    def energy(self, x: Any) -> float:
         """Return the energy of a state."""
         q, v = x[: self.n], x[self.n : 2 * self.n]
         return float(self.mass @ v**2 + self.stiffness @ (q - self.place) ** 2) / 2
 
-    def rate(self, time: float, x: np.ndarray) -> np.ndarray:
+    def rate(self, time: float, x: Any) -> Any:
         """Return the rate of a state between impacts."""
         q, v = x[: self.n], x[self.n :]
         force = self.amplitude * math.cos(self.omega * time)
         force = force - self.stiffness * (q - self.place) - self.damping * v
         return np.concatenate([v, force / self.mass])
 
-    def gap(self, k: int, x: np.ndarray) -> float:
+    def gap(self, k: int, x: Any) -> float:
         """Return the gap of a stop."""
         return float(x[k] - (x[k - 1] if k else 0.0))
 
-    def struck(self, k: int, x: np.ndarray) -> np.ndarray:
+    def struck(self, k: int, x: Any) -> Any:
         """Return the state after an impact: momentum is kept, except at the wall."""
         after, n, e = x.copy(), self.n, self.restitution[k]
         if k == 0:
@@ -120,7 +121,7 @@ class Chain:
         while len(found) < most:
             events = [_Gap(self, k, time + _STARTED if k == last else -1.0) for k in range(self.n)]
             # SciPy calls functions, and reads whether they end the integration and in which way.
-            solution = solve_ivp(
+            solution = cast("Any", solve_ivp)(
                 self.rate,
                 (time, until),
                 x,
@@ -128,7 +129,7 @@ class Chain:
                 rtol=_TOLERANCE,
                 atol=_TOLERANCE,
                 max_step=0.02,
-                events=events,  # pyright: ignore[reportArgumentType]
+                events=events,
             )
             hits = [(float(t[0]), k) for k, t in enumerate(solution.t_events) if len(t)]
             if not hits:
@@ -158,7 +159,7 @@ class _Gap:
     terminal: bool = True
     direction: float = -1.0
 
-    def __call__(self, time: float, x: np.ndarray) -> float:
+    def __call__(self, time: float, x: Any) -> float:
         return self.chain.gap(self.stop, x) if time > self.since else 1e-3
 
 
