@@ -23,6 +23,7 @@ from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
 from tests.support.elastic_machines import BLOCKS, line
 from tests.support.mechanisms import machine_of
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ChatterError, InputError
 from zeno_orbits.simulation import FixedImpacts, Impact, SimulationSettings, Truncation
 
@@ -298,13 +299,35 @@ def test_orbits_with_elastic_impacts_have_the_multipliers_of_the_saltation_matri
     )
     assert orbit.sequence == ("impact wall",)
     assert orbit.period == pytest.approx(machine.period, rel=1e-12)
-    exact: list[complex] = np.linalg.eigvals(machine.monodromy(time, velocity)).tolist()
+    matrix: Vector = machine.monodromy(time, velocity)
+    exact = np.linalg.eigvals(matrix)
     found = np.sort_complex(np.array(orbit.floquet_multipliers))
-    assert found == pytest.approx(np.sort_complex(np.array(exact)), abs=1e-9)
+    assert found == pytest.approx(np.sort_complex(exact), abs=1e-9)
     assert abs(np.prod(found)) == pytest.approx(math.exp(-c * machine.period), rel=1e-9)
     assert orbit.certificate["passed"]
     assert verdict in orbit.certificate["verdict"]
     assert zo.verify(orbit, problem=OSCILLATOR).passed
+
+
+def test_a_family_ends_at_elastic_impacts_with_its_closed_form() -> None:
+    c, omega, d = 0.3805, 1.6329, 0.3527
+    machine = ImpactOscillator(amplitude=1.0, omega=omega, damping=c, stop=d, restitution=0.9)
+    time, velocity = fsolve(lambda u: machine.miss(*u), (0.8, -1.8), xtol=1e-14)
+    angle = omega * time
+    orbit = zo.find_event_orbit(
+        OSCILLATOR,
+        parameters={"omega": omega, "c": c, "d": d, "restitution": 0.9},
+        start={"x": d, "v": velocity, "cosine": math.cos(angle), "sine": math.sin(angle)},
+    )
+    (family,) = zo.continue_orbit(orbit, ("restitution", 0.8, 1.0), problem=OSCILLATOR).families
+    assert max(point.value for point in family.points) == 1.0
+    for point in family.points:
+        there = replace(machine, restitution=point.value)
+        time = math.atan2(point.state["sine"], point.state["cosine"]) / omega
+        assert np.max(np.abs(there.miss(time, point.state["v"]))) < 1e-10
+        product = math.prod(abs(mu) for mu in point.multipliers if abs(mu) > 1e-6)
+        exact = point.value**2 * math.exp(-c * machine.period)
+        assert product == pytest.approx(exact, rel=1e-8)
 
 
 # Refusals.

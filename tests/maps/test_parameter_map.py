@@ -129,7 +129,7 @@ def test_a_point_whose_derived_numbers_do_not_exist_fails_by_itself() -> None:
         ({"y": Axis(name="m", lower=1.0, upper=2.0, count=3)}, "`y` must be another"),
         ({"x": Axis(name="mass", lower=1.0, upper=2.0, count=3)}, "`x`: unknown name `mass`"),
         ({"x": Axis(name="m", lower=0.0, upper=2.0, count=3)}, "`m` must be greater than 0"),
-        ({"y": Axis(name="restitution", lower=0.0, upper=1.0, count=3)}, r"lie in \[0, 1\)"),
+        ({"y": Axis(name="restitution", lower=0.0, upper=1.1, count=3)}, r"lie in \[0, 1\]"),
         (
             {"x": Axis(name="m", lower=1.0, upper=float("nan"), count=3)},
             "`x` must have finite bounds",

@@ -542,7 +542,6 @@ def test_an_impulse_direction_of_another_length_makes_the_same_impacts(zeno: Cer
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("restitution", 1.0),
         ("restitution", 1.5),
         ("restitution", -0.5),
         ("m", -1.0),
@@ -560,6 +559,12 @@ def test_a_parameter_out_of_its_range_is_refused(
     false = copy.deepcopy(zeno)
     false["parameters"][name] = text_of(value)
     assert f"`{name}` must be inside its range" in _refusal(false)
+
+
+def test_elastic_impacts_prove_no_zeno_orbit(zeno: Certificate) -> None:
+    false = copy.deepcopy(zeno)
+    false["parameters"]["restitution"] = text_of(1.0)
+    assert "restitution must be 0, or between 0 and 1" in _refusal(false)
 
 
 @pytest.mark.parametrize(
