@@ -357,6 +357,21 @@ def test_commands_that_need_a_zeno_point_refuse_elastic_impacts(words: tuple[str
     assert f"restitution={words[-1].split('=')[1]}: {NO_POINT}" in last
 
 
+def test_the_formula_of_the_restitution_is_evaluated() -> None:
+    def ball(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        floor = zo.Stop(name="floor", gap=q, restitution=ca.cos(p["angle"]))
+        mass = zo.HybridLagrangian.from_energies(
+            q=q, v=v, kinetic=v**2 / 2, potential=G * q, stops=(floor,)
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass))
+
+    problem = machine_of(ball, line(1), {"angle": 0.0})
+    with pytest.raises(InputError, match=NO_POINT):
+        zo.zeno_condition(problem)
+    assert zo.zeno_condition(problem, parameters={"angle": 0.5}).always
+
+
 @pytest.mark.parametrize("value", ["1.0000000000001", "-1e-300", "nan", "1.5"])
 def test_other_restitutions_beyond_one_are_refused(value: str) -> None:
     answer = ask("simulate", "bouncing_ball", "--until", "1", "--set", f"restitution={value}")

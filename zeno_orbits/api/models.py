@@ -138,11 +138,11 @@ def zeno_condition(
     Raises:
         InputError: If a name is unknown or a value is out of range, or the restitution is 1.
     """
-    from zeno_orbits.model import acceleration_formula, require_zeno_points, with_numbers
+    from zeno_orbits.model import acceleration_formula, with_numbers
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
-    require_zeno_points(values.parameters.get("restitution", 0.0))
+    known.require_zeno_points(values)
     formula = acceleration_formula(known)
     return ZenoCondition(
         problem=known,

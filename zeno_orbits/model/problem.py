@@ -18,6 +18,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, any_number, finite_number, named_numbers
+from zeno_orbits.model.contact import require_zeno_points
 from zeno_orbits.model.drawing import DrawingFunction, lines_of
 from zeno_orbits.model.formula_units import unit_of
 from zeno_orbits.model.graph import graph_of_one_stop
@@ -165,6 +166,23 @@ class Problem(Declared):
 
         vector = values.vector if isinstance(values, ParameterValues) else values
         return bind(_compiled(self, transform), vector)
+
+    def require_zeno_points(self, values: ParameterValues) -> None:
+        """Refuse elastic impacts on the first stop, for what needs a Zeno point.
+
+        Values without a system are reported where the system is used.
+
+        Args:
+            values: Values of every gain and parameter.
+
+        Raises:
+            InputError: If the restitution is 1.
+        """
+        try:
+            system = self.graph_dynamics(values).first if self.has_graph else self.dynamics(values)
+        except InputError:
+            return
+        require_zeno_points(system.restitution)
 
     def _has_one_stop(self) -> bool:
         """Return True if the model has one stop, whose restitution is a parameter.

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import Problem, require_zeno_points
+from zeno_orbits.model import Problem
 from zeno_orbits.orbits import RELEASE_ROWS, Bound
 from zeno_orbits.search.objectives import (
     LEAST_RADIUS,
@@ -70,12 +70,7 @@ def _check_impacts(search: SearchProblem) -> None:
     bounciest = search.values
     if highest is not None:
         bounciest = bounciest.replaced({"restitution": highest})
-    try:
-        restitution = search.dynamics(bounciest).restitution
-    except InputError:
-        # The search reports values without a system at each of its starts.
-        return
-    require_zeno_points(restitution)
+    search.problem.require_zeno_points(bounciest)
 
 
 _STEADY = 1e-9

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from flint import arb
 
 from zeno_orbits.errors import ProofError
-from zeno_orbits.model import ParameterValues, Problem, require_zeno_points
+from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ZenoOrbit, other_equations
 from zeno_orbits.proof.arithmetic.balls import Ball
 from zeno_orbits.proof.arithmetic.expressions import stop_identities
@@ -44,7 +44,7 @@ def require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> 
     """
     if other_equations(orbit.problem_digest, problem):
         raise ProofError("problem", "the orbit was computed from other equations")
-    require_zeno_points(values.parameters.get("restitution", 0.0))
+    problem.require_zeno_points(values)
     _require_stop(orbit, problem, values)
     if not orbit.shape.starts_at_release:
         reason = f"the period does not start at a release (shape `{orbit.shape.text}`)"
