@@ -66,7 +66,8 @@ class ProblemFileError(InputError):
     def __init__(self, path: Path, reason: str, line: int | None = None) -> None:
         where = f"`{path}`" if line is None else f"`{path}`, line {line}"
         link = " " if reason.startswith("cannot") else ": "
-        super().__init__(f"Problem file {where}{link}{reason}".removesuffix("?") + ".")
+        end = "" if reason.endswith(("?", ".")) else "."
+        super().__init__(f"Problem file {where}{link}{reason}{end}")
         self.path, self.line = path, line
 
 
@@ -166,6 +167,14 @@ class PenetrationError(SimulationError):
 
 class SlidingError(SimulationError):
     """The flows on both sides of a switch point to it: the motion slides along the switch."""
+
+    def __init__(self, reason: str, *, time: float, state: tuple[float, ...]) -> None:
+        super().__init__(reason, time=time, state=state)
+        self.args = (f"{self}. {_SMOOTHED}",)
+
+
+_SMOOTHED = "For dry friction, write `ca.tanh(v / 1e-3)` in place of `ca.sign(v)`."
+"""Remedy for a motion that slides."""
 
 
 class SimultaneousEventsError(SimulationError):

@@ -38,6 +38,9 @@ PROBLEM = zo.Problem(
 """
 """The file without a mistake."""
 
+GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
+"""The beginning of a gain."""
+
 
 @pytest.mark.parametrize(
     ("right", "wrong", "line", "said"),
@@ -56,11 +59,71 @@ PROBLEM = zo.Problem(
         ("= -v", "= -1 if q > 0 else 1", 8, "Write `ca.if_else(q > 0, a, b)`"),
         ("= -v", "= -max(v, 0)", 8, "`ca.fmax` for `max`"),
         ("= -v", "= -v * (q > 0 and v)", 8, "`ca.logic_and` for `and`"),
-        ("= -v", "= -c * v", 8, "NameError: name 'c' is not defined"),
+        ("= -v", "= -c * v", 8, "the name `c` is not defined. Define or import it, or write"),
+        ("= -v", "= -p.c * v", 8, 'a mapping has no attribute `c`. Write `p["c"]`'),
+        ("= -v", "= -ca.SX.sym('c') * v", 8, "the passive force holds the symbol `c`, which is"),
+        ("= -v", "= -np.sin(v)", 8, "`np.sin` of a symbol. Write `ca.sin`"),
+        ("= -v", "= -np.maximum(v, 0)", 8, "`np.maximum` of a symbol. Write `ca.fmax`"),
+        ("= -v", "= -v * ca.floor(q)", 8, "a formula holds `floor` of the states, which jumps"),
+        ("= -v", "= -v * (q == 1)", 8, "a formula holds `==` of the states, which jumps"),
         ("= -v", '= -p["c"] * v', 8, "must use declared gains and parameters, but it uses `c`"),
         ("= -v", "= -v * np.sin", 8, "TypeError"),
         ('ca.SX.sym("q")', 'ca.MX.sym("q")', 10, "Write `ca.SX.sym` for every symbol"),
         (', p["restitution"])', ")", 12, "Argument `restitution` is missing"),
+        (
+            *('potential=p["g"] * q', 'potential=p["g"] * q * v', 10),
+            "`potential` must depend on the configuration only, but it depends on the velocity. "
+            "Remove `v`.",
+        ),
+        ("v**2 / 2", "v**3 / 2", 10, "must be quadratic in the velocity, as `m * v**2 / 2`"),
+        ("gap=q", "gap=1.0", 10, "but it is constant. Write it with `q`."),
+        (
+            *("passive_force=force", "passive_force=ca.vertcat(force, 0)", 10),
+            "`passive_force` must have 1 entries, one per coordinate, but it has 2",
+        ),
+        ("passive_force=force", "friction=force", 9, "has no argument `friction`. Remove it."),
+        (
+            *("gap=q", 'stops=(zo.Stop(name="a", gap=q, restitution=0.5),)', 12),
+            "must be left out of `hybrid_system`: every stop has its own",
+        ),
+        ("hybrid_system", "hybrid_sytem", 12, "Did you mean `hybrid_system`?"),
+        ("from_energies", "from_energy", 9, "Did you mean `from_energies`?"),
+        ('title="ball"', 'titel="ball"', 14, "has no argument `titel`. Did you mean `title`?"),
+        ("model=model,", "", 14, "`Problem` lacks the argument `model`. Write `model=...`"),
+        (
+            "PROBLEM =",
+            "problem =",
+            None,
+            "`PROBLEM` of type `Problem`. Write `PROBLEM = zo.Problem(...)`",
+        ),
+        ('p["restitution"])', 'p["restitution"]', 12, "was never closed. Add the closing bracket"),
+        ("    force", "   force", 8, "Indent the line like its neighbours"),
+        ("        zo.Quantity.restitution(0.5),", "", 18, "Add `Quantity.restitution(0.5)`."),
+        (
+            "restitution(0.5)",
+            "restitution(1.0)",
+            14,
+            "`restitution` must lie in [0, 1), but it is 1",
+        ),
+        ('"m", 1.0, "kg"', '"mm", 1.0, "kg"', 10, "but it uses `m`"),
+        (
+            *("gains=()", f"gains=({GAIN}lower=0.0),)", 23),
+            "must have a default and a finite range for `k`: `default=`, `lower=` and `upper=`",
+        ),
+        (
+            *("gains=()", f"gains=({GAIN}lower=0.0, upper=2.0),)", 23),
+            "must have the default of `k` in its range [0, 2], but it is 9. Change the default or",
+        ),
+        (
+            *("gains=()", f"gains=({GAIN}lower=0.0, upper=20.0),)", 23),
+            "`gains` must appear in the model or an output, but `k` appears nowhere. Use it, or",
+        ),
+        ('("q", "v"),\n    state_units', '("q",),\n    state_units', 17, "there are 2 for 1"),
+        ('{"q": 1.0}', '{"x": 1.0}', 24, "`starts` must name states (q, v), but it names `x`"),
+        ('{"q": 1.0}', '{"q": "1"}', 24, "`starts`: the value of `q` must be a number, but"),
+        ('({"q": 1.0},)', '{"q": 1.0}', 24, "`starts` must be a sequence with each entry a map"),
+        ('(("q", "v"),)', '(("q", "w"),)', 25, "`portraits` must name states (q, v), but it"),
+        ('"m/s^2"', '"Ns/m"', 20, "`Ns` in `Ns/m` is not a unit: write `N s`"),
         ("    return zo", "    zo", 23, "must return the system of `hybrid_system`"),
         ('name="ball", title', 'name="ball" title', 15, "Perhaps you forgot a comma"),
         ('"m/s^2"', '"N/metre"', 20, "`metre` in `N/metre` is not a unit: write `m`"),
@@ -73,7 +136,7 @@ PROBLEM = zo.Problem(
     ],
 )
 def test_a_mistake_is_one_line_with_its_place_and_remedy(
-    right: str, wrong: str, line: int, said: str, tmp_path: Path
+    right: str, wrong: str, line: int | None, said: str, tmp_path: Path
 ) -> None:
     assert FILE.count(right) == 1
     file = tmp_path / "ball.py"
@@ -81,9 +144,83 @@ def test_a_mistake_is_one_line_with_its_place_and_remedy(
     answer = ask("simulate", file, "--until", "1")
     assert answer.code == MISUSE
     assert answer.err.count("\n") == 1
-    assert f"`{file}`, line {line}: " in answer.err
+    place = f"`{file}`" if line is None else f"`{file}`, line {line}"
+    assert f"{place}: " in answer.err
     assert said in answer.err
     assert "?." not in answer.err
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "line", "formula", "why"),
+    [
+        ("= -v", "= -v * ca.sqrt(q - 2)", 8, "the passive force", "`sqrt` of -1"),
+        ("= -v", "= -v / (q - 1)", 8, "the passive force", "divides 0 by 0"),
+        ("= -v", "= -ca.acos(q + 1)", 8, "the passive force", "`acos` of 2"),
+        ('p["g"] * q, gap', 'p["g"] * ca.log(q - 1), gap', 10, "the potential", "`log` of 0"),
+        (
+            *('p["g"] * q, gap', 'p["g"] * ca.sqrt(q - 1), gap', 10),
+            *("the derivative of the potential", "divides 9.81 by 0"),
+        ),
+        (
+            *('kinetic=p["m"]', 'kinetic=p["m"] * ca.log(q - 2)', 10),
+            *("the mass matrix", "`log` of -1"),
+        ),
+        ("gap=q", "gap=ca.sqrt(q - 2)", 10, "the gap", "`sqrt` of -1"),
+        (
+            *(
+                "gap=q",
+                'stops=(zo.Stop(name="a", gap=q, restitution=0.5), '
+                'zo.Stop(name="lid", gap=ca.sqrt(q - 3), restitution=0.5))',
+                10,
+            ),
+            *("the gap of the stop `lid`", "`sqrt` of -2"),
+        ),
+    ],
+)
+def test_a_formula_that_leaves_its_domain_is_named_with_its_values(
+    right: str, wrong: str, line: int, formula: str, why: str, tmp_path: Path
+) -> None:
+    assert FILE.count(right) == 1
+    file = tmp_path / "ball.py"
+    text = FILE.replace(right, wrong)
+    if "stops=" in wrong:
+        text = text.replace(', p["restitution"])', ")")
+        text = text.replace("        zo.Quantity.restitution(0.5),\n", "")
+    file.write_text(text, encoding="utf-8")
+    answer = ask("simulate", file, "--until", "1")
+    assert answer.code == MISUSE
+    assert answer.err.count("\n") == 1
+    assert f"`{file}`, line {line}: {formula} is not finite at start 1 (" in answer.err
+    assert "q = 1" in answer.err
+    assert why in answer.err
+    assert "Change the formula, a value or the start: keep the " in answer.err
+    for internal in ("free_flow", "normal_inertia", "gap_acceleration", "Argument"):
+        assert internal not in answer.err
+
+
+def test_a_passive_force_with_the_clock_is_refused_with_the_argument_that_takes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ask("new", "shaken")
+    text = Path("shaken.py").read_text()
+    Path("shaken.py").write_text(text.replace('-p["c"] * v', '-p["c"] * v * clock.sine'))
+    answer = ask("simulate", "shaken.py")
+    assert answer.code == MISUSE
+    assert answer.err.count("\n") == 1
+    line = text[: text.index("passive_force=")].count("\n") + 1
+    assert f"`shaken.py`, line {line}: Argument `passive_force` must not depend on" in answer.err
+    assert "Write the part with the clock as `applied_force`." in answer.err
+
+
+def test_a_motion_that_slides_is_refused_with_a_formula_that_does_not(tmp_path: Path) -> None:
+    file = tmp_path / "belt.py"
+    text = FILE.replace('p["g"] * q', 'p["g"] * q**2 / 2').replace("gap=q", "gap=q + 3")
+    for friction, code in (("ca.sign(v)", 1), ("ca.tanh(v / 1e-3)", 0)):
+        file.write_text(text.replace("= -v", f"= -3 * {friction}"), encoding="utf-8")
+        answer = ask("simulate", file, "--until", "20")
+        assert answer.code == code
+        assert ("write `ca.tanh(v / 1e-3)` in place of `ca.sign(v)`" in answer.err) == bool(code)
 
 
 def test_the_file_without_a_mistake_is_accepted(tmp_path: Path) -> None:

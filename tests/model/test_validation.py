@@ -56,7 +56,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "gap flat at the start": (
         *(FORCED, "gap=q,", "gap=q**2,"),
-        "finite at start 1, but its normal_inertia is not; does the gap change",
+        "gap must change with the configuration at start 1, but its derivative is 0",
     ),
     "no mass": (
         *(FORCED, 'p["m"] * v**2 / 2', "0 * v**2"),
@@ -100,7 +100,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "symbol that is no parameter": (
         *(FORCED, 'p["F"] *', 'ca.SX.sym("wind") *'),
-        "free_flow holds another symbol, `wind`",
+        "the applied force holds the symbol `wind`.* declare `wind` in `parameters`",
     ),
     "unit that is none": (
         *(FORCED, '"N s/m"', '"Ns/m"'),
@@ -124,7 +124,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "states that the model has not": (
         *(MOTOR, "full_drive(mechanism, motor)", "no_drive(mechanism)"),
-        "name 'no_drive' is not defined",
+        "name `no_drive` is not defined. Define or import it",
     ),
     "current that the model has not": (
         *(MOTOR, "full_drive", "quasi_static_drive"),
@@ -160,7 +160,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "formula that is not finite at the start": (
         *(FORCED, 'p["k"] * (q + p["pressed"]) ** 2 / 2', 'p["k"] * p["pressed"] * ca.log(q)'),
-        "must be finite at start 1, but its free_flow",
+        r"the potential is not finite at start 1 \(q = 0\): `log\(q\)` is `log` of 0",
     ),
     "no restitution": (
         *(FORCED, "        Quantity.restitution(0.5),  # of the stop, in [0, 1]\n", ""),

@@ -68,13 +68,15 @@ def hybrid_system(
     """
     if not lagrangian.stops:
         if restitution is None:
-            raise ValueError("Argument `restitution` is missing.")
+            raise ValueError("Argument `restitution` is missing: the third one of `hybrid_system`.")
         one = completed(lagrangian, drive, ca.SX(restitution))
         if switches is None and not conditions_of(one.mechanism, one.drive, one.state):
             return one
         return replace(one, graph=graph_of_one_stop(one, switches or ()))
     if restitution is not None:
-        raise ValueError("Argument `restitution` must be left out: every stop has its own.")
+        raise ValueError(
+            "Argument `restitution` must be left out of `hybrid_system`: every stop has its own."
+        )
     stops = lagrangian.stops
     one = completed(lagrangian, drive, ca.SX(stops[0].restitution))
     return replace(one, graph=_graph(one, stops, tuple(switches or ())))

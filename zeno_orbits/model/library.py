@@ -8,6 +8,7 @@ import os
 import re
 import stat
 import sys
+import warnings
 from collections.abc import Generator, Mapping
 from contextlib import chdir, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -269,7 +270,9 @@ def _declared(path: Path) -> Problem:
         raise ProblemFileError(path, "its folder lacks `model.py`")
     problem = getattr(_execute(file), "PROBLEM", None)
     if not isinstance(problem, Problem):
-        raise ProblemFileError(file, "it lacks a `PROBLEM` of type `Problem`")
+        raise ProblemFileError(
+            file, "it lacks a `PROBLEM` of type `Problem`. Write `PROBLEM = zo.Problem(...)`"
+        )
     bundled = bundled_problems()
     word = path.stem if bundled.get(path.stem) == path else str(path.resolve())
     return with_origin(problem, ProblemFile(word=word, digest=_digest(word)))
@@ -277,7 +280,8 @@ def _declared(path: Path) -> Problem:
 
 def _require_sound(path: Path, problem: Problem) -> None:
     try:
-        problem.checked()
+        with _numpy_refused():
+            problem.checked()
     except (Exception, SystemExit) as error:
         file = path / "model.py" if path.is_dir() else path
         raise ProblemFileError(file, *account_of(error, file)) from error
@@ -324,12 +328,20 @@ def _execute(file: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         # Paths that the user typed remain valid.
-        with _same_folder():
+        with _same_folder(), _numpy_refused():
             spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise ProblemFileError(file, *account_of(error, file)) from error
     return module
+
+
+@contextmanager
+def _numpy_refused() -> Generator[None, None, None]:
+    """Raise CasADi's warning about functions of NumPy, whose results it announces to change."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", r"\s*casadi: a numpy function", FutureWarning)
+        yield
 
 
 @contextmanager

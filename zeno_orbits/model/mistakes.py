@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import math
 import re
 import traceback
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 
 import casadi as ca
+
+from zeno_orbits.errors import did_you_mean
 
 _NO_TRUTH = "Cannot compute the truth value"
 """CasADi's words about the truth of a symbol."""
@@ -21,6 +25,29 @@ _NOT_SYMBOLIC = (
     "a formula of the model holds NaN, as `math.sin(q)` or `float(q)` of a symbol give. "
     "Write `ca.sin(q)`, or the symbol"
 )
+_JUMP = re.compile(r"Argument `model`: a formula holds `([^`]+)` of the states")
+_NUMPY = "a numpy function was called on a casadi value"
+"""CasADi's words about a function of NumPy that was given a symbol."""
+_IN_CASADI = {
+    "abs": "fabs",
+    "absolute": "fabs",
+    "maximum": "fmax",
+    "minimum": "fmin",
+    "where": "if_else",
+    "arctan2": "atan2",
+    "arcsin": "asin",
+    "arccos": "acos",
+    "arctan": "atan",
+}
+"""Function of NumPy to the function of CasADi, if the names differ."""
+_ARGUMENTS = re.compile(
+    r"([\w.]+)\(\) (got an unexpected keyword argument|missing \d+ required .*arguments?:)"
+    r" '(\w+)'"
+)
+"""Python's words about the arguments of a call."""
+_SIGNS = {"==": ast.Eq, "!=": ast.NotEq}
+_IS_NUMERIC = re.compile(r"it is not finite$|appears nowhere")
+"""Messages whose cause may be a numeric function of a symbol."""
 _TWO_SYMBOLS = {"SX", "MX"}
 _NUMERIC = ("math", "cmath")
 """Modules whose functions turn a symbol into a number."""
@@ -31,6 +58,22 @@ class NotSymbolicError(ValueError):
 
     def __init__(self) -> None:
         super().__init__(f"{_NOT_SYMBOLIC}.")
+
+
+class FormulaError(ValueError):
+    """A formula of the model is wrong.
+
+    Attributes:
+        keywords: Arguments of a problem file that may give the formula.
+        owner: Name of the stop or switch that the formula belongs to, or an empty text.
+        operation: Name of the operation at fault, or an empty text.
+    """
+
+    def __init__(
+        self, text: str, *, keywords: tuple[str, ...], owner: str = "", operation: str = ""
+    ) -> None:
+        super().__init__(text)
+        self.keywords, self.owner, self.operation = keywords, owner, operation
 
 
 def holds_nan(formula: ca.SX) -> bool:
@@ -50,24 +93,147 @@ def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
         file: The file.
     """
     if isinstance(error, SyntaxError):
-        return str(error.msg), error.lineno
+        return _about_syntax(error), error.lineno
     text = " ".join(str(error).split()).removesuffix(".")
     tree = _tree_of(file)
     numeric = next(_numeric_calls(tree), None)
-    if isinstance(error, NotSymbolicError) or (text.endswith("it is not finite") and numeric):
+    if isinstance(error, NotSymbolicError) or (_IS_NUMERIC.search(text) and numeric):
         return _NOT_SYMBOLIC, numeric
+    if isinstance(error, FormulaError):
+        return text, _line_of_formula(tree, error)
     text = _about_inductance(text, tree)
     line = _line_of_argument(tree, text, _line_in_trace(error, file))
+    jump = _JUMP.match(text)
+    if jump is not None:
+        return text.removeprefix("Argument `model`: "), _only(_uses(tree, jump[1])) or line
+    if isinstance(error, FutureWarning) and _NUMPY in text:
+        used = _numpy_use(file, line)
+        name = _IN_CASADI.get(used, used)
+        return f"`np.{used or 'sin'}` of a symbol. Write `ca.{name or 'sin'}`", line
     if _NO_TRUTH in text:
         return _CONDITION, line
     if set(re.findall(r"'(\w+)'", text)) >= _TWO_SYMBOLS:
         return "symbols of two kinds. Write `ca.SX.sym` for every symbol", line
     if "Assertion" in text and "casadi" in text:
         reason = text.partition("failed:")[2].strip() or "a dimension is wrong"
-        return f"formulas whose shapes do not fit ({reason})", line
+        return f"formulas whose shapes do not fit ({reason}). Make their sizes equal", line
     if isinstance(error, ValueError):
         return text, line
-    return f"{type(error).__name__}: {text}", line
+    return _about_python(error, text), line
+
+
+def _about_syntax(error: SyntaxError) -> str:
+    """Return the message about a file that Python cannot parse."""
+    text = str(error.msg)
+    if isinstance(error, IndentationError):
+        return f"{text}. Indent the line like its neighbours"
+    if "was never closed" in text:
+        return f"{text}. Add the closing bracket"
+    return text
+
+
+def _about_python(error: BaseException, text: str) -> str:
+    """Return the message about an exception of Python itself, with its remedy."""
+    if isinstance(error, AttributeError) and isinstance(error.obj, dict):
+        return f'a mapping has no attribute `{error.name}`. Write `p["{error.name}"]`'
+    if isinstance(error, AttributeError) and error.name:
+        owner = getattr(error.obj, "__name__", type(error.obj).__name__)
+        known = [name for name in dir(error.obj) if not name.startswith("_")]
+        near = did_you_mean(error.name, known) or " See its documentation."
+        return f"`{owner}` has no attribute `{error.name}`.{near}"
+    if isinstance(error, NameError) and error.name:
+        remedy = f'Define or import it, or write `p["{error.name}"]` for a declared parameter'
+        return f"the name `{error.name}` is not defined. {remedy}"
+    if isinstance(error, KeyError):
+        return f"the name {text} is neither a state nor declared. Declare it, or write another name"
+    if isinstance(error, ImportError) and error.name:
+        return f"{text}. Install the package, or remove the import"
+    if isinstance(error, SystemExit):
+        return "the file ends the program (`sys.exit`). Remove the call"
+    words = _ARGUMENTS.match(text)
+    if words is not None:
+        owner, what, name = words[1].removesuffix(".__init__"), words[2], words[3]
+        if what.startswith("missing"):
+            return f"`{owner}` lacks the argument `{name}`. Write `{name}=...`"
+        near = did_you_mean(name, _arguments_of(owner)) or " Remove it."
+        return f"`{owner}` has no argument `{name}`.{near}"
+    return f"{type(error).__name__}: {text}"
+
+
+def _arguments_of(owner: str) -> list[str]:
+    """Return the names of the arguments of a public function or class, or nothing."""
+    import zeno_orbits
+
+    try:
+        found = attrgetter(owner)(zeno_orbits)
+        return list(inspect.signature(found).parameters)
+    except (AttributeError, TypeError, ValueError):
+        return []
+
+
+def _line_of_formula(tree: ast.AST, error: FormulaError) -> int | None:
+    """Return the line of the operation at fault, or else of the argument that gives the formula."""
+    line = _only(_uses(tree, error.operation))
+    if line is not None:
+        return line
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    if error.owner:
+        calls = [
+            call
+            for call in calls
+            if any(isinstance(x, ast.Constant) and x.value == error.owner for x in _names(call))
+        ]
+    given = [
+        word
+        for name in error.keywords
+        for call in calls
+        for word in call.keywords
+        if word.arg == name
+    ]
+    if not given:
+        return None
+    value = given[0].value
+    if isinstance(value, ast.Name):
+        # A name stands for the formula that was assigned to it last.
+        before = [
+            node.lineno
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Assign)
+            and node.lineno <= given[0].lineno
+            and any(isinstance(one, ast.Name) and one.id == value.id for one in node.targets)
+        ]
+        return max(before, default=given[0].lineno)
+    return given[0].lineno
+
+
+def _uses(tree: ast.AST, operation: str) -> list[int]:
+    """Return the lines of the calls of an operation, or of its sign."""
+    sign = _SIGNS.get(operation)
+    return [
+        node.lineno
+        for node in ast.walk(tree)
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Attribute)
+            and node.func.attr == operation
+        )
+        or (isinstance(node, ast.Compare) and sign and isinstance(node.ops[0], sign))
+    ]
+
+
+def _only(lines: list[int]) -> int | None:
+    """Return the one line of a list, or None if there are several or none."""
+    return lines[0] if len(lines) == 1 else None
+
+
+def _numpy_use(file: Path, line: int | None) -> str:
+    """Return the name of the function of NumPy in a line of a file, or an empty text."""
+    try:
+        text = file.read_text(encoding="utf-8").splitlines()[(line or 0) - 1]
+    except (OSError, ValueError, IndexError):
+        return ""
+    found = re.search(r"\b(?:np|numpy)\.(\w+)", text)
+    return found[1] if found else ""
 
 
 def _about_inductance(text: str, tree: ast.AST) -> str:

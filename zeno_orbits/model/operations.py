@@ -16,11 +16,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 
+_SIGNS = {ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_DIV: "/"}
 _NAMES: dict[int, str] = {
     getattr(ca, name): name.removeprefix("OP_").lower()
     for name in dir(ca)
     if name.startswith("OP_")
-}
+} | _SIGNS
 
 _TABLE = re.compile(
     r"casadi_interpn\(res\[0\], 1, (?P<knots>\w+), \w+, (?P<values>\w+), arg\[0\], \w+, (?P<m>\d+),"

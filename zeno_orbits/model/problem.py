@@ -348,15 +348,32 @@ class Problem(Declared):
             if not self.derived_from([name], values.parameters):
                 kind = "gains" if name in values.gains else "parameters"
                 wanted = "must appear in the model or an output"
-                raise InputError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
+                raise InputError(
+                    f"Argument `{kind}` {wanted}, but `{name}` appears nowhere. Use it, or delete "
+                    "it."
+                )
         require_coherent(self.units | {f"gap of {name}": u for name, u in self.gap_units.items()})
-        starts = [self.state_vector(start, values) for start in self.starts]
+        starts = [self._checked_start(k, values) for k in range(len(self.starts))]
         units = self.state_units
         dynamics = self.dynamics(values) if system.graph is None else self._first_stop(values)
         require_sound_numbers(system, symbols, values.vector, dynamics, units, starts)
         for word in self.fidelities:
             self.at_fidelity(word).checked()
         return self
+
+    def _checked_start(self, k: int, values: ParameterValues) -> tuple[float, ...]:
+        """Return a declared start as a state, ``(n_x,)``.
+
+        Raises:
+            InputError: If it is not one. The message names the argument of the file.
+        """
+        try:
+            return self.state_vector(self.starts[k], values)
+        except InputError as error:
+            reason = str(error).replace("Argument ", "the value of ", 1)
+            if "`starts`" in reason:
+                raise
+            raise InputError(f"Argument `starts`: {reason}") from error
 
     def _first_stop(self, values: ParameterValues) -> HybridDynamics:
         """Return the dynamics of the first of several stops, if no two are one.

@@ -263,12 +263,19 @@ def require_ranges(
         derives: Whether parameters without a default are derived.
 
     Raises:
-        InputError: If a declaration is invalid. The message contains its name.
+        InputError: If a declaration is invalid, or the default of a gain is outside of its range.
+            The message contains its name.
     """
     for gain in gains:
         if gain.default is None or not math.isfinite(gain.upper - gain.lower):
             wanted = f"must have a default and a finite range for `{gain.name}`"
-            raise InputError(f"Argument `gains` {wanted}.")
+            raise InputError(f"Argument `gains` {wanted}: `default=`, `lower=` and `upper=`.")
+        if not gain.lower <= gain.default <= gain.upper:
+            wanted = f"must have the default of `{gain.name}` in its range"
+            raise InputError(
+                f"Argument `gains` {wanted} [{gain.lower:g}, {gain.upper:g}], but it is "
+                f"{gain.default:g}. Change the default or the range."
+            )
     for quantity in parameters:
         if quantity.default is not None:
             quantity.checked(quantity.default)
@@ -290,7 +297,9 @@ def require_restitution(parameters: Sequence[Quantity]) -> None:
     if not impact or impact[0].lower < 0.0 or impact[0].upper > 1.0:
         wanted = "must hold a `restitution` in [0, 1]"
         how = "the entry is missing" if not impact else "its range is different"
-        raise InputError(f"Argument `parameters` {wanted}, but {how}. See `restitution()`.")
+        raise InputError(
+            f"Argument `parameters` {wanted}, but {how}. Add `Quantity.restitution(0.5)`."
+        )
 
 
 def unknown(kind: str, name: str, known: tuple[str, ...]) -> str:

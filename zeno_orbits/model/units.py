@@ -151,13 +151,20 @@ def _factor(factor: str, text: str) -> Powers:
     found = _FACTOR.fullmatch(factor)
     symbol = found[1] if found else factor
     if found is None or (symbol not in {*_BASE, *_OTHERS} and symbol not in _DERIVED):
-        meant = _WORDS.get(symbol.lower().removesuffix("s"))
+        meant = _WORDS.get(symbol.lower().removesuffix("s")) or _apart(symbol)
         known = ", ".join((*_BASE, *_OTHERS, *_DERIVED))
         remedy = f": write `{meant}`" if meant else f". Known units are {known}"
         where = f"`{shortened(factor)}` in `{shortened(text)}`"
         raise ValueError(f"{where} is not a unit{remedy}")
     power = int(found[2] or 1)
     return {base: n * power for base, n in _DERIVED.get(symbol, {symbol: 1}).items()}
+
+
+def _apart(symbol: str) -> str:
+    """Return two units that were written as one word, with a space, or an empty text."""
+    known = {*_BASE, *_DERIVED}
+    splits = ((symbol[:k], symbol[k:]) for k in range(1, len(symbol)))
+    return next((f"{one} {other}" for one, other in splits if {one, other} <= known), "")
 
 
 _WORDS: Mapping[str, str] = {

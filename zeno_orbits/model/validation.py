@@ -8,12 +8,14 @@ them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model.domains import named_formulas, require_finite, require_rising_gap
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.mistakes import NotSymbolicError, holds_nan
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -118,13 +120,21 @@ def require_known_symbols(system: CompletedSystem, symbols: Mapping[str, ca.SX])
                     f"Argument `{name}` must use states, gains and parameters only, "
                     f"but it holds another symbol, `{symbol.name()}`."
                 )
-    for formula in _FORMULAS:
-        for symbol in _symbols_in(getattr(system, formula)):
-            if symbol.element_hash() not in known_ones:
-                raise ValueError(
-                    f"Argument `model` must use its states, gains and parameters only, "
-                    f"but its {formula} holds another symbol, `{symbol.name()}`."
+    formulas: list[ca.SX] = [getattr(system, name) for name in _FORMULAS]
+    for symbol in chain.from_iterable(map(_symbols_in, formulas)):
+        if symbol.element_hash() in known_ones:
+            continue
+        name = symbol.name()
+        for one in named_formulas(system):
+            if ca.depends_on(one.formula, symbol):
+                raise one.error(
+                    f"{one.words} holds the symbol `{name}`, which is neither a state nor declared."
+                    f' Write `p["{name}"]`, and declare `{name}` in `parameters`.'
                 )
+        raise ValueError(
+            f"Argument `model` must use its states, gains and parameters only, but it holds the "
+            f"symbol `{name}`."
+        )
 
 
 def unused_symbols(
@@ -185,7 +195,7 @@ def require_sound_numbers(
     for number, start in enumerate(starts, start=1):
         x = np.asarray(start, dtype=np.float64)
         _require_mass(look, x, p, around, names, f"at start {number}")
-        _require_finite(system, formulas, x, p, number)
+        _require_finite(system, symbols, formulas, x, p, number)
         _require_convex(fields, x, p, f"at start {number}")
         for (name, _), matrix in lossy.items():
             _require_lossy(name, matrix(x, p).full(), f"at start {number}")
@@ -202,16 +212,26 @@ def require_sound_numbers(
 
 
 def _require_finite(
-    system: CompletedSystem, formulas: Mapping[str, Any], x: Vector, p: Vector, number: int
+    system: CompletedSystem,
+    symbols: Mapping[str, ca.SX],
+    formulas: Mapping[str, Any],
+    x: Vector,
+    p: Vector,
+    number: int,
 ) -> None:
-    for name in ("gap", *_FORMULAS):
-        if not np.all(np.isfinite(formulas[name](x, p).full())):
-            if holds_nan(getattr(system, name)):
-                raise NotSymbolicError
-            where = f"must be finite at start {number}, but its {name} is not"
-            hint = "; does the gap change with the configuration there?"
-            asked = hint if name == "normal_inertia" else ""
-            raise ValueError(f"Argument `model` {where}{asked}.")
+    """Refuse formulas that are not finite, by the names that the model gives them."""
+    infinite = [
+        name for name in ("gap", *_FORMULAS) if not np.all(np.isfinite(formulas[name](x, p).full()))
+    ]
+    if any(holds_nan(getattr(system, name)) for name in infinite):
+        raise NotSymbolicError
+    require_finite(system, symbols, x, p, number, with_derivatives=bool(infinite))
+    if infinite:
+        require_rising_gap(system, symbols, x, p, number)
+        raise ValueError(
+            f"Argument `model` must give finite equations of motion at start {number}, but they "
+            "are not finite there. Change the start, or a formula."
+        )
 
 
 def _require_admissible(

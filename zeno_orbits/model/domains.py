@@ -1,0 +1,226 @@
+"""The formulas of a machine in the words of its file, and the operations that leave their domain.
+
+A formula that is not finite is traced to the first operation whose operands are finite, such as
+the root of a negative number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.mistakes import FormulaError
+from zeno_orbits.model.operations import operation_name, symbols_in
+
+_LONGEST = 60
+"""Characters of a formula up to which a message prints it."""
+
+_REMEDIES: Mapping[int, str] = {
+    ca.OP_SQRT: "keep the argument of the root at 0 or above",
+    ca.OP_LOG: "keep the argument of the logarithm above 0",
+    ca.OP_LOG1P: "keep the argument of `log1p` above -1",
+    ca.OP_DIV: "keep the denominator away from 0",
+    ca.OP_INV: "keep the denominator away from 0",
+    ca.OP_POW: "keep the base of the power above 0",
+    ca.OP_CONSTPOW: "keep the base of the power above 0",
+    ca.OP_ASIN: "keep the argument of `asin` in [-1, 1]",
+    ca.OP_ACOS: "keep the argument of `acos` in [-1, 1]",
+    ca.OP_ACOSH: "keep the argument of `acosh` at 1 or above",
+    ca.OP_ATANH: "keep the argument of `atanh` in (-1, 1)",
+}
+"""Operation to the remedy if its result is not finite."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NamedFormula:
+    """A formula of a machine.
+
+    Attributes:
+        words: Noun phrase for messages, such as ``the passive force``.
+        keywords: Arguments of a problem file that may give the formula.
+        formula: The formula.
+        owner: Name of the stop or switch that the formula belongs to, or an empty text.
+    """
+
+    words: str
+    keywords: tuple[str, ...]
+    formula: ca.SX
+    owner: str = ""
+
+    def error(self, text: str, operation: str = "") -> FormulaError:
+        """Return an error about the formula, with what is needed to find its line."""
+        return FormulaError(text, keywords=self.keywords, owner=self.owner, operation=operation)
+
+
+def named_formulas(system: CompletedSystem) -> tuple[NamedFormula, ...]:
+    """Return the formulas that a model declares, by the words of a user."""
+    mechanism = system.mechanism
+    rows = [
+        ("the mass matrix", ("mass_matrix", "kinetic"), mechanism.mass_matrix),
+        ("the potential", ("potential",), mechanism.potential),
+        ("the passive force", ("passive_force", "gravity"), mechanism.passive_force),
+        ("the applied force", ("applied_force",), mechanism.applied_force),
+        ("the constraint", ("holonomic",), mechanism.holonomic),
+    ]
+    found = [NamedFormula(words=a, keywords=b, formula=c) for a, b, c in rows]
+    for stop in mechanism.stops:
+        for word, formula in (("gap", stop.gap), ("restitution", stop.restitution)):
+            words, keywords = f"the {word} of the stop `{stop.name}`", (word,)
+            one = NamedFormula(
+                words=words, keywords=keywords, formula=ca.SX(formula), owner=stop.name
+            )
+            found.append(one)
+    if not mechanism.stops:
+        found.append(NamedFormula(words="the gap", keywords=("gap",), formula=system.gap))
+        restitution = ca.SX(system.restitution)
+        found.append(
+            NamedFormula(words="the restitution", keywords=("restitution",), formula=restitution)
+        )
+    for switch in () if system.graph is None else system.graph.switches:
+        for word, formula in (("guard", switch.guard), ("armed", switch.armed)):
+            words = f"`{word}` of the switch `{switch.name}`"
+            one = NamedFormula(
+                words=words, keywords=(word,), formula=ca.SX(formula), owner=switch.name
+            )
+            found.append(one)
+    found += [
+        NamedFormula(words=f"`{name}`", keywords=(name,), formula=entry)
+        for name, entry in system.drive.entries
+    ]
+    return tuple(found)
+
+
+def require_finite(
+    system: CompletedSystem,
+    symbols: Mapping[str, ca.SX],
+    x: Vector,
+    p: Vector,
+    number: int,
+    *,
+    with_derivatives: bool,
+) -> None:
+    """Refuse a formula, or a derivative that the motion needs, that is not finite at a start.
+
+    Args:
+        system: The completed system.
+        symbols: Gains and parameters by name.
+        x: The start, ``(n_x,)``.
+        p: Values of the symbols, in the same order.
+        number: Number of the start, from 1.
+        with_derivatives: Whether derivatives are checked.
+
+    Raises:
+        FormulaError: If a formula is not finite. The message names the operation and its operands.
+    """
+    inputs = [system.state, ca.vertcat(*symbols.values())]
+    known = ca.vertcat(*inputs)
+    numbers = {known[k].element_hash(): value for k, value in enumerate([*x, *p])}
+    declared = named_formulas(system)
+    derived = _derivatives(system, declared) if with_derivatives else ()
+    for one in (*declared, *derived):
+        place = _first_infinite(one.formula, inputs, x, p)
+        if place is None:
+            continue
+        node, operands = place
+        # The formula holds the symbols of the file, which may differ from the names of the states.
+        values = ", ".join(
+            f"{symbol.name()} = {numbers[symbol.element_hash()]:g}" for symbol in symbols_in(node)
+        )
+        where = f" ({values})" if values else ""
+        raise one.error(
+            f"{one.words} is not finite at start {number}{where}: {_account(node, operands)}",
+            operation_name(node.op()),
+        )
+
+
+def _account(node: Any, operands: Sequence[float]) -> str:
+    """Return what an operation is given, and the remedy."""
+    operation, text = node.op(), str(node)
+    told = f"`{text}`" if len(text) <= _LONGEST and "@" not in text else "an operation"
+    given = [f"{value:.6g}" for value in operands]
+    if operation in (ca.OP_DIV, ca.OP_INV):
+        above, below = ("1", *given)[-2:]
+        what = f"divides {above} by {below}"
+    else:
+        what = f"is `{operation_name(operation)}` of {' and '.join(given)}"
+    remedy = _REMEDIES.get(operation, "keep the result within the range of a double")
+    return f"{told} {what}. Change the formula, a value or the start: {remedy}."
+
+
+def _derivatives(
+    system: CompletedSystem, declared: Sequence[NamedFormula]
+) -> tuple[NamedFormula, ...]:
+    """Return the derivatives of declared formulas that the equations of motion hold."""
+    q = system.mechanism.q
+    drive = 2 * system.n_q + system.drive.states.numel()
+    fields = system.state[2 * system.n_q : drive]
+    found: list[NamedFormula] = []
+    for one in declared:
+        by = ca.vertcat(q, fields) if "coenergy" in one.keywords else q
+        if one.keywords[0] not in ("mass_matrix", "potential", "gap", "holonomic", "coenergy"):
+            continue
+        slope = ca.jacobian(one.formula, by)
+        for order, formula in (("", slope), ("second ", ca.jacobian(slope, by))):
+            found.append(
+                NamedFormula(
+                    words=f"the {order}derivative of {one.words}",
+                    keywords=one.keywords,
+                    formula=formula,
+                    owner=one.owner,
+                )
+            )
+            if one.keywords[0] in ("mass_matrix", "potential"):
+                break
+    return tuple(found)
+
+
+def _first_infinite(
+    formula: ca.SX, inputs: list[ca.SX], x: Vector, p: Vector
+) -> tuple[Any, list[float]] | None:
+    """Return the first operation that is not finite with its operands, or None if there is none."""
+    function: Any = ca.Function("formula", inputs, [ca.densify(formula)])
+    if np.all(np.isfinite(function(x, p).full())):
+        return None
+    made = function.instructions_sx()
+    nodes: list[Any] = [
+        made[k]
+        for k in range(function.n_instructions())
+        if function.instruction_id(k) not in (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
+    ]
+    symbols = function.sx_in()
+    for node in nodes:
+        parts = [ca.SX(node.dep(k)) for k in range(node.n_dep())]
+        values = ca.Function("node", symbols, [ca.SX(node), ca.vertcat(*parts)])
+        result, operands = values(x, p)
+        if not np.all(np.isfinite(result.full())):
+            return node, [float(one) for one in operands.full().ravel()]
+    return None
+
+
+def require_rising_gap(
+    system: CompletedSystem, symbols: Mapping[str, ca.SX], x: Vector, p: Vector, number: int
+) -> None:
+    """Refuse a gap whose derivative with respect to the configuration is zero at a start.
+
+    Raises:
+        FormulaError: If a derivative is zero. The message names the gap.
+    """
+    inputs = [system.state, ca.vertcat(*symbols.values())]
+    for one in named_formulas(system):
+        if one.keywords[0] != "gap":
+            continue
+        slope: Any = ca.Function(
+            "slope", inputs, [ca.densify(ca.jacobian(one.formula, system.mechanism.q))]
+        )
+        if not np.any(slope(x, p).full()):
+            raise one.error(
+                f"{one.words} must change with the configuration at start {number}, but its "
+                "derivative is 0 there. Write a gap with a slope, such as `q` for `q**2`, or "
+                "change the start."
+            )
