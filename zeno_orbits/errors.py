@@ -44,11 +44,12 @@ class SwitchingTimesError(InputError):
         self.lower, self.upper = lower, upper
 
 
-def _about_file(kind: str, path: Path, wanted: str, reason: str) -> str:
-    """Return the message about an unusable file, without the requirement if it cannot be read."""
+def _about_file(kind: str, path: Path, reason: str, remedy: str = "") -> str:
+    """Return the message about an unusable file, without the remedy if it cannot be read."""
     if reason.startswith("it cannot be read"):
         return f"{kind} file `{path}` {reason.removeprefix('it ')}."
-    return f"{kind} file `{path}` must {wanted}, but {reason}."
+    end = "" if reason.endswith(("?", ".")) else "."
+    return f"{kind} file `{path}`: {reason}{end} {remedy}".rstrip()
 
 
 class EquationsWarning(UserWarning):
@@ -71,6 +72,9 @@ class ProblemFileError(InputError):
         self.path, self.line = path, line
 
 
+_WRITES_ORBIT = "`search PROBLEM -o FILE` writes orbit files."
+
+
 class OrbitFileError(InputError):
     """An orbit file could not be read.
 
@@ -79,7 +83,7 @@ class OrbitFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(_about_file("Orbit", path, "hold a Zeno orbit", reason))
+        super().__init__(_about_file("Orbit", path, reason, _WRITES_ORBIT))
         self.path = path
 
 
@@ -91,7 +95,7 @@ class MapFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(_about_file("Map", path, "hold a map", reason))
+        super().__init__(_about_file("Map", path, reason, "`map -o FILE` writes map files."))
         self.path = path
 
 
@@ -103,8 +107,8 @@ class BoundaryFileError(MapFileError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        wanted = "hold the curves of `continue --parameter2`"
-        InputError.__init__(self, _about_file("Boundary", path, wanted, reason))
+        remedy = "`continue --parameter2 ... -o FILE` writes boundary files."
+        InputError.__init__(self, _about_file("Boundary", path, reason, remedy))
         self.path = path
 
 
@@ -235,7 +239,7 @@ class DataFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(_about_file("Data", path, "hold a recording", reason))
+        super().__init__(_about_file("Data", path, reason))
         self.path = path
 
 

@@ -145,14 +145,14 @@ def test_the_orbit_of_an_own_problem_is_continued_with_its_file(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ('{"a": 1', "must hold the curves of `continue --parameter2`, but it is not complete JSON"),
-        ("{}", "must hold the curves of `continue --parameter2`, but it has none."),
+        ('{"a": 1', "it is not complete JSON"),
+        ("{}", "it has none. `continue --parameter2 ... -o FILE` writes boundary files."),
     ],
 )
 def test_a_broken_file_of_boundaries_is_named(content: str, told: str) -> None:
     Path("b.json").write_text(content)
     answer = ask(*MAP, "--plot", "m.png", "--boundaries", "b.json")
-    assert_refused(answer, "--boundaries b.json: Boundary file `b.json` ", told)
+    assert_refused(answer, "--boundaries b.json: Boundary file `b.json`: ", told)
 
 
 def test_too_many_periods_are_refused_with_the_remedy(

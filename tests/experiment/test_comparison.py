@@ -191,6 +191,14 @@ FALSE: dict[str, tuple[Change, str]] = {
         lambda t, y: (t, y * [[180 / math.pi], [180 / math.pi], [1]]),
         "`theta1` looks like degrees labelled as radians",
     ),
+    "exchanged columns": (
+        lambda t, y: (t, y[[1, 0, 2]]),
+        "`theta2` and `theta1` look swapped: exchange|`theta1` and `theta2` look swapped: exchange",
+    ),
+    "exchanged columns of different kinds": (
+        lambda t, y: (t, y[[2, 1, 0]]),
+        "`theta1` and `current` look swapped|`current` and `theta1` look swapped",
+    ),
     "milliampere as ampere": (
         lambda t, y: (t, y * [[1], [1], [1e3]]),
         "`current` looks like a thousandth of its unit labelled as the unit",
@@ -236,6 +244,20 @@ def test_what_shows_no_such_orbit_is_told_with_the_reason(
     found = compare_recording(orbit, problem, changed(recorded(table, problem, noise=1e-3), change))
     assert not found.agrees
     assert any(part in one for one in found.reasons for part in reason.split("|")), found.reasons
+
+
+def test_the_recording_of_another_problem_is_told_first(
+    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+) -> None:
+    right = recorded(table, problem, noise=1e-3)
+    other = replace(right, problem="relay")
+    found = compare_recording(orbit, problem, other)
+    told = f"the recording names the problem `relay`, not `{problem.name}` (line `# problem:`)"
+    assert found.agrees
+    assert told in found.remarks
+    wrong = compare_recording(orbit, problem, changed(other, FALSE["first angle mirrored"][0]))
+    assert wrong.reasons[0] == told
+    assert told not in wrong.remarks
 
 
 def test_signals_that_jump_are_aligned_as_well() -> None:

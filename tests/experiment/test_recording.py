@@ -231,7 +231,7 @@ def test_a_hole_in_every_line_of_a_long_file_is_kept(write: Write) -> None:
         ("time [s],x [counts]\n0,1\n1,2\n", "the unit of column `x` is not clear: `counts`"),
         ("time [s],x []\n0,1\n1,2\n", "the unit of column `x` is not clear"),
         (HEAD.replace("data 1", "data 2") + TITLES + ROWS, "its format 2 is newer than 1"),
-        (HEAD.replace("measured", "guessed") + TITLES + ROWS, "its source must be one of measured"),
+        (HEAD.replace("measured", "guessed") + TITLES + ROWS, "must name one of measured"),
         (TITLES + ROWS + "0.75,1,1\n", "the time decreases from 1 to 0.75 in line 5: sort"),
         (TITLES + "0,1,1\n0,1,1\n0,1,1\n1,1,1\n1,2,2\n", "most of its times repeat .* line 3"),
         (TITLES + "0,0,1,5,2,5\n0,5,1,5,2,5\n", "6 columns .* with decimal commas, separate"),

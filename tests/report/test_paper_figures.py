@@ -114,10 +114,11 @@ def parts(
         assert cycles == 3
         return SimpleNamespace(run=run, cycles=(cycle, cycle, cycle))
 
-    def read_recording(path: Path, *, only: Any, families: Any = ()) -> Any:
+    def read_recording(path: Path, *, only: Any, families: Any = (), units: Any = None) -> Any:
         assert tuple(families) in ((), ("contact",))
+        assert units == only
         if not path.exists():
-            raise InputError(f"Data file `{path}` must hold a recording, but it is missing.")
+            raise InputError(f"Data file `{path}`: it is missing.")
         assert set(only) > set(problem.state_names)
         table = tabulate_orbit(orbit, problem, ("theta1", "theta2"))
         return replace(recorded(table, problem, n_cycles=8.0), source=Source.MEASURED)
@@ -483,7 +484,7 @@ def _holed(recording: Recording) -> Recording:
         (_holed, "lacks values of `theta1`"),
         (_noisy, "Argument `data` must show such an orbit, but"),
         (_turned, "but `theta1` looks like its sign reversed"),
-        (lambda x: replace(x, time=1e3 * x.time), "seconds?. See `compare`"),
+        (lambda x: replace(x, time=1e3 * x.time), "seconds, correct its unit. See `compare`"),
     ],
 )
 def test_a_recording_that_cannot_be_laid_over_is_refused(
@@ -767,7 +768,7 @@ BESIDE = ("orbit.json", "-o", "f", "--kind", "graph", "--kind", "beside")
         (("no_scene", "-o", "f"), "unknown problem `no_scene`"),
         (("motor_pendulum", "--problem", "a.py", "-o", "f"), "must come with an orbit file"),
         (("orbit.json", "-o", "f", "--kind", "graph", "--recording", "a.csv"), "the kind `beside`"),
-        ((*BESIDE, "--recording", "a.csv"), "must hold a recording"),
+        ((*BESIDE, "--recording", "a.csv"), "Data file `a.csv`: it is missing"),
         (("orbit.json", "-o", "f", "--kind", "film"), "--kind: unknown name `film`. Known: graph"),
         (("orbit.json",), "Missing: -o/--output"),
     ],

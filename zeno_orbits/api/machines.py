@@ -473,8 +473,8 @@ def recording_for(
 
     if isinstance(recording, str | Path):
         on_progress("reading the recording", None)
-        known = tuple(measurable(problem))
-        recording = read_recording(recording, only=known, families=(CONTACT,))
+        known = measurable(problem)
+        recording = read_recording(recording, only=known, families=(CONTACT,), units=known)
     return crop(recording, t_start, t_end)
 
 

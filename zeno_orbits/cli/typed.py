@@ -26,6 +26,8 @@ _ROOM_NAMES = {
     "state": "--start",
 }
 """Name of an argument in the package to the option that gives it."""
+_POSITIONALS = {"recording": "data"}
+"""Name of an argument in the package to the word without an option that gives it."""
 _KINDS = {"--start": "state", "--at": "state", "--set": "gain or parameter"}
 
 
@@ -63,9 +65,10 @@ def as_typed(message: str, words: Sequence[str], options: argparse.Namespace) ->
 
 def _positional(argument: str, options: argparse.Namespace) -> str:
     """Return a word without an option that gave an argument, after its name in the usage."""
+    named = _POSITIONALS.get(argument, argument)
     for action in options.parser.actions():
         given = getattr(options, action.dest, None)
-        if action.dest == argument and not action.option_strings and given is not None:
+        if action.dest == named and not action.option_strings and given is not None:
             return f"{action.metavar or action.dest} {given}"
     return ""
 

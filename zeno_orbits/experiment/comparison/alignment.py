@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -70,6 +71,8 @@ _NOTICED = 4.0
 """Standard errors of a mean cycle from which its shape is another one."""
 _BACKWARD = 1e-3
 """Correlation by which a recording must be more like the orbit reversed in time."""
+_EXCHANGED = 0.9
+"""Correlation of every signal with the orbit's, at least, after two names are exchanged."""
 _DIRECTED = 8
 """Harmonics that a record resolves at least, if its direction in time is judged."""
 
@@ -108,6 +111,7 @@ class Alignment:
         likeness: Likeness of each signal.
         time_suspicion: Probable mistake in the unit of time, or an empty string.
         backward: Whether the signals correlate better with the orbit reversed in time.
+        swapped: The two signals that fit the orbit if their names are exchanged, or nothing.
     """
 
     release: float
@@ -118,6 +122,7 @@ class Alignment:
     likeness: tuple[Likeness, ...]
     time_suspicion: str
     backward: bool
+    swapped: tuple[str, ...] = ()
 
     def phases(self, time: Vector) -> Vector:
         """Return times in periods since the release."""
@@ -142,17 +147,8 @@ def aligned(
     waves = np.fft.rfft(table.at(grid)[:, : data.shape[1]], axis=0)
     waves[found.n_harmonics + 1 :] = 0.0
     model = np.asarray(np.fft.irfft(waves, _PHASES, axis=0), dtype=np.float64)
-    shift, signs, alike = _coarse(model, data)
-    likeness = [
-        _likeness(
-            name,
-            model[:, k],
-            np.roll(data[:, k], shift),
-            bool(signs[k] < 0),
-            _NOTICED * float(found.noise[k]) + step_of(values[k]),
-        )
-        for k, name in enumerate(names)
-    ]
+    noticed = [_NOTICED * float(found.noise[k]) + step_of(values[k]) for k in range(len(names))]
+    shift, alike, likeness = _compared(names, model, data, noticed)
     ratio = found.period / table.period
     release = time[0] - shift / _PHASES * found.period
     # A false unit or sign must not pull at the shift.
@@ -174,7 +170,47 @@ def aligned(
         time_suspicion=_like_factor(ratio, _TIME_FACTORS),
         backward=found.n_harmonics >= _DIRECTED
         and _coarse(model[::-1], data)[2] > alike + _BACKWARD,
+        swapped=_swapped(names, model, data, noticed, likeness),
     )
+
+
+def _compared(
+    names: Sequence[str], model: Vector, data: Vector, noticed: Sequence[float]
+) -> tuple[int, float, list[Likeness]]:
+    """Return the best shift of the data, the likeness of all signals and of each.
+
+    Args:
+        names: Names of the signals.
+        model: Signals of the orbit at even phases, ``(n, n_s)``.
+        data: Recorded signals at even phases, ``(n, n_s)``.
+        noticed: Least difference of each signal that counts.
+    """
+    shift, signs, alike = _coarse(model, data)
+    likeness = [
+        _likeness(name, model[:, k], np.roll(data[:, k], shift), bool(signs[k] < 0), noticed[k])
+        for k, name in enumerate(names)
+    ]
+    return shift, alike, likeness
+
+
+def _swapped(
+    names: Sequence[str],
+    model: Vector,
+    data: Vector,
+    noticed: Sequence[float],
+    likeness: Sequence[Likeness],
+) -> tuple[str, ...]:
+    """Return two signals after whose exchange all signals are like the orbit's, or nothing."""
+    unlike = [
+        k for k, one in enumerate(likeness) if one.suspicion or abs(one.correlation) < _EXCHANGED
+    ]
+    for pair in combinations(unlike, 2):
+        order = list(range(len(names)))
+        order[pair[0]], order[pair[1]] = pair[1], pair[0]
+        exchanged = _compared(names, model, data[:, order], [noticed[k] for k in order])[2]
+        if all(not one.suspicion and one.correlation > _EXCHANGED for one in exchanged):
+            return names[pair[0]], names[pair[1]]
+    return ()
 
 
 def _coarse(model: Vector, data: Vector) -> tuple[int, Vector, float]:

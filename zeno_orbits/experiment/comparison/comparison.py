@@ -211,6 +211,17 @@ def compare_recording(
             another quantity, or a channel is invalid.
         SimulationError: If the orbit is not periodic in simulation.
     """
+    found = _compared(orbit, problem, recording)
+    other = tuple(_other_problem(recording, problem)) if found.reasons else ()
+    if not other:
+        return found
+    # Another machine is the first explanation of a difference.
+    remarks = tuple(one for one in found.remarks if one not in other)
+    return replace(found, reasons=(*other, *found.reasons), remarks=remarks)
+
+
+def _compared(orbit: ZenoOrbit | EventOrbit, problem: Problem, recording: Recording) -> Comparison:
+    """Return the comparison, with another name of the problem as a remark alone."""
     values = orbit.values(problem)
     stops = problem.graph_dynamics(values).stop_names if problem.has_graph else (STOP,)
     channels, titles = contact_channels(recording, stops), contact_names(stops)
@@ -228,11 +239,13 @@ def compare_recording(
     # The samples of a much slower motion are not few, whatever the orbit's period.
     slow = overlay is not None and overlay.found.period > _FEWEST_SAMPLES**2 * step
     if _FEWEST_SAMPLES * step > orbit.period and not slow:
-        few = f"samples are {step:.3g} s apart, and the orbit's period is {orbit.period:.4g} s"
+        few = f"samples are {step:.3g} s apart, and the orbit's period is {orbit.period:.4g} s: "
+        few += f"record {_FEWEST_SAMPLES:g} or more per period"
         return replace(begun, unresolved=(few,), remarks=tuple(remarks))
     if overlay is None:
         whole = recording.time[-1] - recording.time[0]
-        reason = f"no period is seen in {whole:.4g} s, and the orbit's is {orbit.period:.4g} s"
+        reason = f"no period is seen in {whole:.4g} s, and the orbit's is {orbit.period:.4g} s: "
+        reason += "record a motion of several periods"
         return replace(begun, reasons=(reason,), remarks=tuple(remarks))
     found, reasons = overlay.found, overlay.reasons()
     if found.n_cycles < 3.0:
@@ -346,6 +359,14 @@ def _contact_evidence(
     return found, contact_finding(found, table, overlay.time)
 
 
+def _other_problem(recording: Recording, problem: Problem) -> list[str]:
+    """Return a remark if a recording names another problem, in a list that is empty otherwise."""
+    word = recording.problem
+    if not word or word.partition("@")[0] == problem.name.partition("@")[0]:
+        return []
+    return [f"the recording names the problem `{word}`, not `{problem.name}` (line `# problem:`)"]
+
+
 def _oddities(
     recording: Recording, problem: Problem, names: Sequence[str], channels: Sequence[str]
 ) -> list[str]:
@@ -353,10 +374,7 @@ def _oddities(
     others = [name for name in recording.names if name not in (*names, *channels)]
     if others:
         remarks.append(f"not signals of the problem, left out: {', '.join(others)}")
-    if recording.problem and recording.problem.partition("@")[0] != problem.name.partition("@")[0]:
-        remarks.append(
-            f"the recording names the problem `{recording.problem}`, not `{problem.name}`"
-        )
+    remarks += _other_problem(recording, problem)
     if recording.source is None:
         remarks.append("missing entry `source` of the recording (measured or simulated)")
     for name in names:

@@ -70,7 +70,8 @@ class Overlay:
     def holds(self) -> bool:
         """True if phases mean something: signals repeat and no unit or sign is mistaken."""
         mistaken = any(one.suspicion for one in self.where.likeness)
-        return self.found.repeats >= _REPEATS and not (self.where.time_suspicion or mistaken)
+        mistaken = mistaken or bool(self.where.time_suspicion or self.where.swapped)
+        return self.found.repeats >= _REPEATS and not mistaken
 
     @property
     def alternates(self) -> bool:
@@ -96,14 +97,18 @@ class Overlay:
         if found.repeats < _REPEATS:
             reasons.append(f"only {100 * found.repeats:.0f} % of the signals' variance repeats")
         if self.where.time_suspicion:
-            asked = f"{self.where.time_suspicion}?"
+            asked = f"probably {self.where.time_suspicion}, correct its unit"
             reasons.append(f"the period is {ratio:.6g} times the orbit's: {asked}")
+        if self.where.swapped:
+            one, other = self.where.swapped
+            # A motion that fits after an exchange has no other fault.
+            return [*reasons, f"`{one}` and `{other}` look swapped: exchange their column titles"]
         if self.where.backward and alike >= _LIKE:
             reasons.append("it runs backward: the orbit reversed in time is more like it")
         for one in self.where.likeness:
             if one.suspicion:
                 numbers = f"correlation {one.correlation:.2f}, {abs(one.gain):.4g} times as large"
-                reasons.append(f"`{one.name}` looks like {one.suspicion} ({numbers})")
+                reasons.append(f"`{one.name}` looks like {one.suspicion} ({numbers}): correct it")
             elif one.differs and one.correlation < alike:
                 reasons.append(
                     f"`{one.name}` moves differently: its correlation with the orbit is "
@@ -245,7 +250,7 @@ def shared_signals(
             raise InputError(f"Argument `recording` {wanted}, but it has {signal.unit}.")
         values = signal.values[np.isfinite(signal.values)]
         if not len(values):
-            raise InputError(f"Argument `recording` lacks values of `{name}`.")
+            raise InputError(f"Argument `recording` lacks values of `{name}`: delete its column.")
         largest = float(np.max(np.abs(values)))
         if largest > _LARGEST:
             wanted = f"must have values of `{name}` up to {_LARGEST:g}"

@@ -123,7 +123,7 @@ def _prepared_cycle(
     first = compare_recording(begun, problem, likely)
     laid = first.overlay
     if first.reasons or laid is None:
-        raise refusal("; ".join(first.reasons))
+        raise refusal("; ".join(first.reasons or first.unresolved))
     _require_cycles(laid.found)
     contacts = first.contacts
     known = contacts is not None and contacts.restitution.known

@@ -13,7 +13,7 @@ they are known, lines ``# key: value`` (docs/measured_data.md)::
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import DataFileError, InputError, counted, not_known
+from zeno_orbits.errors import DataFileError, InputError, counted, did_you_mean, not_known
 from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
-from zeno_orbits.model.units import in_si
+from zeno_orbits.model.units import in_si, powers_of
 from zeno_orbits.work import ByValue, checked
 from zeno_orbits.work.files import write_pieces
 
@@ -184,7 +184,11 @@ def _written(recording: Recording) -> Iterator[bytes]:
 
 @checked
 def read_recording(
-    path: Path | str, *, only: Collection[str] = (), families: Collection[str] = ()
+    path: Path | str,
+    *,
+    only: Collection[str] = (),
+    families: Collection[str] = (),
+    units: Mapping[str, str] | None = None,
 ) -> Recording:
     """Read a recording in SI units.
 
@@ -197,16 +201,19 @@ def read_recording(
             empty. The contents of other columns do not matter then.
         families: Beginnings of further names to read. ``contact`` stands for ``contact`` and
             ``contact.STOP``.
+        units: Units of the signals that a problem has, by name. The recorded units must measure the
+            same, and the file must hold one of the signals, or a name of ``families``.
 
     Raises:
-        DataFileError: If the file cannot be read or parsed. The message names the line.
+        DataFileError: If the file cannot be read or parsed, or does not fit ``units``. The message
+            names the line.
     """
     path = Path(path)
     head = read_head(path)
     notes = _notes(path, head)
     titles = [_split(title) for title in head.columns]
     names = [name for name, _ in titles]
-    time = _time_column(path, names)
+    time = _time_column(path, head, names)
     wanted = only or names
     chosen = [
         k
@@ -215,14 +222,19 @@ def read_recording(
     ]
     for k in chosen:
         if names.count(names[k]) > 1:
-            raise DataFileError(path, f"two of its columns are named `{names[k]}`")
-    units = [_unit(path, *titles[k]) for k in (time, *chosen)]
-    if units[0][0] != "s":
-        raise DataFileError(path, f"column `{head.columns[time]}` is not a time")
+            told = f"line {head.line}: two of its columns are named `{names[k]}`"
+            raise DataFileError(path, f"{told}: rename or delete one")
+    known = units or {}
+    if units is not None and not chosen:
+        raise DataFileError(path, _no_signal(head, names, known, notes))
+    found = [_unit(path, head, *titles[k], known) for k in (time, *chosen)]
+    if found[0][0] != "s":
+        told = f"line {head.line}: column `{head.columns[time]}` is not a time"
+        raise DataFileError(path, f"{told}: write `time [s]` or `time [ms]`")
     table = read_table(path, head, (time, *chosen))
     kept, remarks = _sound_rows(path, table)
     # Whole columns are scaled without a copy: a second copy of a long recording may not fit.
-    for row, (_, factor) in zip(table.values, units, strict=True):
+    for row, (_, factor) in zip(table.values, found, strict=True):
         if factor != 1.0:
             row *= factor
     values = table.values if kept is None else table.values[:, kept]
@@ -233,11 +245,39 @@ def read_recording(
         time=values[0],
         signals=tuple(
             RecordedSignal(name=names[k], unit=unit, values=row)
-            for k, (unit, _), row in zip(chosen, units[1:], values[1:], strict=True)
+            for k, (unit, _), row in zip(chosen, found[1:], values[1:], strict=True)
         ),
         notes=notes,
-        remarks=(*table.remarks, *remarks),
+        remarks=(*table.remarks, *_ignored(head, names, chosen, known), *remarks),
     )
+
+
+def _no_signal(
+    head: Head, names: Sequence[str], known: Mapping[str, str], notes: Mapping[str, str]
+) -> str:
+    """Return the message about a file whose titles name no signal of a problem."""
+    titled = shorten(", ".join(names), 400, placeholder=" ...")
+    near = next(filter(None, (did_you_mean(name, known) for name in names)), "")
+    word = _problem(dict(notes))
+    belongs = f" The file is a recording of the problem `{word}`." if word else ""
+    listed = ", ".join(known)
+    return (
+        f"line {head.line} names no signal of the problem (its columns: {titled}).{near}{belongs} "
+        f"Known: {listed}"
+    )
+
+
+def _ignored(
+    head: Head, names: Sequence[str], chosen: Sequence[int], known: Mapping[str, str]
+) -> Iterator[str]:
+    """Yield remarks about columns whose title is near the name of a signal that is missing."""
+    missing = [name for name in known if name not in names]
+    for k, name in enumerate(names):
+        near = did_you_mean(name, missing) if name and k not in chosen else ""
+        if near and name.lower() not in _TIME:
+            meant = near.removeprefix(" Did you mean ").removesuffix("?")
+            told = f"line {head.line}: column `{name}` is no signal of the problem and was left out"
+            yield f"{told}: rename it if it is {meant}"
 
 
 def _notes(path: Path, head: Head) -> dict[str, str]:
@@ -246,7 +286,7 @@ def _notes(path: Path, head: Head) -> dict[str, str]:
         magic = _MAGIC.fullmatch(comment)
         if magic is not None and int(magic[1]) > FORMAT:
             newest = f"its format {magic[1]} is newer than {FORMAT}, the newest this version reads"
-            raise DataFileError(path, newest)
+            raise DataFileError(path, f"{newest}: update the package")
         key, colon, value = comment.partition(":")
         if magic is None and colon:
             notes[key.strip()] = value.strip()
@@ -259,7 +299,8 @@ def _source(path: Path, notes: dict[str, str]) -> Source | None:
     if word is None:
         return None
     if word not in known:
-        raise DataFileError(path, f"its source must be one of {', '.join(known)}, not `{word}`")
+        told = f"its line `# source:` must name one of {', '.join(known)}, not `{word}`"
+        raise DataFileError(path, f"{told}.{did_you_mean(word, known)}")
     return known[word]
 
 
@@ -274,24 +315,36 @@ def _split(title: str) -> tuple[str, str | None]:
     return (found[1], found[2] or found[3] or "") if found else (title, None)
 
 
-def _time_column(path: Path, names: list[str]) -> int:
+def _time_column(path: Path, head: Head, names: list[str]) -> int:
     found = [k for k, name in enumerate(names) if name.lower() in _TIME]
     if len(found) == 1:
         return found[0]
     titled = shorten(", ".join(names), 400, placeholder=" ...")
     count = "no" if not found else "more than one"
-    raise DataFileError(path, f"it has {count} column named `time` (its columns: {titled})")
+    near = next((name for name in names if did_you_mean(name, ("time",))), "")
+    remedy = f"rename `{near}` to `time`" if near and not found else "name one column `time`"
+    told = f"line {head.line} has {count} column named `time` (its columns: {titled})"
+    raise DataFileError(path, f"{told}: {remedy}")
 
 
-def _unit(path: Path, name: str, unit: str | None) -> tuple[str, float]:
+def _unit(
+    path: Path, head: Head, name: str, unit: str | None, known: Mapping[str, str]
+) -> tuple[str, float]:
+    """Return a recorded unit in SI with its factor."""
+    where = f"line {head.line}"
     if unit is None:
-        likely = "s" if name.lower() in _TIME else "rad"
-        reason = f"column `{name}` lacks a unit: write for instance `{name} [{likely}]`"
+        likely = "s" if name.lower() in _TIME else known.get(name, "rad")
+        reason = f"{where}: column `{name}` lacks a unit: write for instance `{name} [{likely}]`"
         raise DataFileError(path, reason)
     try:
-        return in_si(unit)
+        found = in_si(unit)
     except ValueError as error:
-        raise DataFileError(path, f"the unit of column `{name}` is not clear: {error}") from error
+        told = f"{where}: the unit of column `{name}` is not clear: {error}"
+        raise DataFileError(path, told) from error
+    if name in known and powers_of(found[0]) != powers_of(known[name]):
+        told = f"{where}: column `{name}` has the unit {unit}, but the signal counts in"
+        raise DataFileError(path, f"{told} {known[name]}: correct the title")
+    return found
 
 
 def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | None, tuple[str, ...]]:
@@ -323,7 +376,7 @@ def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | Non
         rows = rows[~repeated]
     if len(rows) < 2:
         raise DataFileError(
-            path, f"it has {counted(len(rows), 'row')} of values, and two are needed"
+            path, f"it has {counted(len(rows), 'row')} of values, and two are needed: record more"
         )
     return (None if len(rows) == len(time) else rows), tuple(remarks)
 

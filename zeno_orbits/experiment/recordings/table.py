@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,9 @@ _SEPARATORS = ("\t", ";", ",")
 
 _MISSING = frozenset({"", "-", "nan", "na", "n/a", "#n/a", "null", "none", "missing"})
 """Marks for a missing value, in lower case."""
+
+_TIME_ALONE = re.compile(r"t(ime)?\s*([\[(][^\])]*[\])])?", flags=re.IGNORECASE)
+"""A line of titles that names the time and nothing else."""
 
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
@@ -82,6 +86,10 @@ def read_head(path: Path) -> Head:
 
 def _head(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
     separator = next((one for one in _SEPARATORS if one in text), None)
+    if separator is None and _TIME_ALONE.fullmatch(text):
+        told = f"line {line} names one column, `{_short(text)}`"
+        remedy = "separate the columns by commas, semicolons or tabs, and record a signal"
+        raise DataFileError(path, f"{told}: {remedy}")
     if separator is None:
         wanted = "must separate its columns by commas, semicolons or tabs"
         raise DataFileError(path, f"line {line} {wanted}: `{_short(text)}`")
@@ -89,7 +97,11 @@ def _head(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
     if any(map(CONTROLS.search, columns)):
         raise DataFileError(path, f"line {line} holds control characters in a title")
     if all(_number(part.replace(",", ".")) is not None for part in columns):
-        raise DataFileError(path, f"line {line} holds numbers in place of the column titles")
+        raise DataFileError(
+            path,
+            f"line {line} holds numbers in place of the column titles: add a line such as "
+            "`time [s],angle [rad]`",
+        )
     return Head(comments=comments, columns=columns, separator=separator, line=line)
 
 
@@ -216,7 +228,7 @@ class _Reader:
         if number is None:
             title = self.head.columns[column]
             message = f"line {line} has `{_short(text)}` where column `{title}` has a number"
-            raise DataFileError(self.path, message)
+            raise DataFileError(self.path, f"{message}: correct or empty it")
         return number
 
     def miscounted(self, line: int, found: int) -> str:
@@ -224,8 +236,8 @@ class _Reader:
         columns = f"{found} column{'s' if found != 1 else ''}"
         message = f"line {line} has {columns} where line {self.head.line} names {n_columns}"
         if self.head.separator == "," and found == 2 * n_columns:
-            message += "; with decimal commas, separate the columns by semicolons or tabs"
-        return message
+            return f"{message}; with decimal commas, separate the columns by semicolons or tabs"
+        return f"{message}: correct or delete the line"
 
     def table(self) -> ColumnTable:
         n_rows = sum(len(block[1]) for block in self.blocks if block is not None)
@@ -261,7 +273,9 @@ def _pieces(file: BinaryIO) -> Iterator[str]:
         if first and data.startswith(_UTF16):
             raise DataFileError(path, "it is UTF-16 text; save it as UTF-8")
         if b"\0" in data:
-            raise DataFileError(path, "it holds zero bytes, which no text has")
+            raise DataFileError(
+                path, "it holds zero bytes, which no text has: save it as text, such as CSV"
+            )
         data = rest + (data.removeprefix(b"\xef\xbb\xbf") if first else data)
         first = False
         # A return at the very end may be half of the pair that ends a line in other systems.
