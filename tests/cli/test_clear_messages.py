@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,15 @@ from typing import Any
 import pytest
 
 import zeno_orbits as zo
-from tests.support.commands import NO, YES, ask, assert_refused
+from tests.support.commands import (
+    INTERRUPTED,
+    NO,
+    YES,
+    ask,
+    assert_refused,
+    interrupted_when,
+    raising,
+)
 from zeno_orbits import api
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -73,6 +82,51 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
     "parameter of a wrong name": (
         ("continue", "motor_pendulum", "--parameter", "Q=1:2"),
         "--parameter Q=1:2: unknown parameter `Q`. Known: Kp, Kd, ",
+    ),
+    "noise without a file": (
+        ("simulate", "motor_pendulum", "--noise", "1e-3"),
+        "--noise 1e-3: needs -o DATA.csv: it changes the file alone.",
+    ),
+    "rate without a file": (
+        ("simulate", "motor_pendulum", "--rate", "100"),
+        "--rate 100: needs -o DATA.csv: it changes the file alone.",
+    ),
+    "noise of a rig without a file": (
+        ("rig", "bouncing_ball", "--noise", "0.1"),
+        "--noise 0.1: needs -o DATA.csv: it changes the file alone.",
+    ),
+    "recording as JSON": (
+        ("simulate", "motor_pendulum", "-o", "a.json"),
+        "-o a.json: must name a table of samples, such as a.csv: --json prints JSON, --plot draws",
+    ),
+    "recording of a rig as JSON": (
+        ("rig", "motor_pendulum", "-o", "a.json"),
+        "-o a.json: must name a table of samples, such as a.csv: --json prints JSON.",
+    ),
+    "recording of a rig as a picture": (
+        ("rig", "motor_pendulum", "-o", "a.png"),
+        "-o a.png: must name a table of samples, such as a.csv",
+    ),
+    "two values for one option": (
+        ("simulate", "motor_pendulum", "--set", "Kp=2", "Kd=-1"),
+        "Unrecognized arguments: Kd=-1. Give every value with its own option: --set Kd=-1.",
+    ),
+    "section of one stop": (
+        (*SEARCH, "--section", "release"),
+        "`--section` needs a machine with several stops or switches: leave it out.",
+    ),
+    "old option with a mistake": (
+        (*SEARCH, "--gain", "Kp=5:1"),
+        "--vary Kp=5:1: must have finite bounds LOWER < UPPER for `Kp`, but they are 5:1. "
+        "`--gain` is now `--vary`.",
+    ),
+    "old option with a value of a wrong kind": (
+        ("simulate", "motor_pendulum", "--t-end", "soon"),
+        "--until: must be a number, but it is `soon`. `--t-end` is now `--until`. (see",
+    ),
+    "old command with a mistake": (
+        ("conditions", "pendulm"),
+        "unknown problem `pendulm`. Did you mean `motor_pendulum`?",
     ),
     "milliseconds": (
         (*SEARCH, "--vary", "Kp=1:5", "--objective", "period=1800"),
@@ -153,6 +207,68 @@ def test_a_broken_file_of_boundaries_is_named(content: str, told: str) -> None:
     Path("b.json").write_text(content)
     answer = ask(*MAP, "--plot", "m.png", "--boundaries", "b.json")
     assert_refused(answer, "--boundaries b.json: Boundary file `b.json`: ", told)
+
+
+EVENTS: Mapping[str, tuple[str, ...]] = {
+    "Orbit file `event.json`: ": ("prove", "event.json"),
+    "--near event.json: Orbit file `event.json`: ": (*SEARCH, "--near", "event.json"),
+}
+
+
+@pytest.mark.parametrize("label", EVENTS)
+def test_an_orbit_of_events_is_refused_with_the_commands_that_take_it(label: str) -> None:
+    zo.write_event_orbit(zo.find_event_orbit("hopper"), "event.json")
+    kind = "it holds an orbit of events of `hopper`, and an orbit of one stop without switches"
+    assert_refused(ask(*EVENTS[label]), f"{label}{kind}", "`verify`, `stability`, `continue`,")
+
+
+BROKEN: Mapping[str, tuple[Any, str]] = {
+    "no entry": ({}, "`format` must be a positive whole number, but it is missing."),
+    "list": ([1], "must be an object with names, but it is [1]."),
+    "newer": ({"format": 9}, "its format 9 is newer than 3, the newest this version reads."),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_orbit_file_is_named_with_the_command_that_writes_one(case: str) -> None:
+    content, told = BROKEN[case]
+    Path("broken.json").write_text(json.dumps(content))
+    for command in ("verify", "stability", "prove"):
+        answer = ask(command, "broken.json")
+        assert_refused(answer, "Orbit file `broken.json`: ", told)
+        assert "`search PROBLEM -o FILE` writes orbit files." in answer.err
+        assert "must hold" not in answer.err
+
+
+@pytest.mark.parametrize("kind", ["one stop", "events"])
+def test_a_billion_periods_are_refused_before_anything_is_integrated(
+    kind: str, orbit_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if kind == "events":
+        zo.write_event_orbit(zo.find_event_orbit("hopper"), orbit_file)
+    monkeypatch.setattr(api, "verify", raising(AssertionError("integrated")))
+    answer = ask("verify", orbit_file, "--periods", "1000000000")
+    assert_refused(answer, "--periods 1000000000: needs more steps than a simulation may take: ver")
+
+
+def test_an_abandoned_folder_of_this_user_is_removed_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    names = ("zeno-orbits-0123abcd", "zeno-orbits-89abcdef", "other-012345678")
+    folders = [tmp_path / name for name in names]
+    for folder in folders:
+        folder.mkdir()
+        (folder / "part").write_text("1")
+    (tmp_path / "zeno-orbits-link0000").symlink_to(folders[2], target_is_directory=True)
+    old = time.time() - 8 * 86_400
+    for folder in (folders[0], folders[2]):
+        os.utime(folder, (old, old))
+    # The checkpoint of a map is made before its first point.
+    words = ("map", "bouncing_ball", "--x", "m=1:2", "--y", "g=5:9", "--grid", "2x2", "-j", "1")
+    with interrupted_when(lambda _stage, _part: True):
+        assert ask(*words).code == INTERRUPTED
+    assert [folder.exists() for folder in folders] == [False, True, True]
 
 
 def test_too_many_periods_are_refused_with_the_remedy(

@@ -19,7 +19,6 @@ from zeno_orbits.orbits import (
     ZenoOrbit,
     other_equations,
     read_any_orbit,
-    read_orbit,
 )
 from zeno_orbits.work import ExecutionPlan, Workers, checked
 
@@ -257,8 +256,19 @@ def file_of(problem: Named) -> ProblemFile:
 
 
 def as_orbit(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
-    """Return the orbit given by a file or the orbit itself."""
-    return orbit if isinstance(orbit, ZenoOrbit) else read_orbit(orbit)
+    """Return the orbit of one stop given by a file, or the orbit itself.
+
+    Raises:
+        InputError: If the file holds an orbit of events.
+    """
+    found = any_orbit(orbit)
+    if isinstance(found, ZenoOrbit):
+        return found
+    raise InputError(
+        f"Orbit file `{orbit}`: it holds an orbit of events of `{found.problem}`, and an orbit of "
+        "one stop without switches is needed here. `verify`, `stability`, `continue`, `push`, "
+        "`recovery`, `plot` and `report` take orbits of events."
+    )
 
 
 def problem_or_orbit(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from zeno_orbits.report import terminal as report
-
 COMMANDS = {
     "conditions": "zeno-condition",
     "fidelity": "reduced-models",
@@ -76,15 +74,15 @@ _DATA_TOO = ("-o", "--output")
 """Options that named a picture and name data now: the ending of the file decides."""
 
 
-def in_new_forms(words: Sequence[str]) -> list[str]:
-    """Return a command line in the new forms, and print one line if an old form was typed.
+def in_new_forms(words: Sequence[str]) -> tuple[list[str], str]:
+    """Return a command line in the new forms, and a clause about the old forms or no text.
 
     Args:
         words: The words after the name of the program.
     """
     place = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
     if place == len(words):
-        return list(words)
+        return list(words), ""
     typed = words[place]
     command = COMMANDS.get(typed, typed)
     changes = {typed: command} if command != typed else {}
@@ -94,10 +92,7 @@ def in_new_forms(words: Sequence[str]) -> list[str]:
         new, change = _in_new_form(OPTIONS.get(command, {}), word, rest[k + 1 : k + 2])
         found.append(new)
         changes.update(change)
-    if changes:
-        now = ", ".join(f"`{old}` is now `{new}`" for old, new in changes.items())
-        report.print_note(f"{now}. The old form will be removed.")
-    return found
+    return found, ", ".join(f"`{old}` is now `{new}`" for old, new in changes.items())
 
 
 def _in_new_form(

@@ -6,11 +6,14 @@ import argparse
 import hashlib
 import os
 import re
+import shutil
+import stat
 import sys
 import tempfile
 import textwrap
+import time
 from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from contextvars import ContextVar
 from itertools import pairwise
 from pathlib import Path
@@ -36,6 +39,9 @@ _LONGEST_NAME = 200
 
 Result = TypeVar("Result")
 
+OLD_FORMS: ContextVar[str] = ContextVar("OLD_FORMS", default="")
+"""Sentence about the old forms on the command line, with a space before it, or an empty text."""
+
 
 _NEGATIVE = re.compile(r"-(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?$|-(?:inf|nan)$")
 """Negative numbers, which are values. ``argparse`` takes those with an exponent for options."""
@@ -59,6 +65,8 @@ class Parser(argparse.ArgumentParser):
         if rest:
             known = [word for action in self._actions for word in action.option_strings]
             near = did_you_mean(rest[0].partition("=")[0], known)
+            if "--set" in known and re.match(r"\w+=", rest[0]):
+                near = f" Give every value with its own option: --set {rest[0]}."
             self.error(f"unrecognized arguments: {' '.join(rest)}.{near}")
         return found, rest
 
@@ -85,7 +93,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with the code of misuse."""
-        report.print_error(f"{_sentence(message, self._words)} (see `{self.prog} --help`)")
+        told = f"{_sentence(message, self._words)}{OLD_FORMS.get()}"
+        report.print_error(f"{told} (see `{self.prog} --help`)")
         sys.exit(MISUSE)
 
 
@@ -374,12 +383,29 @@ def _is_temporary(options: argparse.Namespace) -> bool:
 def _own_folder(options: argparse.Namespace) -> Path:
     """Return a folder for finished work, determined by its purpose."""
     if _is_temporary(options):
+        _clear_abandoned()
         return Path(tempfile.gettempdir(), f"zeno-orbits-{uuid4().hex[:8]}")
     output = options.output or options.picture
     name = os.fsencode(output.name)
     if len(name) > _LONGEST_NAME:
         name = name[:_LONGEST_NAME] + b"-" + hashlib.sha256(name).hexdigest()[:8].encode()
     return output.with_name(f"{os.fsdecode(name)}.checkpoint")
+
+
+_ABANDONED = 7 * 86_400.0
+"""Age at which a temporary folder of an ended run counts as abandoned [s]."""
+
+
+def _clear_abandoned() -> None:
+    """Remove old temporary folders of this user, which runs left that the system ended."""
+    if not hasattr(os, "geteuid"):
+        return
+    for folder in Path(tempfile.gettempdir()).glob("zeno-orbits-????????"):
+        with suppress(OSError):
+            facts = folder.lstat()
+            own = stat.S_ISDIR(facts.st_mode) and facts.st_uid == os.geteuid()
+            if own and time.time() - facts.st_mtime > _ABANDONED:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _kept(options: argparse.Namespace, folder: Path | None) -> str:
@@ -484,6 +510,39 @@ def require_data_name(path: Path, argument: str = "output") -> None:
     if path.suffix.lower() in _OTHER_KINDS:
         message = f"cannot be written as {path.suffix}. Take .json (.csv for a recording)"
         raise InputError(f"Argument `{argument}` {message}.")
+
+
+def require_recording_name(options: argparse.Namespace) -> None:
+    """Refuse a recording whose name promises JSON or a picture.
+
+    Raises:
+        InputError: If the ending is one of these.
+    """
+    path: Path | None = options.output
+    if path is not None and path.suffix.lower() in _NO_RECORDINGS:
+        message = f"must name a table of samples, such as {path.with_suffix('.csv').name}"
+        pictures = ", --plot draws pictures" if hasattr(options, "plot") else ""
+        raise InputError(f"Argument `output` {message}: --json prints JSON{pictures}.")
+
+
+_IMAGES = (".gif", ".jpg", ".jpeg", ".eps", ".png", ".pdf", ".svg", ".tif", ".tiff")
+_NO_RECORDINGS = (".json", *_IMAGES)
+"""Endings of files that hold no columns of values."""
+
+
+def require_output_of(options: argparse.Namespace, *names: str) -> None:
+    """Refuse options of a recording that is not written.
+
+    Args:
+        options: The parsed options.
+        names: Options that change the file of ``-o`` and nothing else.
+
+    Raises:
+        InputError: If one is given without ``-o``.
+    """
+    for name in names:
+        if options.output is None and getattr(options, name):
+            raise InputError(f"Argument `{name}` needs -o DATA.csv: it changes the file alone.")
 
 
 def require_outputs(

@@ -17,7 +17,9 @@ from zeno_orbits.cli.options import (
     add_values,
     numbers_of,
     print_json,
+    require_output_of,
     require_outputs,
+    require_recording_name,
     say_written,
 )
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number, read_seed
@@ -124,6 +126,7 @@ def _run_rig(options: argparse.Namespace) -> int:
     near_orbit = options.target.endswith(".json")
     reads = [Path(options.target)] if near_orbit else []
     require_outputs(options, pictures=(), reads=reads)
+    require_recording_name(options)
     return _near_orbit(options) if near_orbit else _from_start(options)
 
 
@@ -139,6 +142,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
     rig = _rig_of(options, problem, orbit=orbit)
     cycles = options.cycles or _CYCLES
     settings = api.rig_sampling(rig, options.rate, cycles * orbit.period, noise=options.noise)
+    require_output_of(options, "noise")
     if isinstance(orbit, zo.EventOrbit):
         return _near_event_orbit(options, orbit, problem, rig, settings)
     with report.ProgressLine(options.interrupts.check) as progress:
@@ -190,6 +194,7 @@ def _from_start(options: argparse.Namespace) -> int:
     rig = _rig_of(options, problem, values=values)
     until = api.rig_duration(problem, values) if options.until is None else options.until
     settings = api.rig_sampling(rig, options.rate, until, noise=options.noise)
+    require_output_of(options, "noise")
     with report.ProgressLine(options.interrupts.check) as progress:
         run = api.simulate_rig(
             problem,

@@ -172,7 +172,8 @@ def _run_search(options: argparse.Namespace) -> int:
     if problem.has_graph or asks_for_events(options):
         return search_events(options, problem)
     if options.section is not None:
-        raise InputError("Option `--section` needs a machine with several stops or switches.")
+        message = "needs a machine with several stops or switches: leave it out"
+        raise InputError(f"Option `--section` {message}.")
     near = None if options.near is None else api.as_orbit(options.near)
     gains, parameters = api.split_numbers(problem, options.set)
     free = {**api.free_gains(problem), **options.vary}

@@ -20,15 +20,14 @@ from zeno_orbits.cli.options import (
     add_start,
     numbers_of,
     print_json,
+    require_output_of,
     require_outputs,
+    require_recording_name,
     say_written,
 )
 from zeno_orbits.cli.parsing import read_count, read_number, read_seed
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.report import terminal as report
-
-_IMAGES = (".gif", ".jpg", ".jpeg", ".eps", ".png", ".pdf", ".svg", ".tif", ".tiff")
-"""Endings of files that hold no data."""
 
 
 def add_simulate(commands: Any) -> None:
@@ -89,14 +88,17 @@ def add_simulate(commands: Any) -> None:
     _add_samples(parser)
 
 
+_RATE = 500.0
+"""Samples per second of a recording, if no rate is given."""
+
+
 def _add_samples(parser: argparse.ArgumentParser) -> None:
     """Add the options of the written samples."""
     parser.add_argument(
         "--rate",
         type=read_number,
-        default=500.0,
         metavar="HZ",
-        help="samples per second (default: 500)",
+        help=f"samples per second (default: {_RATE:g})",
     )
     parser.add_argument(
         "--noise",
@@ -106,7 +108,7 @@ def _add_samples(parser: argparse.ArgumentParser) -> None:
         help="noise on the samples, relative to the range of each state (default: 0)",
     )
     parser.add_argument(
-        "--seed", type=read_seed, default=0, metavar="N", help="seed of the noise (default: 0)"
+        "--seed", type=read_seed, metavar="N", help="seed of the noise (default: 0)"
     )
 
 
@@ -117,9 +119,10 @@ _MOST_ANGLE = 4 * math.pi
 def _run_simulate(options: argparse.Namespace) -> int:
     problem = api.known_problem(options.problem)
     require_outputs(options, pictures=("plot",))
-    if options.output is not None and options.output.suffix.lower() in _IMAGES:
-        raise InputError("Argument `output` must name a data file (--plot draws pictures).")
-    sampling = {"rate": options.rate, "noise": options.noise, "seed": options.seed}
+    require_output_of(options, "rate", "noise", "seed")
+    require_recording_name(options)
+    rate = _RATE if options.rate is None else options.rate
+    sampling: dict[str, Any] = {"rate": rate, "noise": options.noise, "seed": options.seed or 0}
     if options.output is not None:
         api.require_samples(options.until, **sampling)
     for name, value in options.start.items():

@@ -76,7 +76,10 @@ def add_verify(commands: Any) -> None:
 def _run_verify(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
 
-    if isinstance(api.any_orbit(options.orbit), zo.EventOrbit):
+    found = api.any_orbit(options.orbit)
+    is_event = isinstance(found, zo.EventOrbit)
+    _require_few_periods(options, len(found.events if is_event else found.phases))
+    if is_event:
         return run_verify_events(options)
     orbit, problem = orbit_and_problem(options)
     settings = api.verification_settings(
@@ -116,6 +119,19 @@ def _run_verify(options: argparse.Namespace) -> int:
     if certificate.passed and not certain and not options.json:
         report.print_lines([f"That exceeds the requested accuracy {options.accuracy:.0e}."])
     return YES if certificate.passed and certain and shown else NO
+
+
+def _require_few_periods(options: argparse.Namespace, events: int) -> None:
+    """Refuse more periods than a simulation of one step per event could follow.
+
+    Raises:
+        InputError: If there are more.
+    """
+    import zeno_orbits as zo
+
+    if options.periods * events > zo.SimulationSettings().most_steps:
+        message = "needs more steps than a simulation may take: verify fewer periods"
+        raise InputError(f"Argument `--periods {options.periods}` {message}.")
 
 
 def _require_whole_run(certificate: zo.OrbitCertificate, options: argparse.Namespace) -> None:

@@ -199,7 +199,12 @@ def fit_parameters(
     unknowns = whole.orbits.unknowns
     labels = [one.label for one in sought]
     seen = _restitution_seen(unknowns, sought, whole.restitution)
-    answer, orbits, optima = _nearest(whole, seen, on_progress)
+    try:
+        answer, orbits, optima = _nearest(whole, seen, on_progress)
+    except UnfittableError as error:
+        if not whole.remarks:
+            raise
+        raise UnfittableError(f"{error} Note: {'; '.join(whole.remarks)}.") from error
     remarks = [*whole.remarks, *_unsettled(answer, whole)]
     edges = _fitted_edges(whole, answer)
     additive = [label for label, mark in zip(labels, unknowns.additive, strict=True) if mark]

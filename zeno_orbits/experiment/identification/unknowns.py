@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, did_you_mean
 from zeno_orbits.experiment.identification.instruments import (
     InstrumentReading,
     Instruments,
@@ -115,7 +115,8 @@ class Unknowns:
                     named = f"`{channel}.{kind.value}`"
                     if channel.partition(".")[0] == CONTACT:
                         named += ": a contact channel lacks gain and offset"
-                    raise InputError(f"Argument `fit` {wanted}, but it names {named}.")
+                    near = did_you_mean(channel, channels)
+                    raise InputError(f"Argument `fit` {wanted}, but it names {named}.{near}")
         return instruments_of(self.readings, channels)
 
     def near(self, channels: Sequence[str], recorded: Vector, orbit: Vector) -> Unknowns:
@@ -198,7 +199,14 @@ def _kind_of(name: str, values: ParameterValues) -> ReadingKind | None:
     known = ", ".join(values.parameters)
     hint = "; gains are known" if name in values.gains else ""
     wanted = f"must name parameters ({known}), CHANNEL.gain, CHANNEL.offset or clock_rate"
-    raise InputError(f"Argument `fit` {wanted}, but it names `{name}`{hint}.")
+    channel, _, kind = name.partition(".")
+    meant = [*values.parameters, "clock_rate", *(f"{channel}.{one}" for one in _KINDS if kind)]
+    near = did_you_mean(name, meant)
+    raise InputError(f"Argument `fit` {wanted}, but it names `{name}`{hint}.{near}")
+
+
+_KINDS = ("gain", "offset")
+"""Errors of the instrument of a channel."""
 
 
 def _inside(one: FitParameter, value: float) -> float:
