@@ -121,7 +121,10 @@ def test_a_problem_of_ones_own_is_searched_verified_and_drawn(machine: Path, her
         ("import a_module_that_is_nowhere\n", ("a_module_that_is_nowhere",)),
         ("PROBLEM = 3\n", ("PROBLEM",)),
         ("", ("PROBLEM",)),
-        ("import sys\nsys.exit(3)\n", ("SystemExit",)),
+        (
+            "import sys\nsys.exit(3)\n",
+            ("line 2: the file ends the program (`sys.exit`). Remove the call",),
+        ),
     ],
     ids=["raises", "syntax", "import", "type", "empty", "exits"],
 )
