@@ -315,7 +315,7 @@ def test_the_arrays_of_a_map_have_a_row_for_every_y(found: ParameterMap) -> None
         (lambda text: text.replace('"format": 1', '"format": 2'), "format is 2"),
         (lambda text: text.replace('"fate": "rest"', '"fate": "bliss"', 1), "fate` must be one of"),
         (lambda text: text.replace('"count": 3', '"count": 4'), "not have one entry per point"),
-        (lambda text: text.replace('"until"', '"before"'), "`until` must be there"),
+        (lambda text: text.replace('"until"', '"before"'), "`until` is missing"),
     ],
 )
 def test_a_map_file_that_is_not_whole_is_refused(

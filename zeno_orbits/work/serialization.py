@@ -92,7 +92,9 @@ class EntryError(ValueError):
     """
 
     def __init__(self, name: str, wanted: str, found: str) -> None:
-        super().__init__(f"`{name}` must be {wanted}, but it is {found}")
+        is_absent = (wanted, found) == ("there", "missing")
+        told = f"`{name}` must be {wanted}, but it is {found}"
+        super().__init__(f"`{name}` is missing" if is_absent else told)
         self.name, self.wanted, self.found = name, wanted, found
 
     def inside(self, place: str) -> EntryError:
