@@ -44,7 +44,6 @@ PROBLEM = Problem(
     parameters=(Quantity.positive("m", 1.0, "kg", "mass"),),
     state_names=("q", "v"),
     state_units=("m", "m/s"),
-    gap_unit="m",
     time_unit="s",
 )
 """

@@ -32,6 +32,11 @@ def _map() -> dict[str, Any]:
     return zo.parameter_map("bouncing_ball", x=("g", 5, 10, 2), y=("m", 1, 2, 2)).as_json()
 
 
+@cache
+def _certificate() -> dict[str, Any]:
+    return forced_oscillator(load_problem("forced_oscillator"))
+
+
 def contents_by_kind(problem: str) -> dict[str, Any]:
     """Return name to content of one file of every kind that names a problem.
 
@@ -57,7 +62,7 @@ def contents_by_kind(problem: str) -> dict[str, Any]:
         "orbit_3.json": _ORBIT
         | {"format": 3, "problem": problem, "sequence": ["impact stop"], "start_state": _STATE}
         | {"events": [{"name": "impact stop", "time": 2.0, "state": _STATE}]},
-        "proof.json": forced_oscillator(load_problem("forced_oscillator")) | {"problem": problem},
+        "proof.json": _certificate() | {"problem": problem},
         "pushes.json": {
             "pushes": [_PUSH, _PUSH | {"direction": {"q": -1.0}}],
             "problem": problem,
