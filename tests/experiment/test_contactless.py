@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from tests.support.commands import NO, YES, ask
 from tests.support.contactless import (
     Motion,
@@ -94,14 +95,11 @@ def test_a_recording_of_the_orbit_shows_it(name: str, chosen: tuple[str, ...]) -
 
 OTHERS = [
     ("wheel", {"slope": 0.09}, "period"),
-    ("wheel", {"length": 1.4}, "period"),
     ("escapement", {"k": 9.0 * 1.05}, "period"),
-    ("escapement", {"c": 0.4 * 1.2}, "period"),
     # The push changes the size alone.
     ("escapement", {"push": 1.1}, "highest of x"),
     ("duffing", {"omega": 1.1 * 1.05}, "period"),
     ("duffing", {"amplitude": 0.23}, "highest of x"),
-    ("duffing", {"c": 1.5 * 0.7}, "highest of x"),
 ]
 
 
@@ -139,9 +137,7 @@ def test_a_recording_reversed_in_time_is_no_orbit(name: str) -> None:
     [
         ("wheel", {"slope": 0.09}),
         ("escapement", {"push": 1.2}),
-        ("escapement", {"k": 9.5}),
         ("duffing", {"amplitude": 0.24}),
-        ("duffing", {"c": 1.0}),
     ],
 )
 def test_two_orbits_in_turn_are_a_doubled_period(name: str, changed: dict[str, float]) -> None:
@@ -183,6 +179,7 @@ def test_the_deviation_at_every_phase_is_the_one_that_was_added(name: str) -> No
     assert not found.agrees
 
 
+@pytest.mark.slow
 def test_the_place_of_an_orbit_whose_signals_jump_is_as_sure_as_is_said() -> None:
     # The period starts at 2.9 s, and the angle alone is recorded, which jumps back at every spoke.
     period, scores = wheel_motion()[0], list[float]()
@@ -220,7 +217,14 @@ def test_a_channel_of_a_stop_that_is_never_reached_agrees(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "word", "start", "true"),
-    [("wheel", "slope", 0.083, 0.08), ("escapement", "c", 0.41, 0.4), ("duffing", "c", 1.55, 1.5)],
+    fast(
+        1,
+        [
+            ("wheel", "slope", 0.083, 0.08),
+            ("escapement", "c", 0.41, 0.4),
+            ("duffing", "c", 1.55, 1.5),
+        ],
+    ),
 )
 def test_identify_takes_a_channel_of_a_stop_that_is_never_reached(
     name: str, word: str, start: float, true: float

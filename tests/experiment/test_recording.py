@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tracemalloc
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -181,8 +182,10 @@ def test_columns_that_nobody_asks_for_may_hold_anything(write: Write) -> None:
         read_recording(write(content))
 
 
-LONG = "".join(f"{k * 0.001!r},{k % 7}.25,{-k}\n" for k in range(200_000))
-"""More than one piece of the reader: some 4 MB are read at a time."""
+@cache
+def _long() -> tuple[str, ...]:
+    """Return lines of more than one piece of the reader: some 4 MB are read at a time."""
+    return tuple(f"{k * 0.001!r},{k % 7}.25,{-k}\n" for k in range(200_000))
 
 
 @pytest.mark.parametrize("at", fast(1, [100_000, 0, 1, 199_999]))
@@ -198,7 +201,7 @@ LONG = "".join(f"{k * 0.001!r},{k % 7}.25,{-k}\n" for k in range(200_000))
 def test_a_false_line_is_named_wherever_it_stands(
     write: Write, at: int, before: str, after: str, reason: str
 ) -> None:
-    lines = LONG.splitlines(keepends=True)
+    lines = list(_long())
     lines[at] = lines[at].replace(before, after)
     with pytest.raises(DataFileError, match=reason.format(at + 2)):
         read_recording(write(TITLES + "".join(lines)))

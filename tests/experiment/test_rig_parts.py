@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from benchmarks.rig_convergence import orbit_distance, spring_contact
+from tests.support.cases import fast
 from tests.support.disc import DISC, INERTIA
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
@@ -81,7 +82,7 @@ def test_the_damping_number_solves_its_equation_to_fifty_digits(e: float) -> Non
     assert number == pytest.approx(exact, rel=30 * ROUNDING / (1 - e))
 
 
-@pytest.mark.parametrize("e", RESTITUTIONS)
+@pytest.mark.parametrize("e", fast(2, RESTITUTIONS))
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 def test_a_mass_in_the_contact_leaves_with_the_restitution_that_it_is_damped_for(
     e: float, exponent: float

@@ -13,6 +13,7 @@ from scipy.integrate import DOP853, Radau
 
 from tests.reference.independent import Follower, Method
 from tests.reference.reference_orbit import FIRST_RATE, PERIOD, ZENO_STATE, ZENO_TIME
+from tests.support.cases import fast
 from tests.support.extremes import (
     CALIBRATED,
     FLYING,
@@ -83,7 +84,7 @@ def test_a_line_has_seen_no_more_than_it_promises(line: str) -> None:
 # The truth itself.
 
 
-@pytest.mark.parametrize(("method", "relative"), [(DOP853, 3e-14), (Radau, 1e-11)])
+@pytest.mark.parametrize(("method", "relative"), fast(1, [(DOP853, 3e-14), (Radau, 1e-11)]))
 def test_the_second_simulator_finds_the_reference_orbit(method: Method, relative: float) -> None:
     problem = load_problem("motor_pendulum")
     machine = load_reference(problem).pendulum(problem.values(parameters=CALIBRATED))

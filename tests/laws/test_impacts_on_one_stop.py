@@ -19,6 +19,7 @@ from scipy.optimize import brentq, fsolve
 
 import zeno_orbits as zo
 from tests.reference.linear_impacts import ImpactOscillator
+from tests.support.cases import fast
 from tests.support.mechanisms import machine_of
 from zeno_orbits.continuation import SpecialPointKind
 from zeno_orbits.maps import AttractorClass
@@ -116,7 +117,7 @@ def test_maps_have_the_multipliers_of_the_saltation_matrix() -> None:
 
 @pytest.mark.parametrize(
     ("parameter", "box"),
-    [("d", (0.2, 0.45)), ("A", (0.9, 1.3)), ("restitution", (0.2, 0.5))],
+    fast(1, [("d", (0.2, 0.45)), ("A", (0.9, 1.3)), ("restitution", (0.2, 0.5))]),
 )
 def test_families_have_their_closed_form(parameter: str, box: tuple[float, float]) -> None:
     machine, parameters, state = _case(CASES[0])
