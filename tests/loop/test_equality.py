@@ -66,7 +66,7 @@ def test_explicit_steps_give_the_same_bits(name: str, start: int) -> None:
 
 @pytest.mark.parametrize(("name", "start"), STARTS)
 def test_the_default_engine_gives_the_same_to_rounding(name: str, start: int) -> None:
-    task = task_of(zo.load_problem(name), until=4.0, start=start)
+    task = task_of(zo.load_problem(name), until=2.0, start=start)
     if name in STIFF:
         # The test above compares their explicit steps.
         run = require_close(task, ROUNDING)

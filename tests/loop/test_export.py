@@ -106,6 +106,7 @@ def test_machines_with_several_stops_or_switches_give_the_same_digits(name: str)
     assert found == _expected(name, until)
 
 
+@pytest.mark.slow
 def test_a_machine_with_nested_kinks_gives_the_same_digits() -> None:
     Path("nested.py").write_text(nested_problem(), encoding="utf-8")
     found = _events_of("nested.py", "--until", "7")

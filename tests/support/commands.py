@@ -9,12 +9,13 @@ import shlex
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
 
-from zeno_orbits.cli import main
+from zeno_orbits.cli import build_parser, main
 from zeno_orbits.report.terminal import ProgressLine
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
@@ -35,10 +36,15 @@ class Answer:
         return json.loads(self.out)
 
 
+_parser = cache(build_parser)
+"""To build it takes longer than most commands. A process of a user parses one line."""
+
+
 def ask(*arguments: str | Path) -> Answer:
     """Run a command in this process."""
     out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
+    with redirect_stdout(out), redirect_stderr(err), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("zeno_orbits.cli.program.build_parser", _parser)
         try:
             code = main([str(argument) for argument in arguments])
         except SystemExit as ending:
