@@ -643,6 +643,7 @@ def test_a_ball_with_quadratic_drag_comes_to_rest_through_a_kink_in_every_flight
     assert found.end_state == pytest.approx([0.0, 0.0], abs=LOCATED)
 
 
+@pytest.mark.slow
 def test_the_reference_of_the_walker_does_not_depend_on_its_tolerance() -> None:
     e, until = 0.2, 4.7 * kneed_walker.PERIOD
     runs = [

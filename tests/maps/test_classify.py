@@ -161,6 +161,7 @@ def test_a_ball_comes_to_rest():
     assert [one.fate for one in found] == [AttractorClass.REST]
 
 
+@pytest.mark.slow
 def test_a_motion_near_orbits_that_repel_is_not_taken_for_one_of_them():
     (found,) = attractors_at(PENDULUM, [at(4.384615384615385, -1.5384615384615385)], until=40.0)
     assert found.fate is AttractorClass.UNSETTLED

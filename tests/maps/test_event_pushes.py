@@ -190,6 +190,7 @@ def test_an_orbit_that_its_motion_leaves_is_refused() -> None:
         zo.largest_push(replace(orbit, start_state=faster), settings=settings)
 
 
+@pytest.mark.slow
 def test_the_command_pushes_an_orbit_of_events(tmp_path: Path) -> None:
     orbit, file = tmp_path / "orbit.json", tmp_path / "pushes.json"
     zo.write_event_orbit(zo.find_event_orbit("hopper"), orbit)

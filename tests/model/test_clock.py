@@ -145,6 +145,7 @@ def test_a_corrected_drive_refuses_a_voltage_that_changes_with_time() -> None:
         corrected_drive(mechanism, motors)
 
 
+@pytest.mark.slow
 def test_all_pictures_that_a_forced_problem_has_are_drawn(
     orbit: ZenoOrbit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
