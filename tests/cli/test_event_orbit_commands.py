@@ -208,6 +208,7 @@ def test_search_of_one_stop_takes_the_worst_case_of_the_energy() -> None:
     assert "Worst case: " in answer.out
 
 
+@pytest.mark.slow
 def test_search_says_no_if_no_orbit_keeps_a_bound() -> None:
     words = ("search", "hopper", "--vary", "a=5:40", "--bounds", "stop.impact_speed=9:")
     told = ask(*words, "--json")

@@ -187,6 +187,7 @@ def test_a_machine_without_such_cycles_is_a_no_and_leaves_no_file(
 MACHINES = Path(__file__).parents[1] / "support" / "machines"
 
 
+@pytest.mark.slow
 def test_cycles_of_a_machine_are_the_orbits_and_its_default_stop_is_stiff(tmp_path: Path) -> None:
     file, path, data = MACHINES / "juggler.py", tmp_path / "orbit.json", tmp_path / "data.csv"
     assert ask("search", file, "-o", path).code == YES

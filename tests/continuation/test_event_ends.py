@@ -48,6 +48,7 @@ def test_the_contact_phases_of_the_clapper_vanish_where_exact_flights_say() -> N
         assert times[-1] < times[0]
 
 
+@pytest.mark.slow
 def test_a_family_through_a_contact_phase_starts_at_its_release() -> None:
     orbit = settled_event_orbit(CLAPPER, CLAPPER.values(parameters={"restitution": 0.3}))
     assert orbit.section.startswith("zeno ")

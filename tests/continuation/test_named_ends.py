@@ -248,7 +248,7 @@ RELEASES = {
 }
 
 
-@pytest.mark.parametrize("name", _some(RELEASES, "after a drop", "at a drop"))
+@pytest.mark.parametrize("name", _some(RELEASES, "after a drop"))
 def test_a_release_meets_a_switching_time_in_closed_form(name: str) -> None:
     case, force = RELEASES[name]
     (end,) = named(case)
@@ -324,6 +324,7 @@ def test_a_flight_grazes_a_stop_after_any_impact(name: str) -> None:
     assert end.error < 1e-9
 
 
+@pytest.mark.slow
 def test_an_orbit_of_one_impact_ends_where_the_free_oscillation_grazes() -> None:
     case = Case(
         force=_oscillator,
@@ -409,7 +410,7 @@ ENTERS: dict[str, tuple[Case, Callable[[_Place], float]]] = {
 }
 
 
-@pytest.mark.parametrize("name", _some(ENTERS, "limit", "switch"))
+@pytest.mark.parametrize("name", _some(ENTERS, "switch"))
 def test_a_kink_or_switch_enters_where_its_condition_is_just_zero(name: str) -> None:
     case, condition = ENTERS[name]
     (end,) = named(case)
@@ -450,9 +451,8 @@ def test_a_plastic_impact_opens_its_stop_until_the_force_after_it_is_zero() -> N
 @pytest.mark.parametrize(
     ("level", "amplitude", "at", "detail"),
     [
-        (0.9, 0.9, -0.3, "switch latch before impact wall"),
-        (0.9, 0.8, -0.2, "switch latch before impact wall"),
         (-0.9, 0.9, -0.3, "switch latch"),
+        pytest.param(0.9, 0.9, -0.3, "switch latch before impact wall", marks=pytest.mark.slow),
     ],
 )
 def test_the_arming_of_a_switch_changes_where_a_flight_says(
@@ -531,7 +531,7 @@ HILLS = {
 }
 
 
-@pytest.mark.parametrize("name", _some(HILLS, "undamped", "damped"))
+@pytest.mark.parametrize("name", _some(HILLS, "damped"))
 def test_a_period_grows_without_bound_where_exact_flights_end_on_the_saddle(
     name: str,
 ) -> None:
