@@ -13,6 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 
 SLOPE = 0.08
 
@@ -86,7 +87,7 @@ def period_of(g: float, damping: float, spokes: int) -> tuple[float, float]:
 MACHINES = [(9.81, 1e-3, 8), (9.81, 1e-4, 8), (3.7, 1e-3, 9), (1.62, 1e-5, 8), (25.0, 5e-3, 10)]
 
 
-@pytest.mark.parametrize(("g", "damping", "spokes"), MACHINES)
+@pytest.mark.parametrize(("g", "damping", "spokes"), fast(2, MACHINES))
 def test_a_walker_with_weak_damping_is_found_by_a_default_search(
     g: float, damping: float, spokes: int
 ) -> None:
@@ -99,6 +100,7 @@ def test_a_walker_with_weak_damping_is_found_by_a_default_search(
     assert orbit.start_state["v"] == pytest.approx(speed, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_map_classifies_a_walker_with_weak_damping() -> None:
     plane = zo.parameter_map(
         walker(9.81, 1e-3, 8), x=("g", 8.0, 9.81, 2), y=("damping", 1e-4, 1e-3, 2)
