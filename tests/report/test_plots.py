@@ -148,7 +148,7 @@ def early_ball() -> Shown:
 PROBLEMS["early ball"] = early_ball
 
 
-_LONGER = {"elastic", "truncated ball"}
+_LONGER = {"three periods", "elastic", "truncated ball"}
 """Pictures of more impacts than the others, with nothing else in them."""
 
 
