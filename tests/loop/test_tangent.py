@@ -14,6 +14,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.loop.agreement import looped, needs_compiler, task_of
+from tests.support.cases import fast
 from tests.support.one_stop import one_stop_problems
 from tests.support.units import Units, in_units
 from zeno_orbits.arrays import Vector
@@ -94,7 +95,7 @@ def _of_one_rounding(task: SimulationTask, walk: VariationalEquation, expected: 
     return _distance(_rows(walk.along(run, walk.at_start(), 0)), expected)
 
 
-@pytest.mark.parametrize(("name", "engine"), COMBINED)
+@pytest.mark.parametrize(("name", "engine"), fast(8, COMBINED))
 def test_every_arc_moves_as_in_python(name: str, engine: str) -> None:
     settings = SimulationSettings(completion=ZenoExtrapolation(), engine=ENGINES[engine])
     task = task_of(zo.load_problem(name), until=0.7, settings=settings)
