@@ -52,7 +52,7 @@ def wait_for(condition: Callable[[], object]) -> None:
     end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end
-        time.sleep(0.01)
+        time.sleep(0.1)  # each look may start a process
 
 
 def left_in(folder: Path) -> list[str]:

@@ -452,7 +452,7 @@ def forced() -> tuple[Problem, ZenoOrbit, OrbitTable]:
     return problem, orbit, tabulate_orbit(orbit, problem, ("distance", "speed"))
 
 
-@pytest.mark.parametrize("seed", fast(2, [0, 9, 13, 27]))
+@pytest.mark.parametrize("seed", fast(1, [0, 9, 13, 27]))
 def test_the_period_is_as_sure_as_is_said_where_samples_meet_jumps_step_by_step(
     seed: int, forced: tuple[Problem, ZenoOrbit, OrbitTable]
 ) -> None:
@@ -537,7 +537,7 @@ def test_a_part_of_a_cycle_is_not_called_unsettled(
     )
 
 
-@pytest.mark.parametrize("seed", fast(2, range(6)))
+@pytest.mark.parametrize("seed", fast(1, range(6)))
 def test_a_period_of_few_samples_is_none_of_its_multiples(
     seed: int, shaken: tuple[Problem, ZenoOrbit, OrbitTable]
 ) -> None:
@@ -570,7 +570,9 @@ def test_an_orbit_with_few_samples_is_not_taken_for_another(
         assert found.metric("period").data == pytest.approx(orbit.period, rel=2e-3)
 
 
-@pytest.mark.parametrize(("samples", "n_cycles"), [(11.76, 40.0), (30.3, 12.0), (45.7, 12.0)])
+@pytest.mark.parametrize(
+    ("samples", "n_cycles"), fast(1, [(30.3, 12.0), (11.76, 40.0), (45.7, 12.0)])
+)
 def test_cycles_that_differ_in_turn_are_seen_with_few_samples(
     samples: float, n_cycles: float, shaken: tuple[Problem, ZenoOrbit, OrbitTable]
 ) -> None:

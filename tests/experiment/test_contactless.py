@@ -103,7 +103,7 @@ OTHERS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "changed", "first"), OTHERS)
+@pytest.mark.parametrize(("name", "changed", "first"), fast(3, OTHERS))
 def test_another_controller_is_not_this_orbit_and_the_first_difference_is_named(
     name: str, changed: dict[str, float], first: str
 ) -> None:
@@ -123,7 +123,7 @@ def test_another_controller_is_not_this_orbit_and_the_first_difference_is_named(
         assert abs(found.metric(f"highest of {signal}").data - highest) < 0.08 * size
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", fast(1, MACHINES))
 def test_a_recording_reversed_in_time_is_no_orbit(name: str) -> None:
     forward = _recording(name, (MACHINES[name][1](),))
     signals = tuple(replace(one, values=one.values[::-1].copy()) for one in forward.signals)
@@ -160,7 +160,7 @@ def test_a_clock_alone_decides_nothing() -> None:
     assert "cosine, sine depend on the clock alone" in found.unresolved[0]
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", fast(1, MACHINES))
 def test_the_deviation_at_every_phase_is_the_one_that_was_added(name: str) -> None:
     own = MACHINES[name][1]()
     exact = _recording(name, (own,), noise=0.0, samples=960.37)
@@ -206,7 +206,7 @@ def test_an_orbit_of_two_turns_is_compared_over_both() -> None:
 # A stop that is never reached.
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", fast(1, MACHINES))
 def test_a_channel_of_a_stop_that_is_never_reached_agrees(name: str) -> None:
     own = MACHINES[name][1]()
     assert _compared(name, _recording(name, (own,), channel=0.0)).verdict is THIS

@@ -45,6 +45,7 @@ def _values(found: Identification) -> dict[str, float]:
     return {one.unknown.label: one.value for one in found.fitted}
 
 
+@pytest.mark.slow
 def test_exact_recordings_of_wrong_instruments_give_the_true_values() -> None:
     recording = _wrong(_exact(), gain=1.05, offset=-0.7, rate=-3e-4)
     found = zo.identify(OSCILLATOR, recording, [*TRUTH, *ERRORS])
