@@ -17,9 +17,6 @@ from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import SearchResult, orbit_at_gains
 from zeno_orbits.verification import OrbitCertificate, problem_dynamics, verify
 
-# Matrices are small: threads of linear algebra would only wait for each other.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 # A shell makes its background jobs ignore interrupts, and their commands would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
