@@ -23,7 +23,7 @@ from zeno_orbits.loop import (
     binding,
     filled,
     loop_library,
-    problem_source,
+    machine_source,
     program_of,
 )
 from zeno_orbits.model import (
@@ -34,7 +34,14 @@ from zeno_orbits.model import (
     hybrid_system,
     no_drive,
 )
-from zeno_orbits.simulation import SimulationSettings, SimulationTask, run_settings
+from zeno_orbits.simulation import (
+    SimulationSettings,
+    SimulationTask,
+    event_name,
+    run_settings,
+    state_after,
+)
+from zeno_orbits.simulation.compiled.programs import graph_program
 
 pytestmark = [needs_compiler, pytest.mark.usefixtures("own_cache")]
 
@@ -176,10 +183,10 @@ def test_formulas_that_are_compiled_in_the_middle_of_a_run_carry_it_on() -> None
     program = _both(task.graph.first.formulas.system).tapes
     expected = _followed(program, task)[1][3]
     run = LoopRun(program, filled(run_settings(task)), task.graph.first.formulas.values, task.state)
-    assert run.resume(events=3, arcs=3) == binding.FULL
+    assert run.resume(events=6, arcs=3) == binding.FULL
     program.compile()
     assert program.is_compiled
-    while run.resume(events=3, arcs=3) == binding.FULL:
+    while run.resume(events=6, arcs=3) == binding.FULL:
         pass
     assert run.record().events.tobytes() == expected
 
@@ -214,6 +221,77 @@ def test_compiled_formulas_of_every_bundled_problem_give_the_same_bits(name: str
         assert _followed(both.compiled, task) == _followed(both.tapes, task)
 
 
+def _events(problem: zo.Problem, until: float) -> list[tuple[str, float, list[float]]]:
+    run = zo.simulate(problem, until=until)
+    return [(event_name(one), one.time, state_after(one).tolist()) for one in run.events]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["clapper", "kneed_walker", "relay"])
+def test_compiled_formulas_of_all_modes_give_the_same_bits(name: str) -> None:
+    problem = zo.load_problem(name)
+    expected = _events(problem, 3.0)
+    assert expected
+    zo.compile_problem(problem)
+    graph = graph_program(problem.compiled_graph())
+    assert not isinstance(graph, str)
+    assert graph.is_compiled
+    assert _events(problem, 3.0) == expected
+
+
+BEYOND = """
+import casadi as ca
+import zeno_orbits as zo
+
+
+def model(p):
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    spring = ca.if_else(q < 0.5, 0, -p["k"] * (q - 0.5) * FACTOR)
+    ball = zo.HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=v**2 / 2, potential=9.81 * q, gap=q, passive_force=spring
+    )
+    return zo.hybrid_system(ball, zo.no_drive(ball), p["restitution"])
+
+
+PROBLEM = zo.Problem(
+    name="beyond",
+    title="Ball below a spring",
+    source="a ball that meets a spring",
+    state_names=("q", "v"),
+    state_units=("m", "m/s"),
+    gains=(),
+    parameters=(
+        zo.Quantity.positive("k", 50.0, "N/m", "stiffness"),
+        zo.Quantity.restitution(0.7),
+    ),
+    portraits=(("q", "v"),),
+    model=model,
+    starts=({"q": 0.3, "v": 6.0},),
+    amplitude_of="q",
+)
+"""
+
+
+@pytest.mark.slow
+def test_a_mode_that_the_compiled_library_lacks_is_carried_out_by_tape(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Both machines have the same first view and the same kink, and so one library.
+    for name, factor in (("soft", "1.0"), ("hard", "3.0")):
+        (tmp_path / f"{name}.py").write_text(BEYOND.replace("FACTOR", factor))
+    with monkeypatch.context() as patch:
+        patch.setenv("ZENO_ORBITS_LOOP", "tape")
+        soft, hard = (_events(zo.load_problem(tmp_path / f"{n}.py"), 2.0) for n in ("soft", "hard"))
+    assert soft != hard
+    zo.compile_problem(tmp_path / "soft.py")
+    for name, expected in (("soft", soft), ("hard", hard)):
+        problem = zo.load_problem(tmp_path / f"{name}.py")
+        assert _events(problem, 2.0) == expected
+        graph = graph_program(problem.compiled_graph())
+        assert not isinstance(graph, str)
+        assert graph.is_compiled
+
+
 @pytest.mark.slow
 def test_threads_share_compiled_formulas() -> None:
     both = _both(zo.load_problem("motor_pendulum").compiled())
@@ -231,7 +309,9 @@ def test_generated_code_is_strict_c99(tmp_path: Path) -> None:
     program = program_of(formulas.system)
     assert program is not None
     code = tmp_path / "loop.c"
-    code.write_text(problem_source(program.n_x, program.tapes), encoding="utf-8")
+    code.write_text(
+        machine_source(program.n_x, {1: program.tapes, 2: program.tapes}), encoding="utf-8"
+    )
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-ffp-contract=off"]
     words = ["cc", *flags, "-c", str(code), "-o", str(tmp_path / "loop.o")]
     done = subprocess.run(words, capture_output=True, text=True, check=False)

@@ -42,10 +42,10 @@ def compile_problem(problem: Named) -> None:
     Raises:
         InputError: If the formulas cannot be compiled. The message gives the reason.
     """
-    from zeno_orbits.loop import compile_formulas
+    from zeno_orbits.simulation import compile_formulas
 
     known = known_problem(problem)
-    reason = compile_formulas(known.compiled())
+    reason = compile_formulas(known.compiled_graph())
     if reason:
         raise InputError(f"The formulas of `{known.name}` are not compiled: {reason}.")
 

@@ -1,6 +1,6 @@
 from .export import ExportedRun as ExportedRun
 from .export import exported_files as exported_files
-from .formulas import problem_source as problem_source
+from .formulas import machine_source as machine_source
 from .graph_program import GraphFormulas as GraphFormulas
 from .graph_program import GraphProgram as GraphProgram
 from .views import Side as Side
@@ -9,7 +9,9 @@ from .compiler import find_compiler as find_compiler
 from .folder import library_folder as library_folder
 from .library import loop_account as loop_account
 from .library import loop_trouble as loop_trouble
+from .library import VARIABLE as VARIABLE
 from .library import may_compile as may_compile
+from .library import may_have_formulas as may_have_formulas
 from .library import loop_library as loop_library
 from .legs import LegProgram as LegProgram
 from .legs import LegRecord as LegRecord
@@ -17,7 +19,6 @@ from .legs import LegSettings as LegSettings
 from .legs import leg_program as leg_program
 from .program import TapedProblem as TapedProblem
 from .program import Program as Program
-from .program import compile_formulas as compile_formulas
 from .program import program_of as program_of
 from .program import program_or_reason as program_or_reason
 from .program import refusals as refusals

@@ -58,6 +58,7 @@ class ProblemType(ctypes.Structure):
         ("tapes", TapeType * TAPES),
         ("scheme", _address),
         ("graph", _address),
+        ("formulas", _count),
     ]
 
 
@@ -68,7 +69,7 @@ class SideType(ctypes.Structure):
 
 
 class GraphType(ctypes.Structure):
-    """A machine with several stops or switches: ``zl_graph``."""
+    """A graph of modes: ``zl_graph``."""
 
     _fields_ = [
         *((name, _count) for name in ("n_stops", "n_declared", "n_switches", "n_views", "n_sides")),

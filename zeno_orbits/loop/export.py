@@ -66,7 +66,8 @@ def exported_files(program: GraphProgram, run: ExportedRun) -> dict[str, str]:
         **dict.fromkeys(("tangent.h", "tangent.c"), ""),
     }
     if program.only_view is not None:
-        places[FORMULAS] = formulas_source(program.n_x, program.only_view.tapes)
+        view = program.only_view
+        places[FORMULAS] = formulas_source(program.n_x, {view.problem.formulas: view.tapes})
     library = whole_source(skipped=places)
     code = "\n".join((library, *_data(program, run, stem)))
     main = (HERE / "example.c").read_text(encoding="utf-8").replace("PROBLEM", stem)
@@ -129,7 +130,8 @@ class _Arrays:
         counts = f"{problem.n_x}, {problem.n_q}, {problem.n_p}, {{{carried}}}"
         inside = ",\n        ".join(tapes)
         return (
-            f"{{\n    {counts},\n    {{\n        {inside}\n    }},\n    &scheme,\n    {graph}\n}}"
+            f"{{\n    {counts},\n    {{\n        {inside}\n    }},\n    &scheme,\n    {graph},\n"
+            f"    {problem.formulas}\n}}"
         )
 
     def graph(self, program: GraphProgram) -> str:

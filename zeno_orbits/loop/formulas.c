@@ -1,15 +1,17 @@
-/* Formulas as tapes. In a library that is compiled for one problem its formulas stand here. */
+/* Formulas as tapes. In a library that is compiled for one machine its formulas stand here. */
 
-enum { KNOWN_STATES = 0 }; /* states of the problem, if the library serves no other */
+enum { KNOWN_STATES = 0 }; /* states of the machine, if the library serves no other */
 
-/* Write what a formula gives; nothing for one without outputs. */
-static void compiled_formula(int tape, const double *registers, const double *varying,
-                             double *outputs) {
-    (void)tape, (void)registers, (void)varying, (void)outputs;
+/* Write what a formula of a view gives, nothing for one without outputs; 0 if the view is unknown. */
+static int compiled_formula(long long view, int tape, const double *registers,
+                            const double *varying, double *outputs) {
+    (void)view, (void)tape, (void)registers, (void)varying, (void)outputs;
+    return 0;
 }
 
 /* The same of the rate of a mode for rows of lanes. */
-static void compiled_lanes(int tape, const double *registers, const double *varying,
-                           double *outputs) {
-    (void)tape, (void)registers, (void)varying, (void)outputs;
+static int compiled_lanes(long long view, int tape, const double *registers, const double *varying,
+                          double *outputs) {
+    (void)view, (void)tape, (void)registers, (void)varying, (void)outputs;
+    return 0;
 }

@@ -1,6 +1,6 @@
-"""The formulas of a problem as C, in the order of their tapes, so that all digits are equal.
+"""The formulas of a machine as C, in the order of their tapes, so that all digits are equal.
 
-A library compiled with them serves only this problem. Otherwise it is identical to the library of
+A library compiled with them serves only this machine. Otherwise it is identical to the library of
 the loop, and each library can continue a run of the other library.
 """
 
@@ -24,43 +24,52 @@ _WORD = re.compile(r"\b[xyw]\b")
 _CALL = re.compile(r"[a-z]\w*\(")
 
 
-def problem_source(n_x: int, tapes: Sequence[Tape]) -> str:
-    """Return the C code of the library with the formulas of one problem.
+def machine_source(n_x: int, views: Mapping[int, Sequence[Tape]]) -> str:
+    """Return the C code of the library with the formulas of one machine.
 
     Args:
-        n_x: States of the problem.
-        tapes: Its formulas, in the order of `loop.h`.
+        n_x: Number of states.
+        views: The formulas of each view in the order of `loop.h`, by its `view_number`.
     """
-    return whole_source(skipped={FILE: formulas_source(n_x, tapes)})
+    return whole_source(skipped={FILE: formulas_source(n_x, views)})
 
 
-def formulas_source(n_x: int, tapes: Sequence[Tape]) -> str:
+def formulas_source(n_x: int, views: Mapping[int, Sequence[Tape]]) -> str:
     """Return the C code that stands in the place of `formulas.c`.
 
     Args:
-        n_x: States of the problem.
-        tapes: Its formulas, in the order of `loop.h`.
+        n_x: Number of states.
+        views: The formulas of each view in the order of `loop.h`, by its `view_number`.
     """
     watched = range(c.WATCHED, c.GAP)
-    compiled = [k for k, tape in enumerate(tapes) if tape.outputs.size and k not in watched]
-    rates = [k for k in compiled if c.RATE <= k < c.GUARD]
-    parts = [
-        "/* The formulas of a problem. */\n",
-        f"enum {{ KNOWN_STATES = {n_x} }};\n",
-        *(_function(k, tapes[k]) for k in compiled),
-        _choice("compiled_formula", "formula", compiled),
-        *(_lanes_function(k, tapes[k]) for k in rates),
-        _choice("compiled_lanes", "lanes", rates),
-    ]
+    formulas, lanes = dict[int, list[int]](), dict[int, list[int]]()
+    parts = ["/* The formulas of a machine. */\n", f"enum {{ KNOWN_STATES = {n_x} }};\n"]
+    for number, tapes in views.items():
+        compiled = [k for k, tape in enumerate(tapes) if tape.outputs.size and k not in watched]
+        rates = [k for k in compiled if c.RATE <= k < c.GUARD]
+        parts += [_function(f"formula_{number}_{k}", tapes[k]) for k in compiled]
+        parts += [_lanes_function(f"lanes_{number}_{k}", tapes[k]) for k in rates]
+        formulas[number], lanes[number] = compiled, rates
+    parts += [_choice("compiled_formula", "formula", formulas)]
+    parts += [_choice("compiled_lanes", "lanes", lanes)]
     return "\n".join(parts)
 
 
-def formulas_digest(n_x: int, tapes: Sequence[Tape]) -> str:
-    """Return a digest of the input of `problem_source`.
+def view_number(digest: str) -> int:
+    """Return the number by which a library knows the formulas of a view.
 
     Args:
-        n_x: Number of states of the problem.
-        tapes: Formulas of the problem.
+        digest: Digest of the formulas.
+    """
+    return int(digest[:15], 16)
+
+
+def formulas_digest(n_x: int, tapes: Sequence[Tape]) -> str:
+    """Return a digest of formulas, and of the program that writes them as C.
+
+    Args:
+        n_x: Number of states.
+        tapes: The formulas.
     """
     digest = hashlib.sha256(Path(__file__).read_bytes())
     for tape in tapes:
@@ -82,11 +91,15 @@ _ARGUMENTS = "const double *r, const double *v, double *z"
 _UNUSED = "    (void)r, (void)v;\n"
 
 
-def _choice(name: str, stem: str, places: Iterable[int]) -> str:
-    """Return the function that selects one of several functions by index."""
-    cases = "".join(f"    case {k}: {stem}_{k}(r, v, z); break;\n" for k in places)
-    head = f"static void {name}(int tape, {_ARGUMENTS}) {{\n    switch (tape) {{\n"
-    return f"{head}{cases}    }}\n}}\n"
+def _choice(name: str, stem: str, views: Mapping[int, Iterable[int]]) -> str:
+    """Return the function that selects one of several functions by view and index."""
+    text = [f"static int {name}(long long view, int tape, {_ARGUMENTS}) {{\n"]
+    text.append("    switch (view) {\n")
+    for number, places in views.items():
+        text.append(f"    case {number}LL:\n        switch (tape) {{\n")
+        text += [f"        case {k}: {stem}_{number}_{k}(r, v, z); break;\n" for k in places]
+        text.append("        }\n        return 1;\n")
+    return "".join((*text, "    }\n    return 0;\n}\n"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,15 +157,15 @@ _INLINE = ("sqrt(", "fabs(")
 """Functions that compilers carry out as one instruction."""
 
 
-def _function(k: int, tape: Tape) -> str:
+def _function(name: str, tape: Tape) -> str:
     """Return a formula as a function of its varying entries."""
     body = _body(tape)
     lines = "".join(f"    const double {one.name} = {one.formula};\n" for one in body.lines)
     ends = "".join(f"    z[{i}] = {name};\n" for i, name in enumerate(body.outputs))
-    return f"static void formula_{k}({_ARGUMENTS}) {{\n{lines}{_UNUSED}{ends}}}\n"
+    return f"static void {name}({_ARGUMENTS}) {{\n{lines}{_UNUSED}{ends}}}\n"
 
 
-def _lanes_function(k: int, tape: Tape) -> str:
+def _lanes_function(name: str, tape: Tape) -> str:
     """Return a formula as a function of rows, with one entry per lane.
 
     Operations that call functions are in separate loops, so that compilers vectorise the others.
@@ -170,7 +183,7 @@ def _lanes_function(k: int, tape: Tape) -> str:
     shared.update(name for name in body.outputs if home.get(name, len(groups)) != len(groups) - 1)
     shared &= home.keys()
     rows = ", ".join(f"{name}_[{c.LANES}]" for name in sorted(shared, key=lambda t: int(t[1:])))
-    text = [f"static void lanes_{k}({_ARGUMENTS}) {{\n"]
+    text = [f"static void {name}({_ARGUMENTS}) {{\n"]
     text += [f"    double {rows};\n"] if rows else []
     text += ["    int i;\n", _UNUSED]
     for at, group in enumerate(groups):

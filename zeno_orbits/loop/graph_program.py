@@ -7,13 +7,15 @@ side of it, along the flow of a mode. The tables of views and sides grow when a 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
 from zeno_orbits.loop import binding as c
+from zeno_orbits.loop.formulas import formulas_digest, machine_source
+from zeno_orbits.loop.library import compile_library, compiled_library
 from zeno_orbits.loop.program import Program, TapedProblem, fill_tape, scheme
 from zeno_orbits.loop.tape import Tape, tape_of
 from zeno_orbits.loop.views import Side, View
@@ -73,6 +75,7 @@ class GraphProgram(TapedProblem):
         times = formulas.orders.numel_out(0)
         self.orders = tape_of(formulas.orders, parameters=0) if times else Tape.empty()
         self.views: dict[View, Program] = {}
+        self._compiled: Any = None
         self.sides: dict[Side, tuple[Tape, Tape]] = {}
         self._places: dict[object, int] = {}
         self._n_numbers = 0
@@ -95,6 +98,8 @@ class GraphProgram(TapedProblem):
             value = tape_of(mode.guard)
             self.sides[side] = value, bounds
             self._place(side, 1 + value.n_registers + 3 * bounds.n_registers)
+        if self.only_view is None and not self._compiled:
+            self._compiled = compiled_library(self._digest)
         self._tabulate()
 
     def give_back(self, memory: Any) -> None:
@@ -117,7 +122,40 @@ class GraphProgram(TapedProblem):
     @property
     def library(self) -> Any:
         """The library that carries out the formulas: compiled for the only view, or any."""
-        return self._tapes_library if self.only_view is None else self.only_view.library
+        if self.only_view is not None:
+            return self.only_view.library
+        return self._compiled or self._tapes_library
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if formulas of the views are compiled. The digits are equal either way."""
+        return self.library is not self._tapes_library
+
+    def compile(self, views: Iterable[Program]) -> None:
+        """Compile formulas of views now and use them from the next run.
+
+        Args:
+            views: The formulas, those of all modes as a rule.
+
+        Raises:
+            KernelError: If the compilation fails. The message contains the reason.
+        """
+        if self.only_view is not None:
+            self.only_view.compile()
+            return
+        tapes = {view.problem.formulas: view.tapes for view in views}
+        compile_library(self._digest, lambda: machine_source(self.n_x, tapes))
+        self._compiled = compiled_library(self._digest)
+
+    @property
+    def _digest(self) -> str:
+        """Digest of the first view and the shared formulas, by which a machine is found.
+
+        Machines that differ in other views only find the same library, which lacks those views.
+        """
+        first = next(iter(self.views.values()))
+        shared = (self.switches, self.delassus, self.orders, *self.resets)
+        return formulas_digest(self.n_x, [*first.tapes, *shared])
 
     @property
     def only_view(self) -> Program | None:

@@ -63,7 +63,8 @@ typedef struct {
     long long carried[ZL_MODES]; /* the guard of a mode is a state, beside its formula */
     zl_tape tapes[ZL_TAPES];
     const zl_scheme *scheme;
-    const zl_graph *graph; /* of several stops or switches: then it has no tapes of its own. Or null */
+    const zl_graph *graph; /* the views of a run, one of which it may be itself */
+    long long formulas;    /* of a view: the number by which a library with its formulas knows it */
 } zl_problem;
 
 /* The guard of a switch on one side of it, positive there, along the flow of a mode. */

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Sequence
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import KernelError
 from zeno_orbits.integrators import radau_scheme
 from zeno_orbits.loop import binding as c
-from zeno_orbits.loop.formulas import formulas_digest, problem_source
+from zeno_orbits.loop.formulas import formulas_digest, machine_source, view_number
 from zeno_orbits.loop.library import (
-    VARIABLE,
     compile_library,
     compiled_library,
     loop_library,
-    may_have_formulas,
 )
 from zeno_orbits.loop.tape import Tape, UnknownOperationError, tape_of
 from zeno_orbits.loop.views import View
@@ -157,7 +154,14 @@ class Program(TapedProblem):
         carried = [mode.is_carried for mode in (system.free, system.locked, system.flight)]
         sizes = (system.n_x, system.n_q, system.free.n_p)
         super().__init__(library, tuple(_tapes(system)), carried, *sizes)
+        self._digest = formulas_digest(self.n_x, self.tapes)
+        self.problem.formulas = view_number(self._digest)
         self._compiled: Any = compiled_library(self._digest)
+
+    @property
+    def digest(self) -> str:
+        """Digest of the formulas."""
+        return self._digest
 
     @property
     def library(self) -> Any:
@@ -180,12 +184,16 @@ class Program(TapedProblem):
         Raises:
             KernelError: If the compilation fails. The message contains the reason.
         """
-        compile_library(self._digest, lambda: problem_source(self.n_x, self.tapes))
-        self._compiled = compiled_library(self._digest)
+        views = {self.problem.formulas: self.tapes}
+        compile_library(self._digest, lambda: machine_source(self.n_x, views))
+        self.load()
+        for other in _programs.values():
+            if isinstance(other, Program) and other.digest == self._digest:
+                other.load()
 
-    @cached_property
-    def _digest(self) -> str:
-        return formulas_digest(self.n_x, self.tapes)
+    def load(self) -> None:
+        """Use compiled formulas from the next run, if they are in the cache."""
+        self._compiled = compiled_library(self._digest)
 
 
 _programs: WeakKeyDictionary[ModeFunctions, Program | str] = WeakKeyDictionary()
@@ -209,20 +217,6 @@ def program_or_reason(system: CompiledSystem) -> Program | str:
         found = _made(library, system)
         _programs[system.free] = found
     return found
-
-
-def compile_formulas(system: CompiledSystem) -> str:
-    """Compile the formulas of a problem, and return the reason of a failure as a clause."""
-    program = program_or_reason(system)
-    if isinstance(program, str):
-        return program
-    if not may_have_formulas():
-        return f"{VARIABLE} excludes them"
-    try:
-        program.compile()
-    except KernelError as error:
-        return str(error)
-    return "" if program.is_compiled else "they cannot be loaded"
 
 
 def refusals() -> list[str]:

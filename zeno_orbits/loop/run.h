@@ -184,9 +184,8 @@ static Machine machine_of(const zl_problem *problem, zl_run *run, zl_records *re
 }
 
 static void evaluate_at(const Machine *m, int tape, const double *varying, double *outputs) {
-    if (KNOWN_STATES)
-        compiled_formula(tape, m->registers[tape], varying, outputs);
-    else
+    const long long view = m->problem->formulas;
+    if (!KNOWN_STATES || !compiled_formula(view, tape, m->registers[tape], varying, outputs))
         tape_run(&m->problem->tapes[tape], m->registers[tape], varying, outputs);
 }
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from zeno_orbits.arrays import Rows, Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.loop import compile_formulas
 from zeno_orbits.maps.attractors import (
     Attractor,
     AttractorClass,
@@ -23,7 +22,7 @@ from zeno_orbits.maps.attractors import (
 from zeno_orbits.maps.plane import Axis, Plane, require_plane, require_refinement
 from zeno_orbits.maps.refinement import Place, fine_count, inherited, refined
 from zeno_orbits.model import ProblemFile
-from zeno_orbits.simulation import simulator_in_use
+from zeno_orbits.simulation import compile_formulas, simulator_in_use
 from zeno_orbits.work import (
     Columns,
     ExecutionPlan,
@@ -266,9 +265,9 @@ def _compile_first(plane: Plane, on_progress: Progress) -> None:
 
     Without a working compiler, the tapes are used.
     """
-    if plane.x.count * plane.y.count >= _COMPILED and not plane.problem.has_graph:
+    if plane.x.count * plane.y.count >= _COMPILED:
         on_progress("compiling formulas", None)
-        compile_formulas(plane.problem.compiled())
+        compile_formulas(plane.problem.compiled_graph())
 
 
 _SAMPLE = 6

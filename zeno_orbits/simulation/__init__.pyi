@@ -52,6 +52,7 @@ from .derivatives.graph_shifts import GraphShifts as GraphShifts
 from .compiled.legs import LegFollower as LegFollower
 from .compiled.legs import states_after_steps as states_after_steps
 from .recorded import LoopTrajectory as LoopTrajectory
+from .compiled.programs import compile_formulas as compile_formulas
 from .compiled.programs import whole_program as whole_program
 from .compiled.task_settings import run_settings as run_settings
 from .settings import SimulationSettings as SimulationSettings

@@ -64,9 +64,9 @@ def _run_cache(options: argparse.Namespace) -> int:
 
 def _compiled(name: str) -> list[str]:
     """Compile the formulas of a problem, and return the reasons of a failure."""
-    from zeno_orbits.loop import compile_formulas
     from zeno_orbits.model import load_problem
+    from zeno_orbits.simulation import compile_formulas
 
     problem = load_problem(name)
-    reason = compile_formulas(problem.compiled())
+    reason = compile_formulas(problem.compiled_graph())
     return [f"the formulas of `{problem.name}` are not compiled: {reason}"] if reason else []

@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from itertools import chain, combinations, product
 from weakref import WeakKeyDictionary
 
+from zeno_orbits.errors import KernelError
 from zeno_orbits.loop import (
+    VARIABLE,
     GraphFormulas,
     GraphProgram,
     Program,
@@ -15,6 +17,7 @@ from zeno_orbits.loop import (
     View,
     binding,
     loop_library,
+    may_have_formulas,
     program_or_reason,
 )
 from zeno_orbits.model import CompiledGraph, GraphDynamics, ModeFunctions, OneStop
@@ -117,6 +120,24 @@ def whole_program(compiled: CompiledGraph) -> GraphProgram | str:
     except UnknownOperationError as error:
         return f"of a formula: {error}"
     return program
+
+
+def compile_formulas(compiled: CompiledGraph) -> str:
+    """Compile the formulas of all modes, and return the reason of a failure as a clause.
+
+    Args:
+        compiled: The graph.
+    """
+    program, whole = graph_program(compiled), whole_program(compiled)
+    if isinstance(program, str) or isinstance(whole, str):
+        return str(whole)
+    if not may_have_formulas():
+        return f"{VARIABLE} excludes them"
+    try:
+        program.compile(whole.views.values())
+    except KernelError as error:
+        return str(error)
+    return "" if program.is_compiled else "they cannot be loaded"
 
 
 def _subsets(n: int) -> Iterator[tuple[int, ...]]:
