@@ -1,7 +1,7 @@
 """One stop is a case of several stops: both roads of the package give the same events and orbits.
 
-The machine with one stop and the graph of modes are separate programs. Each problem with one stop
-is a machine of both, so each program is the reference of the other.
+Runs are one program, for formulas that are built in two ways. Searches and checks of orbits are two
+programs, so each is the reference of the other.
 """
 
 from __future__ import annotations

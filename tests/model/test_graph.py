@@ -233,7 +233,6 @@ def test_every_other_use_of_such_a_problem_is_refused_in_one_line() -> None:
     for use in (
         lambda: zo.find_orbit(problem),
         lambda: zo.zeno_condition(problem),
-        lambda: zo.compile_problem(problem),
     ):
         with pytest.raises(zo.InputError) as caught:
             use()

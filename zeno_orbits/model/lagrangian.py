@@ -94,8 +94,8 @@ class HybridLagrangian:
             The mechanism.
 
         Raises:
-            ValueError: If an energy, a gap, a constraint or a passive force depends on a forbidden
-                symbol, or if not exactly one of ``gap`` and ``stops`` is given.
+            ValueError: If an energy, a gap or a constraint depends on a forbidden symbol, or if not
+                exactly one of ``gap`` and ``stops`` is given.
         """
         require_symbols("q", q)
         require_symbols("v", v)
@@ -114,7 +114,6 @@ class HybridLagrangian:
         if clock is not None:
             held = {"kinetic": kinetic, "potential": potential, "holonomic": eta}
             _require_timeless(clock, **held, gap=ca.vertcat(*gaps))
-            _require_timeless_force("passive_force", friction, clock)
         _require_still(v, gap=ca.vertcat(*gaps), potential=potential, holonomic=eta)
         if not all(ca.depends_on(one, q) for one in gaps):
             raise ValueError(
@@ -207,8 +206,6 @@ class HybridLagrangian:
         momentum_rate = ca.jtimes(ca.mtimes(mass_matrix, v), q, v)
         power = ca.dot(v, momentum_rate - 2 * ca.mtimes(coriolis, v))
         _require_zero("coriolis", "consistent with the mass matrix, v'(dM/dt - 2C)v = 0", power)
-        if clock is not None:
-            _require_timeless_force("gravity", ca.vec(gravity), clock)
         if potential is not None:
             _require_potential(ca.vec(gravity), ca.gradient(potential, q), v)
         derived = cls.from_energies(
@@ -316,15 +313,6 @@ def _require_timeless(clock: Clock, **expressions: ca.SX) -> None:
         if ca.depends_on(expression, clock.state):
             wanted = "must not depend on the clock: use coordinates relative to the moving frame"
             raise ValueError(f"Argument `{name}` {wanted}, and an `applied_force`.")
-
-
-def _require_timeless_force(name: str, force: ca.SX, clock: Clock) -> None:
-    """Refuse a force whose work counts as a loss, if it depends on time."""
-    if ca.depends_on(force, clock.state):
-        raise ValueError(
-            f"Argument `{name}` must not depend on the clock, since its work counts as a loss. "
-            "Write the part with the clock as `applied_force`."
-        )
 
 
 def _require_inertia(name: str, mass_matrix: ca.SX) -> None:

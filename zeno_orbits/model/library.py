@@ -280,7 +280,7 @@ def _declared(path: Path) -> Problem:
 
 def _require_sound(path: Path, problem: Problem) -> None:
     try:
-        with _numpy_refused():
+        with _numpy_welcome():
             problem.checked()
     except (Exception, SystemExit) as error:
         file = path / "model.py" if path.is_dir() else path
@@ -328,7 +328,7 @@ def _execute(file: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         # Paths that the user typed remain valid.
-        with _same_folder(), _numpy_refused():
+        with _same_folder(), _numpy_welcome():
             spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
@@ -337,10 +337,10 @@ def _execute(file: Path) -> ModuleType:
 
 
 @contextmanager
-def _numpy_refused() -> Generator[None, None, None]:
-    """Raise CasADi's warning about functions of NumPy, whose results it announces to change."""
+def _numpy_welcome() -> Generator[None, None, None]:
+    """Let functions of NumPy take symbols without CasADi's warnings: their results are symbols."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("error", r"\s*casadi: a numpy function", FutureWarning)
+        warnings.filterwarnings("ignore", r"\s*casadi: a numpy function", FutureWarning)
         yield
 
 

@@ -26,20 +26,6 @@ _NOT_SYMBOLIC = (
     "Write `ca.sin(q)`, or the symbol"
 )
 _JUMP = re.compile(r"Argument `model`: a formula holds `([^`]+)` of the states")
-_NUMPY = "a numpy function was called on a casadi value"
-"""CasADi's words about a function of NumPy that was given a symbol."""
-_IN_CASADI = {
-    "abs": "fabs",
-    "absolute": "fabs",
-    "maximum": "fmax",
-    "minimum": "fmin",
-    "where": "if_else",
-    "arctan2": "atan2",
-    "arcsin": "asin",
-    "arccos": "acos",
-    "arctan": "atan",
-}
-"""Function of NumPy to the function of CasADi, if the names differ."""
 _ARGUMENTS = re.compile(
     r"([\w.]+)\(\) (got an unexpected keyword argument|missing \d+ required .*arguments?:)"
     r" '(\w+)'"
@@ -106,10 +92,6 @@ def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
     jump = _JUMP.match(text)
     if jump is not None:
         return text.removeprefix("Argument `model`: "), _only(_uses(tree, jump[1])) or line
-    if isinstance(error, FutureWarning) and _NUMPY in text:
-        used = _numpy_use(file, line)
-        name = _IN_CASADI.get(used, used)
-        return f"`np.{used or 'sin'}` of a symbol. Write `ca.{name or 'sin'}`", line
     if _NO_TRUTH in text:
         return _CONDITION, line
     if set(re.findall(r"'(\w+)'", text)) >= _TWO_SYMBOLS:
@@ -224,16 +206,6 @@ def _uses(tree: ast.AST, operation: str) -> list[int]:
 def _only(lines: list[int]) -> int | None:
     """Return the one line of a list, or None if there are several or none."""
     return lines[0] if len(lines) == 1 else None
-
-
-def _numpy_use(file: Path, line: int | None) -> str:
-    """Return the name of the function of NumPy in a line of a file, or an empty text."""
-    try:
-        text = file.read_text(encoding="utf-8").splitlines()[(line or 0) - 1]
-    except (OSError, ValueError, IndexError):
-        return ""
-    found = re.search(r"\b(?:np|numpy)\.(\w+)", text)
-    return found[1] if found else ""
 
 
 def _about_inductance(text: str, tree: ast.AST) -> str:

@@ -160,9 +160,14 @@ def _factor(factor: str, text: str) -> Powers:
     return {base: n * power for base, n in _DERIVED.get(symbol, {symbol: 1}).items()}
 
 
+_PREFIXES = frozenset("kmunMG")
+
+
 def _apart(symbol: str) -> str:
     """Return two units that were written as one word, with a space, or an empty text."""
     known = {*_BASE, *_DERIVED}
+    if symbol[:1] in _PREFIXES and symbol[1:] in known:
+        return ""  # `ms` is a millisecond.
     splits = ((symbol[:k], symbol[k:]) for k in range(1, len(symbol)))
     return next((f"{one} {other}" for one, other in splits if {one, other} <= known), "")
 
