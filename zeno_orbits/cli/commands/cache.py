@@ -26,7 +26,7 @@ def add_cache(commands: Any) -> None:
     parser.add_argument(
         "--compile",
         metavar="PROBLEM",
-        help="compile the formulas of a problem with one stop now: runs are faster, with the same "
+        help="compile the formulas of a problem now: runs are faster, with the same "
         "results (several stops or switches are not accepted)",
     )
     parser.add_argument("--clear", action="store_true", help="remove all compiled code")
