@@ -208,6 +208,13 @@ def require_rising_gap(
 ) -> None:
     """Refuse a gap whose derivative with respect to the configuration is zero at a start.
 
+    Args:
+        system: The completed system.
+        symbols: Named parameters.
+        x: The start, ``(n_x,)``.
+        p: Values of the parameters, ``(n_p,)``.
+        number: Number of the start, from 1.
+
     Raises:
         FormulaError: If a derivative is zero. The message names the gap.
     """
