@@ -1,4 +1,4 @@
-/* Guards beside that of the stop which a run looks at, in a machine with several stops or switches.
+/* Guards beside that of the stop which a run looks at: of other stops and of switches.
 
    The earliest fall of any guard ends an arc: `ReferenceRun._earliest` in Python. As a rule a leg ends
    where the first guard falls in a step. Where a guard begins on its zero, or below, every guard is

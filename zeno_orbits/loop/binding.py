@@ -82,7 +82,7 @@ class GraphType(ctypes.Structure):
 
 
 class OutlookType(ctypes.Structure):
-    """What a run over several stops looks at: ``zl_outlook``."""
+    """What a run looks at: ``zl_outlook``."""
 
     _fields_ = [(name, _count) for name in ("rest", "focus", "sides", "above", "splits")]
 

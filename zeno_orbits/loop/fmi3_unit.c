@@ -1,9 +1,7 @@
-/* A unit: a run and what it has reached. The run is always a step ahead of the communication point,
-   and states are dense output inside that step. So they do not depend on the communication points,
-   unless a parameter or an input changes: then the run starts anew from the state reached.
-
-   With several stops or switches, the run is an arc ahead: another guard may end the arc before its
-   last steps. */
+/* A unit: a run and what it has reached. The run is always an arc ahead of the communication point,
+   since another guard may end an arc before its last steps, and states are dense output inside a step.
+   So they do not depend on the communication points, unless a parameter or an input changes: then the
+   run starts anew from the state reached. */
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };

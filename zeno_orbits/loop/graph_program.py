@@ -1,6 +1,6 @@
-"""A machine with several stops, switches or kinks in the library's format.
+"""A machine in the library's format.
 
-A view is a machine with one stop: an open stop in a mode. A side is the guard of a switch on one
+A view is an open stop in a mode. A side is the guard of a switch on one
 side of it, along the flow of a mode. The tables of views and sides grow when a run asks for one.
 """
 
@@ -85,7 +85,7 @@ class GraphProgram(TapedProblem):
         self._tabulate()
 
     def add(self, views: Mapping[View, Program], sides: Mapping[Side, ModeFunctions]) -> None:
-        """Add machines with one stop, and guards of switches, to the tables.
+        """Add views, and guards of switches, to the tables.
 
         Raises:
             UnknownOperationError: If a formula holds an operation that tapes do not have.

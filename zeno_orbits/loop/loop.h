@@ -73,9 +73,9 @@ typedef struct {
     zl_tape value, bounds;   /* the guard and its rate; as ZL_WATCHED */
 } zl_side;
 
-/* A machine with several stops or switches. A mode is the set of closed stops and the side of every
-   kink, as bits. A view is a machine with one stop: an open stop, where others may be closed. Declared
-   switches come before kinks. A table may be incomplete: a run then asks for what it needs. */
+/* A machine. A mode is the set of closed stops and the side of every kink, as bits. A view is an open
+   stop in a mode, where others may be closed. Declared switches come before kinks. A table may be
+   incomplete: a run then asks for what it needs. */
 struct zl_graph {
     long long n_stops, n_declared, n_switches, n_views, n_sides;
     long long n_numbers;                      /* of a run, apart from its settings and parameters */
@@ -145,7 +145,7 @@ enum {
     ZL_NOT_CLOSING,   /* an impact does not close the gap */
     ZL_INTO_STOP,     /* the reset sends the state into the stop */
     ZL_TOO_LARGE,     /* more states than ZL_MOST */
-    ZL_MODE,          /* of several stops: a view or side is missing; `about` has what */
+    ZL_MODE,          /* a view or side is missing; `about` has what */
     ZL_INSIDE,        /* the first state is inside of the stop `index`; its gap is `number` */
     ZL_SLIDES,        /* the flows on both sides of the switch `index` point to it */
     ZL_COINCIDE,      /* two events at once: kind and index of both are in `about` */
@@ -160,7 +160,7 @@ enum {
     ZL_UNORDERED      /* switching times of a piecewise input do not increase */
 };
 
-/* What a status is about. A singular flow of several stops names a kink nearby, or -1, as `index`. */
+/* What a status is about. A singular flow names a kink nearby, or -1, as `index`. */
 typedef struct {
     double time, state[ZL_MOST], number, steps;
     long long n_state, index, about[4];
@@ -185,7 +185,7 @@ typedef struct {
     long long in_sequence, first_impact, n_estimates, n_steps, next_look, n_looks, which;
 } zl_pace;
 
-/* What a run over several stops looks at: bits but for the stop `focus`. */
+/* What a run looks at: bits but for the stop `focus`. */
 typedef struct {
     long long rest, focus, sides, above, splits;
 } zl_outlook;

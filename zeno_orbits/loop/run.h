@@ -82,13 +82,13 @@ typedef struct {
     Other list[ZL_GUARDS];
 } Others;
 
-/* Which registers of a machine with one stop are ready. They follow it. */
+/* Which registers of a view are ready. They follow it. */
 typedef struct {
     long long prepared, has_jacobian[ZL_MODES], has_lanes[ZL_MODES], unused;
 } Ready;
 
-/* The parts of a block of memory: a run, then parameters and registers. Of several stops there are
-   settings and formulas that all views share in between, and those of every view. */
+/* A view of a run, and its parts of a block of memory: the run, the settings of every stop, parameters
+   and formulas that all views share, and those of every view. */
 typedef struct {
     const zl_problem *problem;
     const zl_graph *graph;
@@ -108,7 +108,7 @@ static long long room_of(const zl_problem *problem, int tape) {
     return is_watched(tape) ? interval_room(formula) : formula->n_registers;
 }
 
-/* Numbers that a machine with one stop takes. */
+/* Numbers that a view takes. */
 static long long numbers_of(const zl_problem *problem) {
     long long n = (long long)(sizeof(Ready) / sizeof(double)) + problem->n_p + 1;
     int k;

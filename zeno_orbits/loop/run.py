@@ -314,7 +314,7 @@ class LoopRun:
         )
 
     def outlook(self) -> c.OutlookType:
-        """Return what a run over several stops looks at."""
+        """Return what the run looks at."""
         outlook = c.OutlookType()
         self._library.zl_outlook_of(self._place, ctypes.addressof(outlook))
         return outlook

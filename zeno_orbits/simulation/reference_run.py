@@ -278,7 +278,7 @@ class ReferenceRun(StopRun):
         self.look((), 0)
         return self._placed(0.0, x, None)
 
-    # What the reference asks of a run that has more than one stop.
+    # The part at one stop, beside other stops and switches.
 
     @property
     def place(self) -> object:

@@ -1,1 +1,1 @@
-"""Executions by the compiled loop: single flows, one stop, and graphs of modes."""
+"""Executions by the compiled loop, and single flows."""
