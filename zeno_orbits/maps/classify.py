@@ -25,6 +25,7 @@ from zeno_orbits.model import (
     ParameterValues,
     Problem,
     Start,
+    graph_of,
     own_time,
 )
 from zeno_orbits.simulation import OSCILLATIONS, WAITING, bounds_of, turns_in
@@ -225,9 +226,7 @@ def usual_time(
 
 def _restitution(problem: Problem, values: ParameterValues) -> float:
     """Return the largest restitution of all stops."""
-    if not problem.has_graph:
-        return values.parameters["restitution"]
-    graph = problem.graph_dynamics(values)
+    graph = graph_of(system_of(problem, values))
     stops = range(len(graph.stop_names))
     return max(graph.view(graph.open_mode, k).restitution for k in stops)
 
@@ -270,5 +269,4 @@ def first_system(problem: Problem, values: ParameterValues) -> HybridDynamics:
         problem: The problem.
         values: Values of its gains and parameters.
     """
-    system = system_of(problem, values)
-    return system.first if isinstance(system, GraphDynamics) else system
+    return graph_of(system_of(problem, values)).first

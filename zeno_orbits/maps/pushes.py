@@ -45,6 +45,7 @@ from zeno_orbits.model import (
     ParameterValues,
     Problem,
     ProblemFile,
+    graph_of,
     unknown,
 )
 from zeno_orbits.orbits import EventOrbit, ZenoOrbit
@@ -324,10 +325,7 @@ def pushed(
     """
     after = state.copy()
     views = [_views(system)[k] for k in closed]
-    if isinstance(system, GraphDynamics):
-        matrix = system.delassus(state)[np.ix_(closed, closed)]
-    else:
-        matrix = np.full((len(closed), len(closed)), 1.0 / system.normal_inertia(state))
+    matrix = graph_of(system).delassus(state)[np.ix_(closed, closed)]
     speeds = slice(system.n_q, 2 * system.n_q)
     after[speeds] += change
     impulses = stop_impulses(matrix, np.array([view.gap_rate(after) for view in views]))
@@ -659,9 +657,8 @@ def _touched(system: HybridDynamics | GraphDynamics, state: Vector) -> tuple[int
 
 def _views(system: HybridDynamics | GraphDynamics) -> list[HybridDynamics]:
     """Return the system of each stop, with the other stops open."""
-    if isinstance(system, HybridDynamics):
-        return [system]
-    return [system.view(system.open_mode, k) for k in range(len(system.stop_names))]
+    graph = graph_of(system)
+    return [graph.view(graph.open_mode, k) for k in range(len(graph.stop_names))]
 
 
 def _moments(

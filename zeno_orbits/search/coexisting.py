@@ -14,7 +14,13 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Attractor, attractors_at
-from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
+from zeno_orbits.model import (
+    GraphDynamics,
+    HybridDynamics,
+    ParameterValues,
+    Problem,
+    graph_of,
+)
 from zeno_orbits.orbits import Cycle, EventOrbit, ZenoOrbit
 from zeno_orbits.search.scan import ACCURACY, PHASE, cycle_at, is_of_shape
 from zeno_orbits.search.search_problem import SearchProblem
@@ -84,7 +90,7 @@ def coexisting_attractors(
         Attractors in the order in which the initial states led to them.
     """
     start = np.array(problem.state_vector(orbit.start_state))
-    first = system.first if isinstance(system, GraphDynamics) else system
+    first = graph_of(system).first
     if first.holonomic(start).size > bool(first.clock):
         # If a mechanism has constraints of its own, its states cannot be sampled from a box.
         return []
@@ -132,10 +138,9 @@ def _box(run: Execution, n_x: int) -> tuple[Vector, Vector]:
 
 
 def _is_off_the_stops(system: HybridDynamics | GraphDynamics, state: Vector) -> bool:
-    if not isinstance(system, GraphDynamics):
-        return system.gap(state) > 0.0
-    stops = range(len(system.stop_names))
-    return all(system.view(system.open_mode, stop).gap(state) > 0.0 for stop in stops)
+    graph = graph_of(system)
+    stops = range(len(graph.stop_names))
+    return all(graph.view(graph.open_mode, stop).gap(state) > 0.0 for stop in stops)
 
 
 def _states(
@@ -144,7 +149,7 @@ def _states(
     """Yield states of a box that are not in contact, with the clock on its unit circle."""
     from scipy.stats import qmc
 
-    clock = system.first.clock if isinstance(system, GraphDynamics) else system.clock
+    clock = graph_of(system).first.clock
     n_found = 0
     for place in qmc.Halton(low.size, seed=seed).random(_MOST_DRAWN):
         state = low + place * (high - low)

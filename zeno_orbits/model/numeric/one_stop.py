@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.model.modes import GraphMode
 from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -38,6 +39,10 @@ class OneStop(GraphDynamics):
         """Return the system, whatever is asked for."""
         del mode, stop
         return self._dynamics
+
+    def delassus(self, x: Vector) -> Vector:
+        r"""Return :math:`J W J^\top` of the stop, ``(1, 1)``."""
+        return np.array([[1.0 / self._dynamics.normal_inertia(x)]])
 
 
 def graph_of(system: HybridDynamics | GraphDynamics) -> GraphDynamics:
