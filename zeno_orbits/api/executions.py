@@ -214,9 +214,8 @@ def engine_choice(
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
-    dynamics = known.graph_dynamics(values).first if known.has_graph else known.dynamics(values)
     longest = max(arc.end_time - arc.start_time for arc in execution.arcs)
-    return why_engine(dynamics, execution.arcs[0].start_state, longest)
+    return why_engine(known.first_system(values), execution.arcs[0].start_state, longest)
 
 
 def unfinished(error: SimulationError, engine: str | None = None) -> ExecutionWithError:
@@ -323,7 +322,7 @@ def _system(
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     begin = known.initial_state(start, values) if state is None else _vector(state)
-    made = known.graph_dynamics(values) if known.has_graph else known.dynamics(values)
+    made = known.system(values)
     if start is not None:
         import numpy as np
 

@@ -31,9 +31,10 @@ def orbit_amplitude(problem: Problem, family: Family, point: FamilyPoint) -> flo
     """
     values = problem.values(gains=family.gains, parameters=family.parameters)
     numbers = values.replaced({family.parameter: point.value})
-    dynamics = problem.graph_dynamics(numbers) if problem.has_graph else problem.dynamics(numbers)
     try:
-        run = simulate(dynamics, np.array(problem.state_vector(point.state)), until=point.period)
+        run = simulate(
+            problem.system(numbers), np.array(problem.state_vector(point.state)), until=point.period
+        )
     except ZenoOrbitsError:
         return math.nan
     index = problem.state_names.index(problem.amplitude_of)

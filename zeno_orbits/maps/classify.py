@@ -109,7 +109,7 @@ def attractors_from(
     for values, state in motions:
         try:
             if system is None or system[0] is not values:
-                system = values, system_of(problem, values)
+                system = values, problem.system(values)
         except InputError as error:
             # A derived value may be outside of its range.
             found.append(Attractor(fate=AttractorClass.FAILED, detail=str(error)))
@@ -159,7 +159,7 @@ def known_orbits(
     Raises:
         InputError: If the problem rejects the values.
     """
-    system, exact = system_of(problem, values), accuracy or Accuracy()
+    system, exact = problem.system(values), accuracy or Accuracy()
     limits = _limits(problem, None)
     found: list[KnownOrbit] = []
     for attractor in attractors:
@@ -213,7 +213,7 @@ def usual_time(
         start: Initial state of the motions, ``(n_x,)``.
     """
     state = np.array(start)
-    firsts = [first_system(problem, values) for values in settings]
+    firsts = [problem.first_system(values) for values in settings]
     slowest = max(own_time(first, state) for first in firsts)
     if problem.clock:
         return float(f"{WAITING * slowest:.0e}")
@@ -226,7 +226,7 @@ def usual_time(
 
 def _restitution(problem: Problem, values: ParameterValues) -> float:
     """Return the largest restitution of all stops."""
-    graph = graph_of(system_of(problem, values))
+    graph = graph_of(problem.system(values))
     stops = range(len(graph.stop_names))
     return max(graph.view(graph.open_mode, k).restitution for k in stops)
 
@@ -245,28 +245,5 @@ def _limits(problem: Problem, bounds: Mapping[str, float] | None) -> Vector:
     for name, bound in declared.items():
         if not bound > 0.0:
             raise InputError(f"Argument `bounds` must be positive, but `{name}` has {bound:g}.")
-    n_q = first_system(problem, problem.values()).n_q
+    n_q = problem.first_system(problem.values()).n_q
     return bounds_of(problem.state_names, problem.state_units, n_q, declared)
-
-
-def system_of(problem: Problem, values: ParameterValues) -> HybridDynamics | GraphDynamics:
-    """Return a problem at given values: a system with one stop, or a graph of modes.
-
-    Args:
-        problem: The problem.
-        values: Values of its gains and parameters.
-
-    Raises:
-        InputError: If the problem rejects the values.
-    """
-    return problem.graph_dynamics(values) if problem.has_graph else problem.dynamics(values)
-
-
-def first_system(problem: Problem, values: ParameterValues) -> HybridDynamics:
-    """Return the system of the first or only stop of a problem.
-
-    Args:
-        problem: The problem.
-        values: Values of its gains and parameters.
-    """
-    return graph_of(system_of(problem, values)).first

@@ -16,9 +16,7 @@ from zeno_orbits.maps.attempt import Accuracy
 from zeno_orbits.maps.attractors import Attractor, AttractorClass, attractor_json
 from zeno_orbits.maps.classify import (
     attractors_from,
-    first_system,
     known_orbits,
-    system_of,
     usual_time,
 )
 from zeno_orbits.maps.known import KnownOrbit
@@ -272,9 +270,9 @@ def _require_clock(problem: Problem, values: ParameterValues, plane: Plane) -> N
     Raises:
         InputError: If the state is off the circle. The message names the two states of the clock.
     """
-    first, start = first_system(problem, values), np.array(plane.start)
+    first, start = problem.first_system(values), np.array(plane.start)
     if first.clock and abs(first.holonomic(start)[-1]) > _OFF:
-        simulate(system_of(problem, values), start, until=1.0)
+        simulate(problem.system(values), start, until=1.0)
 
 
 def _checked(problem: Problem, plane: Plane, side: str) -> Axis:

@@ -33,7 +33,6 @@ from zeno_orbits.maps.classify import (
     approach_from,
     attractors_at,
     known_orbits,
-    system_of,
     usual_time,
 )
 from zeno_orbits.maps.known import KnownOrbit, returns_to
@@ -287,7 +286,7 @@ def _trials(
     problem: Problem, values: ParameterValues, orbit: KnownOrbit, until: float
 ) -> Callable[[Mapping[str, Any], float], Trial]:
     """Return the function of a ray and an impulse that simulates the motion after the impulse."""
-    system = system_of(problem, values)
+    system = problem.system(values)
 
     def tried(ray: Mapping[str, Any], impulse: float) -> Trial:
         state, change = np.array(ray["state"]), np.array(ray["change"])
@@ -637,7 +636,7 @@ def _meets(
     """Return True if the start of an orbit is a state of a known orbit."""
     start = np.array(problem.state_vector(orbit.start_state))
     # Its period may start at another event.
-    turned = simulate(system_of(problem, values), start, until=1.5 * orbit.period)
+    turned = simulate(problem.system(values), start, until=1.5 * orbit.period)
     return any(
         known.passes(np.asarray(state_after(event)))
         for event in turned.events
@@ -665,7 +664,7 @@ def _moments(
     problem: Problem, values: ParameterValues, orbit: ZenoOrbit | EventOrbit, phases: int
 ) -> list[_Moment]:
     """Return the orbit at equidistant phases."""
-    system = system_of(problem, values)
+    system = problem.system(values)
     start = np.array(problem.state_vector(orbit.start_state))
     motion = simulate(system, start, until=orbit.period)
     times = [k / phases * orbit.period for k in range(phases)]

@@ -179,10 +179,10 @@ class Problem(Declared):
             InputError: If the restitution is 1.
         """
         try:
-            system = self.graph_dynamics(values).first if self.has_graph else self.dynamics(values)
+            first = self.first_system(values)
         except InputError:
             return
-        require_zeno_points(system.restitution)
+        require_zeno_points(first.restitution)
 
     def _has_one_stop(self) -> bool:
         """Return True if the model has one stop, whose restitution is a parameter.
@@ -240,6 +240,26 @@ class Problem(Declared):
 
         vector = values.vector if isinstance(values, ParameterValues) else values
         return GraphDynamics(_compiled_graph(self), vector)
+
+    def system(
+        self, values: ParameterValues | Sequence[float] | Vector
+    ) -> HybridDynamics | GraphDynamics:
+        """Return the machine at fixed values, as `simulate` takes it.
+
+        Args:
+            values: Values of every gain and parameter, or the parameter vector, ``(n_p,)``.
+        """
+        return self.graph_dynamics(values) if self.has_graph else self.dynamics(values)
+
+    def first_system(self, values: ParameterValues | Sequence[float] | Vector) -> HybridDynamics:
+        """Return the system of the first stop, with the other stops open.
+
+        Args:
+            values: Values of every gain and parameter, or the parameter vector, ``(n_p,)``.
+        """
+        from zeno_orbits.model.numeric.one_stop import graph_of
+
+        return graph_of(self.system(values)).first
 
     @property
     def modes_reason(self) -> str:
@@ -666,9 +686,8 @@ class Problem(Declared):
             x = self.state_vector(start, values)
         except InputError as error:
             raise InputError(f"{error} Pass a start (`start`).") from error
-        system = self.graph_dynamics(values) if self.has_graph else self.dynamics(values)
         try:
-            require_start(system, np.array(x), 0.0)
+            require_start(self.system(values), np.array(x), 0.0)
         except InputError as error:
             entries = zip(self.state_names, x, strict=True)
             told = ", ".join(f"{name}={value:g}" for name, value in entries if name in start)
