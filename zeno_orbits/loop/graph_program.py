@@ -98,7 +98,8 @@ class GraphProgram(TapedProblem):
             value = tape_of(mode.guard)
             self.sides[side] = value, bounds
             self._place(side, 1 + value.n_registers + 3 * bounds.n_registers)
-        if self.only_view is None and not self._compiled:
+        if self.only_view is None and len(self.views) == len(views) == 1:
+            # The first view, by which the machine is found in the cache.
             self._compiled = compiled_library(self._digest)
         self._tabulate()
 
