@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from zeno_orbits.cli.options import NO, YES, add_command, print_json
-from zeno_orbits.errors import KernelError
+from zeno_orbits.errors import InputError, KernelError
 from zeno_orbits.report import terminal as report
 
 
@@ -26,8 +26,7 @@ def add_cache(commands: Any) -> None:
     parser.add_argument(
         "--compile",
         metavar="PROBLEM",
-        help="compile the formulas of a problem now: runs are faster, with the same "
-        "results (several stops or switches are not accepted)",
+        help="compile the formulas of a problem now: runs are faster, with the same results",
     )
     parser.add_argument("--clear", action="store_true", help="remove all compiled code")
 
@@ -64,9 +63,13 @@ def _run_cache(options: argparse.Namespace) -> int:
 
 def _compiled(name: str) -> list[str]:
     """Compile the formulas of a problem, and return the reasons of a failure."""
+    from zeno_orbits import api
     from zeno_orbits.model import load_problem
-    from zeno_orbits.simulation import compile_formulas
 
     problem = load_problem(name)
-    reason = compile_formulas(problem.compiled_graph())
-    return [f"the formulas of `{problem.name}` are not compiled: {reason}"] if reason else []
+    try:
+        api.compile_problem(problem)
+    except InputError as error:
+        text = str(error)
+        return [text[0].lower() + text[1:].removesuffix(".")]
+    return []
