@@ -686,8 +686,9 @@ class Problem(Declared):
             x = self.state_vector(start, values)
         except InputError as error:
             raise InputError(f"{error} Pass a start (`start`).") from error
+        system = self.system(values)
         try:
-            require_start(self.system(values), np.array(x), 0.0)
+            require_start(system, np.array(x), 0.0)
         except InputError as error:
             entries = zip(self.state_names, x, strict=True)
             told = ", ".join(f"{name}={value:g}" for name, value in entries if name in start)
