@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import casadi as ca
@@ -22,7 +23,7 @@ from tests.reference.linear_impacts import ImpactOscillator
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
 from tests.support.elastic_machines import BLOCKS, line
-from tests.support.mechanisms import machine_of
+from tests.support.mechanisms import machine_of, walled_oscillator
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ChatterError, InputError
 from zeno_orbits.simulation import FixedImpacts, Impact, SimulationSettings, Truncation
@@ -251,26 +252,10 @@ def test_a_ball_that_bounces_for_ever_is_an_orbit_of_undecided_stability(tmp_pat
     assert "undecided" in ask("stability", str(file)).out
 
 
-def oscillator(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
-    """Return ``x'' + c x' + x = cos(omega t)``, ``x <= d``."""
-    x, v, clock = ca.SX.sym("x"), ca.SX.sym("v"), zo.Clock.at(p["omega"])
-    mechanism = zo.HybridLagrangian.from_energies(
-        q=x,
-        v=v,
-        kinetic=v**2 / 2,
-        potential=x**2 / 2,
-        passive_force=-p["c"] * v,
-        applied_force=clock.cosine,
-        clock=clock,
-        stops=(zo.Stop(name="wall", gap=p["d"] - x, restitution=p["restitution"]),),
-    )
-    return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
-
-
 OSCILLATOR = machine_of(
-    oscillator,
+    partial(walled_oscillator, wall=1),
     {"x": "m", "v": "m/s", "cosine": "1", "sine": "1"},
-    {"restitution": 1.0, "c": 0.0, "omega": 1.5, "d": 0.2},
+    {"restitution": 1.0, "c": 0.0, "omega": 1.5, "d": 0.2, "A": 1.0},
 )
 
 

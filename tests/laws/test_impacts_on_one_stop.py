@@ -20,7 +20,7 @@ from scipy.optimize import brentq, fsolve
 import zeno_orbits as zo
 from tests.reference.linear_impacts import ImpactOscillator
 from tests.support.cases import fast
-from tests.support.mechanisms import machine_of
+from tests.support.mechanisms import machine_of, walled_oscillator
 from zeno_orbits.continuation import SpecialPointKind
 from zeno_orbits.maps import AttractorClass
 from zeno_orbits.model import GraphDynamics
@@ -29,24 +29,10 @@ from zeno_orbits.orbits import EventReturn, SectionMode, closed_return, inverse_
 STATES = {"x": "m", "v": "m/s", "cosine": "1", "sine": "1"}
 
 
-def _oscillator(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
-    """Return ``x'' + c x' + x = A cos(omega t)``, ``x <= d``."""
-    x, v, clock = ca.SX.sym("x"), ca.SX.sym("v"), zo.Clock.at(p["omega"])
-    mechanism = zo.HybridLagrangian.from_energies(
-        q=x,
-        v=v,
-        kinetic=v**2 / 2,
-        potential=x**2 / 2,
-        passive_force=-p["c"] * v,
-        applied_force=p["A"] * clock.cosine,
-        clock=clock,
-        stops=(zo.Stop(name="wall", gap=p["d"] - x, restitution=p["restitution"]),),
-    )
-    return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
-
-
 OSCILLATOR = machine_of(
-    _oscillator, STATES, {"restitution": 0.6, "c": 0.2, "omega": 1.5, "d": 0.2, "A": 1.0}
+    partial(walled_oscillator, wall=1),
+    STATES,
+    {"restitution": 0.6, "c": 0.2, "omega": 1.5, "d": 0.2, "A": 1.0},
 )
 CASES = (
     # omega, c, d, e, and the time and velocity just after an impact, to one digit.

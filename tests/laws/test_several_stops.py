@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -25,7 +26,7 @@ from tests.reference.several_stops import (
     impact_pair,
     two_sided,
 )
-from tests.support.mechanisms import machine_of
+from tests.support.mechanisms import machine_of, walled_oscillator
 from zeno_orbits.continuation import SecondParameter, SpecialPointKind
 from zeno_orbits.orbits import closed_return
 
@@ -47,27 +48,10 @@ def events(execution: zo.Execution) -> list[tuple[str, str]]:
     ]
 
 
-def oscillator(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
-    """Return ``x'' + c x' + x = A cos(w t)``, ``|x| <= d``."""
-    q, v, clock = ca.SX.sym("q"), ca.SX.sym("v"), zo.Clock.at(p["omega"])
-    mechanism = zo.HybridLagrangian.from_energies(
-        q=q,
-        v=v,
-        kinetic=v**2 / 2,
-        potential=q**2 / 2,
-        passive_force=-p["c"] * v,
-        applied_force=p["A"] * clock.cosine,
-        clock=clock,
-        stops=(
-            zo.Stop(name="upper", gap=p["d"] - q, restitution=p["restitution"]),
-            zo.Stop(name="lower", gap=p["d"] + q, restitution=p["restitution"]),
-        ),
-    )
-    return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
-
-
 OSCILLATOR = machine_of(
-    oscillator, FORCED, {"c": 0.1, "omega": 1.0, "d": 1.0, "restitution": 0.5, "A": 1.0}
+    partial(walled_oscillator, upper=1, lower=-1),
+    FORCED,
+    {"c": 0.1, "omega": 1.0, "d": 1.0, "restitution": 0.5, "A": 1.0},
 )
 
 

@@ -257,6 +257,30 @@ def oscillator(damping: float = 0.1, stiffness: float = 1.0, *, named: bool = Fa
 Model = Callable[[Mapping[str, ca.SX]], CompletedSystem]
 
 
+def walled_oscillator(p: Mapping[str, ca.SX], **walls: int) -> CompletedSystem:
+    """Return ``x'' + c x' + x = A cos(omega t)`` with walls at ``x = d`` and ``x = -d``.
+
+    Args:
+        p: The parameters.
+        walls: Name of each wall to the sign of its place.
+    """
+    x, v, clock = ca.SX.sym("x"), ca.SX.sym("v"), zo.Clock.at(p["omega"])
+    mechanism = HybridLagrangian.from_energies(
+        q=x,
+        v=v,
+        kinetic=v**2 / 2,
+        potential=x**2 / 2,
+        passive_force=-p["c"] * v,
+        applied_force=p["A"] * clock.cosine,
+        clock=clock,
+        stops=tuple(
+            zo.Stop(name=name, gap=p["d"] - sign * x, restitution=p["restitution"])
+            for name, sign in walls.items()
+        ),
+    )
+    return hybrid_system(mechanism, no_drive(mechanism))
+
+
 def machine_of(
     model: Model, states: Mapping[str, str], parameters: Mapping[str, float] | None = None
 ) -> Problem:
