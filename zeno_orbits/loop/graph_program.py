@@ -14,8 +14,7 @@ from typing import Any
 import casadi as ca
 
 from zeno_orbits.loop import binding as c
-from zeno_orbits.loop.formulas import formulas_digest, machine_source
-from zeno_orbits.loop.library import compile_library, compiled_library
+from zeno_orbits.loop.formulas import formulas_digest
 from zeno_orbits.loop.program import Program, TapedProblem, fill_tape, scheme
 from zeno_orbits.loop.tape import Tape, tape_of
 from zeno_orbits.loop.views import Side, View
@@ -75,7 +74,6 @@ class GraphProgram(TapedProblem):
         times = formulas.orders.numel_out(0)
         self.orders = tape_of(formulas.orders, parameters=0) if times else Tape.empty()
         self.views: dict[View, Program] = {}
-        self._compiled: Any = None
         self.sides: dict[Side, tuple[Tape, Tape]] = {}
         self._places: dict[object, int] = {}
         self._n_numbers = 0
@@ -100,7 +98,7 @@ class GraphProgram(TapedProblem):
             self._place(side, 1 + value.n_registers + 3 * bounds.n_registers)
         if self.only_view is None and len(self.views) == len(views) == 1:
             # The first view, by which the machine is found in the cache.
-            self._compiled = compiled_library(self._digest)
+            self.load(self._digest)
         self._tabulate()
 
     def give_back(self, memory: Any) -> None:
@@ -125,12 +123,7 @@ class GraphProgram(TapedProblem):
         """The library that carries out the formulas: compiled for the only view, or any."""
         if self.only_view is not None:
             return self.only_view.library
-        return self._compiled or self._tapes_library
-
-    @property
-    def is_compiled(self) -> bool:
-        """True if formulas of the views are compiled. The digits are equal either way."""
-        return self.library is not self._tapes_library
+        return super().library
 
     def compile(self, views: Iterable[Program]) -> None:
         """Compile formulas of views now and use them from the next run.
@@ -143,10 +136,8 @@ class GraphProgram(TapedProblem):
         """
         if self.only_view is not None:
             self.only_view.compile()
-            return
-        tapes = {view.problem.formulas: view.tapes for view in views}
-        compile_library(self._digest, lambda: machine_source(self.n_x, tapes))
-        self._compiled = compiled_library(self._digest)
+        else:
+            self.compile_views(self._digest, views)
 
     @property
     def _digest(self) -> str:

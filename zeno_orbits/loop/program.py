@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -46,6 +46,7 @@ class TapedProblem:
             sizes: Numbers of states, coordinates and parameters.
         """
         self._tapes_library = library
+        self._compiled: Any = None
         self.n_x, self.n_q, self.n_p = sizes
         self.tapes = tuple(tapes)
         self.problem = c.ProblemType(n_x=self.n_x, n_q=self.n_q, n_p=self.n_p)
@@ -63,8 +64,35 @@ class TapedProblem:
 
     @property
     def library(self) -> Any:
-        """The library that carries out the formulas."""
-        return self._tapes_library
+        """The library that carries out the formulas: compiled for them, or any."""
+        return self._compiled or self._tapes_library
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if the formulas are compiled. The digits are equal either way."""
+        return self.library is not self._tapes_library
+
+    def load(self, digest: str) -> None:
+        """Use compiled formulas from the next run, if they are in the cache.
+
+        Args:
+            digest: Digest of the formulas.
+        """
+        self._compiled = compiled_library(digest)
+
+    def compile_views(self, digest: str, views: Iterable[TapedProblem]) -> None:
+        """Compile the formulas of views now and use them from the next run.
+
+        Args:
+            digest: Digest of the formulas, by which they are found.
+            views: The formulas.
+
+        Raises:
+            KernelError: If the compilation fails. The message contains the reason.
+        """
+        tapes = {view.problem.formulas: view.tapes for view in views}
+        compile_library(digest, lambda: machine_source(self.n_x, tapes))
+        self.load(digest)
 
     @property
     def n_stops(self) -> int:
@@ -154,29 +182,14 @@ class Program(TapedProblem):
         carried = [mode.is_carried for mode in (system.free, system.locked, system.flight)]
         sizes = (system.n_x, system.n_q, system.free.n_p)
         super().__init__(library, tuple(_tapes(system)), carried, *sizes)
-        self._digest = formulas_digest(self.n_x, self.tapes)
-        self.problem.formulas = view_number(self._digest)
-        self._compiled: Any = compiled_library(self._digest)
-
-    @property
-    def digest(self) -> str:
-        """Digest of the formulas."""
-        return self._digest
-
-    @property
-    def library(self) -> Any:
-        """The library that carries out the formulas: compiled for them, or any."""
-        return self._compiled or self._tapes_library
+        self.digest = formulas_digest(self.n_x, self.tapes)
+        self.problem.formulas = view_number(self.digest)
+        self.load(self.digest)
 
     @property
     def views(self) -> dict[View, Program]:
         """The only view, which is this problem."""
         return {View((), 0, ()): self}
-
-    @property
-    def is_compiled(self) -> bool:
-        """True if the formulas are compiled. The digits are equal either way."""
-        return self._compiled is not None
 
     def compile(self) -> None:
         """Compile the formulas now and use them from the next run.
@@ -184,16 +197,10 @@ class Program(TapedProblem):
         Raises:
             KernelError: If the compilation fails. The message contains the reason.
         """
-        views = {self.problem.formulas: self.tapes}
-        compile_library(self._digest, lambda: machine_source(self.n_x, views))
-        self.load()
+        self.compile_views(self.digest, [self])
         for other in _programs.values():
-            if isinstance(other, Program) and other.digest == self._digest:
-                other.load()
-
-    def load(self) -> None:
-        """Use compiled formulas from the next run, if they are in the cache."""
-        self._compiled = compiled_library(self._digest)
+            if isinstance(other, Program) and other.digest == self.digest:
+                other.load(self.digest)
 
 
 _programs: WeakKeyDictionary[ModeFunctions, Program | str] = WeakKeyDictionary()
