@@ -155,13 +155,11 @@ def machine(problem: Problem, rig: Rig) -> Machine:
     require_place(problem, system, rig)
     p = ca.vertcat(*symbols.values())
     graph = system.graph or graph_of_one_stop(system)
-    system = replace(system, graph=graph)
 
     def branch(sides: tuple[bool, ...], touched: tuple[int, ...]) -> _Parts:
-        one = system_of_stop(graph, ((), sides), 0, touched)
-        return _Parts(problem, replace(one, graph=graph), rig, p)
+        return _Parts(problem, system_of_stop(graph, ((), sides), 0, touched), graph, rig, p)
 
-    parts = _Parts(problem, system, rig, p)
+    parts = _Parts(problem, system, graph, rig, p)
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
         return dense_function(name, [parts.state, parts.numbers], list(outputs))
@@ -277,11 +275,13 @@ def _coupling(system: CompletedSystem, motor: int) -> _Coupling:
 class _Parts:
     """Expressions of a machine, built from the expressions of its problem."""
 
-    def __init__(self, problem: Problem, system: CompletedSystem, rig: Rig, p: ca.SX) -> None:
+    def __init__(
+        self, problem: Problem, system: CompletedSystem, graph: ModeGraph, rig: Rig, p: ca.SX
+    ) -> None:
         self._system, self._rig, self._mechanism = system, rig, system.mechanism
         self._coordinates = problem.state_names[: system.n_q]
         n_motors = system.motor_voltage.numel()
-        stops = _one_by_one(system)
+        stops = _one_by_one(graph)
         self.gaps = ca.vertcat(*(one.gap for one in stops))
         self.gap_rates = ca.vertcat(*(one.gap_rate for one in stops))
         self.normal_inertias = ca.vertcat(*(one.normal_inertia for one in stops))
@@ -387,9 +387,8 @@ class _Parts:
         return force
 
 
-def _one_by_one(system: CompletedSystem) -> list[CompletedSystem]:
+def _one_by_one(graph: ModeGraph) -> list[CompletedSystem]:
     """Return the system of every stop, with all other stops open and any branch of the kinks."""
-    graph = system.graph or graph_of_one_stop(system)
     mode = (), (True,) * len(graph.conditions)
     return [system_of_stop(graph, mode, k) for k in range(len(graph.stops))]
 
