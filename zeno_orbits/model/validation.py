@@ -31,6 +31,8 @@ _SINGULAR = 1e-12
 _OFF = 1e-9
 """Distance of a start from the stop or a constraint, as a part of how far they go."""
 
+_DECLARED = "declared"
+"""The formulas that the model declares, as one."""
 _FORMULAS = (
     "free_flow",
     "gap",
@@ -180,6 +182,8 @@ def require_sound_numbers(
     mass_matrix = ca.hessian(system.energy, system.state[system.n_q : 2 * system.n_q])[0]
     look = _function(system, symbols, [ca.densify(mass_matrix), system.gap])
     formulas = {name: _function(system, symbols, [getattr(system, name)]) for name in _FORMULAS}
+    declared = [ca.vec(ca.densify(one.formula)) for one in named_formulas(system)]
+    formulas[_DECLARED] = _function(system, symbols, [ca.vertcat(*declared)])
     fields = _function(system, symbols, [ca.densify(system.drive.inertia)])
     lossy = {
         (name, number): _function(system, symbols, [ca.densify(matrix)])
@@ -225,7 +229,8 @@ def _require_finite(
     ]
     if any(holds_nan(getattr(system, name)) for name in infinite):
         raise NotSymbolicError
-    require_finite(system, symbols, x, p, number, with_derivatives=bool(infinite))
+    if infinite or not np.all(np.isfinite(formulas[_DECLARED](x, p).full())):
+        require_finite(system, symbols, x, p, number, with_derivatives=bool(infinite))
     if infinite:
         require_rising_gap(system, symbols, x, p, number)
         raise ValueError(
