@@ -217,6 +217,11 @@ class LoopRun:
         self.restart(x)
 
     @property
+    def least_events(self) -> int:
+        """Rows of the record of events that one event may need."""
+        return self._least[-1]
+
+    @property
     def _library(self) -> Any:
         # Formulas that are compiled in the middle of a run carry it on: digits are the same.
         return self._program.library

@@ -260,11 +260,9 @@ class RecordedExecution(Execution):
 
 
 def record_of(execution: Execution) -> Record | None:
-    """Return the record of an execution with one view, if the loop made it in this process."""
+    """Return the record of an execution with one guard, if the loop made it in this process."""
     run = getattr(execution, "_run", None)
-    if not isinstance(run, RecordedRun) or len(run.views) > 1 or run.graph.switch_names:
-        return None
-    return run.record
+    return run.record if isinstance(run, RecordedRun) and run.graph.has_one_guard else None
 
 
 def _execution(*values: Any) -> RecordedExecution:

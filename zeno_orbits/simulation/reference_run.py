@@ -376,7 +376,7 @@ class ReferenceRun(StopRun):
     @property
     def _has_others(self) -> bool:
         """True if there are guards beside that of the stop."""
-        return len(self.graph.stop_names) + len(self.graph.switch_names) > 1
+        return not self.graph.has_one_guard
 
     def _singular(self, error: StepSizeError, time: float) -> StepSizeError:
         """Return an error with the time of the execution, and a kink that is zero there."""
@@ -622,11 +622,8 @@ class ReferenceRun(StopRun):
             focus: The stop.
         """
         self.rest, self.focus = rest, focus
-        self.dynamics = self.follower.dynamics = self._view(rest, focus)
-        self.own = self.dynamics.own
+        self.see(self._view(rest, focus))
         self.follower.apart = _APART * self.own.time if self._has_others else 0.0
-        self.small_gap = self.settings.contact * self.own.gap
-        self.small_rate = self.settings.contact * self.own.gap_rate
         self.stop_name = self.graph.stop_names[focus]
 
     def _closed(self, start: ArcStart) -> tuple[int, ...]:

@@ -116,8 +116,17 @@ class StopRun(ABC):
     small_rate: float = field(init=False)
 
     def __post_init__(self) -> None:
-        """Look up the quantities that every event needs."""
-        self.own = self.dynamics.own
+        """Look at the stop of the system."""
+        self.see(self.dynamics)
+
+    def see(self, dynamics: HybridDynamics) -> None:
+        """Take a system, and the quantities that every event at its stop needs.
+
+        Args:
+            dynamics: The system.
+        """
+        self.dynamics = self.follower.dynamics = dynamics
+        self.own = dynamics.own
         self.small_gap = self.settings.contact * self.own.gap
         self.small_rate = self.settings.contact * self.own.gap_rate
 

@@ -245,6 +245,11 @@ class GraphDynamics:
         return self.compiled.graph.mechanism.q.numel()
 
     @property
+    def has_one_guard(self) -> bool:
+        """True if a motion has one guard at a time: one stop, and no switch or kink."""
+        return len(self.stop_names) + len(self.switch_names) == 1
+
+    @property
     def first(self) -> HybridDynamics:
         """The system of the first stop, with the other stops open."""
         return self.view(self.open_mode, 0)

@@ -26,7 +26,7 @@ from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.recorded import RecordedExecution, RecordedRun, events_of
 from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationTask
-from zeno_orbits.simulation.zeno.completion import FINEST, Completion, ZenoPassage
+from zeno_orbits.simulation.zeno.completion import FINEST, ZenoPassage
 from zeno_orbits.simulation.zeno.rescaled_flight import Flight, rescaled_flights
 from zeno_orbits.simulation.zeno.zeno_limit import ZenoLimit
 from zeno_orbits.simulation.zeno.zeno_passage import pass_through
@@ -84,14 +84,15 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
         SimulationError: If the execution cannot be continued, after the piece before that.
     """
     run = _Run(task)
-    n_x, names = len(task.graph.state_names), (task.graph.stop_names, task.graph.switch_names)
+    n_x = len(task.graph.state_names)
     # A run that ends at a release is not left before that.
     events = _EVENTS if task.most_releases == math.inf else _STEPS
+    events = max(events, run.loop.least_events)
     interrupted: SimulationError | None = None
     try:
         while not run.is_over and interrupted is None:
             try:
-                run.go_on(steps=_STEPS, polynomials=64, arcs=32, events=max(events, run.fewest))
+                run.go_on(steps=_STEPS, polynomials=64, arcs=32, events=events)
             except SimulationError as error:
                 interrupted = error
             record = run.loop.taken()
@@ -102,7 +103,7 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
                 mode, time = int(last[0]), float(last[2])
                 state = last[binding.ARC_WIDTH + n_x :][:n_x]
             yield Piece(
-                events=events_of(record.events, n_x, *names),
+                events=run.events_of(record.events),
                 states=record.steps[:, 2 : 2 + n_x],
                 time=time,
                 state=state,
@@ -124,7 +125,6 @@ def releases_by_loop(task: SimulationTask, states: Vector) -> Iterator[list[Even
         states: States that continue an earlier execution, ``(n, n_x)``.
     """
     run = _Run(task, records=False)
-    n_x, names = len(task.graph.state_names), (task.graph.stop_names, task.graph.switch_names)
     try:
         for k, state in enumerate(states):
             if k:
@@ -135,7 +135,7 @@ def releases_by_loop(task: SimulationTask, states: Vector) -> Iterator[list[Even
             except SimulationError:
                 pass  # The releases so far count.
             rows = run.loop.record().events
-            yield events_of(rows[_at_releases(rows[:, 0].tolist())], n_x, *names)
+            yield run.events_of(rows[_at_releases(rows[:, 0].tolist())])
     finally:
         run.loop.close()
 
@@ -177,10 +177,10 @@ class _Run:
         self.loop = LoopRun(program, settings, graph.p, task.state)
         self.is_over = False
 
-    @property
-    def fewest(self) -> int:
-        """Rows of the record of events that one event may need."""
-        return 2 + 4 * len(self._task.graph.stop_names)
+    def events_of(self, rows: Vector) -> list[Event]:
+        """Return the events of rows of the record."""
+        graph = self._task.graph
+        return events_of(rows, len(graph.state_names), graph.stop_names, graph.switch_names)
 
     def restart(self, state: Vector) -> None:
         """Begin again at another state, ``(n_x,)``."""
@@ -224,8 +224,19 @@ class _Run:
 
     def _curve_limit(self) -> ZenoLimit | None:
         """Return the Zeno point at the end of the curve of the impacts, if nothing else is near."""
-        rules = self._looking()
-        limit = _curve_limit(rules.dynamics, self._task.settings.completion, self.loop)
+        rule = self._task.settings.completion
+        if not isinstance(rule, ZenoPassage):
+            return None
+        rules, asked = self._looking(), self.loop.detail()
+        limit = pass_through(
+            rules.dynamics,
+            _flights(rules.dynamics, rule, self.loop),
+            asked.time,
+            asked.state,
+            asked.number,
+            rule.tolerance,
+            most_flights=int(asked.steps),
+        )
         if limit is None or limit.time >= self._task.until or not rules.is_clear(limit):
             return None
         return limit
@@ -242,28 +253,6 @@ class _Run:
         rules.split_by = split, frozenset()
         rules.look(tuple(k for k in range(n_stops) if seen.rest >> k & 1), seen.focus)
         return rules
-
-
-def _curve_limit(dynamics: HybridDynamics, rule: Completion, run: LoopRun) -> ZenoLimit | None:
-    """Return the Zeno point at the end of the curve of the impacts, if it can be followed there.
-
-    Args:
-        dynamics: The system whose impacts they are.
-        rule: The completion.
-        run: The run, whose last status is ``CURVE``.
-    """
-    asked = run.detail()
-    if not isinstance(rule, ZenoPassage):
-        return None
-    return pass_through(
-        dynamics,
-        _flights(dynamics, rule, run),
-        asked.time,
-        asked.state,
-        asked.number,
-        rule.tolerance,
-        most_flights=int(asked.steps),
-    )
 
 
 def _flights(dynamics: HybridDynamics, rule: ZenoPassage, run: LoopRun) -> Flight:
