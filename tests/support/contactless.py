@@ -1,9 +1,8 @@
-"""Machines whose orbits touch no stop, and their motions by SciPy or in closed form.
+"""Machines without stops, and their motions by SciPy or in closed form.
 
 `wheel` is a rimless wheel on a slope: a pendulum with a reset at every new spoke. `escapement` is
 an oscillator with a push in the direction of its velocity. `duffing` is a driven oscillator with
-quadratic drag and two wells, in each of which an orbit of the same period exists. The stop of each
-is out of reach.
+quadratic drag and two wells, in each of which an orbit of the same period exists. None has a stop.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ Motion = Callable[[Vector], Vector]
 def _wheel_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
     rim = zo.HybridLagrangian.from_energies(
-        q=q, v=v, kinetic=v**2 / 2, potential=p["g"] / p["l"] * ca.cos(q), gap=q + 3
+        q=q, v=v, kinetic=v**2 / 2, potential=p["g"] / p["l"] * ca.cos(q)
     )
     half = math.pi / 8
     strike = zo.Switch(
@@ -37,7 +36,7 @@ def _wheel_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
         q_after=q - 2 * half,
         v_after=v * math.cos(2 * half),
     )
-    return zo.hybrid_system(rim, zo.no_drive(rim), p["restitution"], switches=(strike,))
+    return zo.hybrid_system(rim, zo.no_drive(rim), switches=(strike,))
 
 
 def wheel() -> zo.Problem:
@@ -52,7 +51,6 @@ def wheel() -> zo.Problem:
             Q.positive("l", 1.0, "m", "length of a spoke"),
             Q.positive("g", 9.81, "m/s^2", "gravity"),
             Q.positive("slope", 0.08, "rad", "slope"),
-            Q.restitution(0.0),
         ),
         gains=(),
         model=_wheel_model,
@@ -84,9 +82,8 @@ def _escapement_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
         kinetic=v**2 / 2,
         potential=p["k"] * x**2 / 2,
         passive_force=push - p["c"] * v,
-        gap=x + 100,
     )
-    return zo.hybrid_system(pallet, zo.no_drive(pallet), p["restitution"], switches=())
+    return zo.hybrid_system(pallet, zo.no_drive(pallet))
 
 
 def escapement() -> zo.Problem:
@@ -101,7 +98,6 @@ def escapement() -> zo.Problem:
             Q.positive("k", 9.0, "1/s^2", "stiffness over mass"),
             Q.positive("c", 0.4, "1/s", "damping over mass"),
             Q.positive("F", 1.0, "m/s^2", "push over mass"),
-            Q.restitution(0.0),
         ),
         gains=(),
         model=_escapement_model,
@@ -141,10 +137,9 @@ def _duffing_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
         kinetic=v**2 / 2,
         potential=x**4 / 4 - x**2 / 2,
         passive_force=p["A"] * clock.cosine - p["c"] * ca.fabs(v) * v,
-        gap=x + 100,
         clock=clock,
     )
-    return zo.hybrid_system(beam, zo.no_drive(beam), p["restitution"], switches=())
+    return zo.hybrid_system(beam, zo.no_drive(beam))
 
 
 def duffing(side: float = 1.0) -> zo.Problem:
@@ -159,7 +154,6 @@ def duffing(side: float = 1.0) -> zo.Problem:
             Q.positive("c", 1.5, "1/m", "quadratic drag"),
             Q.positive("A", 0.2, "m/s^2", "size of the drive"),
             Q.positive("omega", 1.1, "rad/s", "frequency"),
-            Q.restitution(0.0),
         ),
         gains=(),
         model=_duffing_model,

@@ -109,7 +109,7 @@ class ZenoCondition:
         point = self.equilibrium
         return {
             "problem": self.problem.name,
-            "restitution": self.values.parameters["restitution"],
+            "restitution": self.problem.first_system(self.values).restitution,
             "formula": str(self.formula),
             "numbers": self.text,
             "coefficients": {str(term): float(factor) for term, factor in coefficients},

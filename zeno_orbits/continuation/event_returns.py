@@ -70,8 +70,7 @@ class EventReturns:
         """
         graph = GraphDynamics(self.compiled, self.line.at(s))
         try:
-            for stop in range(len(graph.stop_names)):
-                graph.view(graph.open_mode, stop)
+            _ = graph.open_views
         except InputError as error:
             raise SimulationError(str(error), time=0.0, state=()) from error
         return graph

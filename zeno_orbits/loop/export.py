@@ -176,15 +176,17 @@ def _data(program: GraphProgram, run: ExportedRun, stem: str) -> Iterable[str]:
     yield f"const zl_problem {stem}_problem = {whole};\n"
     settings = ["{\n    " + _settings(one) + "\n}" for one in run.settings]
     yield f"const zl_settings {stem}_settings[] = {{{', '.join(settings)}}};\n"
-    yield c_array(f"const double {stem}_parameters[]", map(c_number, run.values.tolist()))
+    # C has no empty arrays.
+    values = run.values.tolist() or [0.0]
+    yield c_array(f"const double {stem}_parameters[]", map(c_number, values))
     yield c_array(f"const double {stem}_start[]", map(c_number, run.state.tolist()))
     for name, words in (
         ("state", run.state_names),
         ("parameter", run.parameter_names),
         ("stop", run.stop_names),
-        ("switch", run.switch_names or ("",)),
+        ("switch", run.switch_names),
     ):
-        yield c_array(f"const char *const {stem}_{name}_names[]", map(c_text, words))
+        yield c_array(f"const char *const {stem}_{name}_names[]", map(c_text, words or ("",)))
 
 
 def _scheme(place: c.SchemeType) -> Iterable[str]:

@@ -226,9 +226,7 @@ def usual_time(
 
 def _restitution(problem: Problem, values: ParameterValues) -> float:
     """Return the largest restitution of all stops."""
-    graph = graph_of(problem.system(values))
-    stops = range(len(graph.stop_names))
-    return max(graph.view(graph.open_mode, k).restitution for k in stops)
+    return max(view.restitution for view in graph_of(problem.system(values)).open_views)
 
 
 def _in_words(problem: Problem, found: Attractor) -> Attractor:

@@ -323,7 +323,7 @@ def pushed(
         closed: Indices of the stops at zero gap and gap rate.
     """
     after = state.copy()
-    views = [_views(system)[k] for k in closed]
+    views = [graph_of(system).open_views[k] for k in closed]
     matrix = graph_of(system).delassus(state)[np.ix_(closed, closed)]
     speeds = slice(system.n_q, 2 * system.n_q)
     after[speeds] += change
@@ -648,16 +648,10 @@ def _touched(system: HybridDynamics | GraphDynamics, state: Vector) -> tuple[int
     """Return the indices of the stops at zero gap and gap rate."""
     return tuple(
         k
-        for k, view in enumerate(_views(system))
+        for k, view in enumerate(graph_of(system).open_views)
         if abs(view.gap(state)) <= _TOUCHES * view.own.gap
         and abs(view.gap_rate(state)) <= _TOUCHES * view.own.gap_rate
     )
-
-
-def _views(system: HybridDynamics | GraphDynamics) -> list[HybridDynamics]:
-    """Return the system of each stop, with the other stops open."""
-    graph = graph_of(system)
-    return [graph.view(graph.open_mode, k) for k in range(len(graph.stop_names))]
 
 
 def _moments(

@@ -132,7 +132,13 @@ def acceleration_formula(problem: Problem) -> Any:
     """
     symbols = problem.symbols()
     system = problem.model(symbols)
-    if system.graph is not None and len(system.graph.stops) > 1:
+    stops = 1 if system.graph is None else len(system.graph.stops)
+    if stops == 0:
+        raise InputError(
+            f"Argument `problem`: `{problem.name}` has no stop, so it has no Zeno point. Declare a "
+            "stop with `gap` or `stops`."
+        )
+    if stops > 1:
         raise InputError(
             f"Argument `problem`: `{problem.name}` has several stops, each with a condition of its "
             "own, which is not available in this version."

@@ -24,7 +24,7 @@ from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
 from zeno_orbits.model.kinks import branched
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import GraphMode, ModeGraph, conditions_of, formulas_of
-from zeno_orbits.model.stops import Stop, Switch, require_event_names
+from zeno_orbits.model.stops import Stop, Switch, require_event_names, watched
 from zeno_orbits.model.waveforms import TimeOrder, time_orders
 from zeno_orbits.work import checked
 
@@ -46,10 +46,11 @@ def hybrid_system(
         v^+ = v^- - (1 + e)\,\frac{J v^-}{J W J^\top}\,W J^\top
 
     Args:
-        lagrangian: The mechanism, with one gap or with ``stops``.
+        lagrangian: The mechanism, with one gap, with ``stops``, or without a stop.
         drive: Drive or additional states, or a tuple of several. Their states follow in order.
         restitution: Coefficient of restitution :math:`e` of the one gap, a symbol or a number in
-            [0, 1]. The ``stops`` of a mechanism have their own.
+            [0, 1]. The ``stops`` of a mechanism have their own, and without a stop
+            it is left out.
         switches: Declared switches of the machine. Every kink of a formula (``fmin``, ``fmax``,
             ``fabs``, ``sign``, ``if_else``, ``atan2``) is a further switch, without a reset.
 
@@ -66,20 +67,24 @@ def hybrid_system(
 
     Source: [Moreau1988]_ for the impact law, theory (1.6)-(2.1), and (20) for a corrected drive.
     """
-    if not lagrangian.stops:
+    if lagrangian.has_gap:
         if restitution is None:
             raise ValueError("Argument `restitution` is missing: the third one of `hybrid_system`.")
         one = completed(lagrangian, drive, ca.SX(restitution))
         if switches is None and not conditions_of(one.mechanism, one.drive, one.state):
             return one
         return replace(one, graph=graph_of_one_stop(one, switches or ()))
+    if restitution is not None and not lagrangian.stops:
+        raise ValueError(
+            "Argument `restitution` must be left out of a machine without a stop. If it has one, "
+            "give the mechanism its `gap`."
+        )
     if restitution is not None:
         raise ValueError(
             "Argument `restitution` must be left out of `hybrid_system`: every stop has its own."
         )
-    stops = lagrangian.stops
-    one = completed(lagrangian, drive, ca.SX(stops[0].restitution))
-    return replace(one, graph=_graph(one, stops, tuple(switches or ())))
+    one = completed(lagrangian, drive, ca.SX(watched(lagrangian.stops)[0].restitution))
+    return replace(one, graph=_graph(one, lagrangian.stops, tuple(switches or ())))
 
 
 def graph_of_one_stop(one: CompletedSystem, switches: Sequence[Switch] = ()) -> ModeGraph:
@@ -110,9 +115,9 @@ def system_of_stop(
     closed, sides = mode
     mechanism, drive, _ = graph.on_branch(sides, beyond)
     shut = ca.vertcat(mechanism.holonomic, *(graph.stops[k].gap for k in closed))
-    restitution = ca.SX(graph.stops[stop].restitution)
-    one = replace(mechanism, gap=graph.stops[stop].gap, holonomic=shut)
-    return completed(one, drive, restitution)
+    seen = watched(graph.stops)[stop]
+    one = replace(mechanism, gap=seen.gap, holonomic=shut)
+    return completed(one, drive, ca.SX(seen.restitution))
 
 
 def guard_and_flow(graph: ModeGraph, mode: GraphMode, switch: int) -> tuple[ca.SX, ca.SX]:
@@ -124,7 +129,7 @@ def guard_and_flow(graph: ModeGraph, mode: GraphMode, switch: int) -> tuple[ca.S
         switch: Index of a declared switch, or of a kink after these.
     """
     closed, sides = mode
-    opened = [k for k in range(len(graph.stops)) if k not in closed]
+    opened = [k for k in range(graph.n_watched) if k not in closed]
     if opened:
         flow = system_of_stop(graph, mode, opened[0]).free_flow
     else:
@@ -150,7 +155,7 @@ def _graph(
             "Argument `drive` must not be a corrected drive in a machine with several stops, "
             "switches or kinks of the state: use `full_drive`."
         )
-    gaps = ca.vertcat(*(stop.gap for stop in stops))
+    gaps = ca.vertcat(*(stop.gap for stop in watched(stops)))
     _require_smooth(
         one.state, gap=gaps, holonomic=mechanism.holonomic, mass_matrix=mechanism.mass_matrix
     )

@@ -140,7 +140,8 @@ def completed(
     inverse_mass, free_acceleration = accelerate(lagrangian, drive.force)
     normal = ca.jacobian(lagrangian.gap, q).T
     response = ca.mtimes(inverse_mass, normal)
-    normal_inertia = 1 / ca.dot(normal, response)
+    # The absent stop of a machine without stops has no normal, and no impulse acts along it.
+    normal_inertia = 1 / ca.dot(normal, response) if normal.nnz() else ca.SX(0)
     gap_rate = ca.dot(normal, v)
     gap_acceleration = ca.dot(normal, free_acceleration) + ca.jtimes(gap_rate, q, v)
     multiplier = -gap_acceleration * normal_inertia

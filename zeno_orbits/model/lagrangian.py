@@ -14,7 +14,7 @@ import numpy as np
 
 from zeno_orbits.model.clock import Clock
 from zeno_orbits.model.operations import without_calls
-from zeno_orbits.model.stops import Stop
+from zeno_orbits.model.stops import ABSENT, Stop
 from zeno_orbits.work import checked
 
 _ROUNDING = 1e-10
@@ -34,13 +34,14 @@ class HybridLagrangian:
         mass_matrix: :math:`M(q)`, ``(n_q, n_q)``.
         bias: :math:`C(q, v)\,v + N(q)` minus the passive forces, ``(n_q,)``.
         gap: :math:`h(q)`, scalar. The stop is :math:`h = 0`. With ``stops`` it is the first gap.
+            Without a stop it is the constant 1.
         potential: :math:`U(q)`, scalar [J].
         passive_force: Forces that depend on ``(q, v)`` alone, friction for instance, ``(n_q,)``.
         holonomic: :math:`\eta(q)`, ``(n_eta,)``. The motion satisfies :math:`\eta = 0` (paper eq.
             6).
         applied_force: External forces, as functions of ``(q, v)`` and the clock, ``(n_q,)``.
         clock: Clock of the external forces, or ``None`` without time-dependent forces.
-        stops: All stops of a mechanism with several, each with its restitution, or empty.
+        stops: The stops with names, each with its restitution, or empty.
     """
 
     q: ca.SX
@@ -54,6 +55,11 @@ class HybridLagrangian:
     applied_force: ca.SX
     clock: Clock | None = None
     stops: tuple[Stop, ...] = ()
+
+    @property
+    def has_gap(self) -> bool:
+        """True for one stop without a name, whose restitution belongs to the system."""
+        return not (self.stops or self.gap.is_constant())
 
     @classmethod
     @checked
@@ -88,14 +94,14 @@ class HybridLagrangian:
             applied_force: External forces, ``(n_q,)``, as functions of ``(q, v)`` and the clock, by
                 default absent. Their work counts as input.
             clock: The clock whose states the forces hold, if they change with time.
-            stops: The stops of a mechanism with several, in place of ``gap``.
+            stops: Stops with names, in place of ``gap``. Without both, the mechanism has no stop.
 
         Returns:
             The mechanism.
 
         Raises:
-            ValueError: If an energy, a gap or a constraint depends on a forbidden symbol, or if not
-                exactly one of ``gap`` and ``stops`` is given.
+            ValueError: If an energy, a gap or a constraint depends on a forbidden symbol, or if
+                both ``gap`` and ``stops`` are given.
         """
         require_symbols("q", q)
         require_symbols("v", v)
@@ -111,10 +117,11 @@ class HybridLagrangian:
         mass_matrix = ca.hessian(kinetic, v)[0]
         _require_shapes(q, v=v, passive_force=friction, applied_force=applied)
         gaps = _gaps(gap, stops)
+        every_gap = ca.vertcat(ca.SX(0, 1), *gaps)
         if clock is not None:
             held = {"kinetic": kinetic, "potential": potential, "holonomic": eta}
-            _require_timeless(clock, **held, gap=ca.vertcat(*gaps))
-        _require_still(v, gap=ca.vertcat(*gaps), potential=potential, holonomic=eta)
+            _require_timeless(clock, **held, gap=every_gap)
+        _require_still(v, gap=every_gap, potential=potential, holonomic=eta)
         if not all(ca.depends_on(one, q) for one in gaps):
             raise ValueError(
                 "Argument `gap` must depend on the configuration, but it is constant. Write it "
@@ -134,7 +141,7 @@ class HybridLagrangian:
             v=v,
             mass_matrix=mass_matrix,
             bias=bias,
-            gap=gaps[0],
+            gap=gaps[0] if gaps else ABSENT.gap,
             potential=potential,
             passive_force=friction,
             holonomic=eta,
@@ -278,10 +285,10 @@ def _gaps(gap: ca.SX | None, stops: Sequence[Stop]) -> tuple[ca.SX, ...]:
     """Return the gaps of a mechanism.
 
     Raises:
-        ValueError: If not exactly one of the two arguments is given.
+        ValueError: If both arguments are given.
     """
-    if (gap is None) == (not stops):
-        raise ValueError("Give either the argument `gap` or the argument `stops`.")
+    if gap is not None and stops:
+        raise ValueError("Give either the argument `gap` or the argument `stops`, not both.")
     for stop in stops:
         if not ca.SX(stop.gap).is_scalar():
             shape = ca.SX(stop.gap).shape

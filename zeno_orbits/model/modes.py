@@ -9,7 +9,7 @@ import casadi as ca
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.kinks import branched, is_smooth, sided
 from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.stops import Stop, Switch
+from zeno_orbits.model.stops import Stop, Switch, watched
 from zeno_orbits.model.waveforms import TimeOrder
 
 GraphMode = tuple[tuple[int, ...], tuple[bool, ...]]
@@ -52,14 +52,21 @@ class ModeGraph:
 
     @property
     def reason(self) -> str:
-        """The property that gives the machine several modes, for messages."""
+        """The property that gives the machine another form than one stop, for messages."""
         if len(self.stops) > 1:
             return "several stops"
+        if not self.stops:
+            return "no stop"
         if self.switches:
             return "switches"
         if self.conditions:
             return "a kink of the state (`fmin`, `fmax`, `fabs`, `sign`, `if_else`, `atan2`)"
         return "stops or switches with names"
+
+    @property
+    def n_watched(self) -> int:
+        """Number of stops of its views: of a machine without stops it is 1."""
+        return len(watched(self.stops))
 
     @property
     def switch_names(self) -> tuple[str, ...]:

@@ -206,11 +206,11 @@ class Problem(Declared):
             symbols: Gains and parameters by name.
 
         Raises:
-            InputError: If the machine has several stops or a declared switch.
+            InputError: If the machine has no stop, several stops or a declared switch.
         """
         system = self.model(symbols)
         graph = system.graph
-        if graph is not None and (len(graph.stops) > 1 or graph.switches):
+        if graph is not None and (len(graph.stops) != 1 or graph.switches):
             raise _needs_one_stop(self, graph)
         return system
 
@@ -606,8 +606,8 @@ class Problem(Declared):
 
     @property
     def gap_unit(self) -> str:
-        """Unit of the gap of the first stop, by `gap_units`."""
-        return next(iter(self.gap_units.values()))
+        """Unit of the gap of the first stop, by `gap_units`, or 1 without a stop."""
+        return next(iter(self.gap_units.values()), "1")
 
     @property
     def gap_units(self) -> dict[str, str]:

@@ -35,6 +35,10 @@ class Stop(Checked):
         expand_calls(self)
 
 
+ABSENT = Stop(name="", gap=ca.SX(1), restitution=0.0, unit="1")
+"""The stop of the views of a machine without stops. Its gap is constant, so it never closes."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Switch(Checked):
     r"""An event without a stop: a guard that falls through zero while the switch is armed.
@@ -79,3 +83,12 @@ def require_event_names(names: list[str]) -> None:
             raise ValueError(
                 f"Argument `name` must differ for all stops and switches, but two are `{name}`."
             )
+
+
+def watched(stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
+    """Return the stops that the views of a machine have: its own, or the absent one.
+
+    Args:
+        stops: Its stops.
+    """
+    return stops or (ABSENT,)

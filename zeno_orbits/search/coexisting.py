@@ -138,9 +138,7 @@ def _box(run: Execution, n_x: int) -> tuple[Vector, Vector]:
 
 
 def _is_off_the_stops(system: HybridDynamics | GraphDynamics, state: Vector) -> bool:
-    graph = graph_of(system)
-    stops = range(len(graph.stop_names))
-    return all(graph.view(graph.open_mode, stop).gap(state) > 0.0 for stop in stops)
+    return all(view.gap(state) > 0.0 for view in graph_of(system).open_views)
 
 
 def _states(

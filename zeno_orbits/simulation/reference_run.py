@@ -624,7 +624,7 @@ class ReferenceRun(StopRun):
         self.rest, self.focus = rest, focus
         self.see(self._view(rest, focus))
         self.follower.apart = _APART * self.own.time if self._has_others else 0.0
-        self.stop_name = self.graph.stop_names[focus]
+        self.stop_name = self.graph.stop_names[focus] if self.graph.stop_names else ""
 
     def _closed(self, start: ArcStart) -> tuple[int, ...]:
         """Return the closed stops of an arc."""

@@ -76,9 +76,7 @@ def simulate(
 
 def _restitutions(dynamics: HybridDynamics | GraphDynamics) -> list[float]:
     """Return the restitution of every stop."""
-    graph = graph_of(dynamics)
-    stops = range(len(graph.stop_names))
-    return [graph.view(graph.open_mode, k).restitution for k in stops]
+    return [view.restitution for view in graph_of(dynamics).open_views]
 
 
 def simulated_at_most(

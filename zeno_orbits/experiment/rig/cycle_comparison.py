@@ -199,7 +199,7 @@ def _unlike(table: Mapping[str, Vector], orbit: CycleNumbers, away: float) -> tu
 
 def penetration_warnings(run: RigRun, problem: Problem) -> tuple[str, ...]:
     """Return a warning if the penetration exceeds a hundredth of the largest gap."""
-    depth, height = -float(np.min(run.gap)), float(np.max(run.gap))
+    depth, height = -float(np.min(run.gap, initial=0.0)), float(np.max(run.gap, initial=0.0))
     if depth <= DEEP * height:
         return ()
     share = f"{100 * depth / height:.2g} % of the highest gap" if height > 0.0 else "all the time"

@@ -54,6 +54,7 @@ class Machine:
         n_q: Number of coordinates.
         n_motors: Number of motors.
         stop_names: Name of each stop.
+        n_watched: Number of stops whose gaps are formulas: of a machine without stops it is 1.
         holds: Whether the voltages are held between updates instead of following the feedback
             continuously.
         observe: ``(y, P) -> (contact forces, gaps, gap rates, normal inertias)``, each of all
@@ -70,6 +71,7 @@ class Machine:
     n_q: int
     n_motors: int
     stop_names: tuple[str, ...]
+    n_watched: int
     holds: bool
     observe: ca.Function
     motors: ca.Function
@@ -113,11 +115,11 @@ class Machine:
             self._branches[sides, touched] = self._branch(sides, touched)
         parts = self._branches[sides, touched]
         rate = parts.rate(touched)
-        if guard < len(self.stop_names):
+        if guard < self.n_watched:
             sign = -1 if guard in touched else 1
             watched = sign * ca.vertcat(parts.gaps[guard], parts.gap_rates[guard])
             return mode_functions("machine", parts.state, parts.numbers, rate, watched)
-        value = self._graph.guard(sides, guard - len(self.stop_names))
+        value = self._graph.guard(sides, guard - self.n_watched)
         value = value if above else -value
         slope = ca.jtimes(value, parts.state, rate)
         watched = ca.vertcat(value, slope, ca.jtimes(slope, parts.state, rate))
@@ -171,6 +173,7 @@ def machine(problem: Problem, rig: Rig) -> Machine:
         n_q=system.n_q,
         n_motors=parts.held.numel(),
         stop_names=tuple(one.name for one in graph.stops),
+        n_watched=graph.n_watched,
         holds=parts.holds,
         observe=function("observe", seen),
         motors=function("motors", parts.current, parts.terminal),
@@ -390,7 +393,7 @@ class _Parts:
 def _one_by_one(graph: ModeGraph) -> list[CompletedSystem]:
     """Return the system of every stop, with all other stops open and any branch of the kinks."""
     mode = (), (True,) * len(graph.conditions)
-    return [system_of_stop(graph, mode, k) for k in range(len(graph.stops))]
+    return [system_of_stop(graph, mode, k) for k in range(graph.n_watched)]
 
 
 def bridged(system: CompletedSystem) -> ca.SX:

@@ -123,10 +123,9 @@ class _Follower:
     ) -> None:
         built = machine(problem, rig)
         self._graph = problem.graph_dynamics(values)
-        n_stops = len(built.stop_names)
-        views = [self._graph.view(self._graph.open_mode, k) for k in range(n_stops)]
+        views = self._graph.open_views
         e = [view.restitution for view in views]
-        self._numbers_of = damping_numbers(dict(zip(built.stop_names, e, strict=True)))
+        self._numbers_of = damping_numbers(dict(zip(built.stop_names, e, strict=False)))
         self._owns = tuple(view.own for view in views)
         own = self._owns[0]
         tolerances = [rig_tolerance(rig.contact, one) for one in self._owns]
@@ -137,7 +136,7 @@ class _Follower:
         self._spacing = SPACING * self._own_time if settings.spacing is None else settings.spacing
         self._legs = LegFollower(self._settings.engine)
         self._p = np.asarray(values.vector, dtype=np.float64)
-        self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), np.zeros(n_stops)])
+        self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), np.zeros(len(views))])
         self._memories: dict[ModeFunctions, FlowMemory] = {}
         self._observe = Call(built.observe, self._numbers)
         self._motors = Call(built.motors, self._numbers)
@@ -249,7 +248,7 @@ class _Follower:
             self._window *= _GROW
             return
         self._window = max(_GROW * passage.duration, _SHORTEST * self._own_time)
-        n_stops = len(self._machine.stop_names)
+        n_stops = self._machine.n_watched
         if fell < n_stops:
             self._turn(fell)
         else:
@@ -388,7 +387,7 @@ class _Follower:
         self._mode = before.flipped(graph, switch, x)
         if falls and switch >= graph.n_declared:
             side = self._mode.sides[switch - graph.n_declared]
-            beyond = RigGuard(len(self._machine.stop_names) + switch, on_guard=True, above=side)
+            beyond = RigGuard(self._machine.n_watched + switch, on_guard=True, above=side)
             if self._flow(beyond, self._numbers.copy()).guard(self._y)[1] < 0.0:
                 raise slides(name, self._time, x)
 
@@ -434,10 +433,11 @@ class _Follower:
         times, states, numbers, contacts = zip(*self._rows, strict=True)
         y, held = np.array(states), np.array(numbers)
         n_stops = len(self._machine.stop_names)
-        shape = (len(times), n_stops) if n_stops > 1 else (len(times),)
-        seen = Columns(self._machine.observe)(y, held)[0].reshape(len(times), 4, n_stops)
+        shape = (len(times),) if n_stops == 1 else (len(times), n_stops)
+        seen = Columns(self._machine.observe)(y, held)[0].reshape(len(times), 4, -1)[..., :n_stops]
         current, voltage = Columns(self._machine.motors)(y, held)
-        in_contact = np.array([[k in one for k in range(n_stops)] for one in contacts], dtype=bool)
+        touched = [[k in one for k in range(n_stops)] for one in contacts]
+        in_contact = np.array(touched, dtype=bool).reshape(len(times), n_stops)
         # A root of the gap is rounded to either side. Off the stop the force is zero.
         force = np.where(in_contact, np.maximum(seen[:, 0], 0.0), 0.0)
         return RigRun(

@@ -236,7 +236,7 @@ class GraphDynamics:
             SwitchingTimesError: If the switching times of a piecewise input do not increase.
         """
         other = GraphDynamics(self.compiled, values)
-        other._scales.update((k, self._scale(k)) for k in range(len(self.stop_names)))
+        other._scales.update((k, self._scale(k)) for k in range(self.n_watched))
         return other
 
     @property
@@ -246,12 +246,17 @@ class GraphDynamics:
 
     @property
     def has_one_guard(self) -> bool:
-        """True if a motion has one guard at a time: one stop, and no switch or kink."""
-        return len(self.stop_names) + len(self.switch_names) == 1
+        """True if a motion has one guard at a time: no switch or kink, and at most one stop."""
+        return self.n_watched + len(self.switch_names) == 1
+
+    @property
+    def n_watched(self) -> int:
+        """Number of stops of its views: of a machine without stops it is 1."""
+        return self.compiled.graph.n_watched
 
     @property
     def first(self) -> HybridDynamics:
-        """The system of the first stop, with the other stops open."""
+        """The system of the first stop, or of the absent one, with the other stops open."""
         return self.view(self.open_mode, 0)
 
     @property
@@ -272,6 +277,11 @@ class GraphDynamics:
             self._views[key] = bind(system, self.p, partial(self._scale, stop))
         return self._views[key]
 
+    @property
+    def open_views(self) -> tuple[HybridDynamics, ...]:
+        """The system of each stop, or of the absent one, with the other stops open."""
+        return tuple(self.view(self.open_mode, k) for k in range(self.n_watched))
+
     def some_stop(self, mode: GraphMode) -> tuple[GraphMode, int]:
         """Return the mode of a view with the formulas of a mode, and the stop of the view.
 
@@ -282,7 +292,7 @@ class GraphDynamics:
             mode: The mode.
         """
         closed, sides = mode
-        opened = [k for k in range(len(self.stop_names)) if k not in closed]
+        opened = [k for k in range(self.n_watched) if k not in closed]
         return (mode, opened[0]) if opened else ((closed[1:], sides), closed[0])
 
     def holding(self, mode: GraphMode, stop: int) -> HybridDynamics:
@@ -415,7 +425,7 @@ class GraphDynamics:
 
     def delassus(self, x: Vector) -> Vector:
         r"""Return :math:`J W J^\top` of all stops, ``(n_stops, n_stops)``."""
-        n = len(self.stop_names)
+        n = self.n_watched
         return self._delassus(x).copy().reshape(n, n)
 
     def delassus_derivative(self, x: Vector, chosen: Sequence[int]) -> Vector:
@@ -425,7 +435,7 @@ class GraphDynamics:
             x: The state, ``(n_x,)``.
             chosen: Indices of the parameters, ``(k,)``.
         """
-        n = len(self.stop_names)
+        n = self.n_watched
         _, by_x, by_p = self.compiled.delassus_derivative(x, self.p)
         by = np.concatenate([by_x.full(), by_p.full()[:, list(chosen)]], axis=1)
         return by.reshape(n, n, -1)

@@ -41,7 +41,7 @@ def print_conditions(
         always: Whether d2h/dt2 is negative everywhere (true) or nowhere (false), or ``None`` for
             neither.
     """
-    e = values.parameters["restitution"]
+    e = problem.first_system(values).restitution
     print_whole(
         [
             "Theorem 1: Zeno executions exist near a Zeno equilibrium if",

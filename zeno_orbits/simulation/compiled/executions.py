@@ -246,7 +246,7 @@ class _Run:
         if self._rules is None:
             self._rules = ReferenceRun.of(self._task)
         rules, seen, graph = self._rules, self.loop.outlook(), self._task.graph
-        n_stops, n_switches, n = len(graph.stop_names), len(graph.switch_names), graph.n_declared
+        n_stops, n_switches, n = graph.n_watched, len(graph.switch_names), graph.n_declared
         rules.above = tuple(bool(seen.above >> k & 1) for k in range(n))
         rules.sides = tuple(bool(seen.sides >> k & 1) for k in range(n_switches - n))
         split = frozenset(k for k in range(n_switches) if seen.splits >> k & 1)

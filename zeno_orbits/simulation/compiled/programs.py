@@ -57,7 +57,7 @@ def graph_program(compiled: CompiledGraph) -> GraphProgram | str:
 
 def _made(compiled: CompiledGraph) -> GraphProgram | str:
     library, graph = loop_library(), compiled.graph
-    n_stops, n_switches = len(graph.stops), len(graph.switch_names)
+    n_stops, n_switches = graph.n_watched, len(graph.switch_names)
     if library is None:
         return "the library is missing"
     if n_stops > binding.STOPS:
@@ -102,7 +102,7 @@ def whole_program(compiled: CompiledGraph) -> GraphProgram | str:
     if isinstance(begun, str):
         return begun
     graph, program = compiled.graph, GraphProgram(begun.library, begun.formulas)
-    n_stops, n_kinks = len(graph.stops), len(graph.conditions)
+    n_stops, n_kinks = graph.n_watched, len(graph.conditions)
     n_modes = 2 ** (n_stops + n_kinks)
     if n_modes > _MOST_MODES:
         return f"it has {n_modes} modes, and at most {_MOST_MODES} are exported"

@@ -95,8 +95,7 @@ def _shared_by_stop(task: SimulationTask) -> Sequence[_Shared]:
         chosen = replace(chosen, far=tuple(chosen.far))
     sizes = (len(graph.state_names), graph.n_q)
     tolerance = tolerance_of(task)
-    views = [graph.view(graph.open_mode, k) for k in range(len(graph.stop_names))]
-    return [(chosen, tolerance, view.own, view.restitution, *sizes) for view in views]
+    return [(chosen, tolerance, view.own, view.restitution, *sizes) for view in graph.open_views]
 
 
 @lru_cache(maxsize=64)

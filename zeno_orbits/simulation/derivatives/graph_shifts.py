@@ -333,7 +333,7 @@ class GraphShifts:
             return perturbations, Mode.FREE, v, q
         some = self._some_stop(arc)
         perturbations = self._of(arc, some)
-        is_locked = self.graph.stop_names[some] in arc.closed
+        is_locked = some in self.graph.mode_of(arc.closed, arc.sides)[0]
         mode = Mode.LOCKED if is_locked else Mode.FREE
         return perturbations, mode, start.state, perturbations.parameters
 
