@@ -43,72 +43,78 @@ PROBLEMS = """bouncing_ball curved_surface falling_pendulum forced_oscillator im
 motor_cart motor_pendulum motor_pendulum@corrected motor_pendulum@quasi_static motor_valve
 torque_pendulum two_motors two_tone_table vibrating_table"""
 COMMANDS = """
-PROBLEM = search PROBLEM --starts 3 -o orbit.json --json
-data = simulate motor_pendulum --until 28 --rate 100 --data data.csv --noise 1e-3
-costs = trade motor_pendulum --quick --json -o trade.json --picture trade.png
-orbit = search motor_pendulum --fix Kp=2.5 --fix Kd=-1 -o orbit.json
+PROBLEM = search PROBLEM --n-starts 3 -o orbit.json --json
+data = simulate motor_pendulum --until 28 --rate 100 --output data.csv --noise 1e-3
+costs = work-precision motor_pendulum --quick --json -o trade.json --plot trade.png
+orbit = search motor_pendulum --set Kp=2.5 --set Kd=-1 -o orbit.json
 struck = search impact_oscillator --set omega=0.5 --set stop=0.5 -o orbit.json
-curves = continue forced_oscillator --in A=0.78:0.9 --second stop=-0.82:-0.78 -o family.json
+curves = continue forced_oscillator --parameter A=0.78:0.9 --parameter2 stop=-0.82:-0.78
+    -o family.json
 forced = new forced
 flap = new flap --with-motor --json
 found = search @forced/forced.py -o orbit.json
-conditions PROBLEM --json
+zeno-condition PROBLEM --json
 simulate PROBLEM --until 5 --json
 problems :: ; --json ; --loud
-conditions :: motor_pendulum -o region.png ; bouncing_ball --set g=-9.81 ; fly
+zeno-condition :: motor_pendulum --plot region.png ; bouncing_ball --set g=-9.81 ; fly
 simulate motor_pendulum --until 6 :: ; --engine explicit --json ; --engine implicit --json ;
     --set L=1e-6 --json ; --engine explicit --accuracy 1e-10 ; --set restitution=0.97 --json ;
-    --start theta1=1.2 --gain Kp=3 -o run.svg ; --set m1=-0.3 ; --gain Ki=1 ; -o run.gif
+    --start theta1=1.2 --set Kp=3 --plot run.svg ; --set m1=-0.3 ; --set Ki=1 ; -o run.gif
 simulate :: bouncing_ball --until 600 --set restitution=0.999 --json ; @made/no_scene.py ; fly
-fidelity :: motor_pendulum --measure --json ; motor_pendulum --set L=0.02 ; bouncing_ball
-trade --quick :: bouncing_ball --until 5 --json ; vibrating_table ; bouncing_ball --until 0
-search motor_pendulum --fix Kp=2.5 --fix Kd=-1 :: --accuracy 1e-8 ; --engine explicit --json ;
-    --set L=1e-5 --json ; --set restitution=0 --json ; --objective energy ; --free L1=0.198:0.202
-    --objective peak=current --from @orbit ; --free R=2:4 --objective period=1.8 --json
-search motor_pendulum --starts 2 --fix Kp=2.5 :: --objective contraction ; --objective margin
-    --json ; --checkpoint kept --json ; --objective amplitude=0.6 ; --keep current=-2.2:2.2
-    --keep period=:1.9 ; --objective energy --keep theta2=:1.9 --json ; --fix Kd=1
-search motor_pendulum --starts 2 --json :: --objective nearest:Kp=3,Kd=-0.9 ; --objective period=5 ;
-    --objective energy --candidates 2 ; --gain Kp=1:5 --fix Kd=-1 --objective period=1.83 ;
-    --fix Kp=4.3 --fix Kd=-1.53 --shape zeno*2 ; --from @orbit --set restitution=0.3 ;
-    --from none.json ; --from @struck ; --fix Ki=1 ; --objective speed ; --shape bounce
-search --starts 2 --json :: two_motors --fix Kp2=0 --objective energy ; @flap/flap.py ; motor_cart
+reduced-models :: motor_pendulum --measure --json ; motor_pendulum --set L=0.02 ; bouncing_ball
+work-precision --quick :: bouncing_ball --until 5 --json ; vibrating_table ; bouncing_ball --until 0
+search motor_pendulum --set Kp=2.5 --set Kd=-1 :: --accuracy 1e-8 ; --engine explicit --json ;
+    --set L=1e-5 --json ; --set restitution=0 --json ; --objective energy ; --vary L1=0.198:0.202
+    --objective peak=current --near @orbit ; --vary R=2:4 --objective period=1.8 --json
+search motor_pendulum --n-starts 2 --set Kp=2.5 :: --objective contraction ; --objective margin
+    --json ; --checkpoint kept --json ; --objective amplitude=0.6 ; --bounds current=-2.2:2.2
+    --bounds period=:1.9 ; --objective energy --bounds theta2=:1.9 --json ; --set Kd=1
+search motor_pendulum --n-starts 2 --json :: --objective nearest:Kp=3,Kd=-0.9 ;
+    --objective period=5 ;
+    --objective energy --candidates 2 ; --vary Kp=1:5 --set Kd=-1 --objective period=1.83 ;
+    --set Kp=4.3 --set Kd=-1.53 --shape zeno*2 ; --near @orbit --set restitution=0.3 ;
+    --near none.json ; --near @struck ; --set Ki=1 ; --objective speed ; --shape bounce
+search --n-starts 2 --json :: two_motors --set Kp2=0 --objective energy ; @flap/flap.py ; motor_cart
     --objective energy ; motor_valve --objective period=0.3
-search impact_oscillator --json :: --from @struck --set omega=0.51 ; --from @struck --shape zeno ;
-    --set omega=0.5 --set stop=0.5 --shape impact ; --free A=0.5:2 --objective energy
+search impact_oscillator --json :: --near @struck --set omega=0.51 ; --near @struck --shape zeno ;
+    --set omega=0.5 --set stop=0.5 --shape impact ; --vary A=0.5:2 --objective energy
 verify :: ; none.json ; @orbit ; @orbit --json ; @orbit --model reference --json ; @orbit
     --engine explicit ; @orbit --accuracy 1e-8 ; @orbit --tolerance 1e-13 ; @orbit --tolerance 0 ;
     @struck --json ; @motor_cart --json ; @two_motors --json ; @two_tone_table ;
     @motor_pendulum@corrected --model reference --json ; @found --problem @forced/forced.py
 verify :: @made/longer_period.json --json ; @made/wrong_sign.json --json ; @made/later_zeno.json ;
     @made/moved_release.json --json ; @made/newer.json ; @made/cut_short.json
-map motor_pendulum :: --x Kp=1:5 --y Kd=-2:0 --points 5x5 --json -o map.json ; --x Kp=1:5
-map --points 3x3 :: motor_pendulum@corrected --x restitution=0:0.5 --y Kd=-1.6:-0.4 ; bouncing_ball
+map motor_pendulum :: --x Kp=1:5 --y Kd=-2:0 --grid 5x5 --json -o map.json ; --x Kp=1:5
+map --grid 3x3 :: motor_pendulum@corrected --x restitution=0:0.5 --y Kd=-1.6:-0.4 ; bouncing_ball
     --x g=5:10 --y restitution=0.1:0.6 ; torque_pendulum --x A=0.2:0.6 --y omega=2:4
-map --points 3x3 --json :: vibrating_table --x A=0.01:0.06 --y restitution=0.1:0.7 ;
+map --grid 3x3 --json :: vibrating_table --x A=0.01:0.06 --y restitution=0.1:0.7 ;
     impact_oscillator --x omega=0.4:1.2 --y stop=0.2:1 ; two_motors --x Kp=1:4 --y Kd=-1.5:-0.5 ;
     motor_valve --x Kp=6:20 --y restitution=0.1:0.6 --checkpoint kept ; forced_oscillator
-    --x A=0.7:1.2 --y stop=-0.9:-0.7 --picture map.png --boundaries @curves/family.json
-continue motor_pendulum --json :: --in Kd=-2.5:0 ; --in Kp=2.4:2.6 --from @orbit ;
-    --in restitution=0:0.5 -o family.json --picture family.png ; --gain Kp=4.3 --gain Kd=-1.55
-    --in Kd=-1.6:-1.53 ; --in Kd=-1.7:-1.5 --second Kp=2.45:2.55 --point fold
-continue impact_oscillator --section impact --start speed=1 --start cosine=1 :: --in A=0.05:1.5
-    --json ; --in omega=2.4:2.8 --set stop=0 --set omega=2.5
-continue :: vibrating_table --in A=0.011:0.02 ; forced_oscillator --in A=1:2 --section impact ;
-    motor_valve --in Kp=8:12 --steps 5 --json ; two_motors --in Kp2=0.9:1.1 --json ; motor_cart
-    --in restitution=0.2:0.4 ; bouncing_ball --in g=9:10
+    --x A=0.7:1.2 --y stop=-0.9:-0.7 --plot map.png --boundaries @curves/family.json
+continue motor_pendulum --json :: --parameter Kd=-2.5:0 ; --parameter Kp=2.4:2.6 --near @orbit ;
+    --parameter restitution=0:0.5 -o family.json --plot family.png ; --set Kp=4.3 --set Kd=-1.55
+    --parameter Kd=-1.6:-1.53 ; --parameter Kd=-1.7:-1.5 --parameter2 Kp=2.45:2.55 --kind fold
+continue impact_oscillator --section impact --start speed=1 --start cosine=1 ::
+    --parameter A=0.05:1.5
+    --json ; --parameter omega=2.4:2.8 --set stop=0 --set omega=2.5
+continue :: vibrating_table --parameter A=0.011:0.02 ; forced_oscillator --parameter A=1:2
+    --section impact ;
+    motor_valve --parameter Kp=8:12 --max-points 5 --json ; two_motors --parameter Kp2=0.9:1.1
+    --json ; motor_cart
+    --parameter restitution=0.2:0.4 ; bouncing_ball --parameter g=9:10
 plot :: @orbit ; @vibrating_table --kind outputs --format pdf ; @struck --json ; @struck --kind zeno
-figures :: @orbit -o . --json ; @orbit ; @two_tone_table -o . ; @orbit -o . --data @data/data.csv
+figures :: @orbit -o . --json ; @orbit ; @two_tone_table -o . ;
+    @orbit -o . --recording @data/data.csv
 report :: @orbit -o page.html --trade @costs/trade.json --json ; @struck -o page.html ; @orbit
     -o page.txt ; @orbit -o page.html --trade @orbit ; @made/moved_release.json -o page.html
 rig :: @orbit --only friction --part contact.stiffness=1e5 --cycles 2 -o run.csv ; @orbit
-    --gain Kp=2 ; @orbit --cycles 3 --seed 3 --without gears --json ; @orbit --only controller
+    --set Kp=2 ; @orbit --cycles 3 --seed 3 --without gears --json ; @orbit --only controller
     --part controller.delay=100 --cycles 8 --json ; @motor_valve --cycles 3 --json ; @orbit
     --only friction --part friction.theta1.coulomb=0.5 --cycles 1 ; motor_pendulum --until 0.5
     --only bridge ; bouncing_ball --part contact.stiffness=1e6 --until 1.5 -o run.csv
-compare @orbit :: @data/data.csv --from 12 --json ; none.csv ; @made/degrees.csv --from 12 ;
-    @data/data.csv --from 20 --to 26 --picture compared.png ; @data/data.csv --from 99
-identify motor_pendulum --from 12 :: @data/data.csv --fit K_torque+K_emf=0.02:0.05 --json ;
+compare @orbit :: @data/data.csv --t-start 12 --json ; none.csv ; @made/degrees.csv --t-start 12 ;
+    @data/data.csv --t-start 20 --t-end 26 --plot compared.png ; @data/data.csv --t-start 99
+identify motor_pendulum --t-start 12 :: @data/data.csv --fit K_torque+K_emf=0.02:0.05 --json ;
     @made/degrees.csv --fit R ; @data/data.csv --fit R,restitution -o fit.json
 new :: no-name ; bouncing_ball
 """
