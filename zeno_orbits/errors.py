@@ -53,7 +53,7 @@ def _about_file(kind: str, path: Path, reason: str, remedy: str = "") -> str:
 
 
 class EquationsWarning(UserWarning):
-    """The equations of a problem differ from those that gave an orbit."""
+    """The equations may be others than those meant: of another orbit, or of another file."""
 
 
 class ProblemFileError(InputError):

@@ -190,3 +190,50 @@ def test_a_name_with_a_file_in_the_current_folder_is_told(folder: Path) -> None:
     assert "Unknown problem `tapper`. For the file, pass `tapper.py`." in answer.err
     assert ask("simulate", "tapper.py", "--until", "1").code == YES
     assert (folder / "tapper.py").exists()
+
+
+@pytest.mark.parametrize("file", ["relay.py", "relay/model.py"])
+def test_a_bundled_name_is_the_bundled_problem_and_a_file_of_that_name_is_told(
+    file: str, folder: Path
+) -> None:
+    assert ask("new", "tapper").code == YES
+    path = folder / file
+    path.parent.mkdir(exist_ok=True)
+    shutil.move("tapper.py", path)
+    word = "./relay" if path.parent != folder else "relay.py"
+    answer = ask("simulate", "relay", "--until", "0.01", "--json")
+    assert f"`relay` is the bundled problem. For the file in this folder, pass `{word}`." in (
+        answer.err
+    )
+    assert json.loads(answer.out)["problem"] == "relay"
+    with pytest.warns(zo.EquationsWarning, match="bundled"):
+        assert zo.load_problem("relay").name == "relay"
+    own = ask("simulate", word, "--until", "0.01", "--json")
+    assert own.err == ""
+    assert json.loads(own.out)["problem"] == "tapper"
+
+
+def test_the_folder_of_the_bundled_problems_holds_no_namesake(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(PROBLEMS)
+    assert ask("simulate", "relay", "--until", "0.01").err == ""
+
+
+def test_an_orbit_of_a_file_with_a_bundled_name_belongs_to_the_file(folder: Path) -> None:
+    source = (PROBLEMS / "vibrating_table.py").read_text(encoding="utf-8")
+    Path("relay.py").write_text(
+        source.replace('name="vibrating_table"', 'name="relay"'), encoding="utf-8"
+    )
+    zo.write_orbit(zo.find_orbit("relay.py").unwrap(), Path("orbit.json"))
+    assert ask("verify", "orbit.json").code == YES
+    shutil.move("relay.py", "other.py")
+    answer = ask("verify", "orbit.json")
+    assert answer.code == MISUSE
+    assert "its file `relay.py` is missing: pass --problem FILE.py" in answer.err
+    assert ask("verify", "orbit.json", "--problem", "other.py").code == YES
+    # Without the file, the name alone leads to a machine whose parameters differ.
+    data = json.loads(Path("orbit.json").read_text())
+    del data["problem_file"]
+    (folder / "orbit.json").write_text(json.dumps(data))
+    assert "must have the parameters of its problem" in ask("verify", "orbit.json").err

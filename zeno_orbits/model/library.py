@@ -18,7 +18,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from zeno_orbits.errors import InputError, ProblemFileError, shortened
+from zeno_orbits.errors import EquationsWarning, InputError, ProblemFileError, shortened
 from zeno_orbits.model.mistakes import account_of
 from zeno_orbits.model.origin import with_origin
 from zeno_orbits.model.problem import Problem
@@ -45,6 +45,9 @@ def load_problem(name_or_path: str | Path) -> Problem:
 
     Either may end in ``@fidelity``, for a reduced model that the problem declares.
 
+    A bundled name is the bundled problem. If the current folder holds a problem of that name, an
+    `EquationsWarning` gives the path to pass for it.
+
     The model of a file is checked. The models of the bundled problems were checked by the tests.
 
     Args:
@@ -54,6 +57,24 @@ def load_problem(name_or_path: str | Path) -> Problem:
         InputError: If the problem or fidelity does not exist.
         ProblemFileError: If the file raises, defines no ``PROBLEM`` or an invalid problem.
     """
+    _tell_of_namesake(split_fidelity(name_or_path)[0])
+    return _of_word(name_or_path)
+
+
+def _tell_of_namesake(name: str) -> None:
+    """Issue a warning if the current folder holds another problem with a bundled name."""
+    path = bundled_problems().get(name)
+    if path is None:
+        return
+    own = path / "model.py" if path.is_dir() else path
+    for file, word in ((f"{name}.py", f"{name}.py"), (f"{name}/model.py", f"./{name}")):
+        if _is_there(Path(file)) and not Path(file).samefile(own):
+            text = f"`{name}` is the bundled problem. For the file in this folder, pass `{word}`."
+            warnings.warn(text, EquationsWarning, stacklevel=3)
+
+
+def _of_word(name_or_path: str | Path) -> Problem:
+    """Return the problem that `load_problem` describes, without a warning."""
     bundled = bundled_problems()
     name, fidelity = split_fidelity(name_or_path)
     if name in bundled:
@@ -186,7 +207,8 @@ def recorded_problem(
 
     The text that a result records is compared with names and is not used as a path. So a file of
     results can load a bundled problem only. Another problem comes from the caller, or from the
-    file that the result records if `RecordedFile.trusted` accepts it.
+    file that the result records if `RecordedFile.trusted` accepts it. A result that records a file
+    is not a result of a bundled problem.
 
     Args:
         word: The name in the result.
@@ -195,8 +217,8 @@ def recorded_problem(
         file: The problem file that the result records, or None.
 
     Raises:
-        InputError: If the given problem has another name, or no problem is given, the name is not
-            the name of a bundled problem and the recorded file is missing or not trusted.
+        InputError: If the given problem has another name, or no problem is given and the recorded
+            file is missing or not trusted, or no file is recorded and the name is not bundled.
     """
     name, at, fidelity = str(word).partition("@")
     said = f"`{shortened(str(word))}`"
@@ -211,15 +233,17 @@ def recorded_problem(
 
 
 def _found(name: str, said: str, file: RecordedFile | None) -> Problem:
-    """Return the bundled problem of a name, or the problem of a recorded file.
+    """Return the problem of a recorded file, or without one the bundled problem of a name.
+
+    A result that records a file belongs to that file, even if its name is that of a bundled one.
 
     Raises:
         InputError: If there is neither.
     """
-    if name in bundled_problems():
-        return _bundled(bundled_problems()[name])
     remedy = "If it is yours, pass its file with --problem FILE.py (`problem=` in Python)."
     if file is None:
+        if name in bundled_problems():
+            return _bundled(bundled_problems()[name])
         raise InputError(f"Unknown problem {said}. {remedy}")
     try:
         path = file.trusted()
@@ -419,7 +443,7 @@ def _digest(word: str) -> str:
 
 @lru_cache(maxsize=_MOST)
 def _loaded(problem_file: ProblemFile) -> Problem:
-    problem = load_problem(problem_file.word)
+    problem = _of_word(problem_file.word)
     if _digest(problem_file.word) != problem_file.digest:
         raise InputError(
             f"Argument `problem` must be the same file for all workers, but "
