@@ -172,6 +172,20 @@ def test_what_needs_a_stop_is_refused() -> None:
         zo.hybrid_system(one, zo.no_drive(one))
 
 
+def test_the_zeno_condition_reads_the_restitution_of_a_stop_with_a_name() -> None:
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        x, v = ca.SX.sym("x"), ca.SX.sym("v")
+        floor = zo.Stop(name="floor", gap=x, restitution=p["e"] / 2)
+        ball = zo.HybridLagrangian.from_energies(
+            q=x, v=v, kinetic=v**2 / 2, potential=G * x, stops=(floor,)
+        )
+        return zo.hybrid_system(ball, zo.no_drive(ball))
+
+    found = zo.zeno_condition(machine_of(model, {"x": "m", "v": "m/s"}, {"e": 0.5}))
+    assert found.as_json()["restitution"] == 0.25
+    assert found.always
+
+
 @pytest.mark.slow
 def test_a_recording_of_a_relay_loop_shows_its_orbit() -> None:
     problem = relay_loop()
@@ -200,6 +214,7 @@ def test_the_pages_and_commands_serve_a_machine_without_a_stop(tmp_path: Path) -
     assert ask("plot", orbit, "-o", tmp_path / "pictures").code == 0
     assert ask("report", orbit, "-o", tmp_path / "page.html").code == 0
     assert ask("export", file, "-o", tmp_path / "c").code == 0
+    assert ask("rig", file, "--until", "3", "-o", tmp_path / "recording.csv").code == 0
     refused = ask("zeno-condition", file)
     assert refused.code == MISUSE
     assert "`wheel` has no stop, so it has no Zeno point" in refused.err

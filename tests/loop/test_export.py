@@ -107,6 +107,34 @@ def test_machines_with_several_stops_or_switches_give_the_same_digits(name: str)
 
 
 @pytest.mark.slow
+def test_a_machine_without_a_stop_gives_the_same_digits() -> None:
+    file = Path("wheel.py")
+    file.write_text("from tests.support.contactless import wheel\n\nPROBLEM = wheel()\n")
+    found = _events_of("wheel.py", "--until", "5")
+    assert len(found) > 3
+    assert found == _expected("wheel.py", 5.0)
+
+
+SMOOTH = """
+import casadi as ca
+import zeno_orbits as zo
+from tests.support.mechanisms import machine_of
+
+def model(_):
+    x, v = ca.SX.sym("x"), ca.SX.sym("v")
+    mass = zo.HybridLagrangian.from_energies(q=x, v=v, kinetic=v**2 / 2, potential=x)
+    return zo.hybrid_system(mass, zo.no_drive(mass))
+
+PROBLEM = machine_of(model, {"x": "m", "v": "m/s"})
+"""
+
+
+def test_a_machine_without_events_and_parameters_is_strict_c() -> None:
+    Path("smooth.py").write_text(SMOOTH)
+    assert _events_of("smooth.py", "--until", "5") == []
+
+
+@pytest.mark.slow
 def test_a_machine_with_nested_kinks_gives_the_same_digits() -> None:
     Path("nested.py").write_text(nested_problem(), encoding="utf-8")
     found = _events_of("nested.py", "--until", "7")
