@@ -64,7 +64,7 @@ def test_a_file_whose_motion_does_not_return_is_not_called_stable(gain: float) -
     answer = ask("stability", path)
     assert answer.code == NO
     assert "Orbit of motor_pendulum: undecided" in answer.out
-    assert "The motion does not return to its start: `verify` measures by how much." in answer.out
+    assert "The motion does not return to its start (`verify` measures by how much)" in answer.out
 
 
 def test_a_complex_pair_turns() -> None:

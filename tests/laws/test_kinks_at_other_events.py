@@ -287,3 +287,55 @@ NOT_A_NUMBER: dict[str, Force] = {
 def test_an_undefined_kink_that_has_an_effect_is_refused(name: str) -> None:
     with pytest.raises(zo.SimulationError, match="must be a number, but it is NaN"):
         zo.simulate(driven(NOT_A_NUMBER[name], 9.0), until=UNTIL)
+
+
+def bouncing(step: str, t0: float) -> zo.Problem:
+    """Return an oscillator at a wall, driven by a cosine and a step or corner at a time."""
+
+    def model(p: Mapping[str, Any]) -> zo.CompletedSystem:
+        q, v, clock = ca.SX.sym("q"), ca.SX.sym("v"), zo.Clock.at(ca.SX(1.0))
+        turned = clock.sine * ca.cos(p["t0"]) - clock.cosine * ca.sin(p["t0"])
+        force = zo.piecewise(clock, (0.0, 1.0), (p["t0"],)) if step == "jump" else ca.fabs(turned)
+        mechanism = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=v**2 / 2,
+            potential=q**2 / 2,
+            applied_force=-0.3 * v + 3 * clock.cosine + force,
+            clock=clock,
+            stops=(zo.Stop(name="wall", gap=q, restitution=0.6),),
+        )
+        return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
+
+    states = {"q": "m", "v": "m/s", "cosine": "1", "sine": "1"}
+    problem = machine_of(model, states, {"t0": t0})
+    return replace(problem, starts=({"cosine": 1.0, "q": 0.5},))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("step", "guess", "is_known"), [("jump", 2.921833619, False), ("corner", 3.160339081, True)]
+)
+def test_a_jump_at_the_time_of_an_impact_leaves_the_multipliers_unknown(
+    step: str, guess: float, is_known: bool
+) -> None:
+    def orbit_at(t0: float) -> tuple[zo.Stability, float]:
+        problem = bouncing(step, t0)
+        orbit = zo.find_event_orbit(problem)
+        phase = math.atan2(orbit.start_state["sine"], orbit.start_state["cosine"])
+        return zo.floquet_multipliers(orbit, problem=problem), phase % (2 * math.pi)
+
+    t0 = guess
+    for _ in range(4):
+        # The phase of the impact changes by little with the time of the step.
+        t0 = orbit_at(t0)[1]
+    met, phase = orbit_at(t0)
+    assert phase == pytest.approx(t0, abs=1e-12)
+    assert met.stable is is_known
+    assert not met.unstable
+    earlier, later = (orbit_at(t0 + apart)[0] for apart in (-1e-6, 1e-6))
+    assert earlier.stable
+    assert later.stable
+    # The two orders have multipliers of their own, or at a corner the same ones.
+    apart = abs(earlier.spectral_radius - later.spectral_radius)
+    assert (apart < 1e-6) is is_known

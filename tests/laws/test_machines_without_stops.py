@@ -17,14 +17,7 @@ from scipy.optimize import brentq
 
 import zeno_orbits as zo
 from tests.support.commands import MISUSE, ask
-from tests.support.contactless import (
-    duffing,
-    duffing_motion,
-    escapement,
-    escapement_motion,
-    wheel,
-    wheel_motion,
-)
+from tests.support.contactless import wheel, wheel_motion
 from tests.support.mechanisms import machine_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation import SpecialPointKind
@@ -126,18 +119,6 @@ def test_the_rimless_wheel_has_the_period_of_its_energy_balance(slope: float) ->
     assert orbit.period == pytest.approx(period, rel=1e-9)
     found = np.abs(orbit.floquet_multipliers)
     assert np.max(found) == pytest.approx(math.cos(math.pi / 4) ** 2, rel=1e-8)
-
-
-def test_the_escapement_and_the_driven_beam_have_their_orbits() -> None:
-    for problem, (period, motion) in (
-        (escapement(), escapement_motion()),
-        (duffing(), duffing_motion()),
-    ):
-        orbit = zo.find_event_orbit(problem)
-        assert orbit.period == pytest.approx(period, rel=1e-9)
-        low = np.min(motion(np.linspace(0.0, period, 4001))[:, 0])
-        turned = zo.simulate(problem, start=orbit.start_state, until=orbit.period)
-        assert np.min(turned.sampled(2000)[1][:, 0]) == pytest.approx(low, abs=1e-5)
 
 
 @pytest.mark.slow

@@ -1,8 +1,9 @@
-"""Machines without stops, and their motions by SciPy or in closed form.
+"""Machines whose orbits touch no stop, and their motions by SciPy or in closed form.
 
 `wheel` is a rimless wheel on a slope: a pendulum with a reset at every new spoke. `escapement` is
 an oscillator with a push in the direction of its velocity. `duffing` is a driven oscillator with
-quadratic drag and two wells, in each of which an orbit of the same period exists. None has a stop.
+quadratic drag and two wells, in each of which an orbit of the same period exists. `wheel` has no
+stop, and the stops of the others are out of reach.
 """
 
 from __future__ import annotations
@@ -82,8 +83,9 @@ def _escapement_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
         kinetic=v**2 / 2,
         potential=p["k"] * x**2 / 2,
         passive_force=push - p["c"] * v,
+        gap=x + 100,
     )
-    return zo.hybrid_system(pallet, zo.no_drive(pallet))
+    return zo.hybrid_system(pallet, zo.no_drive(pallet), p["restitution"])
 
 
 def escapement() -> zo.Problem:
@@ -98,6 +100,7 @@ def escapement() -> zo.Problem:
             Q.positive("k", 9.0, "1/s^2", "stiffness over mass"),
             Q.positive("c", 0.4, "1/s", "damping over mass"),
             Q.positive("F", 1.0, "m/s^2", "push over mass"),
+            Q.restitution(0.0),
         ),
         gains=(),
         model=_escapement_model,
@@ -137,9 +140,10 @@ def _duffing_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
         kinetic=v**2 / 2,
         potential=x**4 / 4 - x**2 / 2,
         passive_force=p["A"] * clock.cosine - p["c"] * ca.fabs(v) * v,
+        gap=x + 100,
         clock=clock,
     )
-    return zo.hybrid_system(beam, zo.no_drive(beam))
+    return zo.hybrid_system(beam, zo.no_drive(beam), p["restitution"])
 
 
 def duffing(side: float = 1.0) -> zo.Problem:
@@ -154,6 +158,7 @@ def duffing(side: float = 1.0) -> zo.Problem:
             Q.positive("c", 1.5, "1/m", "quadratic drag"),
             Q.positive("A", 0.2, "m/s^2", "size of the drive"),
             Q.positive("omega", 1.1, "rad/s", "frequency"),
+            Q.restitution(0.0),
         ),
         gains=(),
         model=_duffing_model,

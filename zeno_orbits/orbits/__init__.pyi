@@ -13,6 +13,7 @@ from .digest import digest_of as digest_of
 from .digest import other_equations as other_equations
 from .digest import same_equations as same_equations
 from .events.return_map import event_chart as event_chart
+from .events.return_map import is_one_sided as is_one_sided
 from .events.return_map import multipliers_of_return as multipliers_of_return
 from .events.return_map import derivative_of_return as derivative_of_return
 from .events.courses import ENERGY as ENERGY

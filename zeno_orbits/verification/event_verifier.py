@@ -33,6 +33,7 @@ from zeno_orbits.orbits import (
     event_return,
     events_as_listed,
     extrapolated,
+    is_one_sided,
     largest_states,
     lasting_events,
     multipliers_of_return,
@@ -434,9 +435,12 @@ def multipliers_of_events(
     values = multipliers_of_return(graph, found)
     others = () if next_one is None else multipliers_of_return(graph, next_one)
     event, section, jacobian = derivative_of_return(graph, found)
+    errors = estimated_errors(values, others, _LEAST)
+    if is_one_sided(graph, found):
+        errors = (math.inf,) * max(1, len(values))
     return Multipliers(
         values=values,
-        errors=estimated_errors(values, others, _LEAST),
+        errors=errors,
         jacobian=jacobian,
         section=section,
         event=event,

@@ -47,6 +47,9 @@ from zeno_orbits.simulation import (
 
 _ON = 1e-9
 """Correction in scaled states above which a state is off its section."""
+_AT_ONCE, _CROSSES, _JUMPS = 1e-9, 1e6, 1e-6
+"""Distance of two events at one time, in periods. Least change of a condition over a period that is
+a crossing, in rounding levels. Least jump of a flow, relative to its largest rate."""
 _ROWS: dict[str, tuple[int, ...]] = {
     "impact": IMPACT_ROWS,
     "zeno": REST_ROWS,
@@ -228,6 +231,52 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
     for cause in causes.values():
         least = min(least, _section_at(graph, found, cause, scale)[1].dimension)
     return eigenvalues(slope)[:least]
+
+
+def is_one_sided(graph: GraphDynamics, found: EventReturn) -> bool:
+    r"""Return True if a kink at which the flow jumps is crossed at the time of another event.
+
+    A disturbance decides which of the two is first, and each order has its own derivative. The
+    times are one if :math:`\lvert c \rvert \le 10^{-9}\, T\, \lvert \dot c \rvert` for the
+    condition `c` of the kink at the event and the period `T`.
+
+    Args:
+        graph: The graph of modes.
+        found: The return.
+    """
+    if graph.n_declared == len(graph.switch_names):
+        return False
+    return any(
+        _meets_a_kink(graph, x, arc, found.period)
+        for event in found.events
+        if not isinstance(event, SwitchEvent)
+        for x, arc in zip(
+            (state_before(event), state_after(event)), _arcs_at(found, event.time), strict=True
+        )
+    )
+
+
+def _meets_a_kink(graph: GraphDynamics, x: Vector, arc: Arc, period: float) -> bool:
+    values, levels, _ = graph.guards(x, arc.sides)
+    flow = _rates(graph, arc, arc.sides, x)
+    for k, side in enumerate(arc.sides):
+        switch = graph.n_declared + k
+        change = period * abs(float(graph.guard_gradient(switch, x, (), arc.sides) @ flow))
+        # A condition that stays zero is a property of the machine, and no meeting.
+        if change > _CROSSES * levels[switch] and abs(values[switch]) <= _AT_ONCE * change:
+            sides = (*arc.sides[:k], not side, *arc.sides[k + 1 :])
+            other = _rates(graph, arc, sides, x)
+            if np.any(np.abs(other - flow) > _JUMPS * np.max(np.abs(flow))):
+                return True
+    return False
+
+
+def _rates(graph: GraphDynamics, arc: Arc, sides: tuple[bool, ...], x: Vector) -> Vector:
+    """Return the flow of an arc on other sides of the kinks, ``(n_x,)``."""
+    mode = graph.mode_of(arc.closed, sides)
+    some, stop = graph.some_stop(mode)
+    view = graph.view(some, stop)
+    return np.asarray((view.locked if stop in mode[0] else view.free).rate(x))
 
 
 def derivative_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[str, Section, Vector]:

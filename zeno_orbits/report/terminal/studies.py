@@ -234,7 +234,10 @@ def recovery_words(found: Stability) -> list[str]:
     else:
         lines.append("The errors of the multipliers leave open whether a disturbance decays.")
     if not found.closes:
-        lines.append("The motion does not return to its start: `verify` measures by how much.")
+        lines.append(
+            "The motion does not return to its start (`verify` measures by how much), or a kink at "
+            "which the flow jumps is crossed at the time of another event."
+        )
     return lines
 
 
