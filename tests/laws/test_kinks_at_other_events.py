@@ -339,3 +339,24 @@ def test_a_jump_at_the_time_of_an_impact_leaves_the_multipliers_unknown(
     # The two orders have multipliers of their own, or at a corner the same ones.
     apart = abs(earlier.spectral_radius - later.spectral_radius)
     assert (apart < 1e-6) is is_known
+
+
+def test_a_release_that_a_jump_causes_keeps_the_stability() -> None:
+    def model(_: Mapping[str, Any]) -> zo.CompletedSystem:
+        q, v, clock = ca.SX.sym("q"), ca.SX.sym("v"), zo.Clock.at(ca.SX(1.0))
+        mass = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=v**2 / 2,
+            potential=q**2 / 2,
+            passive_force=-0.8 * v,
+            applied_force=3 * ca.sign(clock.sine),
+            clock=clock,
+            stops=(zo.Stop(name="wall", gap=q, restitution=0.1),),
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass))
+
+    problem = machine_of(model, {"q": "m", "v": "m/s", "cosine": "1", "sine": "1"})
+    orbit = zo.find_event_orbit(replace(problem, starts=({"cosine": 1.0, "q": 0.5},)))
+    assert "release wall" in [event.name for event in orbit.events]
+    assert zo.floquet_multipliers(orbit, problem=problem).stable

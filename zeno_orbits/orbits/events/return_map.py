@@ -37,6 +37,7 @@ from zeno_orbits.simulation import (
     Arc,
     Event,
     Impact,
+    Release,
     SimulationSettings,
     SwitchEvent,
     ZenoPoint,
@@ -246,14 +247,23 @@ def is_one_sided(graph: GraphDynamics, found: EventReturn) -> bool:
     """
     if graph.n_declared == len(graph.switch_names):
         return False
-    return any(
-        _meets_a_kink(graph, x, arc, found.period)
-        for event in found.events
-        if not isinstance(event, SwitchEvent)
-        for x, arc in zip(
-            (state_before(event), state_after(event)), _arcs_at(found, event.time), strict=True
-        )
-    )
+    switched = {event.time for event in found.events if isinstance(event, SwitchEvent)}
+    for event in found.events:
+        # A release that a switch causes follows it in every motion nearby.
+        caused = isinstance(event, Release) and event.time in switched
+        if caused or isinstance(event, SwitchEvent):
+            continue
+        before, after = _arcs_at(found, event.time)
+        # Seen from the contact, in which a condition of the gap rate stays zero.
+        if not isinstance(event, ZenoPoint) and _meets_a_kink(
+            graph, state_before(event), before, found.period
+        ):
+            return True
+        if not isinstance(event, Release) and _meets_a_kink(
+            graph, state_after(event), after, found.period
+        ):
+            return True
+    return False
 
 
 def _meets_a_kink(graph: GraphDynamics, x: Vector, arc: Arc, period: float) -> bool:
