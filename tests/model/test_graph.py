@@ -108,6 +108,30 @@ def _system(mechanism: zo.HybridLagrangian, *restitution: float, **options: Any)
     return zo.hybrid_system(mechanism, zo.no_drive(mechanism), *restitution, switches=given)
 
 
+@pytest.mark.parametrize("name", ["relay", "clapper", "kneed_walker", "motor_pendulum", "solenoid"])
+def test_the_flow_of_a_mode_keeps_the_gaps_of_its_closed_stops(name: str) -> None:
+    problem = zo.load_problem(name)
+    graph = problem.graph_dynamics(problem.values())
+    x = np.array(problem.initial_state())
+    n = len(graph.stop_names)
+
+    def accelerations(closed: tuple[int, ...]) -> list[float]:
+        """Return the derivative of every gap rate along the flow, by central differences."""
+        rate = graph.flow((closed, graph.open_mode[1])).rate(x)
+        step = 1e-6 / max(1.0, float(np.max(np.abs(rate))))
+        return [
+            abs(view.gap_rate(x + step * rate) - view.gap_rate(x - step * rate)) / (2 * step)
+            for view in graph.open_views
+        ]
+
+    free = accelerations(())
+    assert min(free) > 1e-3
+    for bits in range(1, 2**n):
+        closed = tuple(k for k in range(n) if bits >> k & 1)
+        found = accelerations(closed)
+        assert max(found[k] / free[k] for k in closed) < 1e-5
+
+
 def test_gap_and_stops_exclude_each_other() -> None:
     with pytest.raises(ValueError, match="either the argument `gap` or the argument `stops`"):
         _mechanism(stops=_stops(lambda q: q))

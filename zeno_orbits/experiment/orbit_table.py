@@ -501,19 +501,11 @@ def graph_nodes(graph: GraphDynamics, arcs: Sequence[Arc]) -> CubicColumns:
     """
     return _joined(
         [
-            _arc_nodes(_flow_of(graph, arc), arc, inside=_INSIDE)
+            _arc_nodes(graph.flow(graph.mode_of(arc.closed, arc.sides)), arc, inside=_INSIDE)
             for arc in arcs
             if arc.end_time > arc.start_time
         ]
     )
-
-
-def _flow_of(graph: GraphDynamics, arc: Arc) -> FlowWithEvent:
-    """Return the flow of the mode of an arc."""
-    mode = graph.mode_of(arc.closed, arc.sides)
-    beside, stop = graph.some_stop(mode)
-    view = graph.view(beside, stop)
-    return view.free if beside == mode else view.locked
 
 
 _Nodes = tuple[Vector, Vector, Vector]

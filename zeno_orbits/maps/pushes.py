@@ -323,8 +323,9 @@ def pushed(
         closed: Indices of the stops at zero gap and gap rate.
     """
     after = state.copy()
-    views = [graph_of(system).open_views[k] for k in closed]
-    matrix = graph_of(system).delassus(state)[np.ix_(closed, closed)]
+    graph = graph_of(system)
+    views = [graph.open_views[k] for k in closed]
+    matrix = graph.delassus(state)[np.ix_(closed, closed)]
     speeds = slice(system.n_q, 2 * system.n_q)
     after[speeds] += change
     impulses = stop_impulses(matrix, np.array([view.gap_rate(after) for view in views]))

@@ -54,7 +54,6 @@ class Machine:
         n_q: Number of coordinates.
         n_motors: Number of motors.
         stop_names: Name of each stop.
-        n_watched: Number of stops whose gaps are formulas: of a machine without stops it is 1.
         holds: Whether the voltages are held between updates instead of following the feedback
             continuously.
         observe: ``(y, P) -> (contact forces, gaps, gap rates, normal inertias)``, each of all
@@ -71,7 +70,6 @@ class Machine:
     n_q: int
     n_motors: int
     stop_names: tuple[str, ...]
-    n_watched: int
     holds: bool
     observe: ca.Function
     motors: ca.Function
@@ -86,6 +84,11 @@ class Machine:
     _modes: dict[_Mode, ModeFunctions] = field(
         default_factory=dict["_Mode", "ModeFunctions"], repr=False
     )
+
+    @property
+    def n_watched(self) -> int:
+        """Number of gaps among the guards: of a machine without stops it is 1."""
+        return self._graph.n_watched
 
     def mode(
         self,
@@ -173,7 +176,6 @@ def machine(problem: Problem, rig: Rig) -> Machine:
         n_q=system.n_q,
         n_motors=parts.held.numel(),
         stop_names=tuple(one.name for one in graph.stops),
-        n_watched=graph.n_watched,
         holds=parts.holds,
         observe=function("observe", seen),
         motors=function("motors", parts.current, parts.terminal),

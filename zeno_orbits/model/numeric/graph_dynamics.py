@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model.graph import guard_and_flow, system_of_stop
 from zeno_orbits.model.modes import GraphMode, ModeGraph
 from zeno_orbits.model.numeric.binding import bind
@@ -252,7 +253,7 @@ class GraphDynamics:
     @property
     def n_watched(self) -> int:
         """Number of stops of its views: of a machine without stops it is 1."""
-        return self.compiled.graph.n_watched
+        return max(1, len(self.stop_names))
 
     @property
     def first(self) -> HybridDynamics:
@@ -294,6 +295,16 @@ class GraphDynamics:
         closed, sides = mode
         opened = [k for k in range(self.n_watched) if k not in closed]
         return (mode, opened[0]) if opened else ((closed[1:], sides), closed[0])
+
+    def flow(self, mode: GraphMode) -> FlowWithEvent:
+        """Return the flow of a mode, with its closed stops as constraints.
+
+        Args:
+            mode: The mode.
+        """
+        rest, stop = self.some_stop(mode)
+        view = self.view(rest, stop)
+        return view.free if rest == mode else view.locked
 
     def holding(self, mode: GraphMode, stop: int) -> HybridDynamics:
         """Return the system of a closed stop, whose locked flow is the flow of the mode.

@@ -35,11 +35,6 @@ class OneStop(GraphDynamics):
         """Number of coordinates."""
         return self._dynamics.n_q
 
-    @property
-    def n_watched(self) -> int:
-        """Number of stops of its views."""
-        return 1
-
     def view(self, mode: GraphMode, stop: int) -> HybridDynamics:
         """Return the system, whatever is asked for."""
         del mode, stop

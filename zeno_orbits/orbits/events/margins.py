@@ -155,9 +155,7 @@ def saddle_of_return(graph: GraphDynamics, found: EventReturn) -> Saddle | None:
         return None
 
     def flow_of(arc: Arc) -> FlowWithEvent:
-        mode, stop = graph.some_stop(graph.mode_of(arc.closed, arc.sides))
-        view = graph.view(mode, stop)
-        return view.locked if stop in mode[0] else view.free
+        return graph.flow(graph.mode_of(arc.closed, arc.sides))
 
     arcs = [arc for arc in found.execution.arcs if arc.start_time < found.period]
     return nearest_saddle(arcs, flow_of, graph.own.states(found.start.size))

@@ -254,39 +254,27 @@ def is_one_sided(graph: GraphDynamics, found: EventReturn) -> bool:
         if caused or isinstance(event, SwitchEvent):
             continue
         before, after = _arcs_at(found, event.time)
+        ends = [(state_before(event), before), (state_after(event), after)]
         # Seen from the contact, in which a condition of the gap rate stays zero.
-        if not isinstance(event, ZenoPoint) and _meets_a_kink(
-            graph, state_before(event), before, found.period
-        ):
-            return True
-        if not isinstance(event, Release) and _meets_a_kink(
-            graph, state_after(event), after, found.period
-        ):
+        first, last = isinstance(event, ZenoPoint), 1 if isinstance(event, Release) else 2
+        if any(_meets_a_kink(graph, x, arc, found.period) for x, arc in ends[first:last]):
             return True
     return False
 
 
 def _meets_a_kink(graph: GraphDynamics, x: Vector, arc: Arc, period: float) -> bool:
     values, levels, _ = graph.guards(x, arc.sides)
-    flow = _rates(graph, arc, arc.sides, x)
+    flow = graph.flow(graph.mode_of(arc.closed, arc.sides)).rate(x)
     for k, side in enumerate(arc.sides):
         switch = graph.n_declared + k
         change = period * abs(float(graph.guard_gradient(switch, x, (), arc.sides) @ flow))
         # A condition that stays zero is a property of the machine, and no meeting.
         if change > _CROSSES * levels[switch] and abs(values[switch]) <= _AT_ONCE * change:
             sides = (*arc.sides[:k], not side, *arc.sides[k + 1 :])
-            other = _rates(graph, arc, sides, x)
+            other = graph.flow(graph.mode_of(arc.closed, sides)).rate(x)
             if np.any(np.abs(other - flow) > _JUMPS * np.max(np.abs(flow))):
                 return True
     return False
-
-
-def _rates(graph: GraphDynamics, arc: Arc, sides: tuple[bool, ...], x: Vector) -> Vector:
-    """Return the flow of an arc on other sides of the kinks, ``(n_x,)``."""
-    mode = graph.mode_of(arc.closed, sides)
-    some, stop = graph.some_stop(mode)
-    view = graph.view(some, stop)
-    return np.asarray((view.locked if stop in mode[0] else view.free).rate(x))
 
 
 def derivative_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[str, Section, Vector]:
