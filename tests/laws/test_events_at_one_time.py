@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 import zeno_orbits as zo
 from tests.support.mechanisms import machine_of
 from zeno_orbits.errors import ChatterError
-from zeno_orbits.simulation import GraphShifts, SimulationSettings, event_name
+from zeno_orbits.simulation import EventDerivatives, SimulationSettings, event_name
 
 G = 9.81
 LOCATED = 1e-10
@@ -715,8 +715,8 @@ def test_derivatives_where_masses_are_struck_together_are_those_of_each(e: float
     run = zo.simulate(problem, until=time + 0.01, start=start)
     assert sorted(name for name, _ in named(run)) == ["impact s0"] * 2 + ["impact s1"] * 2
     graph = problem.graph_dynamics(problem.values())
-    shifts = GraphShifts(graph=graph, chosen=(), tolerance=SimulationSettings().tolerance)
-    crossings = list(shifts.along(run))
+    derivatives = EventDerivatives(graph, (), SimulationSettings().tolerance)
+    crossings = [one for passage in derivatives.passages(run) for one in passage.crossings]
     h = 1e-5
     columns = [
         np.subtract(

@@ -19,18 +19,19 @@ from tests.support.one_stop import one_stop_problems
 from tests.support.units import Units, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Radau, RungeKutta, Tolerance
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.orbits import orbit_multipliers
 from zeno_orbits.simulation import (
-    ArcShifts,
+    EventDerivatives,
     Execution,
     PlasticAfter,
+    SaltationDerivative,
     SimulationSettings,
     SimulationTask,
-    VariationalEquation,
     ZenoExtrapolation,
-    motion_of,
+    simulate,
 )
+from zeno_orbits.simulation.derivatives.sensitivity import VariationalEquation
 
 pytestmark = needs_compiler
 
@@ -47,38 +48,33 @@ COMBINED = [(name, "usual") for name in one_stop_problems()] + [
 ]
 
 
-def _walk(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> VariationalEquation:
-    assert dynamics.differentiation is not None
-    return VariationalEquation(
-        dynamics=dynamics,
-        differentials=dynamics.differentiation.by(chosen),
-        n_parameters=len(chosen),
-        tolerance=Tolerance(),
-    )
-
-
-def _rows(shifts: list[ArcShifts]) -> Vector:
+def _rows(derivatives: EventDerivatives, run: Execution) -> Vector:
+    """Return time, states and gap rate of the start, the end and every event of each arc."""
     return np.array(
         [
             np.vstack([shift.time, shift.state, shift.rate])
-            for one in shifts
-            for shift in (one.start, one.end, one.after)
+            for one in derivatives.passages(run)
+            for shift in (one.start, one.end, *(each for c in one.crossings for each in c[1:]))
         ]
     )
 
 
-def _by_loop(walk: VariationalEquation, run: Execution) -> Vector:
-    motions = motion_of(walk, run, walk.at_start())
-    return _rows([motions.of(arc) for arc in run.arcs if id(arc) in motions.shifts])
+def _sides(
+    system: GraphDynamics | HybridDynamics, chosen: tuple[int, ...], run: Execution
+) -> float:
+    """Return the distance of the derivatives by the loop from those in Python."""
+    by_loop, in_python = (
+        _rows(EventDerivatives(system, chosen, Tolerance(), in_python=alone), run)
+        for alone in (False, True)
+    )
+    return _distance(by_loop, in_python)
 
 
 def _require_equal(task: SimulationTask, chosen: tuple[int, ...]) -> Execution:
     run = looped(task).execution
     assert run is not None
-    walk = _walk(task.dynamics, chosen)
-    found, expected = _by_loop(walk, run), _rows(walk.along(run, walk.at_start(), 0))
-    distance = _distance(found, expected)
-    assert distance < ROUNDING or distance < _of_one_rounding(task, walk, expected)
+    distance = _sides(task.dynamics, chosen, run)
+    assert distance < ROUNDING or distance < _of_one_rounding(task, chosen, run)
     return run
 
 
@@ -88,11 +84,40 @@ def _distance(found: Vector, expected: Vector) -> float:
     return float(np.max(np.abs(found - expected) / sizes, initial=0.0))
 
 
-def _of_one_rounding(task: SimulationTask, walk: VariationalEquation, expected: Vector) -> float:
+def _of_one_rounding(task: SimulationTask, chosen: tuple[int, ...], run: Execution) -> float:
     """Return how far the derivatives in Python move if the start is rounded once."""
-    run = looped(replace(task, state=np.nextafter(task.state, np.inf))).execution
-    assert run is not None
-    return _distance(_rows(walk.along(run, walk.at_start(), 0)), expected)
+    moved = looped(replace(task, state=np.nextafter(task.state, np.inf))).execution
+    assert moved is not None
+    alone = EventDerivatives(task.dynamics, chosen, Tolerance(), in_python=True)
+    return _distance(_rows(alone, moved), _rows(alone, run))
+
+
+@pytest.mark.parametrize(
+    ("name", "until"),
+    [("relay", 0.05), ("kneed_walker", 0.5), ("clapper", 8.0), ("limited_pendulum", 1.0)],
+)
+def test_every_event_of_several_stops_and_switches_moves_as_in_python(
+    name: str, until: float
+) -> None:
+    problem = zo.load_problem(name)
+    graph = problem.graph_dynamics(problem.values())
+    x = np.array(problem.state_vector(problem.starts[0]))
+    motion = simulate(graph, x, until=until, settings=CHATTER)
+    assert motion.events
+    chosen = tuple(range(min(4, graph.p.size)))
+    found, expected = (
+        _rows(EventDerivatives(graph, chosen, Tolerance(), in_python=alone), motion)
+        for alone in (False, True)
+    )
+    assert found.shape == expected.shape
+    assert len(found) == 2 * len(motion.events) + 2 * len(motion.arcs)
+    states = np.max([np.abs(arc.end_state) for arc in motion.arcs], axis=0)
+    # Rounding counts beside the largest change, if start and parameters change by their own sizes.
+    changes = np.append(states, np.abs(graph.p[list(chosen)]))
+    largest = np.max(np.abs(expected) * changes, axis=(0, 2))
+    off = np.max(np.abs(found - expected) * changes, axis=(0, 2))
+    fastest = max((abs(one.approach_rate) for one in motion.impacts), default=0.0)
+    assert np.all(off <= ROUNDING * np.maximum(largest, [until, *states, fastest]))
 
 
 @pytest.mark.parametrize(("name", "engine"), fast(8, COMBINED))
@@ -135,10 +160,10 @@ def test_threads_carry_the_same_derivatives() -> None:
     task = task_of(zo.load_problem("motor_pendulum"), until=2.0, settings=CHATTER)
     run = looped(task).execution
     assert run is not None
-    walk = _walk(task.dynamics, (0, 1))
-    expected = _by_loop(walk, run).tolist()
+    derivatives = EventDerivatives(task.dynamics, (0, 1), Tolerance())
+    expected = _rows(derivatives, run).tolist()
     with ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(lambda _: _by_loop(walk, run).tolist(), range(16)))
+        found = list(pool.map(lambda _: _rows(derivatives, run).tolist(), range(16)))
     assert all(one == expected for one in found)
 
 
@@ -182,10 +207,10 @@ def test_multipliers_are_the_same_without_compiled_code() -> None:
 def test_multipliers_and_cut_returns_take_their_derivatives_from_the_loop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def refused(*_: object, **__: object) -> list[ArcShifts]:
+    def refused(*_: object, **__: object) -> SaltationDerivative:
         raise AssertionError("derivatives are carried in Python")
 
-    monkeypatch.setattr(VariationalEquation, "along", refused)
+    monkeypatch.setattr(VariationalEquation, "struck", refused)
     problem = zo.load_problem("motor_pendulum")
     x = np.array([0.1985068301199, 0, -5.2365375521764, 0, -1.8591703843225])
     found = orbit_multipliers(
@@ -199,8 +224,8 @@ def test_multipliers_and_cut_returns_take_their_derivatives_from_the_loop(
     cut = SimulationSettings(completion=PlasticAfter(n_impacts=3))
     run = looped(task_of(problem, until=2.0, settings=cut)).execution
     assert run is not None
-    walk = _walk(problem.dynamics(problem.values()), ())
-    assert len(_by_loop(walk, run)) == 3 * len(run.arcs)
+    derivatives = EventDerivatives(problem.dynamics(problem.values()), (), Tolerance())
+    assert len(list(derivatives.passages(run))) == len(run.arcs)
 
 
 def test_states_and_numbers_that_are_no_motion_end_in_numbers() -> None:
@@ -210,8 +235,7 @@ def test_states_and_numbers_that_are_no_motion_end_in_numbers() -> None:
     run = looped(task).execution
     assert run is not None
     for special in (np.nan, np.inf, 1e300, -1e-300):
-        walk = _walk(task.dynamics, (0,))
-        start = walk.at_start()
+        derivatives = EventDerivatives(task.dynamics, (0,), Tolerance())
+        start = derivatives.at_start()
         start.state[rng.integers(5)] = special
-        motions = motion_of(walk, run, start)
-        assert len(motions.shifts) == len(run.arcs)
+        assert len(list(derivatives.passages(run, start))) == len(run.arcs)

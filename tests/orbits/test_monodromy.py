@@ -46,13 +46,12 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.simulation import (
     Ending,
+    EventDerivatives,
     Impact,
     SaltationDerivative,
     SimulationSettings,
     Truncation,
-    VariationalEquation,
     ZenoExtrapolation,
-    motion_of,
     simulate,
 )
 
@@ -372,9 +371,7 @@ def test_the_impact_oscillator_of_coco_has_its_published_multipliers() -> None:
     assert arc.ending is Ending.IMPACT
     assert impact.time == pytest.approx(2 * math.pi, abs=1e-12)
     assert impact.state_plus == pytest.approx(start, abs=1e-12)
-    walk = perturbations_of(machine, ())
-    here = replace(walk.at_start(), rate=np.array([0.0, 0.0, -1.0, 0.0]))
-    after = motion_of(walk, run, here).of(arc).after
+    after = next(EventDerivatives(machine, (), SETTINGS.tolerance).passages(run)).after
     # Perturbations that stay on the stop: velocity, and the clock's phase and amplitude.
     reduced = after.state[np.ix_([1, 2, 3], [1, 2, 3])]
     values = sorted(np.linalg.eigvals(reduced), key=lambda value: (value.real, value.imag))
@@ -386,24 +383,14 @@ def test_the_impact_oscillator_of_coco_has_its_published_multipliers() -> None:
     assert (values[0] * values[1]).real == pytest.approx(product, rel=1e-12)
 
 
-def perturbations_of(machine: HybridDynamics, parameters: tuple[int, ...]) -> VariationalEquation:
-    """Return the equations of perturbations of a system."""
-    return VariationalEquation(
-        dynamics=machine,
-        differentials=differentials_of(machine, parameters),
-        n_parameters=len(parameters),
-        tolerance=SETTINGS.tolerance,
-    )
-
-
 def _zeno_shift(
     machine: HybridDynamics, x: Vector, parameters: tuple[int, ...]
 ) -> SaltationDerivative:
     """Return how the Zeno point of a ball moves."""
     settings = replace(SETTINGS, completion=ZenoExtrapolation())
     run = simulate(machine, x, until=1e4, settings=settings)
-    walk = perturbations_of(machine, parameters)
-    return motion_of(walk, run, walk.at_start()).of(run.arcs[-1]).start
+    *_, last = EventDerivatives(machine, parameters, SETTINGS.tolerance).passages(run)
+    return last.start
 
 
 @pytest.mark.parametrize("e", [0.0, 0.2, 0.5, 0.8, 0.95, 0.99])

@@ -15,21 +15,20 @@ from scipy.linalg import expm
 from tests.support.families import BALL, CART, OSCILLATOR
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy, Tolerance
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import GAP_ACCELERATION, HybridDynamics
+from zeno_orbits.orbits import differentials_of
 from zeno_orbits.simulation import (
-    ArcShifts,
+    ArcPassage,
     Completion,
     Ending,
+    EventDerivatives,
     Execution,
     FixedImpacts,
     PlasticAfter,
     SimulationSettings,
     SimulationTask,
-    VariationalEquation,
     ZenoExtrapolation,
     by_reference,
-    course_of,
-    motion_of,
     simulate,
 )
 
@@ -55,19 +54,12 @@ both_paths = pytest.mark.parametrize("run", [_by_loop, _by_python], ids=["loop",
 """Derivatives in the loop, and in Python along an execution that Python followed."""
 
 
-def _walk(machine: HybridDynamics, chosen: tuple[int, ...]) -> VariationalEquation:
-    assert machine.differentiation is not None
-    return VariationalEquation(
-        dynamics=machine,
-        differentials=machine.differentiation.by(chosen),
-        n_parameters=len(chosen),
-        tolerance=Tolerance(),
-    )
+def _walk(machine: HybridDynamics, chosen: tuple[int, ...]) -> EventDerivatives:
+    return EventDerivatives(machine, chosen, Tolerance())
 
 
-def _motions(walk: VariationalEquation, run: Execution) -> list[ArcShifts]:
-    motions = motion_of(walk, run, walk.at_start())
-    return [motions.of(arc) for arc in run.arcs]
+def _motions(walk: EventDerivatives, run: Execution) -> list[ArcPassage]:
+    return list(walk.passages(run))
 
 
 def _settings(completion: Completion, engine: Engine | None = None) -> SimulationSettings:
@@ -104,9 +96,10 @@ def _shifts(machine: HybridDynamics, run: Execution) -> Vector:
     motions = _motions(walk, run)
     assert len(motions) == len(run.arcs)
     locked = motions[-1]
-    found = [shift for one in motions[:2] for shift in (one.end, one.after)]
+    found = [shift for one in motions[:2] for shift in one.crossings[0][1:]]
     rows = [np.vstack([s.time, s.state, s.rate]) for s in [*found, locked.start]]
-    rows += [walk.of_gap_acceleration(run.zeno_points[0].state, locked.start)[None, :]]
+    slopes = differentials_of(machine, walk.chosen).contact(run.zeno_points[0].state)
+    rows += [walk.change(slopes[GAP_ACCELERATION], locked.start)[None, :]]
     end = locked.after
     return np.vstack([*rows, end.time, end.state, end.rate])
 
@@ -158,7 +151,7 @@ def test_the_derivatives_do_not_depend_on_the_steps_that_the_arcs_were_made_of(
 
 def _events_shift(machine: HybridDynamics, run: Execution) -> Vector:
     first, *_, last = _motions(_walk(machine, tuple(range(6))), run)
-    shifts = (first.end, first.after, last.start, last.after)
+    shifts = (*first.crossings[0][1:], last.start, last.after)
     return np.vstack([np.vstack([s.time, s.state, s.rate]) for s in shifts])
 
 
@@ -167,7 +160,7 @@ def test_the_zeno_point_of_a_plastic_impact_moves_as_the_impact(run: Run) -> Non
     machine = _oscillator(np.append(NUMBERS[:-1], 0.0))
     ended = run(machine, START, 9.0, _settings(ZenoExtrapolation()))
     flight, locked = _motions(_walk(machine, (1, 5)), ended)
-    impact, after, zeno = ended.impacts[0], flight.after, locked.start
+    impact, after, zeno = ended.impacts[0], flight.crossings[0][2], locked.start
     # Restitution adds a tail: a time 2 w / |h''| and the way of the locked flow in it.
     tail = -2 * impact.approach_rate / abs(machine.gap_acceleration(impact.state_plus))
     way = machine.locked.rate(impact.state_plus)
@@ -181,17 +174,19 @@ def test_the_zeno_point_of_a_plastic_impact_moves_as_the_impact(run: Run) -> Non
 
 
 def test_a_start_has_its_own_derivatives_and_its_gap_rate_those_of_the_machine() -> None:
-    numbers = {"M": 1.0, "m": 0.5, "l": 0.7, "g": 9.81, "wall": -0.2, "e": 0.3}
-    walk = _walk(CART.at(**numbers), (2, 4))
     angle, turn = 0.4, 1.7
-    x = np.array([0.1, angle, 0.2, turn])
-    start, launched = walk.at_start(), walk.launched(x)
+    sine, cosine = math.sin(angle), math.cos(angle)
+    numbers = {"M": 1.0, "m": 0.5, "l": 0.7, "g": 9.81, "wall": 0.1 + 0.7 * sine, "e": 0.3}
+    machine = CART.at(**numbers)
+    walk = _walk(machine, (2, 4))
+    # On the wall, and about to leave it.
+    run = simulate(machine, np.array([0.1, angle, 0.2, turn]), until=0.01)
+    start, launched = walk.at_start(), _motions(walk, run)[0].start
     for shift in (start, launched):
         assert shift.time.tolist() == [0.0] * 6
         assert shift.state.tolist() == np.eye(4, 6).tolist()
     assert start.rate.tolist() == [0.0] * 6
     # The bob's speed is dx + l dtheta cos(theta).
-    sine, cosine = math.sin(angle), math.cos(angle)
     expected = [0.0, -0.7 * turn * sine, 1.0, 0.7 * cosine, turn * cosine, 0.0]
     assert launched.rate == pytest.approx(expected, rel=1e-14)
 
@@ -235,7 +230,7 @@ def test_the_course_of_a_falling_ball_moves_as_its_closed_form(
     x = np.array([2.0, 1.5])
     ended = run(BALL.at(m=0.7, g=G, c=DRAG, e=0.5), x, until, SimulationSettings(engine=engine))
     walk, arc = _walk(BALL.at(m=0.7, g=G, c=DRAG, e=0.5), BY), ended.arcs[0]
-    times, found = course_of(walk, ended, 0, walk.at_start(), parts=parts)
+    times, found = walk.course(_motions(walk, ended)[0], parts=parts)
     assert times[[0, -1]] == pytest.approx([0.0, arc.duration], rel=1e-15)
     # Steps are parted evenly.
     sizes = np.diff(times)
@@ -262,7 +257,7 @@ def test_perturbations_decay_where_explicit_steps_of_a_state_at_rest_do_not_see_
     ended = run(machine, x, 2.0, SimulationSettings(engine=engine))
     assert max(np.diff(ended.arcs[0].flow_times)) == pytest.approx(0.2)
     walk = _walk(machine, BY)
-    times, found = course_of(walk, ended, 0, walk.at_start(), parts=2)
+    times, found = walk.course(_motions(walk, ended)[0], parts=2)
     for time, shift in zip(times.tolist(), found, strict=True):
         # Order 13 at h c = 2.4.
         assert shift == pytest.approx(_fall_slopes(x, drag, time), abs=1e-9)
@@ -299,11 +294,3 @@ def test_volumes_shrink_by_damping_and_by_the_square_of_the_restitution(run: Run
     volume = np.linalg.det(motion.end.state)
     # Liouville: the divergence is -c.
     assert volume == pytest.approx(e ** (2 * n) * math.exp(-c * 5.0), rel=1e-10)
-
-
-def test_columns_are_of_states_first_and_then_of_the_chosen_parameters() -> None:
-    walk = _walk(BALL.at(m=0.7, g=G, c=DRAG, e=0.4), (3, 1))
-    assert walk.n_x == 2
-    assert walk.parameters.tolist() == [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-    # Only `e` itself moves the restitution.
-    assert walk.restitution.tolist() == [0.0, 0.0, 1.0, 0.0]

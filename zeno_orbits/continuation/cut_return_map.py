@@ -30,15 +30,15 @@ from zeno_orbits.orbits import (
     contacts_of,
     differentials_of,
     first_return,
+    passage_of,
     to_next_release,
 )
 from zeno_orbits.simulation import (
     Ending,
+    EventDerivatives,
     Impact,
     Mode,
     PlasticAfter,
-    VariationalEquation,
-    motion_of,
 )
 
 
@@ -77,12 +77,7 @@ class CutReturns(OnSection):
         if release is None:
             raise SimulationError("No release follows", time=horizon, state=tuple(x.tolist()))
         moving = self.line.moving
-        perturbations = VariationalEquation(
-            dynamics=dynamics,
-            differentials=differentials_of(dynamics, moving),
-            n_parameters=len(moving),
-            tolerance=settings.tolerance,
-        )
+        derivatives = EventDerivatives(dynamics, moving, settings.tolerance)
         arcs = [arc for arc in run.arcs if arc.end_time <= release.time]
         first = int(arcs[0].mode is Mode.LOCKED)
         arcs = arcs[first:]
@@ -94,8 +89,7 @@ class CutReturns(OnSection):
                 time=release.time,
                 state=tuple(x.tolist()),
             )
-        motions = motion_of(perturbations, run, perturbations.at_start(), first=first)
-        end = motions.of(arcs[-1]).after
+        end = passage_of(arcs[-1], derivatives.passages(run, first=first)).after
         n_x = x.size
         return DifferentiatedReturn(
             time=release.time,

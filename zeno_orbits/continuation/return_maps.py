@@ -37,6 +37,7 @@ from zeno_orbits.orbits import (
     Section,
     differentials_of,
     nearest_saddle,
+    passage_of,
     project_to_section,
     relaxed_settings,
     return_derivative,
@@ -45,13 +46,12 @@ from zeno_orbits.orbits import (
 from zeno_orbits.simulation import (
     Arc,
     Ending,
+    EventDerivatives,
     Execution,
     Impact,
     Mode,
     SimulationSettings,
-    VariationalEquation,
     least_inside,
-    motion_of,
     simulate,
     steady_turn,
 )
@@ -469,13 +469,8 @@ class ImpactReturns(SectionReturns):
         if not run.impacts or run.arcs[0].ending is not Ending.IMPACT:
             raise SimulationError("No impact follows", time=horizon, state=tuple(x.tolist()))
         arc, impact = run.arcs[0], run.impacts[0]
-        perturbations = VariationalEquation(
-            dynamics=dynamics,
-            differentials=differentials_of(dynamics, line.moving),
-            n_parameters=len(line.moving),
-            tolerance=self.settings.tolerance,
-        )
-        after = motion_of(perturbations, run, perturbations.launched(x)).of(arc).after
+        derivatives = EventDerivatives(dynamics, line.moving, self.settings.tolerance)
+        after = passage_of(arc, derivatives.passages(run)).after
         n_x = x.size
         end = project_to_section(dynamics, IMPACT_ROWS, impact.state_plus, dynamics.own.states(n_x))
         return DifferentiatedReturn(
@@ -484,7 +479,7 @@ class ImpactReturns(SectionReturns):
             by_state=after.state[:, :n_x],
             by_parameter=after.state[:, n_x:] @ line.slopes,
             margins=LazyMargins(lambda: _margins_of_flight(dynamics, arc, impact)),
-            volume=_volume(dynamics, perturbations, arc, impact),
+            volume=_volume(dynamics, arc, impact),
             turns=turns_of_clock(dynamics, x, impact.time),
         )
 
@@ -530,9 +525,7 @@ def _product(factors: Sequence[float | None]) -> float | None:
     return math.prod(known) if len(known) == len(factors) else None
 
 
-def _volume(
-    dynamics: HybridDynamics, perturbations: VariationalEquation, arc: Arc, impact: Impact
-) -> float | None:
+def _volume(dynamics: HybridDynamics, arc: Arc, impact: Impact) -> float | None:
     r"""Return the factor of phase volume over a flight and its impact.
 
     .. math:: \frac{w}{v}\,\frac{dw}{dv}\,\exp\int \operatorname{div} f\,dt
@@ -548,7 +541,8 @@ def _volume(
     if np.ptp(traces) > _CONSTANT * max(np.max(np.abs(traces)), 1 / impact.time):
         return None
     before = abs(impact.approach_rate)
-    by_rate = abs(float(perturbations.differentials.speed_after(impact.approach_rate)[0]))
+    speed_after = differentials_of(dynamics, ()).speed_after(impact.approach_rate)
+    by_rate = abs(float(speed_after[0]))
     ratio = dynamics.speed_after(impact.approach_rate) / before
     return float(ratio * by_rate * np.exp(traces[0] * impact.time))
 

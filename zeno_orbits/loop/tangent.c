@@ -465,14 +465,14 @@ static void carry(Tangent *t, long long arc, int parts, double *times, double *r
 }
 
 void zl_course(const zl_problem *problem, const zl_tangent *tangent, zl_run *run,
-               const zl_track *track, long long arc, int parts, const double *v, const double *q,
-               double *times, double *rows) {
+               const zl_track *track, int parts, const double *v, const double *q, double *times,
+               double *rows) {
     Tangent t = tangent_of(problem, tangent, run, track, 0);
     prepare_all(&t);
-    enter_arc(&t, arc);
+    enter_arc(&t, 0);
     copy_rows(t.before, v, t.n * t.width);
     copy_rows(t.q, q, (t.n_k + (t.mode == ZL_FLIGHT ? 1 : 0)) * t.width);
-    carry(&t, arc, parts, times, rows);
+    carry(&t, 0, parts, times, rows);
 }
 
 /* Derivatives of a formula at a state, by columns; their number of rows is given. */
@@ -620,9 +620,10 @@ static void stopped(Tangent *t, long long arc, const double *start, double *end)
               gap_rate);
 }
 
-/* A shift of an arc: 0 of its start, 1 of its end, 2 of what follows. */
+/* A shift of an arc: 0 of its start, 1 of its end, 2 of what follows. What comes before the first
+   arc has one, too. */
 static double *shift_of(const Tangent *t, double *shifts, long long arc, int which) {
-    return shifts + (3 * arc + which) * (T_STATE + t->n_x) * t->width;
+    return shifts + (3 * (arc + 1) + which) * (T_STATE + t->n_x) * t->width;
 }
 
 /* Join an impact to its sequence, or begin a new one. */
@@ -750,11 +751,11 @@ static long long event_at(const Tangent *t, long long event, int kind, double ti
 }
 
 /* Find how the start of a locked arc moves, if it is a Zeno point; 0 if that is not known. */
-static int locked_start(const Tangent *t, double *shifts, long long arc, long long first,
-                        long long *event, long long struck_last, long long arc_last) {
+static int locked_start(const Tangent *t, double *shifts, long long arc, long long *event,
+                        long long struck_last, long long arc_last) {
     double *start = shift_of(t, shifts, arc, 0);
     while (*event < t->track->n_events && event_row(t, *event)[0] == ZL_IMPACT) ++*event;
-    if (event_at(t, *event, ZL_ZENO, arc_row(t, arc)[1]) < 0) return arc == first;
+    if (event_at(t, *event, ZL_ZENO, arc_row(t, arc)[1]) < 0) return arc == 0;
     if (t->m.run->pace.n_estimates == 0) return 0;
     limit_shift(t, shifts, event_row(t, *event), struck_last, arc_last, start);
     ++*event;
@@ -763,7 +764,7 @@ static int locked_start(const Tangent *t, double *shifts, long long arc, long lo
 }
 
 long long zl_follow(const zl_problem *problem, const zl_tangent *tangent, zl_run *run,
-                    const zl_track *track, long long first, double *shifts) {
+                    const zl_track *track, int joins, double *shifts) {
     zl_records records;
     Tangent t;
     long long arc, event = 0, struck_last = -1, arc_last = -1, size;
@@ -773,15 +774,18 @@ long long zl_follow(const zl_problem *problem, const zl_tangent *tangent, zl_run
     size = (T_STATE + t.n_x) * t.width;
     prepare_all(&t);
     run->pace.n_estimates = 0;
-    for (arc = first; arc < track->n_arcs; arc++) {
+    if (joins) {
+        joined(&t, arc_row(&t, 0)[1], event_row(&t, 0));
+        struck_last = event++;
+    }
+    for (arc = 0; arc < track->n_arcs; arc++) {
         const double *row = arc_row(&t, arc);
         const int mode = (int)row[0], ending = (int)row[5];
         double *start = shift_of(&t, shifts, arc, 0), *end = shift_of(&t, shifts, arc, 1);
         double *next = shift_of(&t, shifts, arc, 2);
-        if (arc > first) copy_rows(start, start - size, size);
+        copy_rows(start, start - size, size);
         while (event < track->n_events && event_row(&t, event)[1] < row[1]) event++;
-        if (mode == ZL_LOCKED &&
-            !locked_start(&t, shifts, arc, first, &event, struck_last, arc_last))
+        if (mode == ZL_LOCKED && !locked_start(&t, shifts, arc, &event, struck_last, arc_last))
             break;
         if (ending == ZL_IMPACT) {
             while (event < track->n_events && event_row(&t, event)[1] < row[2]) event++;

@@ -28,19 +28,21 @@ typedef struct {
     long long n_arcs, n_events;
     double trusted;              /* error of an explicit step up to which it serves */
     const double *restitution;   /* its derivatives by the chosen parameters */
-    double *estimates, *work;    /* one row of ZL_ESTIMATE_WIDTH + 2 n_x an arc; zl_tangent_work */
+    double *estimates, *work;    /* rows of ZL_ESTIMATE_WIDTH + 2 n_x, one more than arcs; zl_tangent_work */
 } zl_track;
 
 ZL_EXPORT long long zl_tangent_work(const zl_problem *problem, const zl_tangent *tangent);
 
-/* Follow the arcs from one on. A shift is rows: of time, of gap rate, of every state. `shifts` has
-   three an arc: of its start, of its end before an impact, of what follows the event at its end.
-   The first shift is given. Returns the first arc that has no derivative. */
+/* Follow the arcs. A shift is rows: of time, of gap rate, of every state. `shifts` has three an arc:
+   of its start, of its end before an impact, of what follows the event at its end. Those of the
+   first arc come after three of an arc before it, of which the last is given. If `joins`, the first
+   event is the impact before the first arc, with which a sequence of impacts begins. Returns the
+   number of arcs that have derivatives. */
 ZL_EXPORT long long zl_follow(const zl_problem *problem, const zl_tangent *tangent, zl_run *run,
-                              const zl_track *track, long long first, double *shifts);
+                              const zl_track *track, int joins, double *shifts);
 
-/* Carry derivatives `v` along one arc, of parameters that move as `q`. After every part of every
-   step: its time in the flow's own time, then the derivatives; `rows` has room for all of them. */
+/* Carry derivatives `v` along the first arc, of parameters that move as `q`. After every part of
+   every step: its time in the flow's own time, then the derivatives; `rows` has room for all. */
 ZL_EXPORT void zl_course(const zl_problem *problem, const zl_tangent *tangent, zl_run *run,
-                         const zl_track *track, long long arc, int parts, const double *v,
-                         const double *q, double *times, double *rows);
+                         const zl_track *track, int parts, const double *v, const double *q,
+                         double *times, double *rows);

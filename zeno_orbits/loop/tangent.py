@@ -79,34 +79,30 @@ class TangentProgram:
         """Number of columns, rounded up to whole lanes."""
         return -(-self.n_columns // c.LANES) * c.LANES
 
-    def follow(self, track: Track, first: int, start: Vector) -> Vector:
+    def follow(self, track: Track, start: Vector, *, joins: bool) -> Vector:
         """Return the derivatives of the start, the end and the state after the end of every arc.
 
         Args:
-            track: The execution.
-            first: Index of the first arc that counts.
-            start: Derivatives of its start: rows of time, gap rate and states, ``(2 + n_x, m)``.
+            track: The arcs.
+            start: Derivatives of the start: rows of time, gap rate and states, ``(2 + n_x, m)``.
+            joins: Whether the first event is the impact before the first arc.
 
         Returns:
-            ``(n, 3, 2 + n_x, m)``, for the arcs that have derivatives. Entries before the first arc
-            are empty.
+            ``(n, 3, 2 + n_x, m)``, for the arcs that have derivatives.
         """
-        shifts = np.zeros((len(track.record.arcs), 3, 2 + self._n_x, self._width))
-        shifts[first, 0, :, : self.n_columns] = start
+        shifts = np.zeros((1 + len(track.record.arcs), 3, 2 + self._n_x, self._width))
+        shifts[0, 2, :, : self.n_columns] = start
         with self._held(track) as (memory, place):
             n: int = self._program.library.zl_follow(
-                *(self._program.address, self._address, memory, place, first, shifts.ctypes.data)
+                *(self._program.address, self._address, memory, place, joins, shifts.ctypes.data)
             )
-        return shifts[:n, :, :, : self.n_columns]
+        return shifts[1 : n + 1, :, :, : self.n_columns]
 
-    def course(
-        self, track: Track, arc: int, v: Vector, q: Vector, parts: int
-    ) -> tuple[Vector, Vector]:
+    def course(self, track: Track, v: Vector, q: Vector, parts: int) -> tuple[Vector, Vector]:
         """Return times in an arc and the derivatives of its flow there.
 
         Args:
-            track: The execution.
-            arc: Index of the arc.
+            track: The arc.
             v: Derivatives of its first state, ``(n_y, m)``.
             q: Derivatives of the flow's parameters, ``(k, m)``. The speed of a rescaled flight is
                 also a parameter.
@@ -115,12 +111,12 @@ class TangentProgram:
         Returns:
             Times in the flow's own time, ``(n,)``, and derivatives, ``(n, n_y, m)``.
         """
-        n = int(track.record.arcs[arc, _N_STEPS]) * parts
+        n = int(track.record.arcs[0, _N_STEPS]) * parts
         times, rows = np.zeros(n), np.zeros((n, len(v), self._width))
         given = self._padded(v), self._padded(q)
         with self._held(track) as (memory, place):
             self._program.library.zl_course(
-                *(self._program.address, self._address, memory, place, arc, parts),
+                *(self._program.address, self._address, memory, place, parts),
                 *(array.ctypes.data for array in (*given, times, rows)),
             )
         return times, rows[:, :, : self.n_columns]
@@ -145,7 +141,7 @@ class TangentProgram:
         place.n_arcs, place.n_events = len(record.arcs), len(record.events)
         place.trusted, place.restitution = track.trusted, address(track.by_parameters)
         width = c.ESTIMATE_WIDTH + 2 * self._n_x
-        place.estimates = address(np.empty((len(record.arcs), width)))
+        place.estimates = address(np.empty((1 + len(record.arcs), width)))
         place.work = address(np.empty(self._work))
         settings = c.SettingsType()
         settings.restitution = track.restitution

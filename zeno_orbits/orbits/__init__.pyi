@@ -64,6 +64,7 @@ from .looser_run import extrapolated as extrapolated
 from .looser_run import relaxed_tolerance as relaxed_tolerance
 from .looser_run import relaxed_settings as relaxed_settings
 from .monodromy import differentials_of as differentials_of
+from .monodromy import passage_of as passage_of
 from .monodromy import ReturnDerivative as ReturnDerivative
 from .monodromy import return_derivative as return_derivative
 from .saddle import Saddle as Saddle

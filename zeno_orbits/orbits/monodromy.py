@@ -5,27 +5,26 @@ Source: [LeineNijmeijer2004]_, theory (4.2) to (4.5).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import Differentials, HybridDynamics
+from zeno_orbits.model import GAP_ACCELERATION, Differentials, HybridDynamics
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.period import cycle_and_run, first_return, place_on_section, to_next_release
 from zeno_orbits.orbits.phases import Phase, phases_of
 from zeno_orbits.orbits.shape import EventSequence
 from zeno_orbits.simulation import (
     Arc,
-    EventMotions,
+    ArcPassage,
+    EventDerivatives,
     Execution,
     Mode,
     SaltationDerivative,
     SimulationSettings,
-    VariationalEquation,
-    motion_of,
 )
 
 
@@ -121,8 +120,7 @@ def return_derivative(
         SimulationError: If the motion does not return within the horizon, or the return is not
             differentiable.
     """
-    chosen = tuple(parameters)
-    perturbations = _perturbations(dynamics, chosen, settings)
+    derivatives = EventDerivatives(dynamics, parameters, settings.tolerance)
     closed = replace(settings, completion=extrapolated(settings))
     start = dynamics.on_stop(x)
     execution = to_next_release(dynamics, start, horizon=horizon, settings=closed)
@@ -137,15 +135,9 @@ def return_derivative(
             time=release.time,
             state=tuple(release.state.tolist()),
         )
-    motions = motion_of(
-        perturbations,
-        execution,
-        perturbations.at_start(),
-        first=first_that_counts(execution, release.time),
-    )
-    # Only a plastic impact with immediate release is a phase before the phase with contact.
-    first = motions.of(phases[0].flight).end
-    return _derivative(perturbations, execution, start, phases, motions, first, chosen)
+    first = first_that_counts(execution, release.time)
+    passages = derivatives.passages(execution, first=first)
+    return _derivative(derivatives, execution, start, phases, passages)
 
 
 def period_derivative(
@@ -169,18 +161,15 @@ def period_derivative(
         InputError: If the system does not have formulas.
         SimulationError: If the motion has a different shape, or its end is not differentiable.
     """
-    perturbations = _perturbations(dynamics, (), settings)
+    derivatives = EventDerivatives(dynamics, (), settings.tolerance)
     closed = replace(settings, completion=extrapolated(settings))
     start = place_on_section(dynamics, shape, x)
     # Derivatives are propagated along the whole run. The extracted cycle does not record them.
     cycle, run = cycle_and_run(dynamics, start, shape, horizon=horizon, settings=closed)
     end = cycle.end
-    begin, first = perturbations.launched(start), 0
-    if shape.starts_at_release:
-        begin = perturbations.at_start()
-        first = first_that_counts(run, end.time)
-    motions = motion_of(perturbations, run, begin, first=first)
-    here = motions.of(cycle.phases[-1].arcs[-1]).after
+    first = first_that_counts(run, end.time) if shape.starts_at_release else 0
+    last = cycle.phases[-1].arcs[-1]
+    here = passage_of(last, derivatives.passages(run, first=first)).after
     _require_finite(here, end.time, end.state)
     return PeriodDerivative(
         start=start,
@@ -199,17 +188,6 @@ def differentials_of(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Diffe
     if dynamics.differentiation is None:
         raise InputError("Argument `dynamics` must have formulas, but it has plain functions.")
     return dynamics.differentiation.by(chosen)
-
-
-def _perturbations(
-    dynamics: HybridDynamics, chosen: tuple[int, ...], settings: SimulationSettings
-) -> VariationalEquation:
-    return VariationalEquation(
-        dynamics=dynamics,
-        differentials=differentials_of(dynamics, chosen),
-        n_parameters=len(chosen),
-        tolerance=settings.tolerance,
-    )
 
 
 def _first_flight(execution: Execution) -> Arc | None:
@@ -236,14 +214,25 @@ def first_that_counts(execution: Execution, end: float) -> int:
     return int(first.mode is Mode.LOCKED and first.end_time <= _AT_ONCE * end)
 
 
+def passage_of(arc: Arc, passages: Iterable[ArcPassage]) -> ArcPassage:
+    """Return the passage of an arc.
+
+    Args:
+        arc: The arc.
+        passages: Passages, up to this arc at least.
+
+    Raises:
+        SimulationError: If an event up to the end of the arc has no derivative.
+    """
+    return next(passage for passage in passages if passage.arc is arc)
+
+
 def _derivative(
-    perturbations: VariationalEquation,
+    derivatives: EventDerivatives,
     execution: Execution,
     start: Vector,
     phases: Sequence[Phase],
-    motions: EventMotions,
-    first: SaltationDerivative,
-    chosen: tuple[int, ...],
+    passages: Iterator[ArcPassage],
 ) -> ReturnDerivative:
     """Return the results of an execution to the next release, with derivatives."""
     zeno, locked = phases[-1].zeno, phases[-1].locked
@@ -254,17 +243,21 @@ def _derivative(
             time=release.time,
             state=tuple(release.state.tolist()),
         )
-    moved, end = motions.of(locked).start, motions.of(locked).after
+    # Only a plastic impact with immediate release is a phase before the phase with contact.
+    first = passage_of(phases[0].flight, passages).end
+    contact = passage_of(locked, passages)
+    moved, end = contact.start, contact.after
     _require_finite(end, release.time, release.state)
-    bend = perturbations.of_gap_acceleration(zeno.state, moved)
-    n_x = start.size
+    dynamics, n_x = derivatives.graph.first, start.size
+    by = differentials_of(dynamics, derivatives.chosen).contact(zeno.state)
+    bend = derivatives.change(by[GAP_ACCELERATION], moved)
 
     def sensitivity(value: float, shift: Vector) -> Sensitivity:
         return Sensitivity(value=value, by_state=shift[:n_x], by_parameters=shift[n_x:])
 
-    acceleration = perturbations.dynamics.gap_acceleration(zeno.state)
+    acceleration = dynamics.gap_acceleration(zeno.state)
     return ReturnDerivative(
-        parameters=chosen,
+        parameters=derivatives.chosen,
         start=start,
         end=release.state,
         by_state=end.state[:, :n_x],

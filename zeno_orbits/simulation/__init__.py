@@ -1,7 +1,8 @@
 """Completed executions through impacts and Zeno points, single or in parallel, and attractors.
 
 `simulate` computes a motion with dense output. `watched` follows a motion until it settles.
-`motion_of` computes exact derivatives. `attractor` defines the attractors of motions.
+`EventDerivatives` has the exact derivatives of events. `attractor` defines the attractors of
+motions.
 
 Offers: `simulate` with `SimulationSettings`. An `Execution` consists of `Arc`s (with a `Mode` and
 an `Ending`) and events `Impact`, `ZenoPoint`, `Release`. Methods to reach a Zeno point:

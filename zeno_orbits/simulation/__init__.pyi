@@ -35,10 +35,7 @@ from .execution import ZenoPoint as ZenoPoint
 from .execution import event_name as event_name
 from .execution import state_after as state_after
 from .execution import state_before as state_before
-from .derivatives.sensitivity import ArcShifts as ArcShifts
 from .derivatives.sensitivity import SaltationDerivative as SaltationDerivative
-from .derivatives.sensitivity import VariationalEquation as VariationalEquation
-from .derivatives.sensitivity import carried_in_python as carried_in_python
 from .signals import Extent as Extent
 from .signals import Signal as Signal
 from .signals import extent_of as extent_of
@@ -47,8 +44,8 @@ from .signals import lows_inside as lows_inside
 from .signals import peaks as peaks
 from .signals import signal as signal
 from .signals import signal_names as signal_names
-from .derivatives.graph_shifts import ArcPassage as ArcPassage
-from .derivatives.graph_shifts import GraphShifts as GraphShifts
+from .derivatives.passages import ArcPassage as ArcPassage
+from .derivatives.passages import EventDerivatives as EventDerivatives
 from .compiled.legs import LegFollower as LegFollower
 from .compiled.legs import states_after_steps as states_after_steps
 from .recorded import LoopTrajectory as LoopTrajectory
@@ -61,9 +58,6 @@ from .simulator import by_reference as by_reference
 from .simulator import simulate as simulate
 from .simulator import simulated_at_most as simulated_at_most
 from .simulator import simulator_in_use as simulator_in_use
-from .derivatives.tangent import course_of as course_of
-from .derivatives.tangent import EventMotions as EventMotions
-from .derivatives.tangent import motion_of as motion_of
 from .zeno.zeno_limit import TailEstimate as TailEstimate
 from .zeno.zeno_limit import ZenoLimit as ZenoLimit
 from .zeno.zeno_limit import estimate_tail as estimate_tail

@@ -259,10 +259,10 @@ class RecordedExecution(Execution):
         return made
 
 
-def record_of(execution: Execution) -> Record | None:
-    """Return the record of an execution with one guard, if the loop made it in this process."""
+def recorded_run(execution: Execution) -> RecordedRun | None:
+    """Return the run of an execution with its record, if the loop made it in this process."""
     run = getattr(execution, "_run", None)
-    return run.record if isinstance(run, RecordedRun) and run.graph.has_one_guard else None
+    return run if isinstance(run, RecordedRun) else None
 
 
 def _execution(*values: Any) -> RecordedExecution:

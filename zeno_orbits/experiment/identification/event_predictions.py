@@ -115,10 +115,10 @@ class EventPredictions(OrbitPredictions[EventPeriod]):
     def _differentiated(self, key: bytes) -> OrbitSlope:
         table = self._tables(key)
         found, n_x = table.found, len(table.found.start)
+        along = [found.differentiation.at_equal_times(p, parts=_PARTS) for p in found.passages]
         pieces = [
             (times, (moved @ table.moved).reshape(len(times), -1), rates @ table.moved)
-            for arc, times, moved, rates in found.differentiation.courses(found.execution, _PARTS)
-            if arc.end_time <= found.period
+            for times, moved, rates in filter(None, along)
         ]
         return OrbitSlope(
             period=found.shifts[-1].time @ table.moved,

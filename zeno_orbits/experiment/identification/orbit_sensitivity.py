@@ -19,18 +19,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import CubicColumns
-from zeno_orbits.model import FlowDifferential, HybridDynamics
-from zeno_orbits.orbits import differentials_of, return_derivative, section_jacobian
-from zeno_orbits.simulation import (
-    Ending,
-    Execution,
-    Mode,
-    SaltationDerivative,
-    SimulationSettings,
-    VariationalEquation,
-    course_of,
-    motion_of,
-)
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.orbits import return_derivative, section_jacobian
+from zeno_orbits.simulation import EventDerivatives, Execution, Mode, SimulationSettings
 
 _PARTS = 3
 """Nodes in a step of the integrator: between them the derivatives are cubic."""
@@ -86,17 +77,13 @@ def orbit_slope(
     coordinates = np.linalg.solve(matrix, section.by_parameters) if d else np.zeros((0, k))
     start = section.lift @ np.concatenate([coordinates, np.eye(k)])
     by_period = derivative.period.by_state @ start + derivative.period.by_parameters
-    perturbations = VariationalEquation(
-        dynamics=dynamics,
-        differentials=differentials_of(dynamics, chosen),
-        n_parameters=k,
-        tolerance=settings.tolerance,
-    )
     whole = np.concatenate([start, np.eye(k)])
     pieces = [
         (times, (moved @ whole).reshape(len(times), -1), (slopes @ whole).reshape(len(times), -1))
         for times, moved, slopes in _along(
-            perturbations, derivative.execution, derivative.period.value
+            EventDerivatives(dynamics, chosen, settings.tolerance),
+            derivative.execution,
+            derivative.period.value,
         )
     ]
     times, values, slopes = (np.concatenate(rows) for rows in zip(*pieces, strict=True))
@@ -111,38 +98,13 @@ _Piece = tuple[Vector, Vector, Vector]
 """Times since the release, derivatives of the state at these times, and their slopes in time."""
 
 
-def _along(
-    perturbations: VariationalEquation, execution: Execution, period: float
-) -> Iterator[_Piece]:
+def _along(derivatives: EventDerivatives, execution: Execution, period: float) -> Iterator[_Piece]:
     """Yield the state derivatives at equal times, from the release to the next release."""
     # A start that locks by rounding is released at once.
     first = int(execution.arcs[0].mode is Mode.LOCKED)
-    motions = motion_of(perturbations, execution, perturbations.at_start(), first=first)
-    for place, arc in enumerate(execution.arcs):
-        if place >= first and arc.start_time < period and arc.ending is not Ending.ZENO:
-            yield _piece(perturbations, execution, place, motions.of(arc).start)
-
-
-def _piece(
-    perturbations: VariationalEquation, execution: Execution, place: int, begin: SaltationDerivative
-) -> _Piece:
-    """Return the state derivatives along an arc with a given shift of its start."""
-    dynamics, differentials = perturbations.dynamics, perturbations.differentials
-    n_x, arc = perturbations.n_x, execution.arcs[place]
-    own, by = dynamics.free, differentials.free
-    if arc.mode is Mode.LOCKED:
-        own, by = dynamics.locked, differentials.locked
-    offsets, shifts = course_of(perturbations, execution, place, begin, parts=_PARTS)
-    states = arc.flow_states_at(offsets)[:, :n_x]
-    rates = own.rates(states)
-    is_flight = shifts.shape[1] > n_x
-    later = begin.time + offsets[:, None] * (begin.rate if is_flight else 0.0)
-    moved = shifts[:, :n_x] - rates[:, :, None] * later[:, None]
-    slopes = _slopes(by, states, moved, perturbations.parameters)
-    return arc.start_time + offsets * arc.time_unit, moved, slopes
-
-
-def _slopes(by: FlowDifferential, states: Vector, moved: Vector, q: Vector) -> Vector:
-    """Return the rates of perturbations, ``J v + F q``, at the states of an arc."""
-    every = np.concatenate([moved, np.broadcast_to(q, (len(states), *q.shape))], axis=1)
-    return by.linear(states) @ every
+    for passage in derivatives.passages(execution, first=first):
+        if passage.arc.start_time >= period:
+            return
+        piece = derivatives.at_equal_times(passage, parts=_PARTS)
+        if piece is not None:
+            yield piece

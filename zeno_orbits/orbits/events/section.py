@@ -43,8 +43,8 @@ from zeno_orbits.simulation import (
     Completion,
     Ending,
     Event,
+    EventDerivatives,
     Execution,
-    GraphShifts,
     Release,
     SaltationDerivative,
     SimulationSettings,
@@ -173,7 +173,7 @@ class EventReturn:
     period: float
     events: tuple[Event, ...]
     execution: Execution
-    differentiation: GraphShifts
+    differentiation: EventDerivatives
 
     @property
     def opened(self) -> tuple[Release, ...]:
@@ -332,9 +332,7 @@ def event_return(
         period=end,
         events=events,
         execution=execution,
-        differentiation=GraphShifts(
-            graph=graph, chosen=tuple(parameters), tolerance=exact.tolerance
-        ),
+        differentiation=EventDerivatives(graph, parameters, exact.tolerance),
     )
 
 

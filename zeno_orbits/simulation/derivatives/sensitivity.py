@@ -1,18 +1,13 @@
-r"""Derivatives of an execution's events with respect to its start and parameters, in Python.
+r"""Derivatives of the flows, the impacts and the Zeno points of a stop in a mode.
 
-An event is a point at which a guard :math:`g` vanishes along the flow :math:`f`. With the
-perturbation `V` at an equal time it moves by
-
-.. math:: \delta t = -\frac{\nabla g\,V + g_p Q}{\dot g}, \qquad \delta x = V + f\,\delta t
-
-(theory (4.3)). The Zeno point moves according to the formula of its extrapolation (theory (4.4)).
-Every derivative has one column per state of the start and per chosen parameter. The compiled loop
-has the same formulas, and this module is their reference.
+The Zeno point moves according to the formula of its extrapolation, theory (4.4). Every derivative
+has one column per state of the start and per chosen parameter. The compiled loop has the same
+formulas, and this module is their reference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,17 +15,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import FlowWithEvent, Tolerance
-from zeno_orbits.model import (
-    GAP,
-    GAP_ACCELERATION,
-    GAP_RATE,
-    MULTIPLIER,
-    Differentials,
-    FlowDifferential,
-    HybridDynamics,
-)
-from zeno_orbits.simulation.derivatives.state_transition import carried
-from zeno_orbits.simulation.execution import Arc, Ending, Execution, Impact, Mode, ZenoPoint
+from zeno_orbits.model import Differentials, FlowDifferential, HybridDynamics
+from zeno_orbits.simulation.execution import Arc, Impact, Mode, ZenoPoint
 from zeno_orbits.simulation.zeno.zeno_limit import (
     TailEstimate,
     estimate_tail,
@@ -71,58 +57,23 @@ class ImpactDerivative:
     shift: SaltationDerivative
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArcShifts:
-    """Derivatives of the ends of an arc.
-
-    Attributes:
-        start: Derivatives of the start: after an impact, at a Zeno point or a release.
-        end: Derivatives of the end, before an impact.
-        after: Derivatives after the event at the end.
-    """
-
-    start: SaltationDerivative
-    end: SaltationDerivative
-    after: SaltationDerivative
-
-
-def carried_in_python(
-    perturbations: VariationalEquation, arc: Arc, mode: Mode, v: Vector, q: Vector
-) -> Vector:
-    """Return the perturbations at the end of an arc, its duration held fixed, ``(n_y, m)``.
-
-    Args:
-        perturbations: The equations of perturbations.
-        arc: The arc.
-        mode: Mode of its flow.
-        v: Perturbations at its start, ``(n_y, m)``. A rescaled flight has two further rows.
-        q: Perturbations of the flow's parameters, ``(n_q, m)``.
-    """
-    flow, differential = perturbations.flow_of(arc, mode, len(v))
-    return carried(flow, differential, arc, perturbations.tolerance, v, q)
-
-
-Carry = Callable[["VariationalEquation", Arc, Mode, Vector, Vector], Vector]
-"""A function like `carried_in_python`."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class VariationalEquation:
-    """Derivatives along an execution.
+    """Derivatives of one view: of its flows, its impacts and its Zeno points.
 
     Attributes:
-        dynamics: The system.
+        dynamics: The system of the view.
         differentials: Its derivatives.
         n_parameters: Number of parameters of the derivatives.
         tolerance: Local error of steps that have to be taken anew.
-        carry: How perturbations are carried along an arc.
+        in_python: Whether the loop is left out, as by the reference.
     """
 
     dynamics: HybridDynamics
     differentials: Differentials
     n_parameters: int
     tolerance: Tolerance
-    carry: Carry = carried_in_python
+    in_python: bool = False
 
     @property
     def n_x(self) -> int:
@@ -154,48 +105,6 @@ class VariationalEquation:
         """Perturbations of the restitution, ``(m,)``."""
         return self.differentials.restitution @ self.parameters
 
-    def at_start(self) -> SaltationDerivative:
-        """Return the start with its prescribed derivatives."""
-        state = np.eye(self.n_x, self.n_x + self.n_parameters)
-        zero = np.zeros(state.shape[1])
-        return SaltationDerivative(time=zero, state=state, rate=zero)
-
-    def launched(self, x: Vector) -> SaltationDerivative:
-        """Return a start just after an impact, its gap rate included."""
-        start = self.at_start()
-        rate = self._total(self.differentials.contact(x)[GAP_RATE], start.state)
-        return SaltationDerivative(time=start.time, state=start.state, rate=rate)
-
-    def flown(self, arc: Arc, start: SaltationDerivative) -> SaltationDerivative:
-        """Return the derivatives of the impact at the end of a flight, before its reset."""
-        end = arc.flow_state_at(arc.duration)
-        if end.size == self.n_x:
-            return self._free(arc, start)
-        return self._rescaled(arc, start, end)
-
-    def _free(self, arc: Arc, start: SaltationDerivative) -> SaltationDerivative:
-        v = self.carry(self, arc, Mode.FREE, start.state, self.parameters)
-        contact = self.differentials.contact(arc.end_state)
-        delay = -self._total(contact[GAP], v) / self.dynamics.gap_rate(arc.end_state)
-        state = v + self.dynamics.free.rate(arc.end_state)[:, None] * delay
-        return SaltationDerivative(
-            time=start.time + delay, state=state, rate=self._total(contact[GAP_RATE], state)
-        )
-
-    def _rescaled(self, arc: Arc, start: SaltationDerivative, end: Vector) -> SaltationDerivative:
-        """Follow a flight in its own variables, in which its speed is also a parameter."""
-        speed = arc.time_unit
-        launched = np.concatenate([start.state, np.zeros((2, start.time.size))])
-        q = np.concatenate([self.parameters, start.rate[None, :]])
-        v = self.carry(self, arc, Mode.FREE, launched, q)
-        delay = -v[-2] / end[-1]
-        moved = v + self.dynamics.flight(speed).rate(end)[:, None] * delay
-        return SaltationDerivative(
-            time=start.time + arc.duration * start.rate + speed * delay,
-            state=moved[: self.n_x],
-            rate=end[-1] * start.rate + speed * moved[-1],
-        )
-
     def struck(self, impact: Impact, before: SaltationDerivative) -> SaltationDerivative:
         """Return the derivatives of the state and the gap rate after an impact."""
         reset = self.differentials.reset(impact.state_minus, impact.approach_rate)
@@ -224,7 +133,24 @@ class VariationalEquation:
             ImpactDerivative(impact=impact, estimate=estimate, shift=after),
         ]
 
-    def limit(self, bounces: Sequence[ImpactDerivative], state: Vector) -> SaltationDerivative:
+    def zeno_point(
+        self, zeno: ZenoPoint, bounces: Sequence[ImpactDerivative]
+    ) -> SaltationDerivative:
+        """Return the derivatives of a Zeno point.
+
+        Args:
+            zeno: The Zeno point.
+            bounces: The impacts of its sequence.
+        """
+        shift = bounces[-1].shift
+        if not zeno.tail == 0.0 < zeno.last_speed:
+            return self._limit(bounces, zeno.state)
+        # A plastic reset cut the sequence.
+        on_stop = self.differentials.resting(bounces[-1].impact.state_plus)[: self.n_x]
+        state = self._total(on_stop, shift.state)
+        return SaltationDerivative(time=shift.time, state=state, rate=np.zeros_like(shift.rate))
+
+    def _limit(self, bounces: Sequence[ImpactDerivative], state: Vector) -> SaltationDerivative:
         r"""Return the derivatives of the Zeno point of a sequence.
 
         .. math:: \delta x_\infty = \sum_k \alpha_k\,\delta x_k
@@ -266,93 +192,6 @@ class VariationalEquation:
         longer += remaining * (self.restitution / (1 - e) - moved[n_x] / acceleration)
         state = moved[:n_x] + resting.rate[:, None] * longer + remaining * moved[n_x + 1 :]
         return np.concatenate([state, [shift.time + longer]])
-
-    def released(self, arc: Arc, zeno: SaltationDerivative) -> SaltationDerivative:
-        """Return the derivatives of the release at the end of a locked arc."""
-        x, dynamics = arc.end_state, self.dynamics
-        v = self.carry(self, arc, Mode.LOCKED, zeno.state, self.parameters)
-        gradient = self.differentials.contact(x)[MULTIPLIER]
-        delay = -self._total(gradient, v) / dynamics.multiplier_rate(x)
-        moved = v + dynamics.locked.rate(x)[:, None] * delay
-        on_stop = self.differentials.resting(x)[: self.n_x]
-        return SaltationDerivative(
-            time=zeno.time + delay,
-            state=self._total(on_stop, moved),
-            rate=np.zeros(self.restitution.size),
-        )
-
-    def stopped(self, arc: Arc, start: SaltationDerivative) -> SaltationDerivative:
-        """Return the derivatives of the end of an arc that ends at a given time."""
-        x, end = arc.end_state, arc.flow_state_at(arc.duration)
-        zero = np.zeros_like(start.time)
-        v, q, later = start.state, self.parameters, start.time
-        if end.size > self.n_x:
-            v = np.concatenate([v, np.zeros((2, zero.size))])
-            q = np.concatenate([q, start.rate[None, :]])
-            later = (start.time + arc.duration * start.rate) / arc.time_unit
-        v = self.carry(self, arc, arc.mode, v, q)
-        flow, _ = self.flow_of(arc, arc.mode, len(v))
-        state = (v - flow.rate(end)[:, None] * later)[: self.n_x]
-        rate = zero
-        if arc.mode is Mode.FREE:
-            rate = self._total(self.differentials.contact(x)[GAP_RATE], state)
-        return SaltationDerivative(time=zero, state=state, rate=rate)
-
-    def rested(self, impact: Impact, after: SaltationDerivative) -> SaltationDerivative:
-        """Return the derivatives of a Zeno point that results from a plastic reset at an impact."""
-        on_stop = self.differentials.resting(impact.state_plus)[: self.n_x]
-        state = self._total(on_stop, after.state)
-        return SaltationDerivative(time=after.time, state=state, rate=np.zeros_like(after.rate))
-
-    def along(
-        self, execution: Execution, start: SaltationDerivative, first: int
-    ) -> list[ArcShifts]:
-        """Return the derivatives of the ends of the arcs, up to the first end without a derivative.
-
-        At such an end the stop is touched without an impact.
-
-        Args:
-            execution: The execution.
-            start: Derivatives of the start of its first arc that counts.
-            first: Index of that arc.
-        """
-        impacts = {impact.time: impact for impact in execution.impacts}
-        zenos = {zeno.time: zeno for zeno in execution.zeno_points}
-        found, here, bounces = list[ArcShifts](), start, list[ImpactDerivative]()
-        for place, arc in enumerate(execution.arcs[first:]):
-            begin = end = here
-            zeno = zenos.get(arc.start_time) if arc.mode is Mode.LOCKED else None
-            if zeno is not None and bounces:
-                begin = end = self._limit_of(zeno, bounces)
-                bounces = []
-            elif arc.mode is Mode.LOCKED and (zeno is not None or place > 0):
-                break
-            impact = impacts.get(arc.end_time)
-            if arc.ending is Ending.HORIZON:
-                end = self.stopped(arc, begin)
-            elif arc.ending is Ending.RELEASE:
-                end = self.released(arc, begin)
-            elif arc.ending is Ending.IMPACT:
-                if impact is None:
-                    break
-                end = self.flown(arc, begin)
-            here = end
-            if arc.ending is Ending.IMPACT and impact is not None:
-                here = self.struck(impact, end)
-                bounces = self.joined(bounces, impact, here)
-            found.append(ArcShifts(start=begin, end=end, after=here))
-        return found
-
-    def _limit_of(
-        self, zeno: ZenoPoint, bounces: Sequence[ImpactDerivative]
-    ) -> SaltationDerivative:
-        if zeno.tail == 0.0 < zeno.last_speed:
-            return self.rested(bounces[-1].impact, bounces[-1].shift)
-        return self.limit(bounces, zeno.state)
-
-    def of_gap_acceleration(self, x: Vector, shift: SaltationDerivative) -> Vector:
-        """Return the derivatives of the gap acceleration at an event, ``(m,)``."""
-        return self._total(self.differentials.contact(x)[GAP_ACCELERATION], shift.state)
 
     def _total(self, gradient: Vector, state: Vector) -> Vector:
         """Return the change of a function with a given gradient, due to state and parameters."""

@@ -36,29 +36,6 @@ from zeno_orbits.simulation.execution import Arc
 from zeno_orbits.simulation.recorded import LoopTrajectory
 
 
-def carried(
-    flow: FlowWithEvent,
-    differential: FlowDifferential,
-    arc: Arc,
-    tolerance: Tolerance,
-    v: Vector,
-    q: Vector,
-) -> Vector:
-    """Return the perturbations at the end of an arc, its duration held fixed, ``(n_y, m)``.
-
-    Args:
-        flow: The flow that was followed.
-        differential: Its variational equation.
-        arc: The arc.
-        tolerance: Local error of steps that are taken anew.
-        v: Perturbations at its start, ``(n_y, m)``.
-        q: Perturbations of the flow's parameters, ``(n_q, m)``.
-    """
-    for _, after in courses(flow, differential, arc, tolerance, v, q):
-        v = after
-    return v
-
-
 def courses(
     flow: FlowWithEvent,
     differential: FlowDifferential,

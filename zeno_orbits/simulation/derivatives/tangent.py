@@ -1,136 +1,117 @@
-"""Derivatives of the events of an execution with respect to its start and its parameters.
+"""Derivatives by the compiled loop, along arcs that it recorded.
 
-The compiled loop propagates derivatives along its recorded arcs. Other arcs, and arcs that the loop
-cannot differentiate, use the formulas of `sensitivity` in Python.
+Other arcs, and arcs that the loop cannot differentiate, use the formulas of `state_transition` and
+`passages` in Python.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import SimulationError
-from zeno_orbits.loop import Record, TangentProgram, Track, binding, program_of, tangent_of
-from zeno_orbits.simulation.derivatives.sensitivity import (
-    ArcShifts,
-    SaltationDerivative,
-    VariationalEquation,
-)
+from zeno_orbits.loop import Record, TangentProgram, Track, View, binding, program_of, tangent_of
+from zeno_orbits.simulation.derivatives.sensitivity import SaltationDerivative, VariationalEquation
 from zeno_orbits.simulation.derivatives.state_transition import courses, trusted
 from zeno_orbits.simulation.execution import Arc, Execution, Mode
-from zeno_orbits.simulation.recorded import LoopTrajectory, record_of
+from zeno_orbits.simulation.recorded import LoopTrajectory, recorded_run
+
+_KIND, _TIME, _STOP = 0, 1, 5
+_END, _ENDING, _VIEW = 2, 5, binding.ARC_WIDTH - 1
+"""Columns of the record: of an event, and of an arc."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArcShifts:
+    """Derivatives of the ends of an arc, by the loop.
+
+    Attributes:
+        start: Derivatives of the start: after an impact, at a Zeno point or a release.
+        end: Derivatives of the end, before an impact.
+        after: Derivatives after an impact or a release at the end.
+    """
+
+    start: SaltationDerivative
+    end: SaltationDerivative
+    after: SaltationDerivative
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EventMotions:
-    """Derivatives of an execution.
+class Segment:
+    """Successive arcs that the loop recorded in one view.
 
     Attributes:
-        shifts: Derivatives of the arcs. Arcs without derivatives are missing.
+        view: The view.
+        record: Their record.
+        joins: Whether its first event is the impact before the first arc.
     """
 
-    shifts: dict[int, ArcShifts]
+    view: View
+    record: Record
+    joins: bool
 
-    def of(self, arc: Arc) -> ArcShifts:
-        """Return the derivatives of the ends of an arc.
+    def followed(
+        self, perturbations: VariationalEquation, start: SaltationDerivative
+    ) -> list[ArcShifts]:
+        """Return the derivatives of the ends of the arcs, up to the first without a derivative.
 
-        Raises:
-            SimulationError: If the arc cannot be differentiated because the stop was touched
-                without an impact.
+        Args:
+            perturbations: The derivatives of the view.
+            start: Derivatives of the start of the first arc.
         """
-        try:
-            return self.shifts[id(arc)]
-        except KeyError:
-            raise SimulationError(
-                "The derivative of the motion is undefined: the stop is touched without an impact",
-                time=arc.end_time,
-                state=tuple(arc.end_state.tolist()),
-            ) from None
-
-
-def motion_of(
-    perturbations: VariationalEquation,
-    execution: Execution,
-    start: SaltationDerivative,
-    *,
-    first: int = 0,
-) -> EventMotions:
-    """Return the derivatives of the ends of the arcs of an execution.
-
-    Args:
-        perturbations: The equations of perturbations.
-        execution: The execution.
-        start: Derivatives of the start of its first arc that counts.
-        first: Index of that arc.
-    """
-    compiled = _compiled(perturbations, execution)
-    if compiled is None:
-        shifts = perturbations.along(execution, start, first)
-    else:
+        compiled = _tracked(perturbations, self.record)
+        if compiled is None:
+            return []
         program, track = compiled
         rows = np.concatenate([[start.time, start.rate], start.state])
-        shifts = [
+        return [
             ArcShifts(start=_shift(one[0]), end=_shift(one[1]), after=_shift(one[2]))
-            for one in program.follow(track, first, rows)[first:]
+            for one in program.follow(track, rows, joins=self.joins)
         ]
-    return EventMotions(shifts=dict(zip(map(id, execution.arcs[first:]), shifts, strict=False)))
+
+
+def segment_at(execution: Execution, place: int, event: int, *, joins: bool) -> Segment | None:
+    """Return the longest segment from an arc on, or ``None`` if the loop did not record the arc.
+
+    All events of a segment are those of the stop of its view. It ends with a release at the latest.
+
+    Args:
+        execution: The execution.
+        place: Index of the arc.
+        event: Index of the first event after its start.
+        joins: Whether the event before it is the first impact of a sequence that goes on.
+    """
+    run = recorded_run(execution)
+    if run is None:
+        return None
+    record = run.record
+    arcs, events = record.arcs[place:], record.events[event:]
+    view = run.views[int(arcs[0, _VIEW])]
+    n = _first(arcs[:, _VIEW] != arcs[0, _VIEW])
+    n = min(n, 1 + _first(arcs[:n, _ENDING] == binding.RELEASE))
+    n = min(n, _first(arcs[:n, _ENDING] == binding.SWITCH))
+    foreign = _first((events[:, _KIND] == binding.SWITCH) | (events[:, _STOP] != view.stop))
+    passed = np.searchsorted(events[:, _TIME], arcs[:n, _END], side="right")
+    n = int(np.searchsorted(passed, foreign, side="right"))
+    leaves = n < len(arcs) and arcs[n, _VIEW] != arcs[0, _VIEW]
+    if leaves and arcs[n - 1, _ENDING] != binding.RELEASE:
+        # An impact may open other stops.
+        n -= 1
+    if n <= 0:
+        return None
+    rows = record.events[event - joins : event + int(passed[n - 1])]
+    return Segment(view=view, record=replace(record, arcs=arcs[:n], events=rows), joins=joins)
+
+
+def _first(which: NDArray[np.bool_]) -> int:
+    """Return the first index that is chosen, or the number of all if none is."""
+    return int(np.argmax(which)) if which.any() else len(which)
 
 
 def _shift(rows: Vector) -> SaltationDerivative:
     return SaltationDerivative(time=rows[0], rate=rows[1], state=rows[2:])
-
-
-def course_of(
-    perturbations: VariationalEquation,
-    execution: Execution,
-    place: int,
-    start: SaltationDerivative,
-    *,
-    parts: int,
-) -> tuple[Vector, Vector]:
-    """Return the derivatives of the state along an arc, at equal times of the flow.
-
-    Args:
-        perturbations: The equations of perturbations.
-        execution: The execution.
-        place: Index of the arc.
-        start: Derivatives of the start of the arc.
-        parts: Number of evenly spaced outputs per step.
-
-    Returns:
-        Times since the start of the arc in the flow's own time, ``(n,)``, and the derivatives of
-        the flow's state there, ``(n, n_y, m)``.
-    """
-    arc = execution.arcs[place]
-    v, q = start.state, perturbations.parameters
-    is_flight = arc.flow_state_at(arc.duration).size > perturbations.n_x
-    if is_flight:
-        # The unit of time of the flight is also a parameter that moves.
-        v = np.concatenate([v, np.zeros((2, start.time.size))])
-        q = np.concatenate([q, start.rate[None, :]])
-    compiled = _compiled(perturbations, execution)
-    if compiled is None:
-        return course_of_arc(perturbations, arc, arc.mode, v, q, parts=parts)
-    program, track = compiled
-    times, rows = program.course(track, place, v, q, parts)
-    return np.append(0.0, times), np.concatenate([v[None], rows])
-
-
-def carried_by_loop(
-    perturbations: VariationalEquation, arc: Arc, mode: Mode, v: Vector, q: Vector
-) -> Vector:
-    """Return what `carried_in_python` returns, by the loop if it recorded the steps of the arc.
-
-    Args:
-        perturbations: The equations of perturbations.
-        arc: The arc.
-        mode: Mode of its flow.
-        v: Perturbations at its start, ``(n_y, m)``.
-        q: Perturbations of the flow's parameters, ``(n_q, m)``.
-    """
-    return course_of_arc(perturbations, arc, mode, v, q)[1][-1]
 
 
 def course_of_arc(
@@ -157,34 +138,27 @@ def course_of_arc(
         there, ``(n, n_y, m)``. The start is the first of them.
     """
     way = arc.trajectory
-    if isinstance(way, LoopTrajectory):
+    if isinstance(way, LoopTrajectory) and not perturbations.in_python:
         kind = binding.LOCKED if mode is Mode.LOCKED else binding.FREE
         if len(v) > perturbations.n_x:
             kind = binding.FLIGHT
         compiled = _tracked(perturbations, way.record(kind, arc.time_unit, perturbations.n_x))
         if compiled is not None:
             program, track = compiled
-            times, rows = program.course(track, 0, v, q, parts)
+            times, rows = program.course(track, v, q, parts)
             return np.append(0.0, times), np.concatenate([v[None], rows])
     flow, differential = perturbations.flow_of(arc, mode, len(v))
     steps = list(courses(flow, differential, arc, perturbations.tolerance, v, q, parts=parts))
     return np.array([0.0, *(time for time, _ in steps)]), np.array([v, *(row for _, row in steps)])
 
 
-def _compiled(
-    perturbations: VariationalEquation, execution: Execution
-) -> tuple[TangentProgram, Track] | None:
-    """Return the derivatives of an execution that the loop recorded, if it has them."""
-    return _tracked(perturbations, record_of(execution))
-
-
 def _tracked(
-    perturbations: VariationalEquation, record: Record | None
+    perturbations: VariationalEquation, record: Record
 ) -> tuple[TangentProgram, Track] | None:
     """Return the derivatives of the arcs of a record, if the loop has them."""
     formulas = perturbations.dynamics.formulas
-    program = None if record is None or formulas is None else program_of(formulas.system)
-    if record is None or formulas is None or program is None:
+    program = None if formulas is None else program_of(formulas.system)
+    if formulas is None or program is None:
         return None
     found = tangent_of(program, perturbations.differentials.formulas)
     if found is None:
