@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -138,72 +138,48 @@ class RecordedRun:
     def _arc(self, row: Vector) -> Arc:
         view, names = self.views[int(row[binding.ARC_WIDTH - 1])], self.graph.stop_names
         dynamics = self.graph.view((view.closed, view.sides), view.stop)
-        arc = arc_of(row, self.record, dynamics, self.tolerance, self.paths)
-        closed = view.closed
-        if arc.mode is Mode.LOCKED:
-            closed = tuple(sorted((*closed, view.stop)))
-        return replace(
-            arc,
+        n_x = len(self.state_names)
+        mode, start, end, unit, duration, ending, *counts = row[: binding.ARC_WIDTH].tolist()
+        n_y = n_x + 2 if mode == binding.FLIGHT else n_x
+        first = row[binding.ARC_WIDTH : binding.ARC_WIDTH + n_x]
+        last = row[binding.ARC_WIDTH + n_x : binding.ARC_WIDTH + n_x + n_y]
+        ended = _ENDINGS[int(ending)]
+        *counts, launch, _ = counts
+        index, first_step, n_steps, first_polynomial, n_polynomials = map(int, counts)
+        way: Trajectory | None
+        if ended is Ending.ZENO:
+            path = self.paths.get(end, ())
+            way = SteppedTrajectory(steps=path, duration=duration, end=last) if path else None
+        else:
+            begin = np.concatenate([first, (0.0, launch)]) if mode == binding.FLIGHT else first
+            polynomials = self.record.polynomials[first_polynomial:][:n_polynomials]
+            way = LoopTrajectory(
+                flow=_Flow(dynamics, int(mode), unit),
+                tolerance=self.tolerance,
+                begin=begin,
+                rows=self.record.steps[first_step : first_step + n_steps, : 2 + n_y],
+                polynomials=polynomials[:, : binding.STAGES * n_y].reshape(
+                    n_polynomials, binding.STAGES, n_y
+                ),
+                duration=duration,
+                end=last,
+            )
+        held = (view.stop,) if mode == binding.LOCKED else ()
+        closed = tuple(sorted((*view.closed, *held)))
+        return Arc(
             mode=Mode.LOCKED if closed else Mode.FREE,
+            start_time=start,
+            end_time=end,
+            start_state=first,
+            end_state=last[:n_x],
+            ending=ended,
+            impact_index=index,
+            time_unit=unit,
+            trajectory=way,
             closed=named(names, closed),
-            stop=names[view.stop] if row[0] == binding.FLIGHT else "",
+            stop=names[view.stop] if mode == binding.FLIGHT else "",
             sides=view.sides,
         )
-
-
-def arc_of(
-    row: Vector,
-    record: Record,
-    dynamics: HybridDynamics,
-    tolerance: Tolerance,
-    paths: Mapping[float, tuple[Step, ...]],
-) -> Arc:
-    """Return an arc of the record.
-
-    Args:
-        row: Its row.
-        record: The record.
-        dynamics: The system with the stop of the arc.
-        tolerance: Local error of the steps.
-        paths: Curves of the impacts by the times of Zeno points that were found along them.
-    """
-    n_x = len(dynamics.state_names)
-    mode, start, end, unit, duration, ending, *counts = row[: binding.ARC_WIDTH].tolist()
-    n_y = n_x + 2 if mode == binding.FLIGHT else n_x
-    first = row[binding.ARC_WIDTH : binding.ARC_WIDTH + n_x]
-    last = row[binding.ARC_WIDTH + n_x : binding.ARC_WIDTH + n_x + n_y]
-    ended = _ENDINGS[int(ending)]
-    *counts, launch, _ = counts
-    index, first_step, n_steps, first_polynomial, n_polynomials = map(int, counts)
-    way: Trajectory | None
-    if ended is Ending.ZENO:
-        path = paths.get(end, ())
-        way = SteppedTrajectory(steps=path, duration=duration, end=last) if path else None
-    else:
-        begin = np.concatenate([first, (0.0, launch)]) if mode == binding.FLIGHT else first
-        polynomials = record.polynomials[first_polynomial:][:n_polynomials]
-        way = LoopTrajectory(
-            flow=_Flow(dynamics, int(mode), unit),
-            tolerance=tolerance,
-            begin=begin,
-            rows=record.steps[first_step : first_step + n_steps, : 2 + n_y],
-            polynomials=polynomials[:, : binding.STAGES * n_y].reshape(
-                n_polynomials, binding.STAGES, n_y
-            ),
-            duration=duration,
-            end=last,
-        )
-    return Arc(
-        mode=Mode.LOCKED if mode == binding.LOCKED else Mode.FREE,
-        start_time=start,
-        end_time=end,
-        start_state=first,
-        end_state=last[:n_x],
-        ending=ended,
-        impact_index=index,
-        time_unit=unit,
-        trajectory=way,
-    )
 
 
 _ARCS: Any = Execution.__dict__["arcs"]

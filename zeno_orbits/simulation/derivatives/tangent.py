@@ -88,6 +88,8 @@ def segment_at(execution: Execution, place: int, event: int, *, joins: bool) -> 
         return None
     record = run.record
     arcs, events = record.arcs[place:], record.events[event:]
+    if arcs[0, _ENDING] == binding.SWITCH:
+        return None
     view = run.views[int(arcs[0, _VIEW])]
     n = _first(arcs[:, _VIEW] != arcs[0, _VIEW])
     n = min(n, 1 + _first(arcs[:n, _ENDING] == binding.RELEASE))
