@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.elastic_machines import line
 from tests.support.families import CIRCLE
+from tests.support.mechanisms import machine_of
 from tests.support.one_stop import one_stop_problems
 from tests.support.units import Units, in_units
-from zeno_orbits.model import UNIT_SCALES, CharacteristicScales, constraint_sizes
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales, constraint_sizes, own_time
 
 TABLE = zo.load_problem("vibrating_table")
 
@@ -62,6 +66,31 @@ def test_a_state_that_is_next_to_nothing_gets_the_largest_size() -> None:
 def test_numbers_beyond_all_sizes_do_not_warn() -> None:
     values = TABLE.values(parameters={"omega": 1e200, "A": 1e-300})
     assert TABLE.dynamics(values).own.least <= 1.0
+
+
+@pytest.mark.parametrize("stiffness", [1e-3, 0.37, 0.74, 3.7, 60.0, 1e6])
+def test_masses_that_move_freely_as_a_whole_have_the_time_of_their_oscillation(
+    stiffness: float,
+) -> None:
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        masses = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=(1.3 * v[0] ** 2 + 0.9 * v[1] ** 2) / 2,
+            potential=p["k"] * (q[1] - q[0]) ** 2 / 2,
+            stops=(zo.Stop(name="wall", gap=q[1] + 0.3, restitution=0.7),),
+        )
+        return zo.hybrid_system(masses, zo.no_drive(masses))
+
+    problem = machine_of(model, line(2), {"k": stiffness})
+    dynamics = problem.graph_dynamics(problem.values()).first
+    known = 2 * math.pi * math.sqrt(1.3 * 0.9 / 2.2 / stiffness)
+    # The double eigenvalue zero is rounded to 1e-8, which may turn.
+    assert own_time(dynamics, np.zeros(4)) == pytest.approx(known, rel=1e-9)
+    start = {"q0": 0.1, "q1": 0.1, "v0": -2.0, "v1": -2.0}
+    run = zo.simulate(problem, until=0.21, start=start)
+    assert run.impacts[0].time == pytest.approx(0.2, abs=1e-12)
 
 
 def test_a_constraint_has_the_size_of_its_terms() -> None:

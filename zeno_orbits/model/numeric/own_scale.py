@@ -26,8 +26,10 @@ from zeno_orbits.model.scale import CharacteristicScales
 
 _DAMPED = 1e-3
 """An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
+_EPSILON, _UNSURE, _SWEEPS = 2.0**-52, 1e-3, 4
+"""Rounding. Relative error above which an eigenvalue is rounding. Sweeps that balance a matrix."""
 _ROUNDED = 1e-6
-"""Part of the largest eigenvalue below which one is rounding, along a constraint."""
+"""Part of the way of a start within its own time below which its coordinates are rounding."""
 _BAND, _WIDE = 3, 5
 """Decades around 1 within which a scale is rounded to 1, for accelerations and forces the second
 value."""
@@ -54,14 +56,11 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
         state: State of the linearisation, ``(n_x,)``.
     """
     n_q = dynamics.n_q
-    slopes = _slopes(dynamics, state)
-    eigenvalues = np.linalg.eigvals(slopes)
-    clock = list(dynamics.clock)
-    if _is_constrained(dynamics, state):
-        # The clock does not depend on the mechanism, and may be slow.
-        alone = _values_without_clock(dynamics, state, slopes)
-        eigenvalues = np.append(alone, np.linalg.eigvals(slopes[np.ix_(clock, clock)]))
-    slowest = _slowest_turn(np.asarray(eigenvalues, dtype=np.complex128))
+    slopes, clock = _slopes(dynamics, state), list(dynamics.clock)
+    # The clock does not depend on the mechanism.
+    turns = np.linalg.eigvals(slopes[np.ix_(clock, clock)])
+    values = np.append(_values_without_clock(dynamics, slopes), turns)
+    slowest = _slowest_turn(np.asarray(values, dtype=np.complex128))
     if slowest:
         return 2 * math.pi * slowest
     size = float(np.max(np.abs(state[:n_q])))
@@ -81,29 +80,38 @@ def _slopes(dynamics: HybridDynamics, state: Vector) -> Vector:
     return np.nan_to_num(dynamics.free.jacobian(state), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _is_constrained(dynamics: HybridDynamics, state: Vector) -> bool:
-    """Return True if the coordinates have constraints. The clock has one of its own."""
-    return dynamics.holonomic(state).size > len(dynamics.clock[:1])
+def _values_without_clock(dynamics: HybridDynamics, slopes: Vector) -> NDArray[np.complex128]:
+    r"""Return the eigenvalues of the mechanism without its clock, without those that are rounding.
 
-
-def _values_without_clock(
-    dynamics: HybridDynamics, state: Vector, slopes: Vector
-) -> NDArray[np.complex128]:
-    """Return the eigenvalues of the mechanism without its clock.
-
-    Along a constraint the double eigenvalue zero is rounded to a root of the rounding, and left
-    out.
+    A double eigenvalue zero, of a mechanism that moves freely as a whole or along a constraint, is
+    rounded to the root of the rounding. The error of an eigenvalue :math:`\mu` of a matrix `A` is
+    :math:`\varepsilon |A| \kappa`, with its condition number :math:`\kappa`.
 
     Args:
         dynamics: The system.
-        state: A state, ``(n_x,)``.
-        slopes: Jacobian of the free flow there, ``(n_x, n_x)``.
+        slopes: Jacobian of the free flow, ``(n_x, n_x)``.
     """
     clock = list(dynamics.clock)
-    alone = np.linalg.eigvals(np.delete(np.delete(slopes, clock, 0), clock, 1))
-    if _is_constrained(dynamics, state):
-        alone = alone[np.abs(alone) > _ROUNDED * np.max(np.abs(alone), initial=0.0)]
-    return np.asarray(alone, dtype=np.complex128)
+    matrix = _balanced(np.delete(np.delete(slopes, clock, 0), clock, 1))
+    values, right = np.linalg.eig(matrix)
+    with np.errstate(all="ignore"):
+        # Of an exact double eigenvalue the condition number is infinite.
+        left = np.linalg.norm(np.linalg.pinv(right, rcond=0.0), axis=1)
+        error = _EPSILON * np.linalg.norm(matrix) * left
+    return np.asarray(values[error < _UNSURE * np.abs(values)], dtype=np.complex128)
+
+
+def _balanced(matrix: Vector) -> Vector:
+    """Return a similar matrix whose rows and columns are of like size, whatever the units."""
+    balanced = matrix.copy()
+    for k in list(range(len(matrix))) * _SWEEPS:
+        others = np.arange(len(matrix)) != k
+        row, column = (np.linalg.norm(one[others]) for one in (balanced[k], balanced[:, k]))
+        if row > 0.0 and column > 0.0:
+            factor = math.sqrt(row / column)
+            balanced[k] /= factor
+            balanced[:, k] *= factor
+    return balanced
 
 
 def _slowest_turn(eigenvalues: NDArray[np.complex128]) -> float:
@@ -279,7 +287,7 @@ def _swing(places: Vector, accelerations: Vector) -> float:
 def _oscillation(dynamics: HybridDynamics, x: Vector) -> float:
     """Return the time of the slowest oscillation of the mechanism without its clock, or 0."""
     try:
-        return _slowest_turn(_values_without_clock(dynamics, x, _slopes(dynamics, x)))
+        return _slowest_turn(_values_without_clock(dynamics, _slopes(dynamics, x)))
     except np.linalg.LinAlgError:
         return 0.0
 
