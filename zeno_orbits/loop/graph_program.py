@@ -34,7 +34,7 @@ class GraphFormulas:
         n_switches: Number of declared switches and kinks.
         switches: ``(x, p, sizes, sides) -> (formulas of all switches, their sizes, formulas
             `armed`)``.
-        delassus: ``(x, p) -> J W J^T`` of all stops.
+        delassus: ``(x, p) -> J W J^T`` of all stops, by which an impact opens stops.
         resets: ``(x, p) -> x`` after each declared switch.
         orders: ``p -> (lower times, upper times, least upper times)`` of waveforms.
         clock: Index of the first state of the clock, and of the first state after the clock.

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import casadi as ca
@@ -95,9 +96,9 @@ def graph_of_one_stop(one: CompletedSystem, switches: Sequence[Switch] = ()) -> 
         switches: Its switches. Every kink of a formula is a further switch.
 
     Raises:
-        ValueError: If a switch is invalid, the gap has a kink, or the drive is a corrected one.
+        ValueError: If a switch is invalid, or the gap has a kink.
     """
-    stop = Stop(name="stop", gap=one.gap, restitution=one.restitution)
+    stop = Stop(name="stop", gap=one.gap, restitution=one.stop_restitution)
     return _graph(one, (stop,), tuple(switches))
 
 
@@ -143,24 +144,23 @@ def _graph(
     """Return the graph of modes of a machine.
 
     Raises:
-        ValueError: If a stop or a switch is invalid.
+        ValueError: If a stop or a switch is invalid, or if a corrected drive would make a
+            restitution depend on the state.
     """
-    mechanism, drive = one.mechanism, one.drive
+    mechanism, drive = one.bare, one.drive
     if len(stops) > 1 and drive.after_impact is not None:
         raise ValueError(
             "Argument `after_impact` must be left out of a machine with several stops."
-        )
-    if drive.added_inertia.nnz():
-        raise ValueError(
-            "Argument `drive` must not be a corrected drive in a machine with several stops, "
-            "switches or kinks of the state: use `full_drive`."
         )
     gaps = ca.vertcat(*(stop.gap for stop in watched(stops)))
     _require_smooth(
         one.state, gap=gaps, holonomic=mechanism.holonomic, mass_matrix=mechanism.mass_matrix
     )
     normals = ca.jacobian(gaps, mechanism.q)
-    inverse_mass, _ = accelerate(mechanism, ca.SX.zeros(one.n_q))
+    delassus, coupling = (
+        ca.mtimes([normals, accelerate(part, ca.SX.zeros(one.n_q))[0], normals.T])
+        for part in (one.mechanism, mechanism)
+    )
     bare = ModeGraph(
         mechanism=mechanism,
         drive=drive,
@@ -168,12 +168,29 @@ def _graph(
         switches=switches,
         conditions=conditions_of(mechanism, drive, one.state),
         time_orders=_time_orders(one),
-        delassus=ca.mtimes([normals, inverse_mass, normals.T]),
+        delassus=delassus,
+        coupling=coupling if drive.added_inertia.nnz() else delassus,
         resets=tuple(_reset(one, switch) for switch in switches),
         state=one.state,
     )
     require_event_names([*(stop.name for stop in stops), *bare.switch_names])
+    if drive.added_inertia.nnz():
+        _require_constant_restitutions(bare)
     return bare
+
+
+def _require_constant_restitutions(graph: ModeGraph) -> None:
+    """Complete every stop beside all combinations of closed stops, as a corrected drive does.
+
+    Raises:
+        ValueError: If a restitution depends on the state.
+    """
+    sides = (True,) * len(graph.conditions)
+    for stop in range(len(graph.stops)):
+        others = [k for k in range(len(graph.stops)) if k != stop]
+        for n in range(len(others) + 1):
+            for closed in combinations(others, n):
+                system_of_stop(graph, (closed, sides), stop)
 
 
 def _time_orders(one: CompletedSystem) -> tuple[TimeOrder, ...]:

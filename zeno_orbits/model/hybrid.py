@@ -54,6 +54,9 @@ class CompletedSystem:
         motor_current: Current of every motor, a state or not, ``(n_M,)`` [A].
         motor_voltage: Voltage of every motor, ``(n_M,)`` [V].
         mechanism: The completed mechanism, including the inertia that a corrected drive adds.
+        bare: The mechanism without that inertia.
+        stop_restitution: Coefficient of restitution of the stop, without the current layer that a
+            corrected drive adds to an impact.
         drive: Drive of the mechanism.
         graph: All modes of a machine with several stops or switches, or ``None``. The other fields
             then describe its first stop alone.
@@ -79,6 +82,8 @@ class CompletedSystem:
     motor_current: ca.SX
     motor_voltage: ca.SX
     mechanism: HybridLagrangian
+    bare: HybridLagrangian
+    stop_restitution: ca.SX
     drive: Drive
     graph: ModeGraph | None = None
 
@@ -132,9 +137,10 @@ def completed(
         restitution: Coefficient of restitution of the gap.
     """
     drive = joined_auxiliary(lagrangian, drive)
+    bare, stop_restitution = lagrangian, ca.SX(restitution)
     if drive.added_inertia.nnz():
         weighted = replace(lagrangian, mass_matrix=lagrangian.mass_matrix + drive.added_inertia)
-        restitution = _corrected_restitution(lagrangian, weighted, ca.SX(restitution))
+        restitution = _corrected_restitution(lagrangian, weighted, stop_restitution)
         lagrangian = weighted
     q, v = lagrangian.q, lagrangian.v
     inverse_mass, free_acceleration = accelerate(lagrangian, drive.force)
@@ -180,6 +186,8 @@ def completed(
         motor_current=drive.motor_current,
         motor_voltage=drive.motor_voltage,
         mechanism=lagrangian,
+        bare=bare,
+        stop_restitution=stop_restitution,
         drive=drive,
     )
 

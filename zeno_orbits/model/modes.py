@@ -31,6 +31,8 @@ class ModeGraph:
         conditions: The conditions of the kinks of its formulas, whose zeros are switches.
         time_orders: Orders of the switching times of its piecewise inputs.
         delassus: Delassus matrix :math:`J W J^\top` of all stops.
+        coupling: The same without the inertia that a corrected drive adds, which acts only in the
+            current layer after an impact. An impact opens other stops by this matrix.
         resets: State after every declared switch, ``(n_x,)``.
         state: ``(q, v, states of the drive, clock)``.
     """
@@ -42,6 +44,7 @@ class ModeGraph:
     conditions: tuple[ca.SX, ...]
     time_orders: tuple[TimeOrder, ...]
     delassus: ca.SX
+    coupling: ca.SX
     resets: tuple[ca.SX, ...]
     state: ca.SX
     _branches: dict[tuple[tuple[bool, ...], tuple[int, ...]], _Branch] = field(

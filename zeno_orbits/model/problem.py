@@ -224,9 +224,6 @@ class Problem(Declared):
 
         A machine with one stop and no switch has its stop under the name `stop`, and every kink of
         its formulas is a switch.
-
-        Raises:
-            InputError: If the machine has a corrected drive.
         """
         return _compiled_graph(self)
 
@@ -722,20 +719,12 @@ def _built(problem: Problem) -> tuple[CompletedSystem, dict[str, ca.SX]]:
 
 @lru_cache(maxsize=_MOST)
 def _compiled_graph(problem: Problem) -> CompiledGraph:
-    """Return the functions of a machine over its modes.
-
-    Raises:
-        InputError: If it has a corrected drive.
-    """
+    """Return the functions of a machine over its modes."""
     from zeno_orbits.model.numeric.graph_dynamics import CompiledGraph
 
     system, symbols = _built(problem)
-    try:
-        graph = system.graph or graph_of_one_stop(system)
-    except ValueError as error:
-        raise InputError(f"Argument `problem`: `{problem.name}` lacks a graph: {error}") from error
     return CompiledGraph(
-        graph=graph,
+        graph=system.graph or graph_of_one_stop(system),
         symbols=symbols,
         state_names=problem.state_names,
         starts=partial(_starts_at, problem, 0),

@@ -901,7 +901,7 @@ class ReferenceRun(StopRun):
         """
         if len(struck) < 2:
             return
-        matrix = self.graph.delassus(x)
+        matrix = self.graph.coupling(x)
         for place, first in enumerate(struck):
             reached, new = {first}, {first}
             others = {*closed, *struck[place + 1 :]}
@@ -1182,7 +1182,7 @@ class ReferenceRun(StopRun):
         """Return the closed stops that stay closed in an impact: none of them pulls."""
         if not self.rest:
             return ()
-        matrix, k = self.graph.delassus(x), self.focus
+        matrix, k = self.graph.coupling(x), self.focus
         small = _LEAST_IMPULSE * float(np.max(np.abs(matrix)))
         for n in range(len(self.rest), -1, -1):
             for closed in combinations(self.rest, n):

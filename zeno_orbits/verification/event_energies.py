@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import GraphDynamics
+from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.simulation import Arc, Event, Impact, SwitchEvent, ZenoPoint
 from zeno_orbits.verification.cross_checks import PeriodEnergies, largest_kinetic
 from zeno_orbits.verification.residuals import lawful_impact
@@ -96,14 +96,32 @@ def _before(arcs: Sequence[Arc], event: Impact | ZenoPoint) -> Arc:
 
 
 def _impact_loss(graph: GraphDynamics, arcs: Sequence[Arc], impact: Impact) -> float:
-    """Return the energy that an impact loses by Newton's law [J].
+    """Return the energy that an impact loses by Newton's law [J]."""
+    return lawful_impact(struck_view(graph, arcs, impact), impact)[1]
 
-    Its inertia is that beside the closed stops that the impact does not open.
+
+def kept_stops(graph: GraphDynamics, arcs: Sequence[Arc], impact: Impact) -> list[str]:
+    """Return the names of the closed stops that an impact does not open.
+
+    Args:
+        graph: The graph of modes.
+        arcs: The arcs of the period.
+        impact: The impact.
     """
-    arc = _before(arcs, impact)
-    kept = [name for name in arc.closed if name != impact.stop and not _moves(graph, name, impact)]
-    view = graph.view(graph.mode_of(kept, arc.sides), graph.stop_names.index(impact.stop))
-    return lawful_impact(view, impact)[1]
+    closed = _before(arcs, impact).closed
+    return [one for one in closed if one != impact.stop and not _moves(graph, one, impact)]
+
+
+def struck_view(graph: GraphDynamics, arcs: Sequence[Arc], impact: Impact) -> HybridDynamics:
+    """Return the system of an impact, with the closed stops that the impact does not open.
+
+    Args:
+        graph: The graph of modes.
+        arcs: The arcs of the period.
+        impact: The impact.
+    """
+    mode = graph.mode_of(kept_stops(graph, arcs, impact), _before(arcs, impact).sides)
+    return graph.view(mode, graph.stop_names.index(impact.stop))
 
 
 def _moves(graph: GraphDynamics, name: str, impact: Impact) -> bool:

@@ -56,7 +56,12 @@ from zeno_orbits.simulation import (
 )
 from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.cross_checks import PeriodEnergies
-from zeno_orbits.verification.event_energies import event_energies, is_balanced
+from zeno_orbits.verification.event_energies import (
+    event_energies,
+    is_balanced,
+    kept_stops,
+    struck_view,
+)
 from zeno_orbits.verification.event_margins import event_margins
 from zeno_orbits.verification.integration import decisive, error_by_repetition
 from zeno_orbits.verification.verifier import VerificationSettings
@@ -327,19 +332,33 @@ def _impact_laws(graph: GraphDynamics, period: _Period) -> dict[str, float]:
     n = len(graph.stop_names)
     for impact in impacts:
         stop = graph.stop_names.index(impact.stop)
-        e = graph.view(graph.open_mode, stop).restitution
+        e = struck_view(graph, period.arcs, impact).restitution
         before, after = (
             np.array([graph.view(graph.open_mode, k).gap_rate(x) for k in range(n)])
             for x in (impact.state_minus, impact.state_plus)
         )
         turn = max(turn, abs(after[stop] + e * impact.approach_rate) / fastest)
-        impulses = np.linalg.lstsq(graph.delassus(impact.state_minus), after - before, rcond=1e-9)[
-            0
-        ]
+        impulses = _impulses(graph, period, impact, after - before)
         largest = float(np.max(np.abs(impulses)))
         if largest > 0.0 and np.linalg.matrix_rank(graph.delassus(impact.state_minus)) == n:
             pull = max(pull, float(np.max(-impulses)) * abs(impact.approach_rate) / largest)
     return {"restitution": turn, "impulses": pull / fastest}
+
+
+def _impulses(graph: GraphDynamics, period: _Period, impact: Impact, change: Vector) -> Vector:
+    """Return the impulses of all stops that change the gap rates as an impact does.
+
+    The current layer of a corrected drive lasts too long to open a stop that a force holds closed.
+    A stop that stays closed then has its impulse by the masses alone.
+    """
+    x, k = impact.state_minus, graph.stop_names.index(impact.stop)
+    impulses: Vector = np.linalg.lstsq(graph.delassus(x), change, rcond=1e-9)[0].astype(np.float64)
+    if graph.has_current_layers:
+        kept, _ = graph.mode_of(kept_stops(graph, period.arcs, impact), ())
+        coupling = graph.coupling(x)
+        share = np.linalg.solve(coupling[np.ix_(kept, kept)], coupling[list(kept), k])
+        impulses[list(kept)] = -share * impulses[k]
+    return impulses
 
 
 def _sampled(graph: GraphDynamics, period: _Period) -> dict[str, float]:

@@ -160,6 +160,14 @@ class CompiledGraph:
         )
 
     @cached_property
+    def coupling(self) -> ca.Function:
+        """``(x, p) -> J W J^T`` of all stops, without the inertia of a corrected drive."""
+        graph = self.graph
+        if graph.coupling is graph.delassus:
+            return self.delassus
+        return dense_function("coupling", [graph.state, self._parameters], [graph.coupling])
+
+    @cached_property
     def delassus_derivative(self) -> ca.Function:
         """``(x, p) -> (J W J^T, its derivatives with respect to x and p)``, by its columns."""
         return self._derivative("delassus", ca.vec(self.graph.delassus), self._parameters)
@@ -222,6 +230,7 @@ class GraphDynamics:
         self._flows: dict[tuple[GraphMode, int, bool], CompiledFlow] = {}
         self._scales: dict[int, CharacteristicScales] = {}
         self._delassus = Call(compiled.delassus, self.p)
+        self._coupling = Call(compiled.coupling, self.p)
         self._resets = [Call(one, self.p) for one in compiled.resets]
         self.open_mode: GraphMode = ((), (True,) * len(graph.conditions))
 
@@ -249,6 +258,11 @@ class GraphDynamics:
     def has_one_guard(self) -> bool:
         """True if a motion has one guard at a time: no switch or kink, and at most one stop."""
         return self.n_watched + len(self.switch_names) == 1
+
+    @property
+    def has_current_layers(self) -> bool:
+        """True if a corrected drive adds the current layer to every impact."""
+        return self.compiled.graph.coupling is not self.compiled.graph.delassus
 
     @property
     def n_watched(self) -> int:
@@ -438,6 +452,11 @@ class GraphDynamics:
         r"""Return :math:`J W J^\top` of all stops, ``(n_stops, n_stops)``."""
         n = self.n_watched
         return self._delassus(x).copy().reshape(n, n)
+
+    def coupling(self, x: Vector) -> Vector:
+        """Return the same without the inertia of a corrected drive, by which stops open."""
+        n = self.n_watched
+        return self._coupling(x).copy().reshape(n, n)
 
     def delassus_derivative(self, x: Vector, chosen: Sequence[int]) -> Vector:
         r"""Return the derivative of :math:`J W J^\top`, ``(n_stops, n_stops, n_x + k)``.

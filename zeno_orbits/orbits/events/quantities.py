@@ -303,10 +303,10 @@ class EventQuantities:
             raise TypeError(f"Argument `one` must be an impact, but it is {impact}.")
         graph, k = self.graph, self.graph.stop_names.index(impact.stop)
         x, speed = np.asarray(impact.state_minus), -impact.approach_rate
-        view = graph.view(graph.open_mode, k)
-        e = view.restitution
         matrix = graph.delassus(x)
-        along = _direction(graph, impact, matrix)
+        along, kept = _direction(graph, impact, matrix)
+        view = graph.view((kept, graph.open_mode[1]), k)
+        e = view.restitution
         yields = float(along @ matrix @ along)
         part, by_e = (e**2 / 2, e) if rest else ((1 - e**2) / 2, -e)
         value = part * speed**2 / yields
@@ -395,15 +395,17 @@ def _speed(one: _Moment) -> Reading:
     return Reading(value=-rate, by=-one.shift.rate)
 
 
-def _direction(graph: GraphDynamics, impact: Impact, matrix: Vector) -> Vector:
-    r"""Return the vector `w` with :math:`s = w^\top G\,w` of an impact."""
+def _direction(
+    graph: GraphDynamics, impact: Impact, matrix: Vector
+) -> tuple[Vector, tuple[int, ...]]:
+    r"""Return the vector `w` with :math:`s = w^\top G\,w` of an impact, and the stops it keeps."""
     k = graph.stop_names.index(impact.stop)
     along = np.zeros(len(graph.stop_names))
     along[k] = 1.0
     kept = [j for j in range(len(along)) if j != k and _stays_closed(graph, j, impact)]
     if kept:
         along[kept] = -np.linalg.solve(matrix[np.ix_(kept, kept)], matrix[kept, k])
-    return along
+    return along, tuple(kept)
 
 
 def _stays_closed(graph: GraphDynamics, stop: int, impact: Impact) -> bool:

@@ -79,7 +79,7 @@ def _made(compiled: CompiledGraph) -> GraphProgram | str:
         n_declared=len(graph.switches),
         n_switches=n_switches,
         switches=compiled.switches,
-        delassus=compiled.delassus,
+        delassus=compiled.coupling,
         resets=compiled.resets,
         orders=compiled.times,
         clock=(clock[0], clock[-1] + 1) if clock else (0, 0),
