@@ -40,7 +40,7 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.simulation.execution import ZenoPoint
+from zeno_orbits.simulation.events import ZenoPoint
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.zeno.completion import Completion, ZenoExtrapolation, ZenoPassage
 

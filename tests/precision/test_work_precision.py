@@ -23,10 +23,9 @@ from zeno_orbits.precision import (
     WorkPrecisionSettings,
     measure_work_precision,
 )
-from zeno_orbits.precision.landmark import LandmarkKind
 from zeno_orbits.precision.reference import true_landmarks
 from zeno_orbits.precision.trials import engines
-from zeno_orbits.simulation import simulate
+from zeno_orbits.simulation import EventKind, simulate
 
 TINY = WorkPrecisionSettings(
     until=1.02 * PERIOD,
@@ -185,7 +184,7 @@ def test_the_truth_of_a_stiff_problem_is_that_of_its_limit() -> None:
 def test_the_truth_is_judged_by_the_largest_state_on_the_way(problem: Problem) -> None:
     dynamics = problem.dynamics(problem.values())
     truth = true_landmarks(dynamics, RELEASE, 1.02 * PERIOD)
-    assert {mark.kind for mark in truth.marks} == {LandmarkKind.RELEASE}
+    assert {mark.kind for mark in truth.marks} == {EventKind.RELEASE}
     assert abs(truth.marks[-1].time - PERIOD) < 1e-13
     # At its releases the second link does not turn; on the way it does.
     assert np.all(truth.scale > [1.0, 1.0, 5.0, 5.0, 1.0])

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from zeno_orbits.experiment import Recording
     from zeno_orbits.model import GraphDynamics, HybridDynamics
     from zeno_orbits.precision import ExecutionWithError
-    from zeno_orbits.simulation import Execution, SimulationSettings
+    from zeno_orbits.simulation import Event, Execution, SimulationSettings
 
 
 @front_door
@@ -248,55 +248,35 @@ def execution_json(problem: Problem, assured: ExecutionWithError) -> dict[str, A
         problem: The problem.
         assured: The execution with its estimated error.
     """
-    from zeno_orbits.simulation import Impact, SwitchEvent, ZenoPoint
+    from zeno_orbits.simulation import EventKind, Impact, SwitchEvent, ZenoPoint
 
     execution, errors = assured.execution, iter(assured.zeno_errors)
 
     def named(state: Any) -> dict[str, float]:
         return dict(zip(problem.state_names, map(float, state), strict=True))
 
-    events: list[dict[str, Any]] = []
-    for event in execution.events:
-        if isinstance(event, Impact):
-            events.append(
-                {
-                    "event": "impact",
-                    "time": event.time,
-                    "approach_rate": event.approach_rate,
-                    "state_minus": named(event.state_minus),
-                    "state_plus": named(event.state_plus),
-                }
-            )
-        elif isinstance(event, SwitchEvent):
-            events.append(
-                {
-                    "event": "switch",
-                    "time": event.time,
-                    "state_minus": named(event.state_minus),
-                    "state_plus": named(event.state_plus),
-                    "switch": event.name,
-                }
-            )
+    def row(event: Event) -> dict[str, Any]:
+        kind = event.kind
+        found: dict[str, Any] = {"event": kind.label.lower().replace(" ", "_"), "time": event.time}
+        if isinstance(event, Impact | SwitchEvent):
+            found["state_minus"], found["state_plus"] = named(event.before), named(event.after)
         else:
-            kind = "zeno_point" if isinstance(event, ZenoPoint) else "release"
-            entry: dict[str, Any] = {
-                "event": kind,
-                "time": event.time,
-                "state": named(event.state),
-            }
-            if isinstance(event, ZenoPoint):
-                entry["error"] = _number(next(errors))
-                entry["limit_error"] = event.limit_error
-            events.append(entry)
-        if not isinstance(event, SwitchEvent) and event.stop:
-            events[-1]["stop"] = event.stop
+            found["state"] = named(event.state)
+        if isinstance(event, Impact):
+            found["approach_rate"] = event.approach_rate
+        if isinstance(event, ZenoPoint):
+            found["error"], found["limit_error"] = _number(next(errors)), event.limit_error
+        if event.what:
+            found["switch" if kind is EventKind.SWITCH else "stop"] = event.what
+        return found
+
     return {
         "problem": problem.name,
         "end_time": execution.end_time,
         "end_mode": execution.arcs[-1].mode.value,
         "end_state": named(execution.end_state),
         "error": _number(assured.error),
-        "events": events,
+        "events": list(map(row, execution.events)),
     }
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from itertools import pairwise
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import UNIT_SCALES, CharacteristicScales
-from zeno_orbits.simulation import Event, Execution, Impact, SwitchEvent, ZenoPoint
+from zeno_orbits.simulation import Event, EventKind, Execution
 from zeno_orbits.work import checked
 
 ROUNDING = 4e-15
@@ -20,29 +19,24 @@ ROUNDING = 4e-15
 """
 
 
-class LandmarkKind(Enum):
-    """Kinds of landmarks."""
-
-    IMPACT = "impact"
-    ZENO = "Zeno point"
-    RELEASE = "release"
-    SWITCH = "switch"
-    END = "end"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Landmark:
     """A point of an execution that has a counterpart in another execution.
 
     Attributes:
-        kind: Its kind.
+        kind: Kind of its event, or ``None`` at the end.
         time: Time [s].
         state: State, ``(n_x,)``. At an impact, it is the state before the impact.
     """
 
-    kind: LandmarkKind
+    kind: EventKind | None
     time: float
     state: Vector
+
+    @property
+    def label(self) -> str:
+        """The kind as a reader sees it."""
+        return "end" if self.kind is None else self.kind.label
 
 
 @checked
@@ -117,22 +111,19 @@ def sizes_of(
 
 
 def _landmark(event: Event) -> Landmark:
-    if isinstance(event, Impact):
-        return Landmark(kind=LandmarkKind.IMPACT, time=event.time, state=event.state_minus)
-    if isinstance(event, SwitchEvent):
-        return Landmark(kind=LandmarkKind.SWITCH, time=event.time, state=event.state)
-    kind = LandmarkKind.ZENO if isinstance(event, ZenoPoint) else LandmarkKind.RELEASE
-    return Landmark(kind=kind, time=event.time, state=event.state)
+    # A reset may bring many states to one.
+    state = event.after if event.kind is EventKind.SWITCH else event.before
+    return Landmark(kind=event.kind, time=event.time, state=state)
 
 
 def _end(execution: Execution) -> Landmark:
-    return Landmark(kind=LandmarkKind.END, time=execution.end_time, state=execution.end_state)
+    return Landmark(kind=None, time=execution.end_time, state=execution.end_state)
 
 
 def _sections_of(execution: Execution) -> list[list[Landmark]]:
     """Return the landmarks in groups. Each is impacts, then a Zeno point, a release or the end."""
     marks = [*map(_landmark, execution.events), _end(execution)]
-    cuts = [k for k, mark in enumerate(marks, start=1) if mark.kind is not LandmarkKind.IMPACT]
+    cuts = [k for k, mark in enumerate(marks, start=1) if mark.kind is not EventKind.IMPACT]
     return [marks[start:stop] for start, stop in pairwise([0, *cuts])]
 
 
@@ -142,7 +133,7 @@ def _pairs(
     """Yield pairs of corresponding landmarks."""
     for (*some, mark), (*others, other) in zip(first, second, strict=False):
         yield from zip(some, others, strict=False)
-        if mark.kind is other.kind is LandmarkKind.END and len(some) != len(others):
+        if mark.kind is other.kind is None and len(some) != len(others):
             # One execution has more impacts before its end than the other.
             n = min(len(some), len(others))
             yield [*some, mark][n], [*others, other][n]
@@ -152,7 +143,7 @@ def _pairs(
 
 def _largest(pairs: Sequence[tuple[Landmark, Landmark]], scale: Vector, unit: float) -> float:
     """Return the largest relative difference within pairs, infinite for a pair of two kinds."""
-    if any(a.kind is not b.kind and LandmarkKind.END not in (a.kind, b.kind) for a, b in pairs):
+    if any(a.kind is not b.kind and None not in (a.kind, b.kind) for a, b in pairs):
         return math.inf
     times = [abs(a.time - b.time) / unit for a, b in pairs]
     states = [float(np.max(np.abs(a.state - b.state) / scale)) for a, b in pairs]

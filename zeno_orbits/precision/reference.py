@@ -16,7 +16,6 @@ from zeno_orbits.precision.accuracy import at_tolerance
 from zeno_orbits.precision.landmark import (
     ROUNDING,
     Landmark,
-    LandmarkKind,
     apart,
     landmarks,
     sizes_of,
@@ -73,7 +72,7 @@ def true_landmarks(dynamics: HybridDynamics, state: Sequence[float], until: floa
         )
     )
     marks = landmarks(finest)
-    if marks[0].kind is LandmarkKind.END:
+    if marks[0].kind is None:
         raise ZenoOrbitsError(
             f"There is nothing to compare: no event within {until:g} s. Choose a longer `until`."
         )

@@ -124,7 +124,7 @@ def measure_work_precision(
         truth=truth.how,
         truth_error=truth.error,
         trials=tuple(trials),
-        compared=truth.marks[0].kind.value,
+        compared=truth.marks[0].label,
     )
 
 

@@ -5,7 +5,8 @@
 motions.
 
 Offers: `simulate` with `SimulationSettings`. An `Execution` consists of `Arc`s (with a `Mode` and
-an `Ending`) and events `Impact`, `ZenoPoint`, `Release`. Methods to reach a Zeno point:
+an `Ending`) and events `Impact`, `ZenoPoint`, `Release`, `SwitchEvent`, each of an `EventKind`,
+which is the table of events. Methods to reach a Zeno point:
 `ZenoPassage`, `ZenoExtrapolation`, `Truncation`.
 
 Imports: loop, model, integrators, work, arrays, errors.

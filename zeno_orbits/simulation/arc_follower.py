@@ -22,7 +22,8 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.model import ContactProjection, HybridDynamics
 from zeno_orbits.simulation.event_rules import ROUNDING, late_before
-from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode
+from zeno_orbits.simulation.events import Impact
+from zeno_orbits.simulation.execution import Arc, Ending, Mode
 from zeno_orbits.simulation.interruptions import (
     grows_without_end,
     leaves_set,

@@ -12,6 +12,16 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import any_number
 from zeno_orbits.integrators import Trajectory, fast_dataclass
 from zeno_orbits.model import UNIT_SCALES, CharacteristicScales
+from zeno_orbits.simulation.events import (
+    Event,
+    EventKind,
+    Impact,
+    Release,
+    SwitchEvent,
+    ZenoPoint,
+    event_name,
+    state_after,
+)
 from zeno_orbits.work import ByValue, Columns, TableRepr
 
 
@@ -25,10 +35,10 @@ class Mode(Enum):
 class Ending(Enum):
     """Ends of an arc. The value is the word shown to the user."""
 
-    IMPACT = "impact"
-    ZENO = "Zeno point"
-    RELEASE = "release"
-    SWITCH = "switch"
+    IMPACT = EventKind.IMPACT.label
+    ZENO = EventKind.ZENO.label
+    RELEASE = EventKind.RELEASE.label
+    SWITCH = EventKind.SWITCH.label
     HORIZON = "end of the simulation"
 
 
@@ -40,120 +50,6 @@ def named(names: Sequence[str], stops: Iterable[int]) -> tuple[str, ...]:
         stops: Indices of the stops.
     """
     return tuple(names[k] for k in stops if names[k])
-
-
-@fast_dataclass
-class Impact(ByValue):
-    """A resolved impact.
-
-    Attributes:
-        time: Time of the impact [s].
-        state_minus: State before it, ``(n_x,)``.
-        state_plus: State after it, ``(n_x,)``.
-        approach_rate: Gap rate before the impact, negative. It is exact even if the state
-            determines it only to rounding.
-        stop: Name of the stop, empty for a machine with one stop.
-    """
-
-    time: float
-    state_minus: Vector
-    state_plus: Vector
-    approach_rate: float
-    stop: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ZenoPoint(ByValue):
-    """The limit of an impact sequence.
-
-    Attributes:
-        time: Zeno time [s].
-        state: Zeno state, ``(n_x,)``.
-        limit_error: Estimated extrapolation error of time and state, relative to ``1 + |t|`` and
-            ``1 + |x|``, as if the resolved impacts were exact. The integration error of the
-            previous flights is additional and may be far larger. ``accuracy.simulate_with_error``
-            estimates both errors.
-        tail: Time between the last resolved impact and the limit [s].
-        last_speed: Gap rate after the last resolved impact.
-        stop: Name of the stop, empty for a machine with one stop.
-    """
-
-    time: float
-    state: Vector
-    limit_error: float
-    tail: float
-    last_speed: float
-    stop: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Release(ByValue):
-    """The end of contact, at which the contact force reaches zero.
-
-    Attributes:
-        time: Time of the release [s].
-        state: State at the release, ``(n_x,)``.
-        stop: Name of the stop, empty for a machine with one stop.
-    """
-
-    time: float
-    state: Vector
-    stop: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SwitchEvent(ByValue):
-    """A switch: a guard that fell through zero where it is armed, or a kink of a formula.
-
-    Attributes:
-        time: Time of the switch [s].
-        name: Name of the switch.
-        state_minus: State before it, ``(n_x,)``.
-        state_plus: State after it, ``(n_x,)``. At a kink it is the same state.
-    """
-
-    time: float
-    name: str
-    state_minus: Vector
-    state_plus: Vector
-
-    @property
-    def state(self) -> Vector:
-        """The state after the switch."""
-        return self.state_plus
-
-
-Event = Impact | ZenoPoint | Release | SwitchEvent
-
-
-def event_name(event: Event) -> str:
-    """Return the name of an event, with the name of its stop or switch if it has one.
-
-    Args:
-        event: The event.
-    """
-    if isinstance(event, SwitchEvent):
-        return f"switch {event.name}"
-    words = {Impact: "impact", ZenoPoint: "Zeno point", Release: "release"}
-    return f"{words[type(event)]} {event.stop}".rstrip()
-
-
-def state_before(event: Event) -> Vector:
-    """Return the state just before an event, ``(n_x,)``.
-
-    Args:
-        event: The event.
-    """
-    return event.state_minus if isinstance(event, Impact | SwitchEvent) else event.state
-
-
-def state_after(event: Event) -> Vector:
-    """Return the state just after an event, ``(n_x,)``.
-
-    Args:
-        event: The event.
-    """
-    return event.state_plus if isinstance(event, Impact) else event.state
 
 
 _AT_ONCE = 1e-6

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.simulation.execution import Event
+from zeno_orbits.simulation.events import Event
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,26 +28,11 @@ from zeno_orbits.model import (
     GraphDynamics,
     HybridDynamics,
 )
-from zeno_orbits.simulation.execution import (
-    Arc,
-    Ending,
-    Event,
-    Execution,
-    Impact,
-    Mode,
-    Release,
-    SwitchEvent,
-    ZenoPoint,
-    named,
-)
+from zeno_orbits.simulation.events import Event, EventKind, Impact, Release, SwitchEvent, ZenoPoint
+from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode, named
 
-_ENDINGS = {
-    binding.IMPACT: Ending.IMPACT,
-    binding.ZENO: Ending.ZENO,
-    binding.RELEASE: Ending.RELEASE,
-    binding.HORIZON: Ending.HORIZON,
-    binding.SWITCH: Ending.SWITCH,
-}
+_ENDINGS = {kind.number: Ending(kind.label) for kind in EventKind}
+_ENDINGS[binding.HORIZON] = Ending.HORIZON
 
 
 def events_of(

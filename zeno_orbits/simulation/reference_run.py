@@ -43,16 +43,8 @@ from zeno_orbits.model import START_OFF, GraphDynamics, GraphMode, HybridDynamic
 from zeno_orbits.simulation.accumulations import Accumulations
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart, launched
 from zeno_orbits.simulation.event_rules import stop_holds
-from zeno_orbits.simulation.execution import (
-    Arc,
-    Ending,
-    Execution,
-    Impact,
-    Mode,
-    Release,
-    SwitchEvent,
-    named,
-)
+from zeno_orbits.simulation.events import EventKind, Impact, Release, SwitchEvent
+from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode, named
 from zeno_orbits.simulation.interruptions import (
     accumulate_together,
     armed_at_start,
@@ -104,16 +96,9 @@ _COUPLED = 1e-12
 class Kind(Enum):
     """Kinds of guards."""
 
-    GAP = "impact"
-    MULTIPLIER = "release"
-    SWITCH = "switch"
-
-
-_ENDINGS = {
-    Kind.GAP: Ending.IMPACT,
-    Kind.MULTIPLIER: Ending.RELEASE,
-    Kind.SWITCH: Ending.SWITCH,
-}
+    GAP = EventKind.IMPACT.label
+    MULTIPLIER = EventKind.RELEASE.label
+    SWITCH = EventKind.SWITCH.label
 
 
 @dataclass(frozen=True, slots=True)
@@ -423,7 +408,7 @@ class ReferenceRun(StopRun):
                 found = self._at_end(arc, end)
             if found is not None and (kind, index) != (found.kind, found.index):
                 self.interruption = replace(found, kind=kind, index=index, cut=True)
-                self.arcs[-1] = arc = replace(arc, ending=_ENDINGS[kind])
+                self.arcs[-1] = arc = replace(arc, ending=Ending(kind.value))
         return arc, end
 
     def _at_end(self, arc: Arc, end: Vector) -> Interruption:
@@ -798,7 +783,7 @@ class ReferenceRun(StopRun):
             arc,
             end_time=start.time + unit * passage.duration,
             end_state=passage.state[: start.state.size],
-            ending=_ENDINGS[found.kind],
+            ending=Ending(found.kind.value),
             time_unit=unit,
             trajectory=passage.trajectory,
         )

@@ -14,7 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics, own_time
 from zeno_orbits.simulation.attractor import AttractorKind, scale_of
-from zeno_orbits.simulation.execution import Event, Impact, Release
+from zeno_orbits.simulation.events import Event, Impact, Release
 from zeno_orbits.simulation.lyapunov import Exponent, largest_exponent, states_at_turns
 from zeno_orbits.simulation.watch import MotionEnd, clock_turn, transient_settings, watched
 

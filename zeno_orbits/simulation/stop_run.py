@@ -15,15 +15,8 @@ from zeno_orbits.integrators import FlowWithEvent, SteppedTrajectory, Trajectory
 from zeno_orbits.model import CharacteristicScales, HybridDynamics
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
-from zeno_orbits.simulation.execution import (
-    Arc,
-    Ending,
-    Event,
-    Impact,
-    Mode,
-    Release,
-    ZenoPoint,
-)
+from zeno_orbits.simulation.events import Event, Impact, Release, ZenoPoint
+from zeno_orbits.simulation.execution import Arc, Ending, Mode
 from zeno_orbits.simulation.interruptions import (
     does_not_accumulate,
     does_not_close,

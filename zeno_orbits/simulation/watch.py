@@ -21,7 +21,7 @@ from zeno_orbits.simulation.attractor import (
     keeps_holding,
 )
 from zeno_orbits.simulation.compiled.executions import releases_by_loop, serves
-from zeno_orbits.simulation.execution import Event, Impact
+from zeno_orbits.simulation.events import Event, Impact
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
 from zeno_orbits.simulation.simulator import pieces

@@ -9,7 +9,7 @@ from typing import Any
 from zeno_orbits.model import ParameterValues, Problem, RecordedFile
 from zeno_orbits.orbits.orbit import EVENT_FORMAT
 from zeno_orbits.orbits.shape import NO_ZENO_ORBIT, SIMPLE_ORBIT, ZENO_ORBIT
-from zeno_orbits.simulation import Event, Release, SwitchEvent, ZenoPoint, event_name
+from zeno_orbits.simulation import Event, Release, SwitchEvent
 from zeno_orbits.work import Columns, TableRepr, by_name
 
 
@@ -266,4 +266,4 @@ def orbit_event_name(event: Event) -> str:
     Args:
         event: The event.
     """
-    return f"zeno {event.stop}" if isinstance(event, ZenoPoint) else event_name(event)
+    return f"{event.kind.word} {event.what}".rstrip()

@@ -21,7 +21,8 @@ from zeno_orbits.simulation.compiled.task_settings import (
     filled_settings,
     tolerance_of,
 )
-from zeno_orbits.simulation.execution import Event, Execution
+from zeno_orbits.simulation.events import Event
+from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.recorded import RecordedExecution, RecordedRun, events_of
 from zeno_orbits.simulation.reference_run import ReferenceRun

@@ -8,6 +8,7 @@ from zeno_orbits.errors import InputError, SimulationError, StepSizeError
 from zeno_orbits.integrators import not_finite, too_small
 from zeno_orbits.loop import Detail, binding
 from zeno_orbits.model import inside_stop
+from zeno_orbits.simulation.events import EventKind
 from zeno_orbits.simulation.interruptions import (
     accumulate_together,
     armed_at_start,
@@ -27,8 +28,7 @@ from zeno_orbits.simulation.interruptions import (
 )
 from zeno_orbits.simulation.settings import SimulationTask
 
-_KINDS = {binding.IMPACT: "impact", binding.RELEASE: "release", binding.SWITCH: "switch"}
-
+_LABELS = {kind.number: kind.label for kind in EventKind}
 _Made = dict[int, Callable[[], SimulationError | InputError]]
 
 
@@ -73,7 +73,8 @@ def _of_events(task: SimulationTask, told: Detail) -> _Made:
     stops, switches = task.graph.stop_names, task.graph.switch_names
 
     def event(kind: int, index: int) -> str:
-        return f"{_KINDS[kind]} {(switches if kind == binding.SWITCH else stops)[index]}"
+        names = switches if kind == binding.SWITCH else stops
+        return f"{_LABELS[kind]} {names[index]}"
 
     def chosen(bits: int) -> list[str]:
         return [name for k, name in enumerate(stops) if bits >> k & 1]

@@ -39,17 +39,8 @@ from zeno_orbits.simulation.derivatives.sensitivity import (
 )
 from zeno_orbits.simulation.derivatives.state_transition import carried_within
 from zeno_orbits.simulation.derivatives.tangent import course_of_arc, segment_at
-from zeno_orbits.simulation.execution import (
-    Arc,
-    Ending,
-    Event,
-    Execution,
-    Impact,
-    Mode,
-    Release,
-    SwitchEvent,
-    ZenoPoint,
-)
+from zeno_orbits.simulation.events import Event, Impact, Release, SwitchEvent, ZenoPoint
+from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode
 
 _RESTS = 1e-9
 """Gap rate of a closed stop after an impact, relative to that of the impact, that is rounding."""

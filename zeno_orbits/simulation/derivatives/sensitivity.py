@@ -16,7 +16,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import FlowWithEvent, Tolerance
 from zeno_orbits.model import Differentials, FlowDifferential, HybridDynamics
-from zeno_orbits.simulation.execution import Arc, Impact, Mode, ZenoPoint
+from zeno_orbits.simulation.events import Impact, ZenoPoint
+from zeno_orbits.simulation.execution import Arc, Mode
 from zeno_orbits.simulation.zeno.zeno_limit import (
     TailEstimate,
     estimate_tail,
