@@ -37,7 +37,7 @@ __all__ = ["__version__", *_PLACES]  # pyright: ignore[reportUnsupportedDunderAl
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name at its first use. An old name gives a `DeprecationWarning`.
+    """Import a name at its first use. A former name gives a `DeprecationWarning`.
 
     Raises:
         AttributeError: If the name is unknown.
@@ -47,19 +47,21 @@ def __getattr__(name: str) -> Any:
         found = getattr(import_module(f"{__name__}.{module}"), original)
         globals()[name] = found
         return found
-    return _of_old_name(name)
+    return _of_former_name(name)
 
 
-def _of_old_name(name: str) -> Any:
-    """Return the object of an old name, with a warning.
+def _of_former_name(name: str) -> Any:
+    """Return the object of a former name, with a warning.
 
     Raises:
-        AttributeError: If the name is unknown.
+        AttributeError: If the name is unknown. The message names the successor of a removed name.
     """
-    from zeno_orbits.aliases import ALIASES
+    from zeno_orbits.aliases import ALIASES, FORMER
 
     if name not in ALIASES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        successors = FORMER.get(name, ())
+        near = f". Did you mean {__name__}.{successors[0]}?" if successors else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{near}")
     import warnings
 
     new, place = ALIASES[name]

@@ -1,35 +1,72 @@
-"""Old public names, which keep working for one release with a `DeprecationWarning`."""
+"""Former names: aliases, which warn for one release, and the successors of removed names."""
 
 from __future__ import annotations
 
-ALIASES = {
-    "Bridge": ("HBridge", "model.rig_parts:HBridge"),
-    "Escape": ("StateLimit", "model.quantities:StateLimit"),
-    "EventComparison": ("Comparison", "experiment.comparison.comparison:Comparison"),
-    "FastestContraction": ("MinSpectralRadius", "search.objectives:MinSpectralRadius"),
-    "LeastEnergy": ("MinEnergy", "search.objectives:MinEnergy"),
-    "LeastPeak": ("MinPeak", "search.objectives:MinPeak"),
-    "Lines": ("Drawing", "model.drawing:Drawing"),
-    "OrbitShape": ("EventSequence", "orbits.shape:EventSequence"),
-    "Plan": ("ExecutionPlan", "work.plan:ExecutionPlan"),
-    "QUICK": ("WorkPrecisionSettings.quick()", "precision.trials:QUICK"),
-    "Switching": ("PwmSettings", "model.rig_parts:PwmSettings"),
-    "WidestMargin": ("MaxMargin", "search.objectives:MaxMargin"),
-    "certified": ("with_certificate", "verification.verifier:with_certificate"),
-    "close_orbit": ("find_orbit_by_shooting", "api.orbit_search:find_orbit_by_shooting"),
-    "complete": ("hybrid_system", "model.graph:hybrid_system"),
-    "cut": ("crop", "experiment.recordings.recording:crop_recording"),
-    "difference": ("execution_distance", "precision.landmark:execution_distance"),
-    "plot_zeno_region": ("plot_zeno_set", "report.plots:plot_zeno_set"),
-    "plot_zeno_zoom": ("plot_zeno_neighbourhood", "report.plots:plot_zeno_neighbourhood"),
-    "positive": ("Quantity.positive", "model.quantities:positive"),
-    "restitution": ("Quantity.restitution", "model.quantities:restitution"),
-    "rig_cycles": ("simulate_experiment", "experiment.rig:settle_rig"),
-    "simulate_to": ("simulate_to_accuracy", "api.executions:simulate_to_accuracy"),
-    "spread": ("parallel_map", "work.scheduling:parallel_map"),
-    "trade": ("work_precision", "precision.trials:measure_work_precision"),
-}
-"""Old name to the new name, and to the module and name of the object in the package.
+from collections.abc import Mapping
 
-An old function whose arguments differ from those of the new function keeps its arguments.
-"""
+ALIASES: Mapping[str, tuple[str, str]] = {}
+"""Former public name to the new name, and to the module and name of the object in the package."""
+
+FORMER: Mapping[str, tuple[str, ...]] = {
+    # Names of the package.
+    "Bridge": ("HBridge",),
+    "Escape": ("StateLimit",),
+    "EventComparison": ("Comparison",),
+    "FastestContraction": ("MinSpectralRadius",),
+    "LeastEnergy": ("MinEnergy",),
+    "LeastPeak": ("MinPeak",),
+    "Lines": ("Drawing",),
+    "OrbitShape": ("EventSequence",),
+    "Plan": ("ExecutionPlan",),
+    "QUICK": ("WorkPrecisionSettings.quick()",),
+    "Switching": ("PwmSettings",),
+    "WidestMargin": ("MaxMargin",),
+    "certified": ("with_certificate",),
+    "close_orbit": ("find_orbit_by_shooting",),
+    "complete": ("hybrid_system",),
+    "cut": ("crop",),
+    "difference": ("execution_distance",),
+    "plot_zeno_region": ("plot_zeno_set",),
+    "plot_zeno_zoom": ("plot_zeno_neighbourhood",),
+    "positive": ("Quantity.positive",),
+    "restitution": ("Quantity.restitution",),
+    "rig_cycles": ("simulate_experiment",),
+    "simulate_to": ("simulate_to_accuracy",),
+    "spread": ("parallel_map",),
+    "trade": ("work_precision", "work-precision"),
+    # Arguments of functions.
+    "box": ("parameter",),
+    "free": ("vary",),
+    "over": ("interval",),
+    "second": ("parameter2",),
+    # Commands and options. The command decides among several successors.
+    "conditions": ("zeno-condition",),
+    "fidelity": ("reduced-models",),
+    "--bound": ("--bounds",),
+    "--data": ("--recording", "--output"),
+    "--direction": ("--directions",),
+    "--exact": ("--exact-pwm",),
+    "--fix": ("--set",),
+    "--free": ("--vary",),
+    "--from": ("--near", "--t-start"),
+    "--gain": ("--vary", "--set"),
+    "--in": ("--parameter",),
+    "--initial": ("--start",),
+    "--keep": ("--bounds",),
+    "--max-time": ("--until",),
+    "--most-steps": ("--max-steps",),
+    "--output": ("--plot",),
+    "--over": ("--interval",),
+    "--picture": ("--plot",),
+    "--point": ("--kind",),
+    "--points": ("--grid",),
+    "--second": ("--parameter2",),
+    "--starts": ("--n-starts",),
+    "--steps": ("--max-points",),
+    "--t-end": ("--until",),
+    "--to": ("--t-end",),
+    "-o": ("--plot",),
+    # Integrators.
+    "taylor": ("automatic",),
+}
+"""Removed name to its successors. Messages about unknown names suggest the first known one."""

@@ -246,6 +246,8 @@ class DataFileError(InputError):
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return a suggestion for the end of a message about an unknown name, or an empty text.
 
+    The suggestion is the successor of a removed name, or else the most similar known name.
+
     Args:
         name: The unknown name.
         known: The known names.
@@ -253,7 +255,12 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     # Rarely needed, and start-up counts.
     from difflib import get_close_matches
 
+    from zeno_orbits.aliases import FORMER
+
     words = {word.casefold(): word for word in known}
+    for successor in FORMER.get(name, ()):
+        if successor.partition(".")[0].casefold() in words:
+            return f" Did you mean `{successor}`?"
     # In names of two letters, such as gains, one letter may be wrong.
     alike = 0.5 if len(name) < 4 else 0.6
     near = get_close_matches(name.casefold(), words, n=1, cutoff=alike)

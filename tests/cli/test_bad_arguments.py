@@ -257,7 +257,7 @@ def test_bad_arguments_are_refused_in_one_line(case: str, here: Path) -> None:
         ),
         (
             ("verify", "orbit.json", "--engine", "taylor"),
-            ("--engine: ", "`taylor`", "removed", "take `automatic`"),
+            ("--engine: ", "`taylor`", "Did you mean `automatic`?"),
         ),
         (("plot", "orbit.json", "--problem", "bouncing_ball", "-o", "p"), ()),
         (("plot", "orbit.json", "-o", "orbit.json"), ("-o ", "folder")),

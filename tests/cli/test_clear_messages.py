@@ -115,19 +115,6 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
         (*SEARCH, "--section", "release"),
         "`--section` needs a machine with several stops or switches: leave it out.",
     ),
-    "old option with a mistake": (
-        (*SEARCH, "--gain", "Kp=5:1"),
-        "--vary Kp=5:1: must have finite bounds LOWER < UPPER for `Kp`, but they are 5:1. "
-        "`--gain` is now `--vary`.",
-    ),
-    "old option with a value of a wrong kind": (
-        ("simulate", "motor_pendulum", "--t-end", "soon"),
-        "--until: must be a number, but it is `soon`. `--t-end` is now `--until`. (see",
-    ),
-    "old command with a mistake": (
-        ("conditions", "pendulm"),
-        "unknown problem `pendulm`. Did you mean `motor_pendulum`?",
-    ),
     "milliseconds": (
         (*SEARCH, "--vary", "Kp=1:5", "--objective", "period=1800"),
         "--objective period=1800: asks for a period of 1800 s, but the orbits seen have periods of "

@@ -121,25 +121,6 @@ def test_every_engine_simulates_and_is_named(engine: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "command",
-    [
-        ("simulate", "motor_pendulum", "--plot", "f.png"),
-        ("search", "motor_pendulum", "-o", "f.json"),
-        ("verify", "orbit.json"),
-    ],
-    ids=lambda command: command[0],
-)
-def test_an_engine_of_an_earlier_release_is_refused_with_the_one_to_take(
-    command: tuple[str, ...], orbit_file: Path, here: Path
-) -> None:
-    assert orbit_file.exists()
-    before = contents(here)
-    answer = ask(*command, "--engine", "taylor")
-    assert_refused(answer, "--engine: ", "`taylor`, which was removed", "take `automatic`")
-    assert contents(here) == before
-
-
-@pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("--rate", "0"), ("--rate 0:", "positive")),

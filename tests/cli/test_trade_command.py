@@ -49,7 +49,7 @@ def test_trade_writes_what_it_prints_and_draws_it(traded: tuple[Answer, Path]) -
 @pytest.mark.parametrize("problem", ["bouncing_ball", "motor_pendulum", "motor_pendulum@corrected"])
 @pytest.mark.slow
 def test_trade_shows_the_cheapest_values_of_each_accuracy(problem: str) -> None:
-    answer = ask("trade", problem, "--quick", "--until", "4.5")
+    answer = ask("work-precision", problem, "--quick", "--until", "4.5")
     assert answer.code == YES
     for words in ("cheapest setting", "SciPy LSODA", "plastic below", "Reference: ", "Work: 4.5 s"):
         assert words in answer.out

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import DOP853
 
+import zeno_orbits as zo
 from tests.reference.many_digits.execution import extended_execution
 from tests.reference.reference_orbit import FIRST_IMPACT, PERIOD, RELEASE, ZENO_STATE, ZENO_TIME
 from tests.support.cases import fast
@@ -361,3 +362,18 @@ def test_an_error_estimate_is_the_same_number_in_any_units() -> None:
     assert 0.1 < there.error / here.error < 10.0
     for one, other in zip(here.zeno_errors, there.zeno_errors, strict=True):
         assert 0.1 < other / one < 10.0
+
+
+def test_the_accuracy_of_a_simulation_takes_a_problem_or_its_dynamics() -> None:
+    ball = zo.load_problem("bouncing_ball")
+    dynamics, state = ball.dynamics(ball.values()), ball.state_vector({"height": 1.0})
+    one = zo.simulate_to_accuracy(dynamics, state, until=0.6, accuracy=1e-8)
+    other = zo.simulate_to_accuracy(ball, start={"height": 1.0}, until=0.6, accuracy=1e-8)
+    # A fall from 1 m: sqrt(2 / g).
+    g = ball.values().parameters["g"]
+    for found in (one, other):
+        assert abs(found.execution.impacts[0].time - (2.0 / g) ** 0.5) < 1e-8
+    with pytest.raises(zo.InputError, match="needs `state`"):
+        zo.simulate_to_accuracy(dynamics, accuracy=1e-8)
+    with pytest.raises(zo.InputError, match="exclude each other"):
+        zo.simulate_with_error(ball, state, start={"height": 1.0})

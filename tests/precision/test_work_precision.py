@@ -13,7 +13,6 @@ import pytest
 
 from tests.reference.many_digits.execution import extended_execution
 from tests.reference.reference_orbit import PERIOD, RELEASE
-from zeno_orbits import precision
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.precision import (
@@ -274,19 +273,3 @@ def test_a_window_holds_the_zeno_point_of_a_falling_ball() -> None:
     # The closed form, and the part by which a window is longer.
     zeno_time = math.sqrt(2.0 / 9.81) * (1.0 + 0.8) / (1.0 - 0.8)
     assert float(found.work.split()[0]) == pytest.approx(1.1 * zeno_time, rel=5e-3)
-
-
-@pytest.mark.parametrize(
-    ("name", "remedy"),
-    [
-        ("extended_orbit", r"`zeno_orbits\.prove\(orbit\)`"),
-        ("ExtendedOrbit", r"`zeno_orbits\.prove\(orbit\)`"),
-        ("extended_execution", r"`zeno_orbits\.enclose_period\(orbit\)`"),
-        ("ExtendedExecution", r"`zeno_orbits\.enclose_period\(orbit\)`"),
-    ],
-)
-def test_a_removed_name_ends_in_one_line_with_its_remedy(name: str, remedy: str) -> None:
-    with pytest.raises(InputError, match=remedy) as refused:
-        getattr(precision, name)
-    assert "\n" not in str(refused.value)
-    assert name not in dir(precision)

@@ -1,10 +1,9 @@
-"""One name per concept: a walk over all commands and public functions, and the old names."""
+"""One name per concept: a walk over all commands and public functions."""
 
 from __future__ import annotations
 
 import argparse
 import inspect
-import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -13,9 +12,9 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.pages import ROOT
+from zeno_orbits.aliases import FORMER
 from zeno_orbits.api import NAMES, names_table
 from zeno_orbits.cli import build_parser
-from zeno_orbits.cli.old_forms import OPTIONS
 
 
 def _commands() -> dict[str, list[argparse.Action]]:
@@ -83,10 +82,7 @@ def test_every_argument_of_a_function_is_an_option_of_its_command(command: str) 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_option_of_a_shared_concept_has_its_name_form_and_meaning(command: str) -> None:
-    old = {word for row in NAMES.values() for word in row.old_options}
-    old -= {row.option for row in NAMES.values()}
     for name, action in _options(command):
-        assert not old & set(action.option_strings)
         row = NAMES.get(name)
         if row is not None and action.option_strings:
             assert action.option_strings == [row.option]
@@ -101,10 +97,9 @@ def test_an_argument_of_a_shared_concept_has_its_name_and_its_option_in_the_help
 ) -> None:
     work = FUNCTIONS[function]
     arguments = set(inspect.signature(work).parameters)
-    old = {word for row in NAMES.values() for word in row.old_arguments}
     if function != "execution_distance":
         # That function compares a first and a second execution.
-        assert not old & arguments
+        assert not {old for old, (new, *_) in FORMER.items() if new in NAMES} & arguments
     if work.__module__.startswith("zeno_orbits.api."):
         lines = (work.__doc__ or "").splitlines()
         shown = [line for line in lines if line.strip().startswith("Command line: ")]
@@ -123,76 +118,12 @@ def test_every_signature_prints_in_words_of_a_user() -> None:
         assert "Span" not in text
 
 
-def test_every_old_option_of_the_table_still_works_somewhere() -> None:
-    changes = {(old, new) for olds in OPTIONS.values() for old, new in olds.items()}
-    for row in NAMES.values():
-        for old in row.old_options:
-            assert (old, row.option) in changes
-
-
 def test_the_documented_table_is_the_table_of_the_program() -> None:
     assert names_table() in (ROOT / "docs" / "names.md").read_text()
 
 
-# Old arguments.
-
-
 def _orbit() -> zo.ZenoOrbit:
     return zo.find_orbit_by_shooting("forced_oscillator").unwrap()
-
-
-FEW = zo.SearchSettings(n_starts=0)
-FAMILY = ("k", 0.95, 1.05)
-OLD: dict[str, tuple[Callable[[], Any], Callable[[], Any], str]] = {
-    "free": (
-        lambda: zo.search_gains("forced_oscillator", free={}, settings=FEW).orbit,
-        lambda: zo.search_gains("forced_oscillator", vary={}, settings=FEW).orbit,
-        "`free` of search_gains is now `vary`",
-    ),
-    "box by position": (
-        lambda: zo.continue_orbit(_orbit(), "k", (0.95, 1.05)),
-        lambda: zo.continue_orbit(_orbit(), FAMILY),
-        "`box` of continue_orbit is now `parameter=(NAME, LOW, HIGH)`",
-    ),
-    "box by name": (
-        lambda: zo.continue_orbit(_orbit(), parameter="k", box=(0.95, 1.05)),
-        lambda: zo.continue_orbit(_orbit(), parameter=FAMILY),
-        "`box` of continue_orbit is now `parameter=(NAME, LOW, HIGH)`",
-    ),
-    "second": (
-        lambda: zo.continue_orbit(_orbit(), FAMILY, second=None),
-        lambda: zo.continue_orbit(_orbit(), FAMILY, parameter2=None),
-        "`second` of continue_orbit is now `parameter2`",
-    ),
-    "over": (
-        lambda: zo.prove(_orbit(), over={}).verdict(),
-        lambda: zo.prove(_orbit(), interval={}).verdict(),
-        "`over` of prove is now `interval`",
-    ),
-}
-
-
-SLOW = {"second", "over", "box by name"}
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in OLD]
-)
-def test_an_old_argument_warns_and_gives_the_same_answer(name: str) -> None:
-    old, new, said = OLD[name]
-    with pytest.warns(DeprecationWarning, match=said.replace("(", r"\(").replace(")", r"\)")):
-        before = old()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        after = new()
-    if isinstance(after, zo.Continuation):
-        before, after = ([one.families[0].first.at.value] for one in (before, after))
-    assert before == after
-
-
-def test_an_old_and_the_new_argument_exclude_each_other() -> None:
-    with pytest.raises(TypeError, match="free"):
-        zo.search_gains("forced_oscillator", free={}, vary={})
 
 
 @pytest.mark.parametrize("bad", ["k", ("k",), ("k", 1.0), (1.0, 2.0, 3.0), ("k", 1.0, 2.0, 3)])

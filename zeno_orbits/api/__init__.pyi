@@ -68,8 +68,6 @@ from .names import NAMES as NAMES
 from .names import meaning_of as meaning_of
 from .names import names_table as names_table
 from .settings import ENGINE_NAMES as ENGINE_NAMES
-from .settings import REMOVED_ENGINES as REMOVED_ENGINES
-from .settings import engine_refusal as engine_refusal
 from .settings import simulation_settings as simulation_settings
 from .settings import verification_settings as verification_settings
 from .studies import attractor_of as attractor_of

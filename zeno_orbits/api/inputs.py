@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from zeno_orbits.api.names import OLD_ARGUMENTS, options_line
-from zeno_orbits.errors import EquationsWarning, InputError, number_range, shown
+from zeno_orbits.api.names import options_line
+from zeno_orbits.errors import (
+    EquationsWarning,
+    InputError,
+    did_you_mean,
+    number_range,
+    shown,
+)
 from zeno_orbits.model import Problem, ProblemFile, locate_problem, recorded_problem
 from zeno_orbits.orbits import (
     EventOrbit,
@@ -50,7 +56,7 @@ _R = TypeVar("_R")
 
 
 def front_door(work: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Check the types of arguments, and show progress in a notebook or terminal.
+    """Check the names and types of arguments, and show progress in a notebook or terminal.
 
     Progress is not shown if the caller passes an ``on_progress``.
     """
@@ -62,12 +68,15 @@ def front_door(work: Callable[_P, _R]) -> Callable[_P, _R]:
     def shown(*given: _P.args, **named: _P.kwargs) -> _R:
         from zeno_orbits.report import line_for_watcher
 
-        args, options = _in_new_names(work.__name__, tuple(known), given, named)
-        line = line_for_watcher() if tells and "on_progress" not in options else None
+        for name in named:
+            if name not in known:
+                wrong = f"{work.__name__}() got an unexpected keyword argument {name!r}"
+                raise TypeError(f"{wrong}.{did_you_mean(name, known)}")
+        line = line_for_watcher() if tells and "on_progress" not in named else None
         if line is None:
-            return untyped(*args, **options)
+            return work(*given, **named)
         with line:
-            return untyped(*args, **{**options, "on_progress": line})
+            return untyped(*given, **{**named, "on_progress": line})
 
     untyped: Any = work
     opened: Any = shown
@@ -76,40 +85,6 @@ def front_door(work: Callable[_P, _R]) -> Callable[_P, _R]:
     if work.__doc__ and options_of:
         opened.__doc__ = f"{work.__doc__.rstrip()}\n\n    Command line: {options_of}.\n    "
     return shown
-
-
-def _in_new_names(
-    function: str, known: Sequence[str], args: tuple[Any, ...], options: Mapping[str, Any]
-) -> tuple[tuple[Any, ...], dict[str, Any]]:
-    """Return the arguments of a call by their new names. An old name gives a warning.
-
-    Args:
-        function: Name of the function.
-        known: Names of its arguments.
-        args: Arguments by position.
-        options: Arguments by name.
-    """
-    found = dict(options)
-    changes = [
-        (old, new)
-        for old, new in OLD_ARGUMENTS.items()
-        if old in found and new not in found and new in known and old != "box"
-    ]
-    for old, new in changes:
-        found[new] = found.pop(old)
-    if "parameter" in known and ("box" in found or len(args) > _WITH_BOX):
-        name = found.pop("parameter") if len(args) < _WITH_BOX else args[1]
-        box = found.pop("box") if "box" in found else args[_WITH_BOX]
-        args, found["parameter"] = args[:1], (name, *box)
-        changes.append(("box", "parameter=(NAME, LOW, HIGH)"))
-    for old, new in changes:
-        message = f"Argument `{old}` of {function} is now `{new}`, and will be removed."
-        warnings.warn(message, DeprecationWarning, stacklevel=3)
-    return args, found
-
-
-_WITH_BOX = 2
-"""Number of arguments before the former ``box`` of a continuation."""
 
 
 def _as_shown(known: Signature) -> Signature:

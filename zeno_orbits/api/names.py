@@ -18,15 +18,11 @@ class Name:
         name: Argument of functions. The option is the same with ``--`` and hyphens.
         form: Value of the option.
         meaning: What it is, in a clause.
-        old_options: Options of the last release.
-        old_arguments: Arguments of the last release.
     """
 
     name: str
     form: str
     meaning: str
-    old_options: tuple[str, ...] = ()
-    old_arguments: tuple[str, ...] = ()
 
     @property
     def option(self) -> str:
@@ -41,49 +37,41 @@ NAMES = {
             name="until",
             form="T",
             meaning="end of a simulation, or longest time until a motion settles [s]",
-            old_options=("--t-end", "--max-time"),
         ),
         Name(
             name="start",
             form="STATE=VALUE",
             meaning="initial value of a state, 0 for the others",
-            old_options=("--initial",),
         ),
         Name(
             name="near",
             form="ORBIT.json",
             meaning="known orbit to start from, with its values",
-            old_options=("--from",),
         ),
         Name(
             name="vary",
             form="NAME=LOW:HIGH",
             meaning="range in which a gain or parameter is searched",
-            old_arguments=("free",),
         ),
         Name(
             name="bounds",
             form="NAME=LOWER:UPPER",
             meaning="bounds that the orbit satisfies",
-            old_options=("--bound",),
         ),
         Name(
             name="parameter",
             form="NAME=LOW:HIGH",
             meaning="gain or parameter of a family, and its range, which contains the start",
-            old_arguments=("box",),
         ),
         Name(
             name="parameter2",
             form="NAME=LOW:HIGH",
             meaning="second parameter, in which special points are followed",
-            old_arguments=("second",),
         ),
         Name(
             name="interval",
             form="NAME=VALUE:RADIUS",
             meaning="interval of a gain or parameter, which the proof covers as a whole",
-            old_arguments=("over",),
         ),
         Name(name="x", form="NAME=LOW:HIGH[:COUNT]", meaning="axis of a map across"),
         Name(name="y", form="NAME=LOW:HIGH[:COUNT]", meaning="axis of a map upwards"),
@@ -91,7 +79,6 @@ NAMES = {
             name="directions",
             form="NAME=VALUE,...",
             meaning="generalized force along which an impulse acts",
-            old_options=("--direction",),
         ),
         Name(name="t_start", form="T", meaning="earlier data of a recording are ignored [s]"),
         Name(name="t_end", form="T", meaning="later data of a recording are ignored [s]"),
@@ -101,9 +88,6 @@ NAMES = {
     )
 }
 """Name to its row, in the order of the documentation."""
-
-OLD_ARGUMENTS = {old: one.name for one in NAMES.values() for old in one.old_arguments}
-"""Argument of the last release to its new name."""
 
 
 def meaning_of(name: str, more: str = "") -> str:
@@ -128,8 +112,7 @@ def options_line(arguments: Iterable[str]) -> str:
 
 def names_table() -> str:
     """Return the names as a table in Markdown."""
-    rows = ["| Argument | Option | Meaning | Old name |", "|---|---|---|---|"]
-    for one in NAMES.values():
-        old = ", ".join(f"`{name}`" for name in (*one.old_options, *one.old_arguments))
-        rows.append(f"| `{one.name}` | `{one.option} {one.form}` | {one.meaning} | {old} |")
-    return "\n".join(rows)
+    rows = [
+        f"| `{one.name}` | `{one.option} {one.form}` | {one.meaning} |" for one in NAMES.values()
+    ]
+    return "\n".join(["| Argument | Option | Meaning |", "|---|---|---|", *rows])

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zeno_orbits.integrators import ENGINES, REMOVED, engine_named
-from zeno_orbits.integrators import engine_refusal as engine_refusal
+from zeno_orbits.integrators import ENGINES, engine_named
 
 if TYPE_CHECKING:
     from zeno_orbits.simulation import SimulationSettings
@@ -16,10 +15,6 @@ TOLERANCE = 1e-9
 
 ENGINE_NAMES = tuple(ENGINES)
 """Names of the integrators, the default first."""
-
-
-REMOVED_ENGINES = frozenset(REMOVED)
-"""Names of the integrators of earlier releases."""
 
 
 def simulation_settings(engine: str | None = None) -> SimulationSettings:

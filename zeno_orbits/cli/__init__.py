@@ -7,7 +7,7 @@ load CasADi.
 
 Offers: `main` runs one command, `build_parser` returns the parser of all of them.
 
-Imports: api, report, maps, simulation, loop, model, work, errors.
+Imports: api, report, maps, simulation, loop, model, work, aliases, errors.
 """
 
 import lazy_loader as lazy

@@ -15,12 +15,13 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from contextvars import ContextVar
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypedDict, TypeVar
 from uuid import uuid4
 
 from zeno_orbits import api
+from zeno_orbits.aliases import FORMER
 from zeno_orbits.cli.help import help_of
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
 from zeno_orbits.errors import CheckpointError, InputError, WorkError, did_you_mean, not_known
@@ -39,9 +40,6 @@ _LONGEST_NAME = 200
 
 Result = TypeVar("Result")
 
-OLD_FORMS: ContextVar[str] = ContextVar("OLD_FORMS", default="")
-"""Sentence about the old forms on the command line, with a space before it, or an empty text."""
-
 
 _NEGATIVE = re.compile(r"-(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?$|-(?:inf|nan)$")
 """Negative numbers, which are values. ``argparse`` takes those with an exponent for options."""
@@ -51,7 +49,7 @@ class Parser(argparse.ArgumentParser):
     """A parser that refuses bad input in one line, and asks whether a near name is meant."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
+        super().__init__(*args, allow_abbrev=False, **kwargs)
         self._words: list[str] = []
         self._negative_number_matcher = _NEGATIVE
 
@@ -61,14 +59,27 @@ class Parser(argparse.ArgumentParser):
         """Return the options. An unknown word is an error of this command."""
         self._words = [*(sys.argv[1:] if args is None else args)]
         self._require_no_empty_word()
+        self._require_known_options()
         found, rest = super().parse_known_args(args, namespace)
         if rest:
-            known = [word for action in self._actions for word in action.option_strings]
-            near = did_you_mean(rest[0].partition("=")[0], known)
-            if "--set" in known and re.match(r"\w+=", rest[0]):
+            near = did_you_mean(rest[0].partition("=")[0], self._option_strings())
+            if "--set" in self._option_strings() and re.match(r"\w+=", rest[0]):
                 near = f" Give every value with its own option: --set {rest[0]}."
             self.error(f"unrecognized arguments: {' '.join(rest)}.{near}")
         return found, rest
+
+    def _option_strings(self) -> list[str]:
+        """Return the options of this command in all their forms."""
+        return [word for action in self._actions for word in action.option_strings]
+
+    def _require_known_options(self) -> None:
+        """Refuse an unknown option: `argparse` would first ask for the option that is meant."""
+        known = self._option_strings()
+        for word in takewhile(lambda word: word != "--", self._words if " " in self.prog else ()):
+            option = word.partition("=")[0]
+            is_option = word.startswith("--") or (word.startswith("-") and option in FORMER)
+            if is_option and option not in known:
+                self.error(f"{option}: unknown option.{did_you_mean(option, known)}")
 
     def _require_no_empty_word(self) -> None:
         """Refuse an empty value, which would be the current folder as a path."""
@@ -93,8 +104,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with the code of misuse."""
-        told = f"{_sentence(message, self._words)}{OLD_FORMS.get()}"
-        report.print_error(f"{told} (see `{self.prog} --help`)")
+        report.print_error(f"{_sentence(message, self._words)} (see `{self.prog} --help`)")
         sys.exit(MISUSE)
 
 
@@ -277,23 +287,11 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--engine",
-        type=_read_engine,
         choices=api.ENGINE_NAMES,
         default=api.ENGINE_NAMES[0],
         help="the integrator; automatic takes explicit steps, and implicit steps if the problem "
         "is stiff",
     )
-
-
-def _read_engine(name: str) -> str:
-    """Return the name of an engine. Names that never existed are rejected by the parser.
-
-    Raises:
-        ArgumentTypeError: If the engine existed only in an earlier release.
-    """
-    if name in api.REMOVED_ENGINES:
-        raise argparse.ArgumentTypeError(api.engine_refusal(name))
-    return name
 
 
 def add_place(parser: argparse.ArgumentParser) -> None:

@@ -28,12 +28,10 @@ from zeno_orbits.cli.commands.search import add_search
 from zeno_orbits.cli.commands.simulate import add_simulate
 from zeno_orbits.cli.commands.stability import add_stability
 from zeno_orbits.cli.commands.verify import add_verify
-from zeno_orbits.cli.old_forms import in_new_forms
 from zeno_orbits.cli.options import (
     INTERRUPTED,
     MISUSE,
     NO,
-    OLD_FORMS,
     Parser,
     only_json,
     print_json,
@@ -71,8 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with patient_streams():
         try:
             parser = build_parser()
-            words, now = in_new_forms(sys.argv[1:] if arguments is None else arguments)
-            OLD_FORMS.set(f" {now}." if now else "")
+            words = [*(sys.argv[1:] if arguments is None else arguments)]
             options = parser.parse_args(words)
             options.words, options.program = words, parser
             if options.run is None:
@@ -99,8 +96,6 @@ def _answer(options: argparse.Namespace) -> int:
                 code: int = options.run(options)
             # A disk may turn out to be full as late as here.
             sys.stdout.flush()
-            if OLD_FORMS.get():
-                report.print_note(f"{OLD_FORMS.get().strip()} The old form will be removed.")
             return _of_signal(options) if code == INTERRUPTED else code
         except InputError as error:
             return _end(error, MISUSE, options)
@@ -182,8 +177,6 @@ def _end(error: Exception, code: int, options: argparse.Namespace, text: str = "
         raise error
     options.refused = code == MISUSE
     said = text or as_typed(str(error), options.words, options)
-    if OLD_FORMS.get():
-        said = f"{said.removesuffix('.')}.{OLD_FORMS.get()}"
     report.print_error(said)
     if options.json:
         # A disk that is full does not hide the error.

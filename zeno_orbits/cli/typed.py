@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from zeno_orbits.cli.old_forms import OPTIONS
-
 _UNKNOWN = re.compile(
     r"Argument `(?:parameter|gain|state|name|vary)`: unknown (\w+) `([^`]*)`\."
     r"( Did you mean `[^`]*`\?)? Known: (.*)\."
@@ -17,6 +15,7 @@ _UNKNOWN = re.compile(
 _ARGUMENT = re.compile(r"Argument `([^`]+)`:? (.*)", flags=re.DOTALL)
 _FILE = re.compile(r"[A-Z][a-z]+ file `")
 _ROOM_NAMES = {
+    "direction": "--directions",
     "gain": "--set",
     "most_impacts": "--max-impacts",
     "most_steps": "--max-steps",
@@ -104,11 +103,9 @@ def _typed(strings: set[str], words: Sequence[str]) -> str:
 
 def _strings(argument: str, options: argparse.Namespace) -> set[str]:
     """Return the option strings of an argument in the command."""
-    command = options.parser.prog.split()[-1]
     own = f"--{argument.replace('_', '-')}"
     known = {one for action in options.parser.actions() for one in action.option_strings}
     wanted = {own} if own in known else {own, _ROOM_NAMES.get(argument, "")}
-    wanted |= {OPTIONS.get(command, {}).get(one, "") for one in tuple(wanted)}
     found: set[str] = set()
     for action in options.parser.actions():
         if argument == action.dest or wanted & set(action.option_strings):

@@ -22,8 +22,6 @@ from .engine import Stepper as Stepper
 from .engine import Trajectory as Trajectory
 from .engine import fast_dataclass as fast_dataclass
 from .engines import ENGINES as ENGINES
-from .engines import REMOVED as REMOVED
-from .engines import engine_refusal as engine_refusal
 from .engines import engine_named as engine_named
 from .events import SteppedTrajectory as SteppedTrajectory
 from .flow import Corrected as Corrected

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, not_known
 
 if TYPE_CHECKING:
     from zeno_orbits.integrators.engine import Engine
@@ -35,23 +35,6 @@ ENGINES = {
 }
 """The first is the default."""
 
-REMOVED = {
-    "taylor": "was removed: take `automatic`, the default",
-}
-"""Engines of earlier releases, with the engine to take instead."""
-
-
-def engine_refusal(name: str) -> str:
-    """Return the reason why a name is not an engine, as a clause, or an empty string if it is.
-
-    Args:
-        name: The name.
-    """
-    if name in ENGINES:
-        return ""
-    why = f", which {REMOVED[name]}" if name in REMOVED else ""
-    return f"must be one of {', '.join(ENGINES)}, but it is `{name}`{why}"
-
 
 def engine_named(name: str) -> Engine:
     """Return the engine of a row.
@@ -59,9 +42,8 @@ def engine_named(name: str) -> Engine:
     Raises:
         InputError: If the table lacks such an engine.
     """
-    refusal = engine_refusal(name)
-    if refusal:
-        raise InputError(f"Argument `engine` {refusal}.")
+    if name not in ENGINES:
+        raise InputError(f"Argument `engine`: {not_known(name, ENGINES, 'integrator')}")
     row = ENGINES[name]
     engine: Engine = getattr(
         import_module(f"zeno_orbits.integrators.{row.module}"), row.type_name

@@ -6,6 +6,7 @@ import ast
 import inspect
 import math
 import re
+import sys
 import traceback
 from collections.abc import Iterator
 from operator import attrgetter
@@ -31,6 +32,8 @@ _ARGUMENTS = re.compile(
     r" '(\w+)'"
 )
 """Python's words about the arguments of a call."""
+_IMPORTED = re.compile(r"cannot import name '(\w+)'")
+"""Python's words about a name that a module lacks."""
 _SIGNS = {"==": ast.Eq, "!=": ast.NotEq}
 _IS_NUMERIC = re.compile(r"it is not finite$|appears nowhere")
 """Messages whose cause may be a numeric function of a symbol."""
@@ -129,6 +132,11 @@ def _about_python(error: BaseException, text: str) -> str:
     if isinstance(error, KeyError):
         return f"the name {text} is neither a state nor declared. Declare it, or write another name"
     if isinstance(error, ImportError) and error.name:
+        name = _IMPORTED.match(text)
+        module = sys.modules.get(error.name)
+        if name is not None and module is not None:
+            near = did_you_mean(name[1], dir(module)) or " See its documentation."
+            return f"`{error.name}` has no name `{name[1]}`.{near}"
         return f"{text}. Install the package, or remove the import"
     if isinstance(error, SystemExit):
         return "the file ends the program (`sys.exit`). Remove the call"

@@ -11,32 +11,6 @@ Imports: search, verification, orbits, simulation, loop, model, integrators, wor
 errors.
 """
 
-from typing import Any
-
 import lazy_loader as lazy
 
-_ORBIT = "use `zeno_orbits.prove(orbit)`, which encloses the same quantities"
-_EXECUTION = "use `zeno_orbits.enclose_period(orbit)`, which encloses every event of a period"
-_REMOVED = {
-    "ExtendedOrbit": _ORBIT,
-    "extended_orbit": _ORBIT,
-    "ExtendedExecution": _EXECUTION,
-    "extended_execution": _EXECUTION,
-}
-"""Removed names of version 0.2, and their replacements."""
-
-_attribute, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
-
-
-def __getattr__(name: str) -> Any:
-    """Import a name when it is first used.
-
-    Raises:
-        AttributeError: If the name is unknown.
-        InputError: If the name was removed.
-    """
-    if name in _REMOVED:
-        from zeno_orbits.errors import InputError
-
-        raise InputError(f"`zeno_orbits.precision.{name}` is removed: {_REMOVED[name]}.")
-    return _attribute(name)
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -19,22 +19,6 @@ for decimals that contain exact numbers, `enclosed_decimal` for those that lie i
 Imports: arrays, errors.
 """
 
-import warnings
-from typing import Any
-
 import lazy_loader as lazy
 
-_attribute, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
-
-
-def __getattr__(name: str) -> Any:
-    """Import a name when it is first used. The old name `LostPoint` gives a warning.
-
-    Raises:
-        AttributeError: If the name is unknown.
-    """
-    if name == "LostPoint":
-        message = "zeno_orbits.work.LostPoint is now zeno_orbits.work.FailedPoint."
-        warnings.warn(message, DeprecationWarning, stacklevel=2)
-        return _attribute("FailedPoint")
-    return _attribute(name)
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -37,7 +37,7 @@ def section_map(terms: OrbitTerms) -> ca.MX:
     basis = _section_basis(terms, slope)
     d = basis.shape[1]
     if not 1 <= d <= MOST_COORDINATES:
-        wanted = f"or `keep` cannot use the multipliers of a section with {d} coordinates"
+        wanted = f"or `bounds` cannot use the multipliers of a section with {d} coordinates"
         reason = f"one to {MOST_COORDINATES} are supported"
         raise InputError(f"Argument `objective` {wanted}, but {reason}.")
     end, chart = terms.end, ca.mtimes(ca.DM(basis).T, terms.start / ca.DM(terms.scale))
