@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.commands import (
-    MISUSE,
     PUBLISHED_GAINS,
+    YES,
     ask,
     assert_refused,
     contents,
@@ -201,10 +201,6 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("work-precision", "bouncing_ball", "--plot", "t.gif"),
         (".png", "t.gif"),
     ),
-    "trade written and drawn into one file": (
-        ("work-precision", "bouncing_ball", "--plot", "t.png", "-o", "t.png"),
-        ("--plot", "t.png"),
-    ),
     **{
         f"accuracy {value} of {command[0]}": (
             (*command, f"--accuracy={value}"),
@@ -308,10 +304,78 @@ def test_a_closed_folder_is_refused(
 def test_a_picture_may_not_be_written_over_the_output(
     arguments: tuple[str, ...], picture: str, here: Path
 ) -> None:
-    answer = ask(*arguments, "-o", "a.png", "--plot", picture)
-    assert answer.code == MISUSE
-    assert f"--plot {picture}: must be another file than `output`" in answer.err
-    assert contents(here) == {}
+    (here / "a.json").symlink_to("a.png")
+    answer = ask(*arguments, "-o", "a.json", "--plot", picture)
+    assert_refused(answer, f"--plot {picture}: must be another file than `output`")
+    assert [path.name for path in here.iterdir()] == ["a.json"]
+
+
+_FILES = {
+    "search": (("motor_pendulum",), "a JSON file", "x.json"),
+    "search relay": (("relay",), "a JSON file", "x.json"),
+    "map": (("motor_pendulum", "--x", "Kp=1:5", "--y", "Kd=-2:0"), "a JSON file", "x.json"),
+    "continue": (("motor_pendulum", "--parameter", "Kp=2:3"), "a JSON file", "x.json"),
+    "work-precision": (("bouncing_ball",), "a JSON file", "x.json"),
+    "prove": (("orbit.json",), "a JSON file", "x.json"),
+    "push": (("orbit.json",), "a JSON file", "x.json"),
+    "recovery": (("orbit.json",), "a JSON file", "x.json"),
+    "stability": (("orbit.json",), "a JSON file", "x.json"),
+    "identify": (("orbit.json", "none.csv", "--fit", "R"), "a JSON file", "x.json"),
+    "simulate": (("motor_pendulum",), "a table of samples", "x.csv"),
+    "rig": (("motor_pendulum",), "a table of samples", "x.csv"),
+    "report": (("orbit.json",), "a web page", "x.html"),
+    "plot": (("orbit.json",), "a folder", "x"),
+    "figures": (("orbit.json",), "a folder", "x"),
+    "export": (("bouncing_ball",), "a folder", "x"),
+}
+"""A command to its arguments, the kind of its output, and a name that is allowed."""
+
+
+@pytest.mark.parametrize("ending", [".csv", ".json", ".html", ".png", ".xlsx", ".py", ".PDF"])
+@pytest.mark.parametrize("command", _FILES)
+def test_a_name_of_another_kind_of_file_is_refused_before_the_work(
+    command: str, ending: str, orbit_file: Path, here: Path
+) -> None:
+    arguments, noun, allowed = _FILES[command]
+    if allowed == f"x{ending}":
+        return
+    before = contents(here)
+    assert orbit_file.name in before
+    answer = ask(command.split()[0], *arguments, "-o", f"x{ending}")
+    assert_refused(answer, f"-o x{ending}: must name {noun}, such as {allowed}")
+    assert contents(here) == before
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("simulate",),
+        ("search",),
+        ("map", "--x", "Kp=1:5", "--y", "Kd=-2:0"),
+        ("export", "-o", "c"),
+        ("zeno-condition",),
+        ("reduced-models",),
+        ("work-precision",),
+    ],
+    ids=lambda command: command[0],
+)
+def test_a_result_in_place_of_a_problem_is_refused_with_its_problem(
+    command: tuple[str, ...], orbit_file: Path
+) -> None:
+    words = (
+        "Problem file `orbit.json`: it is a result about the problem `motor_pendulum`.",
+        "Give `motor_pendulum` in its place.",
+    )
+    assert_refused(ask(command[0], orbit_file.name, *command[1:]), *words)
+
+
+def test_a_name_without_a_known_ending_is_allowed(here: Path) -> None:
+    for name in ("a", "a.run", "a.txt"):
+        assert ask("simulate", "bouncing_ball", "--until", "0.1", "-o", name).code == YES
+    (here / "b.png").mkdir()
+    # A folder that exists may have any name.
+    assert ask("export", "bouncing_ball", "-o", "b.png").code == YES
+    assert (here / "b.png" / "bouncing_ball.c").is_file()
 
 
 @pytest.mark.parametrize(

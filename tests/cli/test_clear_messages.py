@@ -44,8 +44,14 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
     ),
     "no count": ((*MAP[:-1], "Kd=-2:-1:0"), "--y: must be a positive whole number"),
     "two counts": ((*MAP[:-1], "Kd=-2:-1:4:5"), "--y: "),
-    "spreadsheet": ((*SEARCH, "-o", "out.xlsx"), "-o out.xlsx: cannot be written as .xlsx. Take"),
-    "spreadsheet of a map": ((*MAP, "-o", "m.xlsx"), "-o m.xlsx: cannot be written as .xlsx"),
+    "spreadsheet": (
+        (*SEARCH, "-o", "out.xlsx"),
+        "-o out.xlsx: must name a JSON file, such as out.json.",
+    ),
+    "spreadsheet of a map": (
+        (*MAP, "-o", "m.xlsx"),
+        "-o m.xlsx: must name a JSON file, such as m.json.",
+    ),
     "empty output": ((*SEARCH, "-o", ""), "-o: the value is empty."),
     "empty output after =": ((*SEARCH, "--output="), "--output: the value is empty."),
     "empty name": (("new", ""), "An argument: the value is empty."),
@@ -97,7 +103,7 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
     ),
     "recording as JSON": (
         ("simulate", "motor_pendulum", "-o", "a.json"),
-        "-o a.json: must name a table of samples, such as a.csv: --json prints JSON, --plot draws",
+        "-o a.json: must name a table of samples, such as a.csv: --json prints JSON.",
     ),
     "recording of a rig as JSON": (
         ("rig", "motor_pendulum", "-o", "a.json"),

@@ -119,7 +119,10 @@ def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
         (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "0"), "--rate 0: must be"),
         (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "1e12"), "two to 10000000"),
         (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "1e-3"), "two to 10000000"),
-        (("simulate", "motor_pendulum", "-o", "d.csv", "--noise", "-1"), "--noise -1: must be"),
+        (
+            ("simulate", "motor_pendulum", "-o", "d.csv", "--noise", "-1"),
+            "--noise -1: must lie in [0, 1)",
+        ),
         (("simulate", "motor_pendulum", "-o", "no/d.csv"), "the folder `no` does not exist"),
     ],
 )

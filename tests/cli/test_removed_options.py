@@ -74,7 +74,7 @@ def test_an_unknown_option_is_named_before_the_option_that_is_missing() -> None:
 def test_a_picture_is_no_recording(form: tuple[str, ...], here: Path) -> None:
     answer = ask("simulate", "bouncing_ball", "--until", "0.3", *form)
     wanted = "must name a table of samples, such as time.csv"
-    assert_refused(answer, wanted, "--json prints JSON, --plot draws pictures.")
+    assert_refused(answer, wanted, "--plot draws pictures.")
     assert list(here.iterdir()) == []
 
 

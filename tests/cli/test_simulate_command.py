@@ -125,7 +125,8 @@ def test_every_engine_simulates_and_is_named(engine: str) -> None:
     [
         (("--rate", "0"), ("--rate 0:", "positive")),
         (("--rate", "1e12"), ("--rate 1e12:", "10000000 samples")),
-        (("--noise", "1e308"), ("--noise 1e308:", "1e+06")),
+        (("--noise", "1e308"), ("--noise 1e308:", "[0, 1)")),
+        (("--noise", "5"), ("--noise 5:", "[0, 1), relative to the range of each signal")),
         (("--noise", "nan"), ("--noise nan:", "nan")),
         (("--plot", "a.csv"), ("--plot a.csv:", ".png")),
     ],

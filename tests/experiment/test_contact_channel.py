@@ -108,8 +108,9 @@ def test_samples_of_a_controller_have_their_own_rate_and_noise() -> None:
     run = zo.simulate_rig("motor_pendulum", until=0.1)
     with pytest.raises(zo.InputError, match=r"`noise` must be left out .* sensors have their own"):
         zo.rig_recording(run, noise=0.1)
-    with pytest.raises(zo.InputError, match="from 0 on"):
-        zo.rig_recording(_run(), noise=-0.1)
+    for noise in (-0.1, 1.0, 5.0, float("nan"), float("inf")):
+        with pytest.raises(zo.InputError, match=r"`noise` must lie in \[0, 1\), relative to"):
+            zo.rig_recording(_run(), noise=noise)
 
 
 def test_periods_near_an_orbit_repeat_its_first_impacts() -> None:

@@ -69,10 +69,11 @@ def test_a_file_that_is_no_python_is_refused(tmp_path: Path) -> None:
     file.write_text("def :\n", encoding="utf-8")
     with pytest.raises(ProblemFileError, match=r"garbled\.py`, line 1: invalid syntax"):
         load_problem(file)
-    other = tmp_path / "problem.toml"
-    other.write_text("", encoding="utf-8")
-    with pytest.raises(ProblemFileError, match="it is not a Python file"):
-        load_problem(other)
+    for name, text in (("problem.toml", ""), ("a.json", "{"), ("b.json", '{"problem": 3}')):
+        other = tmp_path / name
+        other.write_text(text, encoding="utf-8")
+        with pytest.raises(ProblemFileError, match="it is not a Python file"):
+            load_problem(other)
 
 
 def test_a_file_without_a_problem_is_refused(tmp_path: Path) -> None:

@@ -453,7 +453,7 @@ def test_an_unstable_orbit_is_not_called_stable(
     [
         (("-o", "missing/report.html"), "must be in a writable folder"),
         (("-o", "orbit.json"), "must be another file than the one that is read"),
-        (("-o", "report.pdf"), "-o report.pdf: must end in .html or .htm, but it is `report.pdf`"),
+        (("-o", "report.pdf"), "-o report.pdf: must name a web page, such as report.html."),
         (("-o", "r.html", "--tolerance", "2"), "--tolerance: must lie in (0, 1)"),
         (("-o", "r.html", "--trade", "nowhere.json"), "is not an output of `work-precision -o`"),
         (("-o", "r.html", "--trade", "orbit.json"), "is not an output of `work-precision -o`"),

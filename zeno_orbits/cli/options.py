@@ -26,7 +26,7 @@ from zeno_orbits.cli.help import help_of
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
 from zeno_orbits.errors import CheckpointError, InputError, WorkError, did_you_mean, not_known
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import require_picture, require_writable, write_whole
+from zeno_orbits.work import write_whole
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
@@ -484,50 +484,6 @@ def orbit_and_problem(options: argparse.Namespace) -> tuple[zo.ZenoOrbit, zo.Pro
     return orbit, api.problem_to_check(orbit, options.problem)
 
 
-_OTHER_KINDS = (
-    ".xlsx",
-    ".xls",
-    ".ods",
-    ".mat",
-    ".h5",
-    ".hdf5",
-    ".parquet",
-    ".npz",
-    ".pkl",
-    ".yaml",
-)
-"""Endings of files of other kinds, which no command writes."""
-
-
-def require_data_name(path: Path, argument: str = "output") -> None:
-    """Refuse an output whose name promises another kind of file.
-
-    Raises:
-        InputError: If the ending is one of a spreadsheet or of a binary format.
-    """
-    if path.suffix.lower() in _OTHER_KINDS:
-        message = f"cannot be written as {path.suffix}. Take .json (.csv for a recording)"
-        raise InputError(f"Argument `{argument}` {message}.")
-
-
-def require_recording_name(options: argparse.Namespace) -> None:
-    """Refuse a recording whose name promises JSON or a picture.
-
-    Raises:
-        InputError: If the ending is one of these.
-    """
-    path: Path | None = options.output
-    if path is not None and path.suffix.lower() in _NO_RECORDINGS:
-        message = f"must name a table of samples, such as {path.with_suffix('.csv').name}"
-        pictures = ", --plot draws pictures" if hasattr(options, "plot") else ""
-        raise InputError(f"Argument `output` {message}: --json prints JSON{pictures}.")
-
-
-_IMAGES = (".gif", ".jpg", ".jpeg", ".eps", ".png", ".pdf", ".svg", ".tif", ".tiff")
-_NO_RECORDINGS = (".json", *_IMAGES)
-"""Endings of files that hold no columns of values."""
-
-
 def require_output_of(options: argparse.Namespace, *names: str) -> None:
     """Refuse options of a recording that is not written.
 
@@ -541,40 +497,6 @@ def require_output_of(options: argparse.Namespace, *names: str) -> None:
     for name in names:
         if options.output is None and getattr(options, name):
             raise InputError(f"Argument `{name}` needs -o DATA.csv: it changes the file alone.")
-
-
-def require_outputs(
-    options: argparse.Namespace,
-    files: Sequence[str] = ("output",),
-    pictures: Sequence[str] = ("picture",),
-    reads: Sequence[Path] = (),
-) -> None:
-    """Reject outputs that cannot all be written, before any work is done for them.
-
-    Args:
-        options: The parsed options.
-        files: Options that name files to write.
-        pictures: Options that name pictures to draw.
-        reads: Files that are read, and must stay.
-
-    Raises:
-        InputError: If an output cannot become a file, or would overwrite another output or an
-            input.
-    """
-    # `Path.resolve` raises an error for links in a circle.
-    taken = {os.path.realpath(path): "the one that is read" for path in reads}
-    for name in (*files, *pictures):
-        path = getattr(options, name)
-        if path is None:
-            continue
-        if name in files:
-            require_data_name(path, name)
-        require = require_writable if name in files else require_picture
-        require(path, name)
-        other = taken.setdefault(os.path.realpath(path), f"`{name}`")
-        if other != f"`{name}`":
-            wanted = f"must be another file than {other}, but both are `{path}`"
-            raise InputError(f"Argument `{name}` {wanted}.")
 
 
 JSON_OUTPUT: ContextVar[TextIO | None] = ContextVar("JSON_OUTPUT", default=None)

@@ -23,7 +23,7 @@ from zeno_orbits.model.mistakes import account_of
 from zeno_orbits.model.origin import with_origin
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.quantities import unknown
-from zeno_orbits.work import others_may_write
+from zeno_orbits.work import others_may_write, read_object
 
 _MOST = 16
 """Number of problems cached per process, with their compiled models."""
@@ -332,6 +332,16 @@ def _problems_folder() -> Path:
     return installed if installed.is_dir() else package.parent / "problems"
 
 
+def _about_no_python(file: Path) -> str:
+    """Return the message about a file that is not Python: it may be a result about a problem."""
+    with suppress(ValueError, OSError):
+        named = read_object(file).get("problem") if file.suffix == ".json" else None
+        if isinstance(named, str):
+            name = shortened(named)
+            return f"it is a result about the problem `{name}`. Give `{name}` in its place"
+    return "it is not a Python file: a problem is a name of `problems` or a file `NAME.py`"
+
+
 class _NoCache(SourceFileLoader):
     """Loader that writes no compiled file next to the user's file."""
 
@@ -341,9 +351,7 @@ class _NoCache(SourceFileLoader):
 
 def _execute(file: Path) -> ModuleType:
     if file.suffix != ".py" or not file.is_file():
-        raise ProblemFileError(
-            file, "it is not a Python file: a problem is a name of `problems` or a file `NAME.py`"
-        )
+        raise ProblemFileError(file, _about_no_python(file))
     name = f"zeno_orbits_problem_{file.parent.name}_{file.stem}".replace("-", "_")
     spec = importlib.util.spec_from_file_location(name, file, loader=_NoCache(name, str(file)))
     if spec is None or spec.loader is None:

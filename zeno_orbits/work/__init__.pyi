@@ -11,6 +11,7 @@ from .decimals import exact_decimal as exact_decimal
 from .display import Columns as Columns
 from .display import TableRepr as TableRepr
 from .display import by_name as by_name
+from .files import PICTURES as PICTURES
 from .files import others_may_write as others_may_write
 from .files import read_json as read_json
 from .files import read_object as read_object

@@ -19,9 +19,9 @@ from zeno_orbits.cli.options import (
     hand_out,
     numbers_of,
     place_of,
-    require_outputs,
     run_resumable,
 )
+from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.cli.parsing import (
     Named,
     read_count,
@@ -111,7 +111,7 @@ def _run_continue(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
 
     problem = _problem(options)
-    require_outputs(options)
+    require_outputs(options, {"output": JSON, "picture": PICTURE})
     problem.require_range(*options.range, argument="parameter")
     if options.second is not None:
         problem.require_range(*options.second, argument="second")

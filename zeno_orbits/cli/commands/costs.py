@@ -17,8 +17,8 @@ from zeno_orbits.cli.options import (
     hand_out,
     numbers_of,
     print_json,
-    require_outputs,
 )
+from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.cli.parsing import read_number
 from zeno_orbits.report import terminal as report
 
@@ -84,7 +84,7 @@ def add_trade(commands: Any) -> None:
 
 def _run_trade(options: argparse.Namespace) -> int:
     problem = api.known_problem(options.problem)
-    require_outputs(options)
+    require_outputs(options, {"output": JSON, "picture": PICTURE})
     with report.ProgressLine(options.interrupts.check) as progress:
         found = api.work_precision(
             problem,

@@ -11,14 +11,13 @@ from zeno_orbits.cli.options import (
     YES,
     numbers_of,
     print_json,
-    require_data_name,
     say_written,
 )
+from zeno_orbits.cli.outputs import JSON, require_outputs
 from zeno_orbits.cli.parsing import over_ranges, read_wish, require_starts_inside
 from zeno_orbits.cli.search_output import lacking_orbits, ranking
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import require_writable
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
@@ -71,9 +70,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
     import zeno_orbits as zo
 
     _refuse(options, _SEARCH)
-    if options.output is not None:
-        require_data_name(options.output)
-        require_writable(options.output)
+    require_outputs(options, {"output": JSON})
     varies = options.vary or options.objective or options.bounds or options.uncertain
     if varies or options.candidates > 1:
         return _search_gains(options, problem, varies=bool(varies))

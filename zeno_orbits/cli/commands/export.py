@@ -19,6 +19,7 @@ from zeno_orbits.cli.options import (
     start_of,
     values_of,
 )
+from zeno_orbits.cli.outputs import FOLDER, require_outputs
 from zeno_orbits.cli.parsing import read_number
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
@@ -70,9 +71,9 @@ def add_export(commands: Any) -> None:
 def _run_export(options: argparse.Namespace) -> int:
     from zeno_orbits.loop import exported_files
     from zeno_orbits.model import load_problem
-    from zeno_orbits.work import require_folder, write_all
+    from zeno_orbits.work import write_all
 
-    require_folder(options.output)
+    require_outputs(options, {"output": FOLDER})
     if options.input and not options.fmu:
         raise InputError("Argument `--input` belongs to `--fmu`, which is missing.")
     problem = load_problem(options.problem)

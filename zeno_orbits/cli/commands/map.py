@@ -18,9 +18,9 @@ from zeno_orbits.cli.options import (
     hand_out,
     numbers_of,
     place_of,
-    require_outputs,
     run_resumable,
 )
+from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.cli.parsing import AxisRange, Once, read_axis, read_grid, read_number, read_seed
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
@@ -105,7 +105,8 @@ def _run_map(options: argparse.Namespace) -> int:
 
     plane = require_plane(_plane(options))
     require_refinement(plane, options.refine)
-    require_outputs(options, reads=[] if options.orbit is None else [options.orbit])
+    reads = [path for path in (options.orbit, options.boundaries) if path is not None]
+    require_outputs(options, {"output": JSON, "picture": PICTURE}, reads=reads)
     boundaries: tuple[Boundary, ...] = ()
     if options.boundaries is not None:
         if options.picture is None:

@@ -16,10 +16,11 @@ from zeno_orbits.cli.options import (
     print_json,
     say_written,
 )
+from zeno_orbits.cli.outputs import FOLDER, require_outputs
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import require_folder, write_all
+from zeno_orbits.work import write_all
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
@@ -60,10 +61,10 @@ def _run_plot(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
     from zeno_orbits.report import orbit_motion, plots
 
+    require_outputs(options, {"output": FOLDER})
     orbit = api.any_orbit(options.orbit)
     problem = api.problem_of(orbit, options.problem)
     dynamics = api.dynamics_of_orbit(orbit, problem)
-    require_folder(options.output)
     execution = orbit_motion(orbit, problem, dynamics, periods=options.periods)
     draw = {
         "portraits": lambda: plots.plot_portraits(problem, execution),
@@ -153,7 +154,7 @@ def add_figures(commands: Any) -> None:
 def _run_figures(options: argparse.Namespace) -> int:
     from zeno_orbits.report import plots
 
-    require_folder(options.output)
+    require_outputs(options, {"output": FOLDER})
     if options.data is not None and options.kind and "beside" not in options.kind:
         raise InputError("Argument `data` needs the kind `beside`.")
     asked: list[str] = options.kind or []

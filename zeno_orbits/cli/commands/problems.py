@@ -17,9 +17,10 @@ from zeno_orbits.cli.options import (
     print_json,
     say_written,
 )
+from zeno_orbits.cli.outputs import PICTURE, require_outputs
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import require_picture, write_whole
+from zeno_orbits.work import write_whole
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
@@ -134,8 +135,7 @@ def add_conditions(commands: Any) -> None:
 
 
 def _run_conditions(options: argparse.Namespace) -> int:
-    if options.plot is not None:
-        require_picture(options.plot, "plot")
+    require_outputs(options, {"plot": PICTURE})
     problem = api.known_problem(options.problem)
     numbers = numbers_of(problem, options)
     # A problem that cannot be drawn is rejected before anything is printed.

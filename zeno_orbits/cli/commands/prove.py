@@ -15,9 +15,9 @@ from zeno_orbits.cli.options import (
     add_shared,
     orbit_and_problem,
     print_json,
-    require_outputs,
     say_written,
 )
+from zeno_orbits.cli.outputs import JSON, require_outputs
 from zeno_orbits.cli.parsing import read_interval, read_share
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
@@ -75,7 +75,7 @@ def _run_prove(options: argparse.Namespace) -> int:
         raise InputError("Option `--radius` sets the box, but `--basin` chooses it. Remove one.")
     if options.check is not None:
         return _check(options)
-    require_outputs(options, pictures=(), reads=(options.orbit,))
+    require_outputs(options, {"output": JSON}, reads=(options.orbit,))
     orbit, problem = orbit_and_problem(options)
     with report.ProgressLine(options.interrupts.check) as progress:
         proof = api.prove(

@@ -15,9 +15,9 @@ from zeno_orbits.cli.options import (
     add_shared,
     hand_out,
     place_of,
-    require_outputs,
     run_resumable,
 )
+from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.cli.parsing import read_count, read_direction, read_number, read_share
 from zeno_orbits.report import terminal as report
 
@@ -96,7 +96,7 @@ def _run_push(options: argparse.Namespace) -> int:
         error=options.error,
         until=options.until,
     )
-    require_outputs(options, reads=[options.orbit])
+    require_outputs(options, {"output": JSON, "picture": PICTURE}, reads=[options.orbit])
     place = place_of(options)
 
     def work(checkpoint: Path | None, progress: report.ProgressLine) -> zo.Pushes:

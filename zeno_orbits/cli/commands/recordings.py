@@ -16,10 +16,10 @@ from zeno_orbits.cli.options import (
     add_problem_file,
     add_recording,
     print_json,
-    require_outputs,
     say_written,
     write_json,
 )
+from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.cli.parsing import read_fit
 from zeno_orbits.report import terminal as report
 
@@ -49,7 +49,7 @@ def add_compare(commands: Any) -> None:
 
 
 def _run_compare(options: argparse.Namespace) -> int:
-    require_outputs(options, files=(), reads=[options.orbit, options.data])
+    require_outputs(options, {"picture": PICTURE}, reads=[options.orbit, options.data])
     orbit = api.any_orbit(options.orbit)
     problem = api.problem_of(orbit, options.problem)
     with report.ProgressLine(options.interrupts.check) as progress:
@@ -120,7 +120,7 @@ def _run_identify(options: argparse.Namespace) -> int:
         options.problem, options.set, options.problem_file
     )
     problem.values(gains=gains, parameters=parameters)
-    require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
+    require_outputs(options, {"output": JSON, "orbit": JSON}, reads=[options.data])
     with report.ProgressLine(options.interrupts.check) as progress:
         recording = api.recording_for(
             problem, options.data, options.t_start, options.t_end, progress

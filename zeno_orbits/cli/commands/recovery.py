@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.options import YES, add_command, add_orbit, hand_out, require_outputs
+from zeno_orbits.cli.options import YES, add_command, add_orbit, hand_out
+from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.cli.parsing import read_count, read_seed, read_share
 from zeno_orbits.report import terminal as report
 
@@ -62,7 +63,7 @@ def add_recovery(commands: Any) -> None:
 
 
 def _run_recovery(options: argparse.Namespace) -> int:
-    require_outputs(options, reads=[options.orbit])
+    require_outputs(options, {"output": JSON, "picture": PICTURE}, reads=[options.orbit])
     settings = api.recovery_settings(
         part=options.part,
         samples=options.samples,

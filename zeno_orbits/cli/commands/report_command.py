@@ -16,15 +16,13 @@ from zeno_orbits.cli.options import (
     add_command,
     add_orbit,
     print_json,
-    require_outputs,
     say_written,
 )
+from zeno_orbits.cli.outputs import PAGE, require_outputs
 from zeno_orbits.cli.parsing import read_count, read_share
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import utf8, write_whole
-
-_PAGES = (".html", ".htm")
 
 
 def add_report(commands: Any) -> None:
@@ -83,10 +81,7 @@ def _run_report(options: argparse.Namespace) -> int:
 
     given = (options.orbit, options.trade, options.pushes, options.recovery, options.proof)
     reads = [path for path in given if path is not None]
-    require_outputs(options, pictures=(), reads=reads)
-    if options.output.suffix.lower() not in _PAGES:
-        ends = f"must end in .html or .htm, but it is `{options.output.name}`"
-        raise InputError(f"Argument `output` {ends}.")
+    require_outputs(options, {"output": PAGE}, reads=reads)
     bundle = load_bundle()
     orbit = api.any_orbit(options.orbit)
     problem = api.problem_of(orbit, options.problem)

@@ -18,10 +18,9 @@ from zeno_orbits.cli.options import (
     numbers_of,
     print_json,
     require_output_of,
-    require_outputs,
-    require_recording_name,
     say_written,
 )
+from zeno_orbits.cli.outputs import SAMPLES, require_outputs
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number, read_seed
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
@@ -125,8 +124,7 @@ def _add_parts(parser: argparse.ArgumentParser) -> None:
 def _run_rig(options: argparse.Namespace) -> int:
     near_orbit = options.target.endswith(".json")
     reads = [Path(options.target)] if near_orbit else []
-    require_outputs(options, pictures=(), reads=reads)
-    require_recording_name(options)
+    require_outputs(options, {"output": SAMPLES}, reads=reads)
     return _near_orbit(options) if near_orbit else _from_start(options)
 
 

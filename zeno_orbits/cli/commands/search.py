@@ -15,9 +15,9 @@ from zeno_orbits.cli.options import (
     add_problem,
     add_shared,
     place_of,
-    require_data_name,
     run_resumable,
 )
+from zeno_orbits.cli.outputs import JSON, require_outputs
 from zeno_orbits.cli.parsing import (
     Named,
     Once,
@@ -35,7 +35,7 @@ from zeno_orbits.cli.parsing import (
 from zeno_orbits.cli.search_output import answer
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import ExecutionPlan, require_writable
+from zeno_orbits.work import ExecutionPlan
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
@@ -187,9 +187,7 @@ def _run_search(options: argparse.Namespace) -> int:
     bounds = tuple(options.bounds.values())
     if near is not None:
         near.shape.agreed(options.shape)
-    if options.output is not None:
-        require_data_name(options.output)
-        require_writable(options.output)
+    require_outputs(options, {"output": JSON})
     settings = api.search_settings(
         horizon=options.until,
         n_starts=options.starts,

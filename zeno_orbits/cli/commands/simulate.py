@@ -21,10 +21,9 @@ from zeno_orbits.cli.options import (
     numbers_of,
     print_json,
     require_output_of,
-    require_outputs,
-    require_recording_name,
     say_written,
 )
+from zeno_orbits.cli.outputs import PICTURE, SAMPLES, require_outputs
 from zeno_orbits.cli.parsing import read_count, read_number, read_seed
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.report import terminal as report
@@ -118,9 +117,8 @@ _MOST_ANGLE = 4 * math.pi
 
 def _run_simulate(options: argparse.Namespace) -> int:
     problem = api.known_problem(options.problem)
-    require_outputs(options, pictures=("plot",))
+    require_outputs(options, {"output": SAMPLES, "plot": PICTURE})
     require_output_of(options, "rate", "noise", "seed")
-    require_recording_name(options)
     rate = _RATE if options.rate is None else options.rate
     sampling: dict[str, Any] = {"rate": rate, "noise": options.noise, "seed": options.seed or 0}
     if options.output is not None:

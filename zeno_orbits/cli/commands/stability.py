@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.options import NO, YES, add_command, add_orbit, hand_out, require_outputs
+from zeno_orbits.cli.options import NO, YES, add_command, add_orbit, hand_out
+from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.report import terminal as report
 
 
@@ -29,7 +30,7 @@ def add_stability(commands: Any) -> None:
 
 
 def _run_stability(options: argparse.Namespace) -> int:
-    require_outputs(options, reads=[options.orbit])
+    require_outputs(options, {"output": JSON, "picture": PICTURE}, reads=[options.orbit])
     with report.ProgressLine(options.interrupts.check):
         found = api.floquet_multipliers(options.orbit, problem=options.problem)
     hand_out(options, found, report.print_stability)

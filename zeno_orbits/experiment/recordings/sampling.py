@@ -16,8 +16,6 @@ from zeno_orbits.work import require_kinds
 
 MOST_SAMPLES = 10_000_000
 """Largest number of samples of a recording. Ten million samples of each state take a gigabyte."""
-_MOST_NOISE = 1e6
-"""Noise in parts of a state's range beyond which nothing is left of the state."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,9 +38,7 @@ class Sampling:
         if not (math.isfinite(self.rate) and self.rate > 0.0):
             wanted = "must be a positive number of Hz"
             raise InputError(f"Argument `rate` {wanted}, but it is {self.rate:g}.")
-        if not 0.0 <= self.noise <= _MOST_NOISE:
-            wanted = f"must be a number from 0 on, up to {_MOST_NOISE:g}"
-            raise InputError(f"Argument `noise` {wanted}, but it is {self.noise:g}.")
+        require_share(self.noise)
         if self.seed < 0:
             raise InputError(f"Argument `seed` must be at least 0, but it is {self.seed}.")
 
@@ -60,6 +56,20 @@ class Sampling:
             wanted = f"must give two to {MOST_SAMPLES} samples in {time:g} s"
             raise InputError(f"Argument `rate` {wanted}, but it is {self.rate:g} Hz.")
         return math.floor(samples) + 1
+
+
+def require_share(noise: float) -> None:
+    """Refuse noise as large as the signal, of which nothing would be left.
+
+    Args:
+        noise: Standard deviation of the noise, relative to the range of the signal.
+
+    Raises:
+        InputError: If the value is not in [0, 1).
+    """
+    if not 0.0 <= noise < 1.0:
+        wanted = "must lie in [0, 1), relative to the range of each signal"
+        raise InputError(f"Argument `noise` {wanted}, but it is {noise:g}.")
 
 
 def sampled(

@@ -13,6 +13,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.recordings.contacts import contact_names
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
+from zeno_orbits.experiment.recordings.sampling import require_share
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
 from zeno_orbits.model import CharacteristicScales, Contact, ParameterValues, Problem, Rig, own_time
 from zeno_orbits.work import ByValue, Checked
@@ -266,7 +267,7 @@ _OVER_TIME = ("states", "in_contact", "contact_force", "gap", "gap_rate", "curre
 
 
 def require_noise(noise: float, rig: Rig) -> None:
-    """Refuse noise that is not a number from 0 on, or that is added to a controller's readings.
+    """Refuse noise outside [0, 1), or noise that is added to a controller's readings.
 
     Args:
         noise: Noise relative to the range of each signal.
@@ -275,8 +276,7 @@ def require_noise(noise: float, rig: Rig) -> None:
     Raises:
         InputError: If the noise is refused.
     """
-    if not 0.0 <= noise < math.inf:
-        raise InputError(f"Argument `noise` must be a number from 0 on, but it is {noise:g}.")
+    require_share(noise)
     if noise and rig.controller is not None:
         wanted = "must be left out of a machine with a controller, whose sensors have their own"
         raise InputError(f"Argument `noise` {wanted}: --part sensors.noise.")
@@ -302,7 +302,7 @@ def recording_of(
 
     Raises:
         InputError: If noise is added to the readings of a controller, whose sensors have their own,
-            or is not a number from 0 on.
+            or is not in [0, 1).
         ValueError: If the record holds fewer than two readings.
     """
     record = run.record
