@@ -28,10 +28,10 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and lin
 
 
 @contextmanager
-def started(folder: Path, *words: str | Path) -> Iterator[subprocess.Popen[str]]:
+def started(folder: Path, *words: str | Path, **more: str) -> Iterator[subprocess.Popen[str]]:
     """Start a command in a folder, whose temporary files go into `temporary` in it."""
     (folder / "temporary").mkdir(exist_ok=True)
-    own = {"PYTHONPATH": str(ROOT), "TMPDIR": str(folder / "temporary")}
+    own = {"PYTHONPATH": str(ROOT), "TMPDIR": str(folder / "temporary"), **more}
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "zeno_orbits", *map(str, words)],
         cwd=folder,
@@ -98,6 +98,33 @@ def test_a_request_to_end_leaves_no_temporary_folder(tmp_path: Path) -> None:
     assert err.splitlines()[-1].startswith("zeno-orbits: interrupted")
     assert "Traceback" not in err
     assert [name for name in left_in(tmp_path) if name not in err] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("source", "request_to_end"),
+    [("loop.c", "SIGTERM"), ("loop.c", "SIGHUP"), ("fmi3.c", "SIGINT"), ("fmi3.c", "SIGTERM")],
+)
+def test_an_export_that_ends_while_it_compiles_leaves_no_file(
+    source: str, request_to_end: str, tmp_path: Path
+) -> None:
+    number = signal.Signals[request_to_end]
+    if signal.getsignal(number) is signal.SIG_IGN:
+        pytest.skip("this signal is ignored here")
+    compiler = tmp_path / "cc"
+    begun = 'touch "$TMPDIR/part.s" begun; exec sleep 60'
+    compiler.write_text(f'#!/bin/sh\ncase "$*" in *{source}*) {begun};; esac\nexec cc "$@"\n')
+    compiler.chmod(0o755)
+    own = {"CC": str(compiler), "ZENO_ORBITS_CACHE": str(tmp_path / "cache")}
+    with started(tmp_path, "export", "bouncing_ball", "--fmu", "-o", "out", **own) as process:
+        wait_for((tmp_path / "begun").exists)
+        assert list(tmp_path.rglob("zeno-orbits-scratch-*/part.s"))
+        process.send_signal(number)
+        process.communicate(timeout=PATIENCE)
+    assert process.returncode == 128 + number
+    assert list((tmp_path / "temporary").iterdir()) == []
+    assert list(tmp_path.rglob("zeno-orbits-scratch-*")) == []
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

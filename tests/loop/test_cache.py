@@ -215,7 +215,7 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
 def test_a_lock_that_a_killed_process_left_holds_nobody_up(tmp_path: Path) -> None:
     (tmp_path / "kernels").mkdir(mode=0o700)
     (tmp_path / "kernels" / ".loop-lock").touch()
-    (tmp_path / "kernels" / ".unfinished.1").mkdir()
+    (tmp_path / "kernels" / "zeno-orbits-scratch-1").mkdir()
     simulated(tmp_path)
     assert len(libraries(tmp_path)) == 1
 

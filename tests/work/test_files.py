@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.work import require_writable, write_whole
+from zeno_orbits.work import require_writable, scratch_folder, write_whole
 
 
 def _full(*_: Any, **__: Any) -> Any:
@@ -146,3 +147,44 @@ def test_an_interrupt_leaves_the_old_file_and_no_litter(
             write_whole(path, "new")
     assert [file.name for file in tmp_path.iterdir()] == ["orbit.json"]
     assert path.read_text(encoding="utf-8") == "old"
+
+
+def _aged(folder: Path, age: float) -> Path:
+    folder.mkdir()
+    (folder / "part").write_text("1")
+    then = time.time() - age
+    os.utime(folder, (then, then))
+    return folder
+
+
+def test_a_scratch_folder_is_gone_at_the_end_also_after_an_interrupt(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        with scratch_folder(tmp_path) as folder:
+            (folder / "part").write_text("1")
+            assert list(tmp_path.iterdir()) == [folder]
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_process_left_goes_after_an_hour_and_nothing_else(tmp_path: Path) -> None:
+    with scratch_folder(tmp_path) as folder:
+        prefix = folder.name.rpartition("-")[0]
+    old, young = (_aged(tmp_path / f"{prefix}-{age}", age) for age in (3700.0, 3500.0))
+    foreign = _aged(tmp_path / "zeno-orbits-other", 1e6)
+    link = tmp_path / f"{prefix}-link"
+    link.symlink_to(foreign, target_is_directory=True)
+    with scratch_folder(tmp_path):
+        assert not old.exists()
+        assert all(path.exists() for path in (young, foreign, foreign / "part", link))
+
+
+def test_a_folder_of_another_user_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with scratch_folder(tmp_path) as folder:
+        prefix = folder.name.rpartition("-")[0]
+    old = _aged(tmp_path / f"{prefix}-old", 1e6)
+    monkeypatch.setattr(os, "geteuid", lambda: old.stat().st_uid + 1)
+    with scratch_folder(tmp_path):
+        assert old.exists()

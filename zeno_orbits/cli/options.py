@@ -6,14 +6,11 @@ import argparse
 import hashlib
 import os
 import re
-import shutil
-import stat
 import sys
 import tempfile
 import textwrap
-import time
 from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stdout
 from contextvars import ContextVar
 from itertools import pairwise, takewhile
 from pathlib import Path
@@ -26,7 +23,7 @@ from zeno_orbits.cli.help import help_of
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
 from zeno_orbits.errors import CheckpointError, InputError, WorkError, did_you_mean, not_known
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import write_whole
+from zeno_orbits.work import remove_abandoned, write_whole
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
@@ -381,8 +378,9 @@ def _is_temporary(options: argparse.Namespace) -> bool:
 def _own_folder(options: argparse.Namespace) -> Path:
     """Return a folder for finished work, determined by its purpose."""
     if _is_temporary(options):
-        _clear_abandoned()
-        return Path(tempfile.gettempdir(), f"zeno-orbits-{uuid4().hex[:8]}")
+        place = Path(tempfile.gettempdir())
+        remove_abandoned(place, "zeno-orbits-????????", _ABANDONED)
+        return place / f"zeno-orbits-{uuid4().hex[:8]}"
     output = options.output or options.picture
     name = os.fsencode(output.name)
     if len(name) > _LONGEST_NAME:
@@ -391,19 +389,7 @@ def _own_folder(options: argparse.Namespace) -> Path:
 
 
 _ABANDONED = 7 * 86_400.0
-"""Age at which a temporary folder of an ended run counts as abandoned [s]."""
-
-
-def _clear_abandoned() -> None:
-    """Remove old temporary folders of this user, which runs left that the system ended."""
-    if not hasattr(os, "geteuid"):
-        return
-    for folder in Path(tempfile.gettempdir()).glob("zeno-orbits-????????"):
-        with suppress(OSError):
-            facts = folder.lstat()
-            own = stat.S_ISDIR(facts.st_mode) and facts.st_uid == os.geteuid()
-            if own and time.time() - facts.st_mtime > _ABANDONED:
-                shutil.rmtree(folder, ignore_errors=True)
+"""Age at which the finished work in a temporary folder of an ended run is removed [s]."""
 
 
 def _kept(options: argparse.Namespace, folder: Path | None) -> str:

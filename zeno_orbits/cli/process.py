@@ -115,7 +115,7 @@ class Interrupts:
 
     Attributes:
         seen: True if there was one.
-        signal: Its signal, SIGINT or SIGTERM.
+        signal: Its signal: SIGINT, SIGTERM, or SIGHUP when the terminal closes.
     """
 
     def __init__(self) -> None:
@@ -127,7 +127,7 @@ class Interrupts:
     def __enter__(self) -> Interrupts:
         """Begin to watch for interrupts. This is possible only in the main thread."""
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in _SIGNALS:
                 # An interrupt that is ignored, of a job in the background, stays ignored.
                 if signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._see)
@@ -160,6 +160,13 @@ class Interrupts:
         self.seen, self.signal = True, number
         raise KeyboardInterrupt
 
+
+_SIGNALS = [
+    signal.Signals[name]
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if name in signal.Signals.__members__
+]
+"""Signals that ask a command to end. Windows lacks the last."""
 
 _PATIENCE = 3.0
 """Time after an interrupt in which further ones are ignored, so that a command can clean up [s]."""

@@ -64,7 +64,7 @@ class Compiler:
 
         Args:
             source: The C code.
-            target: The library.
+            target: The library. The compiler's temporary files are beside it.
             flags: Flags of the compiler.
             libraries: Flags that follow the source.
             on_wait: Called with the elapsed time [s] at the start and again and again until the
@@ -75,7 +75,7 @@ class Compiler:
         """
         words = [*self.command, *flags, str(source), "-o", str(target), *libraries]
         try:
-            code, said = _watched(words, on_wait)
+            code, said = _watched(words, target.parent, on_wait)
         except (OSError, subprocess.SubprocessError) as error:
             raise KernelError(f"`{self.command[0]}` could not be run ({error})") from error
         if code != 0 or not target.is_file():
@@ -85,11 +85,24 @@ class Compiler:
             raise KernelError(f"`{' '.join(self.command[:3])}` failed: {reason}")
 
 
-def _watched(words: Sequence[str], on_wait: Callable[[float], object]) -> tuple[int, str]:
-    """Run a command, and return its exit code and its errors, or else its output."""
+def _watched(
+    words: Sequence[str], scratch: Path, on_wait: Callable[[float], object]
+) -> tuple[int, str]:
+    """Run a command with a folder for temporary files.
+
+    Returns:
+        Its exit code, and its errors or else its output.
+    """
     started, elapsed, pipe = time.monotonic(), 0.0, subprocess.PIPE
     with subprocess.Popen(
-        words, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True, errors="replace"
+        words,
+        stdin=subprocess.DEVNULL,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        errors="replace",
+        # A compiler that is killed leaves its temporary files.
+        env={**os.environ, "TMPDIR": str(scratch)},
     ) as process:
         try:
             while True:

@@ -14,7 +14,6 @@ import hashlib
 import math
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from enum import Enum
@@ -33,7 +32,7 @@ from zeno_orbits.loop.source import (
     source_digest,
     whole_source,
 )
-from zeno_orbits.work import BUILD_WATCH, silent
+from zeno_orbits.work import BUILD_WATCH, scratch_folder, silent
 
 VARIABLE = "ZENO_ORBITS_LOOP"
 _CHOICES = ("use", "tape", "never")
@@ -223,10 +222,10 @@ def _compiled(
 ) -> Path:
     watch = BUILD_WATCH.get()() if notice else nullcontext(silent)
     with (
-        tempfile.TemporaryDirectory(dir=folder.path, prefix=".unfinished.") as name,
+        scratch_folder(folder.path) as scratch,
         watch as on_progress,
     ):
-        code, library = Path(name) / "loop.c", Path(name) / "loop.so"
+        code, library = scratch / "loop.c", scratch / "loop.so"
         code.write_text(source, encoding="utf-8")
 
         def wait(seconds: float) -> None:

@@ -11,12 +11,10 @@ import io
 import math
 import platform
 import sys
-import tempfile
 import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
-from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
@@ -32,6 +30,7 @@ from zeno_orbits.loop.export import (
 )
 from zeno_orbits.loop.graph_program import GraphProgram
 from zeno_orbits.loop.source import FLAGS, LIBRARIES, whole_source
+from zeno_orbits.work import scratch_folder
 
 _OWN = ("mode", "impacts", "zeno_points", "zeno_time")
 """Further outputs, in the order of `fmi3_unit.c`. With several stops the last three of each stop
@@ -181,12 +180,12 @@ def _library(files: Mapping[str, str]) -> tuple[bytes, str]:
         return b"", str(error)
     if compiler is None:
         return b"", "a C compiler is missing"
-    with tempfile.TemporaryDirectory(prefix="zeno_orbits_unit_") as name:
+    with scratch_folder() as folder:
         for file, text in files.items():
-            (Path(name) / file).write_text(text, encoding="utf-8")
-        target = Path(name) / "unit.so"
+            (folder / file).write_text(text, encoding="utf-8")
+        target = folder / "unit.so"
         try:
-            source = Path(name) / "fmi3.c"
+            source = folder / "fmi3.c"
             compiler.compile(
                 source, target, flags=FLAGS, libraries=LIBRARIES, on_wait=lambda _seconds: None
             )

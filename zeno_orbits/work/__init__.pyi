@@ -15,9 +15,11 @@ from .files import PICTURES as PICTURES
 from .files import others_may_write as others_may_write
 from .files import read_json as read_json
 from .files import read_object as read_object
+from .files import remove_abandoned as remove_abandoned
 from .files import require_folder as require_folder
 from .files import require_picture as require_picture
 from .files import require_writable as require_writable
+from .files import scratch_folder as scratch_folder
 from .files import write_all as write_all
 from .files import utf8 as utf8
 from .files import write_whole as write_whole

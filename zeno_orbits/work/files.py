@@ -10,8 +10,10 @@ import secrets
 import shutil
 import stat
 import tempfile
+import time
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -248,6 +250,47 @@ def _exchange(folder: Path, new: Path, old: Path, names: Iterable[str]) -> None:
             if (old / name).exists():
                 shutil.move(old / name, place)
         raise
+
+
+_SCRATCH = "zeno-orbits-scratch-"
+_ABANDONED = 3600.0
+"""Age at which a folder for temporary files counts as abandoned [s]. None is used so long."""
+
+
+@contextmanager
+def scratch_folder(parent: Path | None = None) -> Generator[Path]:
+    """Yield a folder for temporary files, which is removed at the end.
+
+    Folders in the same place that killed processes left more than an hour ago are removed as well.
+
+    Args:
+        parent: Folder in which the folder is created, by default the system's temporary folder.
+    """
+    place = Path(tempfile.gettempdir()) if parent is None else parent
+    remove_abandoned(place, f"{_SCRATCH}*", _ABANDONED)
+    # A program that was killed may still write its last file.
+    with tempfile.TemporaryDirectory(
+        dir=place, prefix=_SCRATCH, ignore_cleanup_errors=True
+    ) as name:
+        yield Path(name)
+
+
+def remove_abandoned(place: Path, pattern: str, age: float) -> None:
+    """Remove old folders of this user, which runs left that the system ended.
+
+    Args:
+        place: Folder in which the folders are.
+        pattern: Pattern of their names.
+        age: Time since their last change at which they are removed [s].
+    """
+    if not hasattr(os, "geteuid"):
+        return
+    for folder in place.glob(pattern):
+        with suppress(OSError):
+            facts = folder.lstat()
+            own = stat.S_ISDIR(facts.st_mode) and facts.st_uid == os.geteuid()
+            if own and time.time() - facts.st_mtime > age:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_whole(path: Path, content: str | bytes, argument: str = "output") -> None:

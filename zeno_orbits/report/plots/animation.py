@@ -8,11 +8,9 @@ import io
 import math
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +37,7 @@ from zeno_orbits.report.plots.style import (
 )
 from zeno_orbits.report.symbols import label_of
 from zeno_orbits.simulation import Execution
+from zeno_orbits.work import scratch_folder
 
 _RATE = 25
 """Frames per second of display [1/s]."""
@@ -196,8 +195,8 @@ def mp4_of(film: Film) -> bytes:
         ZenoOrbitsError: If ffmpeg fails. The message contains the last line of its output.
     """
     wide, high = film.frames[0].size
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "film.mp4"
+    with scratch_folder() as folder:
+        path = folder / "film.mp4"
         command = ["ffmpeg", "-loglevel", "error", "-y"]
         command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{wide}x{high}"]
         command += ["-r", str(film.rate), "-i", "-", "-an", "-c:v", "libx264"]
