@@ -48,8 +48,20 @@ def _about_file(kind: str, path: Path, reason: str, remedy: str = "") -> str:
     """Return the message about an unusable file, without the remedy if it cannot be read."""
     if reason.startswith("it cannot be read"):
         return f"{kind} file `{path}` {reason.removeprefix('it ')}."
-    end = "" if reason.endswith(("?", ".")) else "."
-    return f"{kind} file `{path}`: {reason}{end} {remedy}".rstrip()
+    # A reason that ends in a sentence brings its own remedy.
+    rest = "" if reason.endswith(("?", ".")) else f". {remedy}".rstrip()
+    return f"{kind} file `{path}`: {reason}{rest}"
+
+
+def newer_format(number: int, newest: int) -> str:
+    """Return the reason why a file of a newer version cannot be read, with the remedy.
+
+    Args:
+        number: Format of the file.
+        newest: Newest format that this version reads.
+    """
+    reads = f"the newest this version reads is {newest}"
+    return f"its format is {number}, and {reads}. Update zeno_orbits."
 
 
 class EquationsWarning(UserWarning):

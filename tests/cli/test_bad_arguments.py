@@ -137,7 +137,7 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         searching("--bounds", "spectral_radius=:1e-5"),
         ("`spectral_radius`", "0.0001", ":1e-05"),
     ),
-    "period without target": (searching("--objective", "period"), ("period", "number")),
+    "period without target": (searching("--objective", "period"), ("`period` lacks its value",)),
     "period negative": (searching("--objective", "period=-1"), ("--objective", "-1")),
     "period zero": (searching("--objective", "period=0"), ("--objective", "positive")),
     "period not finite": (searching("--objective", "period=nan"), ("--objective", "nan")),
@@ -151,7 +151,7 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "nearest without value": (searching("--objective", "nearest:Kp"), ("NAME=VALUE", "Kp")),
     "period with all gains fixed": (
         searching(*PUBLISHED_GAINS, "--objective", "period=1.8"),
-        ("--objective", "free"),
+        ("--objective", "Add --vary NAME=LOW:HIGH"),
     ),
     "starts 0": (searching("--n-starts", "0"), ("--n-starts", "`0`")),
     "starts negative": (searching("--n-starts", "-3"), ("--n-starts", "`-3`")),

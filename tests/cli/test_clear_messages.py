@@ -72,6 +72,14 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
         ("new", "1abc"),
         "NAME 1abc: must begin with a letter and hold letters, digits and underscores only",
     ),
+    "objective without a number": (
+        (*SEARCH, "--objective", "period"),
+        "--objective: `period` lacks its value. Write period=SECONDS.",
+    ),
+    "endless": (
+        ("simulate", "motor_pendulum", "--until", "inf"),
+        "--until inf: must be a finite, positive number of seconds, but it is inf.",
+    ),
     "objective without value": (
         (*SEARCH, "--objective", "period="),
         "--objective: `period=` lacks its value. Write period=SECONDS.",
@@ -218,7 +226,10 @@ def test_an_orbit_of_events_is_refused_with_the_commands_that_take_it(label: str
 BROKEN: Mapping[str, tuple[Any, str]] = {
     "no entry": ({}, "`format` must be a positive whole number, but it is missing."),
     "list": ([1], "must be an object with names, but it is [1]."),
-    "newer": ({"format": 9}, "its format 9 is newer than 3, the newest this version reads."),
+    "newer": (
+        {"format": 9},
+        "its format is 9, and the newest this version reads is 3. Update zeno_orbits.\n",
+    ),
 }
 
 
@@ -229,7 +240,8 @@ def test_a_broken_orbit_file_is_named_with_the_command_that_writes_one(case: str
     for command in ("verify", "stability", "prove"):
         answer = ask(command, "broken.json")
         assert_refused(answer, "Orbit file `broken.json`: ", told)
-        assert "`search PROBLEM -o FILE` writes orbit files." in answer.err
+        # A newer file is an orbit file: writing another one is no remedy.
+        assert ("`search PROBLEM -o FILE` writes" in answer.err) == (case != "newer")
         assert "must hold" not in answer.err
 
 

@@ -277,7 +277,8 @@ def test_a_waveform_whose_times_leave_the_period_is_refused_in_one_line() -> Non
 
 def test_a_search_for_impacts_without_anything_to_vary_is_refused() -> None:
     # The levels and times of `relay` are parameters, and none is varied.
-    assert_refused(ask("search", "relay", "--objective", "impacts"), "--objective", "none is free")
+    words = ("--objective", "Add --vary NAME=LOW:HIGH")
+    assert_refused(ask("search", "relay", "--objective", "impacts"), *words)
 
 
 def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() -> None:

@@ -163,7 +163,7 @@ def _unknown_problem(data: dict[str, Any]) -> Any:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (_newer, ("format 4", "newer")),
+        (_newer, ("its format is 4", "Update zeno_orbits")),
         (_nan, ("`period`", "finite")),
         (_missing_gain, ("Kd",)),
         (_bad_restitution, ("`restitution`", "1.2")),

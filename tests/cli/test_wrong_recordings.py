@@ -129,7 +129,7 @@ WRONG: Mapping[str, tuple[str | bytes, str, str]] = {
         "its line `# source:` must name one of measured, simulated, not `measred`",
         "Did you mean `measured`?",
     ),
-    "newer format": (WHOLE.replace("data 1", "data 9"), "its format 9 is newer", "update the"),
+    "newer format": (WHOLE.replace("data 1", "data 9"), "its format is 9", "Update zeno_orbits"),
     "unknown contact": (
         retitled("current [A]", "contact.foo [1]"),
         "unknown name `contact.foo`",

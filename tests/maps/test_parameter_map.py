@@ -160,7 +160,7 @@ def test_a_plane_that_makes_no_sense_is_refused(changes: Mapping[str, Any], told
         ("--x m=1:2 --y restitution=0:0.5 --grid 0x3", "positive whole number"),
         (
             "--x m=1:2 --y restitution=0:0.5 --until -1",
-            "--until -1: must be a positive number",
+            "--until -1: must be a finite, positive number",
         ),
         ("--x m=1:2 --y restitution=0:0.5 --plot map.gif", r"must end in .png"),
         ("--x m=1:2 --y restitution=0:0.5 -o missing/map.json", "must be in a writable folder"),

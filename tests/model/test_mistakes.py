@@ -67,7 +67,7 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         ("= -v", "= -v * ca.floor(q)", 8, "a formula holds `floor` of the states, which jumps"),
         ("= -v", "= -v * (q == 1)", 8, "a formula holds `==` of the states, which jumps"),
         ("= -v", '= -p["c"] * v', 8, "must use declared gains and parameters, but it uses `c`"),
-        ("= -v", "= -v * np.sin", 8, "TypeError"),
+        ("= -v", "= -v * np.sin", 8, "unsupported operand type(s) for *: 'SX' and"),
         ('ca.SX.sym("q")', 'ca.MX.sym("q")', 10, "Write `ca.SX.sym` for every symbol"),
         (', p["restitution"])', ")", 12, "Argument `restitution` is missing"),
         (
@@ -81,7 +81,7 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
             *("passive_force=force", "passive_force=ca.vertcat(force, 0)", 10),
             "`passive_force` must have 1 entries, one per coordinate, but it has 2",
         ),
-        ("passive_force=force", "friction=force", 9, "has no argument `friction`. Remove it."),
+        ("passive_force=force", "friction=force", 9, "no argument `friction`. Remove it. Known:"),
         (
             *("gap=q", 'stops=(zo.Stop(name="a", gap=q, restitution=0.5),)', 12),
             "must be left out of `hybrid_system`: every stop has its own",
@@ -132,6 +132,33 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         ('("m", "m/s")', '("mm", "mm/s")', 20, "Write both in one of them"),
         ('{"q": 1.0}', '{"q": -1.0}', 24, "Change the start, or the sign of the gap"),
         ("gap=q", "gap=-q", 24, "Change the start, or the sign of the gap"),
+        ("= -v", "= -sqrt(v)", 8, "the name `sqrt` is not defined. Write `ca.sqrt`."),
+        ("= -v", "= -nq.sin(v)", 8, 'or write `p["nq"]` for a declared parameter.'),
+        ("import numpy as np", "PI = np.pi", 3, "`np` is not defined. Add `import numpy as np`."),
+        ("= -v", "= -hybrid_system", 8, "is not defined. Write `zo.hybrid_system`."),
+        ("= -v", "= -v + 1j", 8, "Write numbers and `ca.SX` symbols on both sides."),
+        (
+            *("model(p):", "model():", 23),
+            "`model` must take one argument, the gains and parameters by name, but it takes `()`. "
+            "Write `def model(p):`.",
+        ),
+        ("model(p):", "model(p, q):", 23, "but it takes `(p, q)`. Write `def model(p):`."),
+        ("    return zo", "    zo", 23, "returns nothing. Write `return zo.hybrid_system(...)`."),
+        (
+            *("zo.no_drive(mass)", "None", 12),
+            "but it holds None. Without a drive, write `zo.no_drive(mechanism)`.",
+        ),
+        ('source="own",', "", 14, "lacks the argument `source`. Write `source=...`."),
+        (
+            *('starts=({"q": 1.0},)', "gain=()", 14),
+            "`Problem` has no argument `gain`. Did you mean `gains`? Known: name, title",
+        ),
+        (
+            'title="ball", source="own",',
+            "",
+            14,
+            "`Problem` lacks the arguments `title`, `source`. Write `title=...`.",
+        ),
         ("import numpy", "import no_such_module", 3, "No module named 'no_such_module'"),
     ],
 )

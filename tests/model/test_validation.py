@@ -124,7 +124,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "states that the model has not": (
         *(MOTOR, "full_drive(mechanism, motor)", "no_drive(mechanism)"),
-        "name `no_drive` is not defined. Define or import it",
+        "name `no_drive` is not defined. Write `zo.no_drive`",
     ),
     "current that the model has not": (
         *(MOTOR, "full_drive", "quasi_static_drive"),

@@ -280,7 +280,7 @@ def test_an_entry_of_the_wrong_type_is_named(
 
 def test_a_newer_format_is_refused_before_anything_else(tmp_path: Path) -> None:
     text = json.dumps({"format": 4})
-    words = "its format 4 is newer than 3, the newest this version reads"
+    words = "its format is 4, and the newest this version reads is 3. Update zeno_orbits."
     assert words in _refusal(tmp_path, text)
 
 

@@ -320,7 +320,7 @@ def test_a_state_that_is_not_admissible_is_refused(
 
 @pytest.mark.parametrize("until", [0.0, -1.0, math.nan, math.inf])
 def test_a_horizon_that_is_not_a_positive_time_is_refused(ball: Pendulum, until: float) -> None:
-    with pytest.raises(InputError, match="`until` must be a positive number of seconds"):
+    with pytest.raises(InputError, match="`until` must be a finite, positive number of seconds"):
         simulate(ball(0.5), (1.0, 0.0), until=until)
 
 

@@ -270,7 +270,7 @@ class Wish(NamedTuple):
         if self.row.operand.name == "NUMBERS":
             _check_targets(self.operand, free)
         elif not free:
-            message = f"must leave a gain or a parameter free for the {self.word}, but none is free"
+            message = "needs a gain or parameter to vary. Add --vary NAME=LOW:HIGH"
             raise InputError(f"Argument `objective` {message}.")
         return self.row.objective(problem, self.operand)
 
@@ -325,7 +325,7 @@ def read_wish(text: str) -> Wish:
     objectives = api.objective_words()
     known = objectives.get(word)
     takes = "NOTHING" if known is None else known.operand.name
-    lacks = not rest and (takes == "SIGNAL" or text != word)
+    lacks = not rest and (takes in ("SIGNAL", "NUMBER") or text != word)
     if known is None or (takes == "NOTHING" and rest) or lacks:
         if known is not None and lacks:
             raise argparse.ArgumentTypeError(f"`{text}` lacks its value. Write {known.usage}")

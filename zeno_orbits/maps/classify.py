@@ -65,7 +65,7 @@ def attractors_at(
     """
     if until is not None and not (math.isfinite(until) and until > 0.0):
         raise InputError(
-            f"Argument `until` must be a positive number of seconds, but it is {until}."
+            f"Argument `until` must be a finite, positive number of seconds, but it is {until}."
         )
     if not settings:
         return ()

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from zeno_orbits.errors import BoundaryFileError, MapFileError
+from zeno_orbits.errors import BoundaryFileError, MapFileError, newer_format
 from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
 from zeno_orbits.maps.mapping import FORMAT, BetweenPoint, Boundary, ParameterMap
 from zeno_orbits.maps.plane import MOST_HALVINGS
@@ -48,8 +48,11 @@ def read_map(path: Path) -> ParameterMap:
         entries = read_object(path)
     except ValueError as error:
         raise MapFileError(path, str(error)) from error
-    if not isinstance(entries.get("format"), int) or not 1 <= entries["format"] <= FORMAT:
-        raise MapFileError(path, f"its format is {entries.get('format')}, not 1 to {FORMAT}")
+    number = entries.get("format")
+    if not isinstance(number, int) or number < 1:
+        raise MapFileError(path, f"its format is {number}, not 1 to {FORMAT}")
+    if number > FORMAT:
+        raise MapFileError(path, newer_format(number, FORMAT))
     try:
         found = _map_of(entries)
     except (KeyError, TypeError, ValueError) as error:

@@ -211,7 +211,7 @@ def require_plane(plane: Plane) -> Plane:
     """
     problem = plane.problem
     if plane.until is not None and not 0.0 < any_number("until", plane.until) < math.inf:
-        wanted = "must be a positive number of seconds"
+        wanted = "must be a finite, positive number of seconds"
         raise InputError(f"Argument `until` {wanted}, but it is {plane.until:g}.")
     if plane.x.name == plane.y.name:
         message = f"must be another name than `x`, but both are `{plane.x.name}`"

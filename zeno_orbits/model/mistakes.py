@@ -32,6 +32,16 @@ _ARGUMENTS = re.compile(
     r" '(\w+)'"
 )
 """Python's words about the arguments of a call."""
+_USUAL_IMPORTS = {
+    "ca": "import casadi as ca",
+    "casadi": "import casadi",
+    "math": "import math",
+    "np": "import numpy as np",
+    "numpy": "import numpy",
+    "zeno_orbits": "import zeno_orbits",
+    "zo": "import zeno_orbits as zo",
+}
+"""Name to the line that imports it."""
 _IMPORTED = re.compile(r"cannot import name '(\w+)'")
 """Python's words about a name that a module lacks."""
 _SIGNS = {"==": ast.Eq, "!=": ast.NotEq}
@@ -127,8 +137,7 @@ def _about_python(error: BaseException, text: str) -> str:
         near = did_you_mean(error.name, known) or " See its documentation."
         return f"`{owner}` has no attribute `{error.name}`.{near}"
     if isinstance(error, NameError) and error.name:
-        remedy = f'Define or import it, or write `p["{error.name}"]` for a declared parameter'
-        return f"the name `{error.name}` is not defined. {remedy}"
+        return f"the name `{error.name}` is not defined. {_remedy_of_name(error.name)}"
     if isinstance(error, KeyError):
         return f"the name {text} is neither a state nor declared. Declare it, or write another name"
     if isinstance(error, ImportError) and error.name:
@@ -142,12 +151,43 @@ def _about_python(error: BaseException, text: str) -> str:
         return "the file ends the program (`sys.exit`). Remove the call"
     words = _ARGUMENTS.match(text)
     if words is not None:
-        owner, what, name = words[1].removesuffix(".__init__"), words[2], words[3]
-        if what.startswith("missing"):
-            return f"`{owner}` lacks the argument `{name}`. Write `{name}=...`"
-        near = did_you_mean(name, _arguments_of(owner)) or " Remove it."
-        return f"`{owner}` has no argument `{name}`.{near}"
+        return _about_arguments(words[1].removesuffix(".__init__"), words[2], words[3], text)
+    if "unsupported operand" in text:
+        return f"{text}. Write numbers and `ca.SX` symbols on both sides"
     return f"{type(error).__name__}: {text}"
+
+
+def _remedy_of_name(name: str) -> str:
+    """Return the remedy for a name that a file uses and does not define."""
+    if name in _USUAL_IMPORTS:
+        return f"Add `{_USUAL_IMPORTS[name]}`"
+    import zeno_orbits
+
+    if callable(getattr(ca, name, None)):
+        return f"Write `ca.{name}`"
+    if name in zeno_orbits.__all__:
+        return f"Write `zo.{name}`"
+    return f'Define or import it, or write `p["{name}"]` for a declared parameter'
+
+
+def _about_arguments(owner: str, what: str, name: str, text: str) -> str:
+    """Return the message about an argument that a call lacks or does not know.
+
+    Args:
+        owner: The function or class.
+        what: Python's words about the argument.
+        name: The argument.
+        text: The whole message of Python, which lists all arguments that are missing.
+    """
+    if what.startswith("missing"):
+        names = re.findall(r"'(\w+)'", text.partition("missing")[2])
+        noun = "argument" if len(names) == 1 else "arguments"
+        listed = ", ".join(f"`{one}`" for one in names)
+        return f"`{owner}` lacks the {noun} {listed}. Write `{name}=...`"
+    known = _arguments_of(owner)
+    near = did_you_mean(name, known) or " Remove it."
+    listed = f" Known: {', '.join(known)}" if known else ""
+    return f"`{owner}` has no argument `{name}`.{near}{listed}"
 
 
 def _arguments_of(owner: str) -> list[str]:

@@ -7,6 +7,7 @@ them.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from typing import Any
@@ -58,6 +59,7 @@ def built(
     Raises:
         ValueError: If the model uses an undeclared name, or returns another type.
     """
+    _require_one_argument(model)
     try:
         system = model(symbols)
     except KeyError as error:
@@ -68,11 +70,31 @@ def built(
             ) from error
         raise
     if not isinstance(system, CompletedSystem):
-        made = f"but it returns a `{type(system).__name__}`"
+        kind = "nothing" if system is None else f"a `{type(system).__name__}`"
+        made = f"but it returns {kind}. Write `return zo.hybrid_system(...)`"
         raise ValueError(  # noqa: TRY004
             f"Argument `model` must return the system of `hybrid_system`, {made}."
         )
     return system
+
+
+def _require_one_argument(model: Callable[..., Any]) -> None:
+    """Reject a model that cannot be called with the symbols alone.
+
+    Raises:
+        ValueError: If its signature takes no argument, or requires several.
+    """
+    try:
+        known = inspect.signature(model)
+    except ValueError:
+        return
+    try:
+        known.bind({})
+    except TypeError:
+        wanted = "must take one argument, the gains and parameters by name"
+        raise ValueError(
+            f"Argument `model` {wanted}, but it takes `{known}`. Write `def model(p):`."
+        ) from None
 
 
 def require_states(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
-from zeno_orbits.errors import InputError, OrbitFileError, shortened
+from zeno_orbits.errors import InputError, OrbitFileError, newer_format, shortened
 from zeno_orbits.model import RecordedFile
 from zeno_orbits.orbits.orbit import (
     EVENT_FORMAT,
@@ -212,8 +212,7 @@ def _format(entries: Mapping[str, Any]) -> int:
         machine = "a machine with several stops or switches"
         raise _ContradictionError(f"its format {number} is of {machine} (`read_event_orbit`)")
     if number > FORMAT:
-        newest = f"{EVENT_FORMAT}, the newest this version reads"
-        raise _ContradictionError(f"its format {number} is newer than {newest}")
+        raise _ContradictionError(newer_format(number, EVENT_FORMAT))
     return number
 
 

@@ -61,8 +61,8 @@ def true_landmarks(dynamics: HybridDynamics, state: Sequence[float], until: floa
         ZenoOrbitsError: If the execution has no event, or it cannot be followed.
     """
     if not 0.0 < until < math.inf:
-        message = f"Argument `until` must be a positive number of seconds, but it is {until}."
-        raise InputError(message)
+        wanted = "must be a finite, positive number of seconds"
+        raise InputError(f"Argument `until` {wanted}, but it is {until}.")
     finest, *others = (
         simulate(dynamics, state, until=until, settings=at_tolerance(tolerance, settings))
         for tolerance, settings in (

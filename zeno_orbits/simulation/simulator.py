@@ -59,7 +59,7 @@ def simulate(
     """
     if not 0.0 < any_number("until", until) < math.inf:
         raise InputError(
-            f"Argument `until` must be a positive number of seconds, but it is {until}."
+            f"Argument `until` must be a finite, positive number of seconds, but it is {until}."
         )
     task = SimulationTask(
         dynamics=dynamics,

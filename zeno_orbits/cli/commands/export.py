@@ -79,7 +79,7 @@ def _run_export(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     values = values_of(problem, options)
     if not options.until > 0.0:
-        message = f"must be a positive number of seconds, but it is {options.until}"
+        message = f"must be a finite, positive number of seconds, but it is {options.until}"
         raise InputError(f"Argument `until` {message}.")
     program, run = _exported(problem, values, options)
     warning = ""

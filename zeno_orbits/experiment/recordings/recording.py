@@ -23,7 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import DataFileError, InputError, counted, did_you_mean, not_known
+from zeno_orbits.errors import (
+    DataFileError,
+    InputError,
+    counted,
+    did_you_mean,
+    newer_format,
+    not_known,
+)
 from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
 from zeno_orbits.model.units import in_si, powers_of
 from zeno_orbits.work import ByValue, checked
@@ -285,8 +292,7 @@ def _notes(path: Path, head: Head) -> dict[str, str]:
     for comment in head.comments:
         magic = _MAGIC.fullmatch(comment)
         if magic is not None and int(magic[1]) > FORMAT:
-            newest = f"its format {magic[1]} is newer than {FORMAT}, the newest this version reads"
-            raise DataFileError(path, f"{newest}: update the package")
+            raise DataFileError(path, newer_format(int(magic[1]), FORMAT))
         key, colon, value = comment.partition(":")
         if magic is None and colon:
             notes[key.strip()] = value.strip()

@@ -85,6 +85,8 @@ def read_head(path: Path) -> Head:
 
 
 def _head(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
+    if text[0] in "{[":
+        raise DataFileError(path, f"it is JSON and no table. Line {line} must hold column titles")
     separator = next((one for one in _SEPARATORS if one in text), None)
     if separator is None and _TIME_ALONE.fullmatch(text):
         told = f"line {line} names one column, `{_short(text)}`"

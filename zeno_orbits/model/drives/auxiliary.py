@@ -181,4 +181,6 @@ def _known(drive: object) -> Drive:
     wanted = "must hold drives and further states"
     hint = "; see `circuit_drive`" if isinstance(drive, Circuit) else ""
     hint = "; see `full_drive`" if isinstance(drive, MotorBank) else hint
-    raise ValueError(f"Argument `drive` {wanted}, but it holds a `{type(drive).__name__}`{hint}.")
+    kind = "None" if drive is None else f"a `{type(drive).__name__}`"
+    hint = hint or ". Without a drive, write `zo.no_drive(mechanism)`"
+    raise ValueError(f"Argument `drive` {wanted}, but it holds {kind}{hint}.")

@@ -79,7 +79,7 @@ class TransientSettings:
         require_kinds(self)
         for name, time in (("until", self.horizon), ("chunk", self.chunk)):
             if time is not None and not 0.0 < any_number(name, time) < math.inf:
-                wanted = "must be a positive number of seconds"
+                wanted = "must be a finite, positive number of seconds"
                 raise InputError(f"Argument `{name}` {wanted}, but it is {time:g}.")
 
 
