@@ -172,5 +172,5 @@ def test_a_column_with_a_slip_is_noted_beside_signals(title: str, meant: str | N
     Path("d.csv").write_text(retitled("theta1 [rad]", title))
     known = {"theta1": "rad", "theta2": "rad", "current": "A"}
     found = read_recording("d.csv", only=known, units=known)
-    told = f"line 4: column `{meant or title}` is no signal of the problem and was left out"
+    told = f"line 4: column `{meant or title}` is not a signal of the problem and was left out"
     assert found.remarks == (f"{told}: rename it if it is `theta1`",)

@@ -195,7 +195,10 @@ WRONG = {
     "a text of a formula": ('lambda p: "a"', "the formula of `q` must return a finite number"),
     "NaN": ("lambda p: float('nan')", "must return a finite number, but it returns nan"),
     "infinity": ("lambda p: 1e400", "must return a finite number, but it returns inf"),
-    "another name": ('lambda p: p["D"]', "asks for `D`, which is no gain or parameter (w, d, e)"),
+    "another name": (
+        'lambda p: p["D"]',
+        "asks for `D`, which is not a gain or parameter (w, d, e)",
+    ),
     "an error": ("lambda p: 1 / 0", "but it raises ZeroDivisionError: division by zero"),
     "an error of two lines": ('lambda p: int("a\\nb")', "but it raises ValueError"),
     "no argument": ("lambda: 1.0", "but it raises TypeError"),

@@ -64,7 +64,7 @@ class TapedProblem:
 
     @property
     def library(self) -> Any:
-        """The library that carries out the formulas: compiled for them, or any."""
+        """The library compiled for the formulas, or else the one that interprets any formulas."""
         return self._compiled or self._tapes_library
 
     @property

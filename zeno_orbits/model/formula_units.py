@@ -32,7 +32,7 @@ def unit_of(formula: ca.SX, units: Sequence[tuple[ca.SX, str]]) -> str:
 
     Args:
         formula: The formula.
-        units: Symbols and their units. Other symbols have none.
+        units: Symbols and their units. Other symbols are without a unit.
     """
     symbols = ca.symvar(formula)
     known = {symbol.element_hash(): unit for symbol, unit in units}

@@ -603,7 +603,7 @@ def branched(
         states: The states, ``(n_x,)``. A condition without states is not a kink.
         sides: For each condition, in the order of the operations, whether it is positive. Further
             conditions are taken as positive. A condition depends only on earlier conditions.
-        gaps: The gaps of the stops. A condition that is a multiple of a gap is no kink, because a
+        gaps: The gaps of the stops. A condition that is a multiple of a gap is not a kink: a
             gap is not negative.
 
     Raises:

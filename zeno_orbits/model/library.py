@@ -141,8 +141,8 @@ class RecordedFile:
     def trusted(self) -> Path:
         """Return the file if it may be run without being named by the caller.
 
-        It lies beside the result or in the current folder, is no link, and nobody else may change
-        it.
+        It lies beside the result or in the current folder, is not a link, and nobody else may
+        change it.
 
         Raises:
             InputError: Otherwise. The message gives the reason and the remedy.

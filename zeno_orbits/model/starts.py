@@ -30,14 +30,14 @@ def no_starts(p: Sequence[float] | Vector) -> tuple[tuple[float, ...], ...]:
 
 
 def require_starts(starts: Any, states: Collection[str]) -> None:
-    """Refuse initial states that are none, or that name no state.
+    """Refuse initial states of the wrong type, or with unknown states.
 
     Args:
         starts: The initial states.
         states: Names of the states.
 
     Raises:
-        InputError: If there is no start, or a start is no mapping of states.
+        InputError: If there is no start, or a start is not a mapping of states.
     """
     if not isinstance(starts, tuple | list):
         wanted = 'must be a tuple of mappings, as ({"q": 1.0},) is'
@@ -83,7 +83,7 @@ def _number(name: str, value: Any, values: Callable[[], Mapping[str, float]]) ->
         found = value(numbers)
     except KeyError as error:
         asked, known = str(*error.args[:1]), tuple(numbers)
-        said = f"which is no gain or parameter ({', '.join(known) or 'none'})"
+        said = f"which is not a gain or parameter ({', '.join(known) or 'none'})"
         raise InputError(
             f"Argument `starts`: the formula of `{name}` asks for `{asked}`, {said}."
         ) from error

@@ -163,7 +163,7 @@ class Stability(TableRepr):
         return math.log(part) / rate if rate else math.inf
 
     def time_to(self, part: float) -> float:
-        """Return the time of `periods_to` [s]."""
+        """Return the time after which a small disturbance is a part of its first size [s]."""
         return self.periods_to(part) * self.period
 
     @property

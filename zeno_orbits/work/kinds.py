@@ -130,7 +130,7 @@ def _taken(argument: str, value: Any, kinds: tuple[Any, ...]) -> Any:
     """Return the value of an argument: itself, or the formula that it becomes.
 
     Raises:
-        InputError: If its kind is none of these.
+        InputError: If its kind is not in the list.
     """
     formula = next(filter(_is_formula_kind, kinds), None)
     if formula is None:

@@ -271,7 +271,7 @@ def _refuse_absence() -> NoReturn:
 
 @cache
 def _read_fields(kind: type, finite: bool) -> tuple[tuple[str, _Converter, bool], ...]:
-    """Return name and conversion of each field of a dataclass, and whether it has no default."""
+    """Return name and conversion of each field of a dataclass, and whether it is required."""
     hints = get_type_hints(kind)
     return tuple(
         (

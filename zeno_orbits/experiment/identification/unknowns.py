@@ -78,7 +78,7 @@ class Unknowns:
 
     @property
     def first(self) -> Vector:
-        """The unknowns at the start, ``(k + 1,)``: numbers over their sizes, and no shift."""
+        """Scaled unknowns at the start, ``(k + 1,)``: values divided by scales, and zero shift."""
         return np.append(self.start / self.scale, 0.0)
 
     @property

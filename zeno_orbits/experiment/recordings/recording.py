@@ -283,7 +283,9 @@ def _ignored(
         near = did_you_mean(name, missing) if name and k not in chosen else ""
         if near and name.lower() not in _TIME:
             meant = near.removeprefix(" Did you mean ").removesuffix("?")
-            told = f"line {head.line}: column `{name}` is no signal of the problem and was left out"
+            told = (
+                f"line {head.line}: column `{name}` is not a signal of the problem and was left out"
+            )
             yield f"{told}: rename it if it is {meant}"
 
 

@@ -297,7 +297,7 @@ def recording_of(
         problem: Its problem.
         notes: Further notes of the recording.
         noise: Standard deviation of noise on coordinates, currents and outputs, relative to the
-            range of each. Contact channels have none.
+            range of each. Contact channels stay exact.
         seed: Random seed of this noise.
 
     Raises:

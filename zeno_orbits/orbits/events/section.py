@@ -203,7 +203,7 @@ class EventReturn:
 
     @property
     def mode(self) -> SectionMode:
-        """The mode of the start."""
+        """Mode just after the event of the section."""
         return SectionMode.of(self.execution.arcs[0], self.events)
 
     @cached_property

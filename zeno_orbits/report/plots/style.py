@@ -95,7 +95,7 @@ def rendered(figure: Figure, kind: str) -> bytes:
 def keep_legible(figure: Figure) -> None:
     """Draw texts with dollar signs that are not formulas as they are.
 
-    A name in a file may contain one dollar sign, or what looks like a formula and is none.
+    A name in a file may contain one dollar sign, or text between two that is not a formula.
 
     Args:
         figure: The picture.
