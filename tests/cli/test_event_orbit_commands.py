@@ -50,6 +50,15 @@ def test_search_writes_a_file_that_verify_passes() -> None:
     assert "shape" not in certificate
 
 
+def test_verify_prints_the_error_of_an_orbit_of_any_machine() -> None:
+    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(zo.find_orbit_by_shooting("vibrating_table").unwrap(), "table.json")
+    for file in ("hopper.json", "table.json"):
+        error = ask("verify", file, "--accuracy", "1e-9", "--json").data["error"]
+        assert 0.0 < error < 1e-9
+        assert "error" not in ask("verify", file, "--json").data
+
+
 def test_plot_draws_the_pictures_that_an_orbit_has() -> None:
     zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     answer = ask("plot", "hopper.json", "-o", "pictures", "--json")

@@ -464,12 +464,6 @@ def start_of(problem: zo.Problem, options: argparse.Namespace) -> tuple[float, .
     return problem.initial_state(options.start or None, values_of(problem, options))
 
 
-def orbit_and_problem(options: argparse.Namespace) -> tuple[zo.ZenoOrbit, zo.Problem]:
-    """Return the orbit of a file and its problem."""
-    orbit = api.as_orbit(options.orbit)
-    return orbit, api.problem_to_check(orbit, options.problem)
-
-
 def require_output_of(options: argparse.Namespace, *names: str) -> None:
     """Refuse options of a recording that is not written.
 

@@ -167,40 +167,18 @@ def _say_output(
         report.print_lines([f"The orbit is not stable{left}: --allow-unstable accepts the orbit."])
 
 
-def run_verify_events(options: argparse.Namespace) -> int:
-    """Verify an orbit file that lists events, and return the exit code.
+def require_verifiable(options: argparse.Namespace) -> None:
+    """Refuse options of `verify` that need an orbit of a machine with one stop.
 
     Args:
         options: The command line.
 
     Raises:
-        InputError: If an option needs a machine with one stop.
-        OrbitFileError: If the file is invalid.
+        InputError: If one is given.
     """
-    import zeno_orbits as zo
-
     _refuse(options, _VERIFY)
     if options.model == "reference":
         raise InputError(needs_one_stop("--model reference"))
-    settings = api.verification_settings(
-        accuracy=options.accuracy,
-        tolerance=options.tolerance,
-        engine=options.engine,
-        n_periods=options.periods,
-    )
-    orbit = zo.read_event_orbit(options.orbit)
-    with report.ProgressLine(options.interrupts.check) as progress:
-        certificate = api.verify(
-            orbit, problem=options.problem, settings=settings, on_progress=progress
-        )
-    if options.json:
-        print_json(certificate.as_json())
-    else:
-        report.print_certificate(certificate, margins=options.margins or options.all)
-        if options.accuracy is not None:
-            report.print_error_estimate(certificate.orbit_error)
-    certain = options.accuracy is None or certificate.orbit_error <= options.accuracy
-    return YES if certificate.passed and certain else NO
 
 
 def _refuse(options: argparse.Namespace, names: dict[str, str]) -> None:

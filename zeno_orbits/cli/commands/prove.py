@@ -13,7 +13,6 @@ from zeno_orbits.cli.options import (
     add_command,
     add_problem_file,
     add_shared,
-    orbit_and_problem,
     print_json,
     say_written,
 )
@@ -76,7 +75,8 @@ def _run_prove(options: argparse.Namespace) -> int:
     if options.check is not None:
         return _check(options)
     require_outputs(options, {"output": JSON}, reads=(options.orbit,))
-    orbit, problem = orbit_and_problem(options)
+    orbit = api.as_orbit(options.orbit)
+    problem = api.problem_to_check(orbit, options.problem)
     with report.ProgressLine(options.interrupts.check) as progress:
         proof = api.prove(
             orbit,

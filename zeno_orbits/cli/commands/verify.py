@@ -7,7 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.commands.event_orbits import run_verify_events
+from zeno_orbits.cli.commands.event_orbits import require_verifiable
 from zeno_orbits.cli.commands.prove import add_proof, proof_of
 from zeno_orbits.cli.options import (
     NO,
@@ -15,7 +15,6 @@ from zeno_orbits.cli.options import (
     add_accuracy,
     add_command,
     add_orbit,
-    orbit_and_problem,
     print_json,
 )
 from zeno_orbits.cli.parsing import read_count, read_share
@@ -76,12 +75,12 @@ def add_verify(commands: Any) -> None:
 def _run_verify(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
 
-    found = api.any_orbit(options.orbit)
-    is_event = isinstance(found, zo.EventOrbit)
-    _require_few_periods(options, len(found.events if is_event else found.phases))
+    orbit = api.any_orbit(options.orbit)
+    is_event = isinstance(orbit, zo.EventOrbit)
+    _require_few_periods(options, len(orbit.events if is_event else orbit.phases))
     if is_event:
-        return run_verify_events(options)
-    orbit, problem = orbit_and_problem(options)
+        require_verifiable(options)
+    problem = api.problem_to_check(orbit, options.problem)
     settings = api.verification_settings(
         accuracy=options.accuracy,
         tolerance=options.tolerance,
@@ -89,11 +88,11 @@ def _run_verify(options: argparse.Namespace) -> int:
         n_periods=options.periods,
         use_reference=options.model == "reference",
     )
-    proved = proof_of(options, orbit, problem)
+    proved = None if is_event else proof_of(options, orbit, problem)
     with report.ProgressLine(options.interrupts.check) as progress:
         certificate = api.verify(orbit, problem=problem, settings=settings, on_progress=progress)
     _require_whole_run(certificate, options)
-    enclosure = _enclosure(options, orbit, problem, settings.tolerance)
+    enclosure = None if is_event else _enclosure(options, orbit, problem, settings.tolerance)
     if options.json:
         error = certificate.orbit_error
         accuracy = {"error": error if isfinite(error) else None} if options.accuracy else {}
@@ -106,7 +105,7 @@ def _run_verify(options: argparse.Namespace) -> int:
         report.print_certificate(
             certificate,
             margins=options.margins or options.all,
-            truncation=options.truncation or options.all,
+            truncation=options.truncation or (options.all and not is_event),
         )
         if proved is not None:
             report.print_lines([proved.verdict()])
