@@ -76,9 +76,9 @@ def _falling(_: ca.SX, v: ca.SX) -> ca.SX:
 
 PLANE = {"x": "m", "y": "m", "dx": "m/s", "dy": "m/s"}
 REFUSED: dict[str, tuple[zo.Problem, str]] = {
-    "a root at its kink": (
-        _from(ball(lambda q, _: ca.if_else(q > 0.2, ca.sqrt(q - 0.2), 0.0)), x=1.0),
-        "not differentiable at its own kink `kink 1`",
+    "a logarithm at its kink": (
+        _from(ball(lambda q, _: ca.if_else(q > 0.2, ca.log(q - 0.2), 0.0)), x=1.0),
+        "the passive force is not finite ahead (q = 0.2): `log((q-0.2))` is `log` of ",
     ),
     "impacts in a corner": (
         _from(machine_of(corner, PLANE, {"restitution": 0.6}), x=0.2, y=1.0),

@@ -14,8 +14,11 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.mistakes import FormulaError
+from zeno_orbits.model.modes import ModeGraph
 from zeno_orbits.model.operations import operation_name, symbols_in
 
 _LONGEST = 60
@@ -61,6 +64,25 @@ class NamedFormula:
 def named_formulas(system: CompletedSystem) -> tuple[NamedFormula, ...]:
     """Return the formulas that a model declares, by the words of a user."""
     mechanism = system.mechanism
+    found = [*_of_mechanism(mechanism)]
+    if not mechanism.stops:
+        found.append(NamedFormula(words="the gap", keywords=("gap",), formula=system.gap))
+        restitution = ca.SX(system.restitution)
+        found.append(
+            NamedFormula(words="the restitution", keywords=("restitution",), formula=restitution)
+        )
+    for switch in () if system.graph is None else system.graph.switches:
+        for word, formula in (("guard", switch.guard), ("armed", switch.armed)):
+            words = f"`{word}` of the switch `{switch.name}`"
+            one = NamedFormula(
+                words=words, keywords=(word,), formula=ca.SX(formula), owner=switch.name
+            )
+            found.append(one)
+    return (*found, *_of_drive(system.drive))
+
+
+def _of_mechanism(mechanism: HybridLagrangian) -> list[NamedFormula]:
+    """Return the formulas of a mechanism and its stops."""
     rows = [
         ("the mass matrix", ("mass_matrix", "kinetic"), mechanism.mass_matrix),
         ("the potential", ("potential",), mechanism.potential),
@@ -76,24 +98,46 @@ def named_formulas(system: CompletedSystem) -> tuple[NamedFormula, ...]:
                 words=words, keywords=keywords, formula=ca.SX(formula), owner=stop.name
             )
             found.append(one)
-    if not mechanism.stops:
-        found.append(NamedFormula(words="the gap", keywords=("gap",), formula=system.gap))
-        restitution = ca.SX(system.restitution)
-        found.append(
-            NamedFormula(words="the restitution", keywords=("restitution",), formula=restitution)
-        )
-    for switch in () if system.graph is None else system.graph.switches:
-        for word, formula in (("guard", switch.guard), ("armed", switch.armed)):
-            words = f"`{word}` of the switch `{switch.name}`"
-            one = NamedFormula(
-                words=words, keywords=(word,), formula=ca.SX(formula), owner=switch.name
-            )
-            found.append(one)
-    found += [
+    return found
+
+
+def _of_drive(drive: Drive) -> list[NamedFormula]:
+    """Return the formulas of a drive."""
+    return [
         NamedFormula(words=f"`{name}`", keywords=(name,), formula=entry)
-        for name, entry in system.drive.entries
+        for name, entry in drive.entries
     ]
-    return tuple(found)
+
+
+def undefined_ahead(
+    graph: ModeGraph, sides: tuple[bool, ...], p: ca.SX, states: Sequence[Vector], values: Vector
+) -> str:
+    """Return what ends a flow: a formula of a mode that is infinite or undefined ahead of a state.
+
+    Args:
+        graph: The modes of the machine.
+        sides: The side of every kink.
+        p: Gains and parameters, ``(n_p,)``.
+        states: The state, and states on its tangent in the order of time, each ``(n_x,)``.
+        values: Values of the gains and parameters.
+
+    Returns:
+        A clause that names the formula and the state, or an empty text.
+    """
+    mechanism, drive, _ = graph.on_branch(sides)
+    declared = [*_of_mechanism(mechanism), *_of_drive(drive)]
+    declared += _derivatives(mechanism, drive, declared)
+    inputs = [graph.state, p]
+    known = ca.vertcat(*inputs)
+    for x in states[1:]:
+        for one in declared:
+            place = _first_infinite(one.formula, inputs, x, values, before=states[0])
+            if place is None:
+                continue
+            node, operands = place
+            where = _values_of(node, known, (*states[0], *values))
+            return f"{one.words} is not finite ahead{where}: {_account(node, operands)}"
+    return ""
 
 
 def require_finite(
@@ -120,23 +164,31 @@ def require_finite(
     """
     inputs = [system.state, ca.vertcat(*symbols.values())]
     known = ca.vertcat(*inputs)
-    numbers = {known[k].element_hash(): value for k, value in enumerate([*x, *p])}
     declared = named_formulas(system)
-    derived = _derivatives(system, declared) if with_derivatives else ()
+    mechanism, drive = system.mechanism, system.drive
+    derived = _derivatives(mechanism, drive, declared) if with_derivatives else ()
     for one in (*declared, *derived):
         place = _first_infinite(one.formula, inputs, x, p)
         if place is None:
             continue
         node, operands = place
-        # The formula holds the symbols of the file, which may differ from the names of the states.
-        values = ", ".join(
-            f"{symbol.name()} = {numbers[symbol.element_hash()]:g}" for symbol in symbols_in(node)
-        )
-        where = f" ({values})" if values else ""
+        where = _values_of(node, known, (*x, *p))
         raise one.error(
             f"{one.words} is not finite at start {number}{where}: {_account(node, operands)}",
             operation_name(node.op()),
         )
+
+
+def _values_of(formula: Any, known: ca.SX, values: Sequence[float]) -> str:
+    """Return the values of the symbols of a formula in brackets, or an empty text.
+
+    The formula holds the symbols of the file, which may differ from the names of the states.
+    """
+    numbers = {known[k].element_hash(): value for k, value in enumerate(values)}
+    told = ", ".join(
+        f"{one.name()} = {numbers[one.element_hash()]:g}" for one in symbols_in(formula)
+    )
+    return f" ({told})" if told else ""
 
 
 def _account(node: Any, operands: Sequence[float]) -> str:
@@ -154,12 +206,10 @@ def _account(node: Any, operands: Sequence[float]) -> str:
 
 
 def _derivatives(
-    system: CompletedSystem, declared: Sequence[NamedFormula]
+    mechanism: HybridLagrangian, drive: Drive, declared: Sequence[NamedFormula]
 ) -> tuple[NamedFormula, ...]:
     """Return the derivatives of declared formulas that the equations of motion hold."""
-    q = system.mechanism.q
-    drive = 2 * system.n_q + system.drive.states.numel()
-    fields = system.state[2 * system.n_q : drive]
+    q, fields = mechanism.q, drive.states
     found: list[NamedFormula] = []
     for one in declared:
         by = ca.vertcat(q, fields) if "coenergy" in one.keywords else q
@@ -181,25 +231,38 @@ def _derivatives(
 
 
 def _first_infinite(
-    formula: ca.SX, inputs: list[ca.SX], x: Vector, p: Vector
+    formula: ca.SX, inputs: list[ca.SX], x: Vector, p: Vector, before: Vector | None = None
 ) -> tuple[Any, list[float]] | None:
-    """Return the first operation that is not finite with its operands, or None if there is none."""
+    """Return the first operation that is not finite with its operands, or None if there is none.
+
+    Args:
+        formula: The formula.
+        inputs: Symbols of the state and of the parameters.
+        x: The state.
+        p: Values of the parameters.
+        before: An earlier state. A denominator between zero and its value there counts as zero.
+    """
     function: Any = ca.Function("formula", inputs, [ca.densify(formula)])
-    if np.all(np.isfinite(function(x, p).full())):
-        return None
     made = function.instructions_sx()
     nodes: list[Any] = [
         made[k]
         for k in range(function.n_instructions())
         if function.instruction_id(k) not in (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
     ]
+    if before is None and np.all(np.isfinite(function(x, p).full())):
+        return None
     symbols = function.sx_in()
     for node in nodes:
         parts = [ca.SX(node.dep(k)) for k in range(node.n_dep())]
-        values = ca.Function("node", symbols, [ca.SX(node), ca.vertcat(*parts)])
+        values: Any = ca.Function("node", symbols, [ca.SX(node), ca.vertcat(*parts)])
         result, operands = values(x, p)
+        told = [float(one) for one in operands.full().ravel()]
         if not np.all(np.isfinite(result.full())):
-            return node, [float(one) for one in operands.full().ravel()]
+            return node, told
+        if before is not None and node.op() in (ca.OP_DIV, ca.OP_INV):
+            earlier = values(before, p)[1].full().ravel()
+            if float(earlier[-1]) * told[-1] < 0.0:
+                return node, earlier.tolist()
     return None
 
 

@@ -24,7 +24,7 @@ from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
 from zeno_orbits.model.kinks import branched
 from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.modes import GraphMode, ModeGraph, conditions_of, formulas_of
+from zeno_orbits.model.modes import GraphMode, ModeGraph, formulas_of, kinks_of
 from zeno_orbits.model.stops import Stop, Switch, require_event_names, watched
 from zeno_orbits.model.waveforms import TimeOrder, time_orders
 from zeno_orbits.work import checked
@@ -72,7 +72,7 @@ def hybrid_system(
         if restitution is None:
             raise ValueError("Argument `restitution` is missing: the third one of `hybrid_system`.")
         one = completed(lagrangian, drive, ca.SX(restitution))
-        if switches is None and not conditions_of(one.mechanism, one.drive, one.state):
+        if switches is None and not any(kinks_of(one.mechanism, one.drive, one.state)):
             return one
         return replace(one, graph=graph_of_one_stop(one, switches or ()))
     if restitution is not None and not lagrangian.stops:
@@ -161,12 +161,14 @@ def _graph(
         ca.mtimes([normals, accelerate(part, ca.SX.zeros(one.n_q))[0], normals.T])
         for part in (one.mechanism, mechanism)
     )
+    conditions, roots = kinks_of(mechanism, drive, one.state)
     bare = ModeGraph(
         mechanism=mechanism,
         drive=drive,
         stops=stops,
         switches=switches,
-        conditions=conditions_of(mechanism, drive, one.state),
+        conditions=conditions,
+        roots=roots,
         time_orders=_time_orders(one),
         delassus=delassus,
         coupling=coupling if drive.added_inertia.nnz() else delassus,

@@ -99,6 +99,8 @@ class _Walk:
         gaps: Formulas that are not negative on admissible states.
         conditions: The conditions so far.
         at_zero: For each of them, the side where it is zero on a whole branch.
+        decided: Conditions that are known before the walk.
+        roots: Bases that an event keeps from falling below zero, and the exponents of their powers.
     """
 
     states: ca.SX
@@ -107,6 +109,8 @@ class _Walk:
     gaps: Sequence[ca.SX]
     conditions: list[_Value] = field(default_factory=list[_Value])
     at_zero: list[bool] = field(default_factory=list[bool])
+    decided: Sequence[ca.SX] = ()
+    roots: list[tuple[ca.SX, ca.SX]] = field(default_factory=list["tuple[ca.SX, ca.SX]"])
 
     def number(self, value: float) -> _Value:
         """Return a number."""
@@ -276,25 +280,52 @@ class _Walk:
             return self._length(*parts)
         if operation in _KINKS and varies:
             return self._kinked(operation, parts)
-        if operation in _ROOTS and varies and parts[0].square:
+        if operation in _ROOTS and parts[0].varies:
             return self._root(operation, parts)
         return self.made(operation, parts)
 
     def _root(self, operation: int, parts: Sequence[_Value]) -> _Value:
-        """Return a power of a square times a factor, with the size of the base: a kink."""
-        exponent = 0.5
-        if operation != ca.OP_SQRT:
-            if not parts[1].written.is_constant():
-                return self.made(operation, parts)
-            exponent = float(parts[1].written)
-        if exponent.is_integer():
+        """Return a power, with the size of its base if that is a square times a factor: a kink."""
+        exponent = self.number(0.5) if operation == ca.OP_SQRT else parts[1]
+        is_number = exponent.written.is_constant()
+        if exponent.varies or (is_number and float(exponent.written).is_integer()):
             return self.made(operation, parts)
+        if not (parts[0].square and is_number):
+            return self._power(operation, parts, exponent)
         base, factor = parts[0].square
         size = base if _is_positive(base.written, zero=True) else self.on_branch(ca.OP_FABS, [base])
-        if exponent != 0.5:
-            size = self.made(ca.OP_POW, [size, self.number(2.0 * exponent)])
+        if float(exponent.written) != 0.5:
+            twice = self.number(2.0 * float(exponent.written))
+            size = self.on_branch(ca.OP_POW, [size, twice])
         root = self.made(ca.OP_MUL, [size, self.on_branch(operation, [factor, *parts[1:]])])
         return replace(root, written=_result(operation, [one.written for one in parts]))
+
+    def _power(self, operation: int, parts: Sequence[_Value], exponent: _Value) -> _Value:
+        """Return a power, as an odd function beyond zero if something keeps its base from there.
+
+        A step of the flow may reach beyond the event at which the base is zero.
+        """
+        power, base = self.made(operation, parts), parts[0]
+        is_number = exponent.written.is_constant()
+        if is_number and float(exponent.written) < 0.0:
+            return power
+        is_chosen = not ca.is_equal(base.written, base.smooth, _DEPTH)
+        is_kept = any(_factor(base.written, gap) > 0.0 for gap in self.gaps)
+        is_kept = is_kept or (is_chosen and _is_positive(base.written, zero=True))
+        if not is_kept and all(_factor(base.written, one, -2.0) == 0.0 for one in self.decided):
+            return power
+        turn, size = (self.made(sign, [base]) for sign in (ca.OP_SIGN, ca.OP_FABS))
+        odd = self.made(ca.OP_MUL, [turn, self.made(operation, [size, *parts[1:]])])
+        smooth, slopes = odd.smooth, odd.slopes
+        if not is_number:
+            # A power that turns out to have a pole stays as it is.
+            smooth, slopes = (
+                _picked(exponent.smooth > 0, one, other)
+                for one, other in ((smooth, power.smooth), (slopes, power.slopes))
+            )
+        self.roots.append((base.written, exponent.written))
+        odd = replace(power, smooth=smooth, slopes=slopes)
+        return odd if is_kept else self.chosen(base, power.written, odd, power)
 
     def _require_decided(self, operation: int, parts: Sequence[_Value]) -> None:
         """Refuse an operation that jumps with the states, other than by a comparison.
@@ -440,11 +471,17 @@ def _chosen_reads(
     return {k: _picked(side, first.get(k, none), last.get(k, none)) for k in {*first, *last}}
 
 
-def _factor(formula: ca.SX, gap: ca.SX) -> float:
-    """Return the number of which a formula is the product with a gap, or zero."""
+def _factor(formula: ca.SX, gap: ca.SX, lowest: float = 0.5) -> float:
+    """Return the number of which a formula is the product with a gap, or zero.
+
+    Args:
+        formula: The formula.
+        gap: The gap, or another formula.
+        lowest: Least value of the symbols at which they are compared.
+    """
     symbols = symbols_in(ca.vertcat(formula, gap))
     both: Any = ca.Function("both", symbols, [formula, gap])
-    points = np.random.default_rng(0).uniform(0.5, 2.0, (_POINTS, len(symbols)))
+    points = np.random.default_rng(0).uniform(lowest, 2.0, (_POINTS, len(symbols)))
     pairs = [(float(one), float(h)) for one, h in (both(*point) for point in points.tolist())]
     if not all(map(math.isfinite, chain(*pairs))) or pairs[0][1] == 0.0:
         return 0.0
@@ -552,7 +589,9 @@ def _is_positive(formula: Any, *, zero: bool = False) -> bool:
         return True
     if operation in (ca.OP_SQ, ca.OP_FABS):
         return zero
-    if operation in (ca.OP_ADD, ca.OP_HYPOT, ca.OP_FMAX):
+    if operation == ca.OP_FMAX:
+        return any(_is_positive(one, zero=zero) for one in parts)
+    if operation in (ca.OP_ADD, ca.OP_HYPOT):
         least = operation == ca.OP_HYPOT or all(_is_positive(one, zero=True) for one in parts)
         return least and (zero or any(map(_is_positive, parts)))
     if operation in (ca.OP_MUL, ca.OP_DIV, ca.OP_FMIN, ca.OP_SQRT, ca.OP_TWICE, ca.OP_INV):
@@ -569,11 +608,14 @@ class Branched:
         conditions: The condition of every kink as written.
         smooth: The same conditions on the branch. A condition that may be undefined there, and on
             whose side nothing depends, gets the sign of its side: 1 or -1.
+        roots: Bases of powers, as written, that events keep from falling below zero, with the
+            exponents. On the branch such a power is an odd function of its base.
     """
 
     formulas: tuple[ca.SX, ...]
     conditions: tuple[ca.SX, ...]
     smooth: tuple[ca.SX, ...]
+    roots: tuple[tuple[ca.SX, ca.SX], ...]
 
 
 def is_smooth(formulas: Sequence[ca.SX]) -> bool:
@@ -628,6 +670,7 @@ def branched(
             ca.SX(2 * walk.side_of(k) - 1) if walk.is_read(k, walked).is_zero() else one.smooth
             for k, one in enumerate(walk.conditions)
         ),
+        roots=tuple(walk.roots),
     )
 
 
@@ -665,9 +708,20 @@ def sided(
 def _walked(walk: _Walk, flat: Any) -> list[_Value]:
     """Return the entries of a formula, ``(n,)``."""
     symbols = symbols_in(flat)
-    function = ca.Function("formulas", symbols, [flat], {"cse": True})
+    function: Any = ca.Function("formulas", symbols, [flat], {"cse": True})
+    if _ROOTS & {function.instruction_id(k) for k in range(function.n_instructions())}:
+        first = replace(walk, sides=(), has_slopes=False, conditions=[], at_zero=[], roots=[])
+        _walked_through(first, function, symbols, flat.numel())
+        walk.decided = tuple(one.written for one in first.conditions)
+    return _walked_through(walk, function, symbols, flat.numel())
+
+
+def _walked_through(
+    walk: _Walk, function: Any, symbols: Sequence[ca.SX], n_entries: int
+) -> list[_Value]:
+    """Return the outputs of a function of its symbols, ``(n_entries,)``."""
     work: dict[int, _Value] = {}
-    entries = [walk.number(0.0)] * flat.numel()
+    entries = [walk.number(0.0)] * n_entries
     differentiated = _of_conditions(function) if walk.has_slopes else set[int]()
     for k in range(function.n_instructions()):
         walk.has_slopes = k in differentiated
@@ -676,7 +730,7 @@ def _walked(walk: _Walk, flat: Any) -> list[_Value]:
         if operation == ca.OP_OUTPUT:
             entries[taken[1]] = work[given[0]]
         elif operation == ca.OP_INPUT:
-            work[taken[0]] = walk.symbol(symbols[given[0]])
+            work[taken[0]] = walk.symbol(symbols[int(given[0])])
         elif operation == ca.OP_CONST:
             work[taken[0]] = walk.number(function.instruction_constant(k))
         else:

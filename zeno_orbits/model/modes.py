@@ -29,6 +29,7 @@ class ModeGraph:
         stops: Its stops.
         switches: The declared switches.
         conditions: The conditions of the kinks of its formulas, whose zeros are switches.
+        roots: Bases of powers that events keep from falling below zero, with the exponents.
         time_orders: Orders of the switching times of its piecewise inputs.
         delassus: Delassus matrix :math:`J W J^\top` of all stops.
         coupling: The same without the inertia that a corrected drive adds, which acts only in the
@@ -42,6 +43,7 @@ class ModeGraph:
     stops: tuple[Stop, ...]
     switches: tuple[Switch, ...]
     conditions: tuple[ca.SX, ...]
+    roots: tuple[tuple[ca.SX, ca.SX], ...]
     time_orders: tuple[TimeOrder, ...]
     delassus: ca.SX
     coupling: ca.SX
@@ -62,6 +64,8 @@ class ModeGraph:
             return "no stop"
         if self.switches:
             return "switches"
+        if self.roots and not self.conditions:
+            return "a root that is zero at its stop"
         if self.conditions:
             return "a kink of the state (`fmin`, `fmax`, `fabs`, `sign`, `if_else`, `atan2`)"
         return "stops or switches with names"
@@ -129,8 +133,10 @@ class ModeGraph:
         return [-one.gap if k in beyond else one.gap for k, one in enumerate(self.stops)]
 
 
-def conditions_of(mechanism: HybridLagrangian, drive: Drive, state: ca.SX) -> tuple[ca.SX, ...]:
-    """Return the conditions of the kinks of a machine, as written.
+def kinks_of(
+    mechanism: HybridLagrangian, drive: Drive, state: ca.SX
+) -> tuple[tuple[ca.SX, ...], tuple[tuple[ca.SX, ca.SX], ...]]:
+    """Return the conditions of the kinks of a machine, and its roots at events, as written.
 
     Args:
         mechanism: The mechanism.
@@ -142,9 +148,10 @@ def conditions_of(mechanism: HybridLagrangian, drive: Drive, state: ca.SX) -> tu
     """
     formulas = [*formulas_of(mechanism).values(), *formulas_of(drive).values()]
     if is_smooth(formulas):
-        return ()
+        return (), ()
     gaps = [stop.gap for stop in mechanism.stops] or [mechanism.gap]
-    return branched(formulas, state, gaps=gaps).conditions
+    found = branched(formulas, state, gaps=gaps)
+    return found.conditions, found.roots
 
 
 def formulas_of(part: HybridLagrangian | Drive) -> dict[str, ca.SX]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import (
     ChatterError,
@@ -11,8 +13,28 @@ from zeno_orbits.errors import (
     SimultaneousEventsError,
     SlidingError,
     StepLimitError,
+    StepSizeError,
     counted,
 )
+from zeno_orbits.model import GraphDynamics
+
+
+def flow_ends(error: StepSizeError, graph: GraphDynamics, time: float, kink: str) -> StepSizeError:
+    """Return the error of a flow that cannot be continued, with its cause.
+
+    Args:
+        error: The error of the integrator.
+        graph: The machine.
+        time: When [s].
+        kink: The kink whose condition is zero there, or an empty text.
+    """
+    reason = error.reason
+    undefined = graph.undefined_ahead(np.array(error.state)[: len(graph.state_names)], time)
+    if undefined:
+        reason = f"{reason.partition(': ')[0]}: {undefined.rstrip('.')}"
+    elif kink:
+        reason = f"{reason}; a formula is not differentiable at its own kink `{kink}`"
+    return StepSizeError(reason, time=time, state=error.state)
 
 
 def too_many_steps(most: int, time: float, state: Vector) -> SimulationError:

@@ -51,6 +51,7 @@ from zeno_orbits.simulation.interruptions import (
     coincide,
     does_not_accumulate,
     enters_by_switch,
+    flow_ends,
     leaves_set,
     slides,
     switches_accumulate,
@@ -369,11 +370,8 @@ class ReferenceRun(StopRun):
         guards, rounding, _ = self.graph.guards(x, self.sides)
         n = self.graph.n_declared
         kinks = np.flatnonzero(np.abs(guards[n:]) <= _NEAR_KINK * rounding[n:])
-        reason = error.reason
-        if kinks.size:
-            name = self.graph.switch_names[n + int(kinks[0])]
-            reason = f"{reason}; a formula is not differentiable at its own kink `{name}`"
-        return StepSizeError(reason, time=time, state=error.state)
+        name = self.graph.switch_names[n + int(kinks[0])] if kinks.size else ""
+        return flow_ends(error, self.graph, time, name)
 
     def _followed(
         self, start: ArcStart, flow: FlowWithEvent, natural: Ending, *, on_guard: bool

@@ -455,7 +455,7 @@ def multipliers_of_events(
     others = () if next_one is None else multipliers_of_return(graph, next_one)
     event, section, jacobian = derivative_of_return(graph, found)
     errors = estimated_errors(values, others, _LEAST)
-    if is_one_sided(graph, found):
+    if is_one_sided(graph, found) or _meets_a_root(graph, found):
         errors = (math.inf,) * max(1, len(values))
     return Multipliers(
         values=values,
@@ -464,3 +464,9 @@ def multipliers_of_events(
         section=section,
         event=event,
     )
+
+
+def _meets_a_root(graph: GraphDynamics, found: EventReturn) -> bool:
+    """Return True if a root of a formula has an infinite derivative at an event."""
+    states = (x for event in found.events for x in (state_before(event), state_after(event)))
+    return any(map(graph.has_infinite_slope, states))

@@ -15,6 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import FlowWithEvent
+from zeno_orbits.model.domains import undefined_ahead
 from zeno_orbits.model.graph import guard_and_flow, system_of_stop
 from zeno_orbits.model.modes import GraphMode, ModeGraph
 from zeno_orbits.model.numeric.binding import bind
@@ -38,6 +39,11 @@ _ZERO = 1e-12
 """Part of a switch's size below which its guard counts as zero."""
 _EQUAL = 1e-9
 """Relative difference below which two stops are one."""
+_AHEAD, _ROUNDING, _ROUNDINGS = 1e-9, 1e-8, 100.0
+"""Part of its own time, and roundings of time, within which a flow that cannot be continued ends.
+
+The second one is the shortest part of this at which its formulas are evaluated.
+"""
 
 
 _Stop = tuple[GraphMode, int]
@@ -97,7 +103,7 @@ class CompiledGraph:
             rate = ca.jtimes(value, state, flow)
             watched = ca.vertcat(value, rate, ca.jtimes(rate, state, flow))
             self._guards[key] = mode_functions(
-                f"switch{switch}", state, self._parameters, flow, watched[:2], watched=watched
+                f"switch{switch}", state, self.parameters, flow, watched[:2], watched=watched
             )
         return self._guards[key]
 
@@ -115,7 +121,7 @@ class CompiledGraph:
         armed = ca.vertcat(*(ca.SX(one.armed) for one in graph.switches))
         guards = ca.vertcat(declared, *conditions)
         every = ca.vertcat(ca.jacobian(declared, graph.state), *slopes)
-        inputs = [graph.state, self._parameters, size, sides]
+        inputs = [graph.state, self.parameters, size, sides]
         return dense_function("switches", inputs, [guards, ca.mtimes(ca.fabs(every), size), armed])
 
     def gradient(self, sides: tuple[bool, ...], switch: int) -> ca.Function:
@@ -128,13 +134,13 @@ class CompiledGraph:
         key = (sides, switch)
         if key not in self._gradients:
             guard = self.graph.guard(sides, switch)
-            self._gradients[key] = self._derivative("guard", guard, self._parameters)
+            self._gradients[key] = self._derivative("guard", guard, self.parameters)
         return self._gradients[key]
 
     @cached_property
     def reset_derivatives(self) -> tuple[ca.Function, ...]:
         """``(x, p) -> (x after it, its derivatives with respect to x and p)``, one per switch."""
-        return tuple(self._derivative("reset", one, self._parameters) for one in self.graph.resets)
+        return tuple(self._derivative("reset", one, self.parameters) for one in self.graph.resets)
 
     def _derivative(self, name: str, formula: ca.SX, p: ca.SX) -> ca.Function:
         x = self.graph.state
@@ -150,13 +156,22 @@ class CompiledGraph:
         # The largest time is the period of the clock.
         apart = LEAST_PART * ca.mmax(upper)
         least = ca.vertcat(*(one.lower + apart for one in orders))
-        return dense_function("times", [self._parameters], [lower, upper, least])
+        return dense_function("times", [self.parameters], [lower, upper, least])
+
+    @cached_property
+    def roots(self) -> ca.Function:
+        """``(x, p, sizes) -> (bases, their sizes, exponents)`` of the roots that events keep."""
+        x, size = self.graph.state, ca.SX.sym("size", self.graph.state.numel())
+        bases = ca.vertcat(*(base for base, _ in self.graph.roots))
+        exponents = ca.vertcat(*(exponent for _, exponent in self.graph.roots))
+        sizes = ca.mtimes(ca.fabs(ca.jacobian(bases, x)), size)
+        return dense_function("roots", [x, self.parameters, size], [bases, sizes, exponents])
 
     @cached_property
     def delassus(self) -> ca.Function:
         """``(x, p) -> J W J^T`` of all stops."""
         return dense_function(
-            "delassus", [self.graph.state, self._parameters], [self.graph.delassus]
+            "delassus", [self.graph.state, self.parameters], [self.graph.delassus]
         )
 
     @cached_property
@@ -170,16 +185,17 @@ class CompiledGraph:
     @cached_property
     def delassus_derivative(self) -> ca.Function:
         """``(x, p) -> (J W J^T, its derivatives with respect to x and p)``, by its columns."""
-        return self._derivative("delassus", ca.vec(self.graph.delassus), self._parameters)
+        return self._derivative("delassus", ca.vec(self.graph.delassus), self.parameters)
 
     @cached_property
     def resets(self) -> tuple[ca.Function, ...]:
         """``(x, p) -> x`` after every declared switch."""
-        inputs = [self.graph.state, self._parameters]
+        inputs = [self.graph.state, self.parameters]
         return tuple(dense_function("reset", inputs, [one]) for one in self.graph.resets)
 
     @property
-    def _parameters(self) -> ca.SX:
+    def parameters(self) -> ca.SX:
+        """Symbols of gains and parameters, ``(n_p,)``."""
         return ca.vertcat(*self.symbols.values())
 
 
@@ -469,6 +485,50 @@ class GraphDynamics:
         _, by_x, by_p = self.compiled.delassus_derivative(x, self.p)
         by = np.concatenate([by_x.full(), by_p.full()[:, list(chosen)]], axis=1)
         return by.reshape(n, n, -1)
+
+    def has_infinite_slope(self, x: Vector) -> bool:
+        """Return True if a root of a formula has an infinite derivative at a state, to rounding.
+
+        Args:
+            x: The state, ``(n_x,)``.
+        """
+        if not self.compiled.graph.roots:
+            return False
+        found = self.compiled.roots(x, self.p, self.own.states(x.size) + np.abs(x))
+        bases, sizes, exponents = (one.full().ravel() for one in found)
+        return bool(np.any((np.abs(bases) <= _EQUAL * sizes) & (exponents < 1.0)))
+
+    def undefined_ahead(self, x: Vector, time: float) -> str:
+        """Return what ends a flow at a state: a formula that is infinite or undefined ahead.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            time: Time there, whose rounding the flow cannot resolve [s].
+
+        Returns:
+            A clause that names the formula and the state, or an empty text.
+        """
+        closed = [k for k, view in enumerate(self.open_views) if self._rests(view, x)]
+        own = self.own.time
+        reach = own * _AHEAD + _ROUNDINGS * float(np.spacing(abs(time)))
+        for before in (True, False):
+            sides = self.sides_at(x, (before,) * len(self.open_mode[1]))
+            mode = tuple(closed) if self.stop_names else (), sides
+            rate = self.flow(mode).rate(x)[: x.size]
+            steps = np.geomspace(reach * _ROUNDING, reach, 9)
+            ahead = [x + step * rate for step in steps] if np.all(np.isfinite(rate)) else [x]
+            told = undefined_ahead(
+                self.compiled.graph, sides, self.compiled.parameters, [x, *ahead], self.p
+            )
+            if told:
+                return told
+        return ""
+
+    def _rests(self, view: HybridDynamics, x: Vector) -> bool:
+        """Return True if a stop is closed at a state, to rounding."""
+        own = view.own
+        is_slow = abs(view.gap_rate(x)) <= _EQUAL * own.gap / own.time
+        return is_slow and abs(view.gap(x)) <= _EQUAL * own.gap
 
     def equal_stops(self, x: Vector) -> tuple[str, str] | None:
         """Return two stops that are one at a state: equal gaps that the same motion closes."""

@@ -40,6 +40,11 @@ class OneStop(GraphDynamics):
         del mode, stop
         return self._dynamics
 
+    def undefined_ahead(self, x: Vector, time: float) -> str:
+        """Return an empty text: the formulas of a hand-written model are unknown."""
+        del x, time
+        return ""
+
     def delassus(self, x: Vector) -> Vector:
         r"""Return :math:`J W J^\top` of the stop, ``(1, 1)``."""
         return np.array([[1.0 / self._dynamics.normal_inertia(x)]])

@@ -235,8 +235,9 @@ def recovery_words(found: Stability) -> list[str]:
         lines.append("The errors of the multipliers leave open whether a disturbance decays.")
     if not found.closes:
         lines.append(
-            "The motion does not return to its start (`verify` measures by how much), or a kink at "
-            "which the flow jumps is crossed at the time of another event."
+            "The motion does not return to its start (`verify` measures by how much), a kink at "
+            "which the flow jumps is crossed at the time of another event, or a root has an "
+            "infinite derivative at an event."
         )
     return lines
 

@@ -17,6 +17,7 @@ from zeno_orbits.simulation.interruptions import (
     does_not_close,
     enters_by_reset,
     enters_by_switch,
+    flow_ends,
     grows_without_end,
     leaves_set,
     runs_away,
@@ -41,10 +42,9 @@ def interruption(task: SimulationTask, status: int, told: Detail) -> SimulationE
         told: Its details.
     """
     error = {**_of_flows(task, told), **_of_events(task, told)}[status]()
-    if isinstance(error, StepSizeError) and told.index >= 0:
-        kink = task.graph.switch_names[told.index]
-        text = f"{error.reason}; a formula is not differentiable at its own kink `{kink}`"
-        return StepSizeError(text, time=error.time, state=error.state)
+    if isinstance(error, StepSizeError):
+        kink = task.graph.switch_names[told.index] if told.index >= 0 else ""
+        return flow_ends(error, task.graph, told.time, kink)
     return error
 
 
