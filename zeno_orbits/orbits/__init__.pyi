@@ -51,6 +51,7 @@ from .events.section import kept_section as kept_section
 from .events.section import start_by_parameters as start_by_parameters
 from .events.section import fall_at as fall_at
 from .events.section import largest_states as largest_states
+from .events.section import time_blur as time_blur
 from .events.section import on_section as on_section
 from .events.section import settles_at as settles_at
 from .events.section import shortest_return as shortest_return

@@ -41,6 +41,7 @@ from zeno_orbits.orbits import (
     other_equations,
     relaxed_tolerance,
     sequence_of,
+    time_blur,
 )
 from zeno_orbits.simulation import (
     Arc,
@@ -201,15 +202,21 @@ def _observe(
     if not periods:
         return _Observation(periods=(), trouble=trouble, residuals=residuals)
     first, scale = periods[0], largest_states(periods[0].arcs, graph)
+    blur = time_blur(first.arcs, graph, orbit.period)
+
+    def beyond_rounding(miss: float) -> float:
+        return max(0.0, miss - blur)
+
     residuals |= {
-        "events": _miss(orbit, said, first, scale),
-        "closure": _distance(first.state, start, scale),
-        "period": abs(first.end - orbit.period) / orbit.period,
+        "events": beyond_rounding(_miss(orbit, said, first, scale)),
+        "closure": beyond_rounding(_distance(first.state, start, scale)),
+        "period": beyond_rounding(abs(first.end - orbit.period) / orbit.period),
         **_impact_laws(graph, first),
         **_sampled(graph, first),
     }
     if len(periods) == settings.n_periods > 1:
-        residuals["drift"] = max(_distance(one.state, start, scale) for one in periods)
+        drift = max(_distance(one.state, start, scale) for one in periods)
+        residuals["drift"] = beyond_rounding(drift)
 
     def difference(looser: SimulationSettings) -> float:
         others, _ = _periods(graph, orbit, start, looser, 1)
