@@ -125,7 +125,7 @@ def longest_flight(sequences: Sequence[OrbitSequence], period: float) -> float:
     """
     begins = sorted(one.impacts[0] for one in sequences)
     free = [
-        (min((b - one.end) % period for b in begins) or period)
+        min((b - one.end) % period or period for b in begins)
         for one in sequences
         if one.zeno is None or one.release is not None
     ]

@@ -22,6 +22,7 @@ from zeno_orbits.experiment.comparison.contact_fit import ContactFit, fit_contac
 from zeno_orbits.experiment.comparison.contact_gaps import contradictions
 from zeno_orbits.experiment.comparison.deviations import N_BINS, Deviations, deviations
 from zeno_orbits.experiment.comparison.estimate import Estimate
+from zeno_orbits.experiment.comparison.event_contacts import coarse_channel
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
 from zeno_orbits.experiment.comparison.gap_samples import stop_level
 from zeno_orbits.experiment.comparison.metrics import (
@@ -242,6 +243,10 @@ def _compared(orbit: ZenoOrbit | EventOrbit, problem: Problem, recording: Record
         few = f"samples are {step:.3g} s apart, and the orbit's period is {orbit.period:.4g} s: "
         few += f"record {_FEWEST_SAMPLES:g} or more per period"
         return replace(begun, unresolved=(few,), remarks=tuple(remarks))
+    # Channels that miss contacts show no period, though the motion may have one.
+    missed = () if names else tuple(_missed(orbit, recording.time, channels))
+    if missed and (overlay is None or not overlay.holds):
+        return replace(begun, overlay=overlay, unresolved=missed, remarks=tuple(remarks))
     if overlay is None:
         whole = recording.time[-1] - recording.time[0]
         reason = f"no period is seen in {whole:.4g} s, and the orbit's is {orbit.period:.4g} s: "
@@ -283,6 +288,20 @@ def _compared(orbit: ZenoOrbit | EventOrbit, problem: Problem, recording: Record
     few = tuple(_few_samples(compared, overlay))
     unseen = seen.unseen if compared.differences else ()
     return replace(compared, unresolved=(*seen.unresolved, *unseen, *few))
+
+
+def _missed(
+    orbit: ZenoOrbit | EventOrbit, time: Vector, channels: Mapping[str, Vector]
+) -> Iterator[str]:
+    """Yield why the channels of stops without a lasting contact may miss contacts."""
+    if isinstance(orbit, ZenoOrbit):
+        return
+    for stop, row in channels.items():
+        if f"zeno {stop}" in orbit.sequence:
+            continue
+        found = coarse_channel(time, row, stop)
+        if found:
+            yield found
 
 
 def _period_of(found: Periodicity) -> Estimate:

@@ -103,6 +103,22 @@ def seen_contacts(time: Vector, channel: Vector) -> list[SeenContact]:
     ]
 
 
+def is_coarse(contacts: Sequence[SeenContact], step: float) -> bool:
+    """Return True if samples may miss contacts: there is none, or one or a gap has one sample.
+
+    Args:
+        contacts: The contacts in order of time.
+        step: Time between two samples [s].
+    """
+    whole = [one.samples for one in contacts if one.begin is not None and one.end is not None]
+    apart = [
+        round((after.begin.low - before.end.high) / step) + 1
+        for before, after in pairwise(contacts)
+        if before.end is not None and after.begin is not None
+    ]
+    return not contacts or min([*whole, *apart], default=_FEWEST) < _FEWEST
+
+
 def seen_sequences(
     contacts: Sequence[SeenContact], time: Vector, longest_flight: float, step: float
 ) -> list[SeenSequence]:

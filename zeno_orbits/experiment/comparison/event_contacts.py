@@ -13,6 +13,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.contact_edges import (
     Edge,
     SeenSequence,
+    is_coarse,
     mean_of,
     period_of_edges,
     seen_contacts,
@@ -27,6 +28,8 @@ _ALIKE = 2.0
 """Samples by which a flight and a contact may differ, so that sampling decides what is seen."""
 _DOUBLED = 4.0
 """Standard errors beyond the sampling from which every other cycle differs."""
+_PHASE = 0.01
+"""Deviation of a first contact from its mean phase, in periods, with which contacts repeat."""
 _SHARE = 0.25
 """Part of the orbit's contact phase that a lasting contact lasts at least."""
 
@@ -42,6 +45,9 @@ class _Stop:
         cycles: Number of the cycle of each.
         others: Number of recorded sequences that fit none of the orbit's.
         n_contacts: Number of contacts in the recording.
+        coarse: Why its samples may miss contacts, or no text. Contacts of a stop at which impacts
+            accumulate are judged sequence by sequence.
+        lasts: Usual duration of a contact [s].
     """
 
     name: str
@@ -50,11 +56,13 @@ class _Stop:
     cycles: tuple[tuple[int, ...], ...]
     others: int
     n_contacts: int
+    coarse: str = ""
+    lasts: float = 0.0
 
     @property
     def silence(self) -> str:
         """The reason against the orbit if no contact is recorded, else no text."""
-        return "" if self.n_contacts else f"the contact `{self.name}` never closes"
+        return "" if self.n_contacts or self.coarse else f"the contact `{self.name}` never closes"
 
     def labels(self) -> list[str]:
         """Return the names of its sequences."""
@@ -111,6 +119,20 @@ class SeenEvents:
             span=float(time[-1] - time[0]),
         )
 
+    @property
+    def repeats(self) -> bool:
+        """True if every sequence begins at one phase of the period, but for the sampling."""
+        if not self.period.known or any(stop.others for stop in self.stops):
+            return False
+        most = self.step + _PHASE * self.period.value
+        sequences = [
+            np.array([one.begins[0].middle for one in found])
+            - np.array(numbers) * self.period.value
+            for stop in self.stops
+            for found, numbers in zip(stop.seen, stop.cycles, strict=True)
+        ]
+        return bool(sequences) and all(len(x) > 2 and np.std(x) < most for x in sequences)
+
     def offset(self, start: float, period: float) -> Estimate:
         """Return the mean delay of first impacts against a start of the orbit's period."""
         late = [
@@ -134,6 +156,9 @@ class SeenEvents:
         reasons: list[str] = []
         unresolved: list[str] = []
         for stop in self.stops:
+            if stop.coarse:
+                unresolved.append(stop.coarse)
+                continue
             parts = zip(stop.labels(), stop.orbit, stop.seen, stop.cycles, strict=True)
             for label, sequence, found, numbers in parts:
                 against, open_ = self._finding(stop, label, sequence, found, partly)
@@ -153,6 +178,9 @@ class SeenEvents:
     ) -> tuple[list[str], list[str]]:
         if stop.silence:
             return [stop.silence], []
+        if not found and self._apart(stop, sequence) < stop.lasts + _ALIKE * self.step:
+            flight = f"a flight beside `{label}` lasts {self._apart(stop, sequence):.3g} s"
+            return [], [f"{flight} in the orbit, and a contact {stop.lasts:.3g} s, which hides it"]
         if not found:
             what = f"no whole sequence of contacts of `{label}` is seen in {self.span:.4g} s"
             return ([], [what]) if self.span < 2.5 * self.orbit_period else ([what], [])
@@ -183,6 +211,12 @@ class SeenEvents:
             if len(lengths) > 1 and np.any(np.diff(lengths) > 2 * self.step):
                 return [f"the bounces of `{label}` do not become shorter"], []
         return [], []
+
+    def _apart(self, stop: _Stop, sequence: OrbitSequence) -> float:
+        """Return the time from a sequence of the orbit to the next one before or after it [s]."""
+        begin, period = sequence.impacts[0], self.orbit_period
+        away = [abs(one.impacts[0] - begin) % period for one in stop.orbit if one is not sequence]
+        return min((min(one, period - one) for one in away), default=period)
 
     def _alternates(self, found: Sequence[SeenSequence], numbers: NDArray[np.int64]) -> bool:
         """Return True if the first contacts of even and odd cycles are at different phases.
@@ -239,15 +273,31 @@ def _stop(
     step: float,
 ) -> _Stop:
     contacts = seen_contacts(time, channel)
+    lengths = [
+        one.end.middle - one.begin.middle
+        for one in contacts
+        if one.begin is not None and one.end is not None
+    ]
     longest = longest_flight(sequences, orbit_period) * period / orbit_period
     found = seen_sequences(contacts, time, longest, step)
+    coarse = (
+        ""
+        if any(one.zeno is not None for one in sequences)
+        else coarse_channel(time, channel, name)
+    )
     begins: Vector = np.array([one.begins[0].middle for one in found])
     first_impacts: Vector = np.array([one.impacts[0] for one in sequences])
     own: Vector = first_impacts * (period / orbit_period)
     if not found:
         none = tuple(() for _ in sequences)
         return _Stop(
-            name=name, orbit=sequences, seen=none, cycles=none, others=0, n_contacts=len(contacts)
+            name=name,
+            orbit=sequences,
+            seen=none,
+            cycles=none,
+            others=0,
+            n_contacts=len(contacts),
+            coarse=coarse,
         )
     # The distances between first impacts tell which sequence of the orbit is which.
     best, kinds, numbers = math.inf, np.zeros(len(found), dtype=np.int64), np.zeros(len(found))
@@ -270,6 +320,26 @@ def _stop(
         cycles=tuple(tuple(one) for one in cycles),
         others=twice,
         n_contacts=len(contacts),
+        coarse=coarse,
+        lasts=float(np.median(lengths)) if lengths else 0.0,
+    )
+
+
+def coarse_channel(time: Vector, channel: Vector, name: str) -> str:
+    """Return why the samples of a contact channel may miss contacts, or no text.
+
+    Args:
+        time: Times of the samples, ``(n_t,)`` [s].
+        channel: 1 in contact and 0 off the stop, NaN where a sample is missing, ``(n_t,)``.
+        name: Name of the stop.
+    """
+    contacts, step = seen_contacts(time, channel), float(np.median(np.diff(time)))
+    if not is_coarse(contacts, step):
+        return ""
+    seen = "a contact or flight has 1 sample" if contacts else "none is seen"
+    return (
+        f"contacts of `{name}` cannot be decided: {seen}, samples are {step:.3g} s apart, and "
+        "shorter ones may be missed"
     )
 
 

@@ -71,7 +71,12 @@ class Overlay:
         """True if phases mean something: signals repeat and no unit or sign is mistaken."""
         mistaken = any(one.suspicion for one in self.where.likeness)
         mistaken = mistaken or bool(self.where.time_suspicion or self.where.swapped)
-        return self.found.repeats >= _REPEATS and not mistaken
+        return self.repeats and not mistaken
+
+    @property
+    def repeats(self) -> bool:
+        """True if signals repeat, or the edges of channels alone: no harmonics fit contacts."""
+        return self.found.repeats >= _REPEATS or (not self.names and self.seen.repeats)
 
     @property
     def alternates(self) -> bool:
@@ -94,7 +99,7 @@ class Overlay:
         """
         found, ratio = self.found, self.found.period / self.table.period
         reasons: list[str] = []
-        if found.repeats < _REPEATS:
+        if not self.repeats:
             reasons.append(f"only {100 * found.repeats:.0f} % of the signals' variance repeats")
         if self.where.time_suspicion:
             asked = f"probably {self.where.time_suspicion}, correct its unit"

@@ -1,0 +1,110 @@
+"""Recordings by contact channels alone of a mass that bounces between two walls without resting.
+
+One turn of the clock has three impacts on the left wall and one on the right one. Contacts of a
+given duration begin at the impacts of a simulation.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.one_mass import Motion, one_mass
+from zeno_orbits.experiment import (
+    Comparison,
+    ComparisonVerdict,
+    RecordedSignal,
+    Recording,
+    Source,
+    compare_recording,
+)
+
+WALLS = ("left", "right")
+THREE = {"omega": 2.17, "A": 1.32, "d": 0.02, "e": 0.31}
+ONE = {"omega": 2.17, "A": 1.58, "d": 0.6, "e": 0.89}
+
+
+def _force(m: Motion) -> ca.SX:
+    return m.p["A"] * m.cosine - m.x - 0.1 * m.v
+
+
+def _stops(m: Motion) -> tuple[zo.Stop, ...]:
+    places = (m.x + m.p["d"], 0.4 - m.x)
+    return tuple(
+        zo.Stop(name=name, gap=gap, restitution=m.p["e"])
+        for name, gap in zip(WALLS, places, strict=True)
+    )
+
+
+PROBLEM = one_mass(
+    _force,
+    stops=_stops,
+    start={"x": 0.1, "v": 0.0, "cosine": 1.0},
+    omega=2.17,
+    A=1.32,
+    d=0.02,
+    e=0.31,
+)
+
+
+@cache
+def _orbit(one: bool) -> zo.EventOrbit:
+    return zo.find_event_orbit(PROBLEM, parameters=ONE if one else THREE)
+
+
+def _recording(step: float, duration: float, *, one: bool = False) -> Recording:
+    """Return the channels of both walls over twelve periods, with contacts of a duration [s]."""
+    orbit = _orbit(one)
+    until = 13.0 * orbit.period
+    motion = zo.simulate(PROBLEM, start=orbit.start_state, until=until, parameters=orbit.parameters)
+    time = np.arange(0.3 * orbit.period, 12.3 * orbit.period, step)
+    signals: list[RecordedSignal] = []
+    for name in WALLS:
+        begins = np.array([impact.time for impact in motion.impacts if impact.stop == name])
+        late = np.subtract.outer(time, begins)
+        closed = np.any((late >= 0.0) & (late < duration), axis=1)
+        signals.append(
+            RecordedSignal(name=f"contact.{name}", unit="1", values=closed.astype(float))
+        )
+    return Recording(source=Source.SIMULATED, problem="one_mass", time=time, signals=tuple(signals))
+
+
+def _compared(recording: Recording) -> Comparison:
+    return compare_recording(_orbit(False), PROBLEM, recording)
+
+
+def test_the_orbits_have_three_impacts_and_one_on_the_left_wall() -> None:
+    counts = [[_orbit(one).sequence.count(f"impact {name}") for name in WALLS] for one in (0, 1)]
+    assert counts == [[3, 1], [1, 1]]
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.05])
+def test_impacts_at_unlike_intervals_on_one_wall_show_the_orbit(seconds: float) -> None:
+    found = _compared(_recording(0.0097, seconds))
+    assert found.verdict is ComparisonVerdict.THIS_ORBIT, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("one", [False, True])
+@pytest.mark.parametrize("samples", [9, 17.37, 60.37])
+def test_contacts_shorter_than_a_sample_decide_nothing(samples: float, one: bool) -> None:
+    step = _orbit(one).period / samples
+    for part in (0.02, 0.5, 0.95):
+        found = _compared(_recording(step, part * step, one=one))
+        assert found.verdict is ComparisonVerdict.UNDECIDED, (part, found)
+        assert "shorter ones may be missed" in found.unresolved[0]
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.05])
+def test_another_number_of_impacts_is_not_this_orbit(seconds: float) -> None:
+    assert not _compared(_recording(0.0097, seconds, one=True)).agrees
+
+
+def test_flights_that_a_contact_hides_decide_nothing() -> None:
+    """The shortest flight of the orbit lasts 0.27 s."""
+    found = _compared(_recording(0.0097, 0.3))
+    assert found.verdict is ComparisonVerdict.UNDECIDED, found
