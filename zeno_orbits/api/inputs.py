@@ -19,8 +19,15 @@ from zeno_orbits.errors import (
     number_range,
     shown,
 )
-from zeno_orbits.model import Problem, ProblemFile, locate_problem, recorded_problem
+from zeno_orbits.model import (
+    Problem,
+    ProblemFile,
+    locate_problem,
+    recorded_problem,
+    require_zeno_points,
+)
 from zeno_orbits.orbits import (
+    ZENO_ORBIT,
     EventOrbit,
     ZenoOrbit,
     other_equations,
@@ -137,13 +144,33 @@ def problem_of(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> P
         problem: The orbit's problem, required if it is neither bundled nor found.
 
     Raises:
-        InputError: If the given problem is not the orbit's, or no problem is given and the orbit's
-            is neither bundled nor found (`RecordedFile.trusted`).
+        InputError: If the given problem is not the orbit's, no problem is given and the orbit's is
+            neither bundled nor found (`RecordedFile.trusted`), or impacts accumulate in the orbit
+            at a stop that is elastic.
     """
     found = problem_to_check(orbit, problem)
+    _require_zeno_points(orbit, found)
     if other := other_equations(orbit.problem_digest, found):
         warnings.warn(f"{other[0].upper()}{other[1:]}.", EquationsWarning, stacklevel=2)
     return found
+
+
+def _require_zeno_points(orbit: ZenoOrbit | EventOrbit, problem: Problem) -> None:
+    """Refuse an orbit whose impacts accumulate at an elastic stop.
+
+    Raises:
+        InputError: If a restitution is 1 there.
+    """
+    values = orbit.values(problem)
+    if isinstance(orbit, ZenoOrbit):
+        if not orbit.shape.without_contact:
+            require_zeno_points(problem.first_system(values).restitution)
+        return
+    if orbit.kind == ZENO_ORBIT:
+        graph = problem.graph_dynamics(values)
+        for name, view in zip(graph.stop_names, graph.open_views, strict=False):
+            if f"zeno {name}" in orbit.sequence:
+                require_zeno_points(view.restitution, name)
 
 
 def problem_to_check(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> Problem:

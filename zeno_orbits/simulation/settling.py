@@ -24,6 +24,8 @@ _FEW = 24
 """Impacts below which nothing is concluded from them."""
 _QUARTERS, _GROWS = 4, 1.02
 """Parts of the time, and the factor by which a growing motion is faster in each."""
+_STRIDES, _STEADY = 4, 0.1
+"""Impacts of a period in the search for a drift, and the relative spread of a steady change."""
 _TURNS = 32
 """Longest period in the search for motions without impacts, in turns of the clock."""
 _REGULAR = 1e-3
@@ -132,6 +134,22 @@ class MotionLog:
             slowest=min(self.speeds[-n:]),
         )
 
+    def drift(self) -> float:
+        """Return the steady change of the speed of impacts, relative and per impact, else zero.
+
+        An orbit is approached by smaller and smaller changes. Elastic impacts have none.
+        """
+        speeds = np.array([-impact.approach_rate for _, impact in self.impacts])
+        if len(speeds) < _FEW or not np.all(speeds > 0.0):
+            return 0.0
+        logarithms = np.log(speeds)
+        for n in range(1, _STRIDES + 1):
+            change = (logarithms[n:] - logarithms[:-n]) / n
+            mean = float(np.mean(change))
+            if abs(mean) > _ERROR and np.ptp(change) < _STEADY * abs(mean):
+                return mean
+        return 0.0
+
     def grows(self, time: float) -> bool:
         """Return True if the impacts become faster from each quarter of the time to the next."""
         if len(self.speeds) < _FEW:
@@ -177,12 +195,16 @@ def verdict(
         time: Duration of the simulation [s].
         close: Relative change over a period that counts as zero.
     """
-    cycle = log.cycle(close)
-    if cycle is not None:
+    cycle, drift = log.cycle(close), log.drift()
+    if cycle is not None and not drift:
         turns = turns_in(dynamics, state, cycle.period)
         return AttractorVerdict(kind=AttractorKind.REPEATS, cycle=cycle, turns=turns)
     if log.grows(time):
         return AttractorVerdict(kind=AttractorKind.GROWS)
+    if drift:
+        word = "slower" if drift < 0.0 else "faster"
+        reason = f"its impacts become steadily {word}, by {abs(drift):.1g} of their speed each"
+        return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason=reason)
     struck = bool(log.times) and log.times[-1] > time / 2
     settings = transient_settings(_ERROR)
     try:

@@ -166,7 +166,7 @@ def verify_events(
     if known.spectral_radius >= 1.0:
         residuals.pop("drift", None)
         trouble = "" if periods else trouble
-    trouble = other_equations(orbit.problem_digest, problem) or trouble
+    trouble = other_equations(orbit.problem_digest, problem) or _elastic(orbit, graph) or trouble
     errors = [one.limit_error for one in _of_kind(periods, ZenoPoint)]
     return OrbitCertificate(
         tolerance=settings.tolerance,
@@ -187,6 +187,14 @@ def verify_events(
         events=orbit.sequence,
         quantities=quantities,
     )
+
+
+def _elastic(orbit: EventOrbit, graph: GraphDynamics) -> str:
+    """Return a clause about a Zeno point at a stop whose restitution is 1, or an empty text."""
+    for name, view in zip(graph.stop_names, graph.open_views, strict=False):
+        if view.restitution == 1.0 and f"zeno {name}" in orbit.sequence:
+            return f"elastic impacts have no Zeno point, but the orbit has the event `zeno {name}`"
+    return ""
 
 
 def _observe(
