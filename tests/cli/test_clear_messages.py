@@ -217,10 +217,25 @@ EVENTS: Mapping[str, tuple[str, ...]] = {
 
 
 @pytest.mark.parametrize("label", EVENTS)
-def test_an_orbit_of_events_is_refused_with_the_commands_that_take_it(label: str) -> None:
+def test_an_orbit_of_further_modes_is_refused_with_the_cause_and_the_other_commands(
+    label: str,
+) -> None:
     zo.write_event_orbit(zo.find_event_orbit("hopper"), "event.json")
-    kind = "it holds an orbit of events of `hopper`, and an orbit of one stop without switches"
+    kind = "one flow off the stop and one on it are needed here, but `hopper` has "
     assert_refused(ask(*EVENTS[label]), f"{label}{kind}", "`verify`, `stability`, `continue`,")
+
+
+@pytest.mark.parametrize(
+    ("problem", "cause"),
+    [
+        ("clapper", "has several stops"),
+        ("limited_pendulum", "has a kink of the state"),
+        ("hopper", "has "),
+    ],
+)
+def test_a_study_names_what_a_machine_of_further_modes_has(problem: str, cause: str) -> None:
+    told = f"one flow off the stop and one on it are needed here, but `{problem}` {cause}"
+    assert_refused(ask("work-precision", problem), told)
 
 
 BROKEN: Mapping[str, tuple[Any, str]] = {

@@ -59,6 +59,9 @@ def _law(seed: int) -> Law:
             lambda: lines(some()),
             lambda: ca.tanh(some()),
             lambda: 0.5 * ca.copysign(some(), x[4] + number() / 2),
+            lambda: ca.fmin(ca.fmax(some() + number() / 2, 0), 2) ** 1.5,
+            lambda: ca.sqrt(ca.fabs(some() + number() / 2)),
+            lambda: ca.if_else(x[0] > number() / 4, ca.fabs(some()) ** 1.3, number()),
         ]
         for k in random.integers(len(made), size=int(random.integers(4, 11))):
             nodes += [made[int(k)]()]

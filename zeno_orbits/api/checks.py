@@ -92,7 +92,7 @@ def prove(
     from zeno_orbits.proof import ProofSettings
     from zeno_orbits.proof import prove_orbit as proved
 
-    orbit = as_orbit(orbit)
+    orbit = as_orbit(orbit, problem)
     known = problem_to_check(orbit, problem)
     if radius is not None:
         radius = positive_number("radius", radius)
@@ -132,7 +132,7 @@ def enclose_period(
     from zeno_orbits.proof import EnclosureSettings
     from zeno_orbits.proof import enclose_one_period as enclosed
 
-    orbit = as_orbit(orbit)
+    orbit = as_orbit(orbit, problem)
     known = problem_to_check(orbit, problem)
     settings = EnclosureSettings(
         radius=None if radius is None else positive_number("radius", radius),

@@ -257,19 +257,28 @@ def file_of(problem: Named) -> ProblemFile:
     return file
 
 
-def as_orbit(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
+def as_orbit(orbit: ZenoOrbit | EventOrbit | str | Path, problem: Named | None = None) -> ZenoOrbit:
     """Return the orbit of one stop given by a file, or the orbit itself.
 
+    Args:
+        orbit: The orbit, or its file.
+        problem: The problem that is given beside it.
+
     Raises:
-        InputError: If the file holds an orbit of events.
+        InputError: If the orbit passes further modes. The message names the cause.
     """
     found = any_orbit(orbit)
     if isinstance(found, ZenoOrbit):
         return found
+    try:
+        reason = problem_to_check(found, problem).modes_reason
+    except InputError:
+        reason = ""
+    name = f"Orbit file `{orbit}`" if isinstance(orbit, str | Path) else "Argument `orbit`"
     raise InputError(
-        f"Orbit file `{orbit}`: it holds an orbit of events of `{found.problem}`, and an orbit of "
-        "one stop without switches is needed here. `verify`, `stability`, `continue`, `push`, "
-        "`recovery`, `plot` and `report` take orbits of events."
+        f"{name}: one flow off the stop and one on it are needed here, but `{found.problem}` has "
+        f"{reason or 'further modes'}. `verify`, `stability`, `continue`, `push`, `recovery`, "
+        "`plot` and `report` take this orbit."
     )
 
 

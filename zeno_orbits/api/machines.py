@@ -231,7 +231,7 @@ def simulate_experiment(
     """
     from zeno_orbits.experiment import settle_rig
 
-    orbit = as_orbit(orbit)
+    orbit = as_orbit(orbit, problem)
     return settle_rig(
         orbit,
         problem_of(orbit, problem),

@@ -705,8 +705,8 @@ _MOST = 16
 def _needs_one_stop(problem: Problem, graph: ModeGraph) -> InputError:
     """Return the refusal of a machine with several stops, a switch or a kink."""
     return InputError(
-        f"Argument `problem`: `{problem.name}` has {graph.reason}, which this command or function "
-        "does not accept in this version."
+        "Argument `problem`: one flow off the stop and one on it are needed here, but "
+        f"`{problem.name}` has {graph.reason}."
     )
 
 

@@ -180,7 +180,7 @@ class CompiledGraph:
         graph = self.graph
         if graph.coupling is graph.delassus:
             return self.delassus
-        return dense_function("coupling", [graph.state, self._parameters], [graph.coupling])
+        return dense_function("coupling", [graph.state, self.parameters], [graph.coupling])
 
     @cached_property
     def delassus_derivative(self) -> ca.Function:
