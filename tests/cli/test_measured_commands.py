@@ -116,6 +116,10 @@ def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
             ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "f", "--orbit", "f"),
             "--orbit f: must be another file than `output`",
         ),
+        (
+            ("identify", "motor_pendulum", "data.csv", "--fit", "R", "--problem", "relay"),
+            "--problem relay: must come with an orbit file",
+        ),
         (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "0"), "--rate 0: must be"),
         (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "1e12"), "two to 10000000"),
         (("simulate", "motor_pendulum", "-o", "d.csv", "--rate", "1e-3"), "two to 10000000"),

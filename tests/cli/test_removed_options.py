@@ -73,7 +73,8 @@ def test_an_unknown_option_is_named_before_the_option_that_is_missing() -> None:
 @pytest.mark.parametrize("form", [("-o", "time.png"), ("-otime.png",), ("--output=time.png",)])
 def test_a_picture_is_no_recording(form: tuple[str, ...], here: Path) -> None:
     answer = ask("simulate", "bouncing_ball", "--until", "0.3", *form)
-    wanted = "must name a table of samples, such as time.csv"
+    label = form[0] if len(form) == 1 else " ".join(form)
+    wanted = f"{label}: must name a table of samples, such as time.csv"
     assert_refused(answer, wanted, "--plot draws pictures.")
     assert list(here.iterdir()) == []
 

@@ -93,8 +93,12 @@ def _option_of(argument: str, words: Sequence[str], options: argparse.Namespace)
 
 def _typed(strings: set[str], words: Sequence[str]) -> str:
     """Return one of some options and its value as they were typed, or no text."""
+    short = {one for one in strings if len(one) == 2}
     for k in reversed(range(len(words))):
         option, sign, _ = words[k].partition("=")
+        if words[k][:2] in short and len(words[k]) > 2:
+            # A short option and its value may be one word.
+            return words[k]
         if option in strings:
             value = words[k + 1 : k + 1 + (not sign)]
             return " ".join([words[k], *(one for one in value if not one.startswith("--"))])

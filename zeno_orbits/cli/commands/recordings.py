@@ -21,6 +21,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.cli.parsing import read_fit
+from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 
@@ -116,6 +117,9 @@ def add_identify(commands: Any) -> None:
 def _run_identify(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
 
+    if options.problem_file is not None and not options.problem.endswith(".json"):
+        wanted = "must come with an orbit file, but a problem is named already"
+        raise InputError(f"Argument `--problem {options.problem_file}` {wanted}.")
     problem, gains, parameters = api.problem_or_orbit(
         options.problem, options.set, options.problem_file
     )
