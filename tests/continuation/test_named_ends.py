@@ -448,30 +448,41 @@ def test_a_plastic_impact_opens_its_stop_until_the_force_after_it_is_zero() -> N
 # A switch whose arming changes where its guard falls through zero.
 
 
+ARMED: dict[str, Callable[[Motion], Any]] = {
+    "a difference": lambda m: m.cosine - m.p["level"],
+    "a comparison": lambda m: m.cosine > m.p["level"],
+    "and": lambda m: ca.logic_and(m.cosine > m.p["level"], m.x < 5),
+    "not": lambda m: ca.logic_not(m.cosine <= m.p["level"]),
+    "or": lambda m: ca.logic_or(m.cosine > m.p["level"], m.x > 5),
+    "a product": lambda m: (m.cosine > m.p["level"]) * (m.x < 5),
+    "a choice": lambda m: ca.if_else(m.cosine > m.p["level"], 1, -1),
+    "a sign": lambda m: ca.sign(m.cosine - m.p["level"]),
+}
+
+
+@pytest.mark.parametrize("form", _some(ARMED, "a comparison"))
 @pytest.mark.parametrize(
-    ("level", "amplitude", "at", "detail"),
+    ("level", "detail"),
     [
-        (-0.9, 0.9, -0.3, "switch latch"),
-        pytest.param(0.9, 0.9, -0.3, "switch latch before impact wall", marks=pytest.mark.slow),
+        (-0.9, "switch latch"),
+        pytest.param(0.9, "switch latch before impact wall", marks=pytest.mark.slow),
     ],
 )
 def test_the_arming_of_a_switch_changes_where_a_flight_says(
-    level: float, amplitude: float, at: float, detail: str
+    level: float, detail: str, form: str
 ) -> None:
-    ended = (Kind.ARMING, detail)
+    ended, at = (Kind.ARMING, detail), -0.3
     case = Case(
         force=_oscillator,
         walls={"wall": (1, 0.0, 0.8)},
-        parameters={"omega": 2.6, "A": amplitude, "c": 0.05, "level": level},
+        parameters={"omega": 2.6, "A": 0.9, "c": 0.05, "level": level},
         parameter="level",
         box=(-1.0, 1.0),
         first=ended if level > 0.0 else None,
         last=None if level > 0.0 else ended,
         start=_SLOW,
         switches=lambda m: (
-            zo.Switch(
-                name="latch", guard=m.x - at, armed=m.cosine - m.p["level"], v_after=0.9 * m.v
-            ),
+            zo.Switch(name="latch", guard=m.x - at, armed=ARMED[form](m), v_after=0.9 * m.v),
         ),
     )
     (end,) = named(case)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
@@ -65,6 +66,41 @@ class Switch(Checked):
         """Refuse wrong kinds, and expand the calls of functions."""
         Checked.__post_init__(self)
         expand_calls(self)
+
+
+def continuous_arming(formula: Any) -> ca.SX:
+    """Return a continuous formula that is positive where a formula of comparisons is true.
+
+    At a border of the comparisons it is zero, on both sides of ``<`` and ``<=``. A formula without
+    comparisons stays as it is.
+
+    Args:
+        formula: The formula `armed` of a switch.
+    """
+    node = ca.SX(formula)
+    parts: list[Any] = [] if node.is_leaf() else [node.dep(k) for k in range(node.n_dep())]
+    operation = node.op()
+    if operation in (ca.OP_LT, ca.OP_LE):
+        return ca.SX(parts[1] - parts[0])
+    if operation == ca.OP_SIGN:
+        return continuous_arming(parts[0])
+    if operation == ca.OP_NOT:
+        return -continuous_arming(parts[0])
+    if operation == ca.OP_AND or (operation == ca.OP_MUL and all(map(_is_true_or_false, parts))):
+        return ca.fmin(*map(continuous_arming, parts))
+    if operation == ca.OP_OR:
+        return ca.fmax(*map(continuous_arming, parts))
+    chosen = [one.op() == ca.OP_IF_ELSE_ZERO for one in parts]
+    if operation == ca.OP_ADD and all(chosen):
+        # A choice between two values: one of both terms is zero.
+        return ca.fmax(*map(continuous_arming, parts))
+    if operation == ca.OP_IF_ELSE_ZERO:
+        return ca.fmin(*map(continuous_arming, parts))
+    return node
+
+
+def _is_true_or_false(formula: Any) -> bool:
+    return formula.op() in (ca.OP_LT, ca.OP_LE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
 
 
 def require_event_names(names: list[str]) -> None:

@@ -33,6 +33,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import CharacteristicScales
 from zeno_orbits.model.starts import Starts
+from zeno_orbits.model.stops import continuous_arming
 from zeno_orbits.model.waveforms import LEAST_PART
 
 _ZERO = 1e-12
@@ -157,6 +158,13 @@ class CompiledGraph:
         apart = LEAST_PART * ca.mmax(upper)
         least = ca.vertcat(*(one.lower + apart for one in orders))
         return dense_function("times", [self.parameters], [lower, upper, least])
+
+    @cached_property
+    def arming(self) -> ca.Function:
+        """``(x, p) -> (armed, continuous formulas of their signs)`` of the declared switches."""
+        armed = [ca.SX(one.armed) for one in self.graph.switches]
+        outputs = [ca.vertcat(*armed), ca.vertcat(*map(continuous_arming, armed))]
+        return dense_function("arming", [self.graph.state, self.parameters], outputs)
 
     @cached_property
     def roots(self) -> ca.Function:
@@ -485,6 +493,20 @@ class GraphDynamics:
         _, by_x, by_p = self.compiled.delassus_derivative(x, self.p)
         by = np.concatenate([by_x.full(), by_p.full()[:, list(chosen)]], axis=1)
         return by.reshape(n, n, -1)
+
+    def arming(self, x: Vector) -> Vector:
+        """Return how far declared switches are armed: above zero where they are, ``(n_declared,)``.
+
+        Formulas of comparisons become continuous, except where that would change their answer.
+
+        Args:
+            x: The state, ``(n_x,)``.
+        """
+        if not self.n_declared:
+            return np.zeros(0)
+        found = self.compiled.arming(x, self.p)
+        armed, smooth = (np.asarray(one.full(), dtype=np.float64).ravel() for one in found)
+        return np.asarray(np.where((armed > 0.0) == (smooth > 0.0), smooth, armed))
 
     def has_infinite_slope(self, x: Vector) -> bool:
         """Return True if a root of a formula has an infinite derivative at a state, to rounding.

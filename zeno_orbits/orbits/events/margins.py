@@ -408,7 +408,8 @@ def _of_arming(
     for arc in arcs:
         if arc.ending is not Ending.SWITCH:
             continue
-        guards, levels, armed = graph.guards(arc.end_state, arc.sides)
+        guards, levels, _ = graph.guards(arc.end_state, arc.sides)
+        armed = graph.arming(arc.end_state)
         event, place = acts.get(arc.end_time), bisect_left(ends, arc.end_time)
         for switch in range(graph.n_declared):
             name = graph.switch_names[switch]
