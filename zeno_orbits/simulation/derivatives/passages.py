@@ -38,7 +38,7 @@ from zeno_orbits.simulation.derivatives.sensitivity import (
     VariationalEquation,
 )
 from zeno_orbits.simulation.derivatives.state_transition import carried_within
-from zeno_orbits.simulation.derivatives.tangent import course_of_arc, segment_at
+from zeno_orbits.simulation.derivatives.tangent import course_of_arc, recorded_arcs
 from zeno_orbits.simulation.events import Event, Impact, Release, SwitchEvent, ZenoPoint
 from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode
 
@@ -348,12 +348,12 @@ class _Walk:
         joins = bool(self._bounces) and self._bounces[-1].impact is self._events[self._n - 1]
         if self._of.in_python or len(self._bounces) > joins:
             return []
-        segment = segment_at(self._execution, self.place, self._n, joins=joins)
-        if segment is None:
+        arcs = recorded_arcs(self._execution, self.place, self._n, joins=joins)
+        if arcs is None:
             return []
-        closed, stop, sides = segment.view
+        closed, stop, sides = arcs.view
         perturbations = self._of.at((closed, sides), stop)
-        shifts = segment.followed(perturbations, self._here)
+        shifts = arcs.followed(perturbations, self._here)
         passages, struck = list[ArcPassage](), list[tuple[Impact, SaltationDerivative]]()
         for one, then in zip(shifts, [*shifts[1:], None], strict=True):
             events, end = self._ending, one.end

@@ -39,7 +39,7 @@ class ArcShifts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Segment:
+class RecordedArcs:
     """Successive arcs that the loop recorded in one view.
 
     Attributes:
@@ -72,14 +72,16 @@ class Segment:
         ]
 
 
-def segment_at(execution: Execution, place: int, event: int, *, joins: bool) -> Segment | None:
-    """Return the longest segment from an arc on, or ``None`` if the loop did not record the arc.
+def recorded_arcs(
+    execution: Execution, place: int, event: int, *, joins: bool
+) -> RecordedArcs | None:
+    """Return successive arcs of one view, or ``None`` if the loop did not record the first.
 
-    All events of a segment are those of the stop of its view. It ends with a release at the latest.
+    All their events are those of the stop of the view. They end with a release at the latest.
 
     Args:
         execution: The execution.
-        place: Index of the arc.
+        place: Index of the first arc.
         event: Index of the first event after its start.
         joins: Whether the event before it is the first impact of a sequence that goes on.
     """
@@ -104,7 +106,7 @@ def segment_at(execution: Execution, place: int, event: int, *, joins: bool) -> 
     if n <= 0:
         return None
     rows = record.events[event - joins : event + int(passed[n - 1])]
-    return Segment(view=view, record=replace(record, arcs=arcs[:n], events=rows), joins=joins)
+    return RecordedArcs(view=view, record=replace(record, arcs=arcs[:n], events=rows), joins=joins)
 
 
 def _first(which: NDArray[np.bool_]) -> int:
