@@ -108,3 +108,32 @@ def test_flights_that_a_contact_hides_decide_nothing() -> None:
     """The shortest flight of the orbit lasts 0.27 s."""
     found = _compared(_recording(0.0097, 0.3))
     assert found.verdict is ComparisonVerdict.UNDECIDED, found
+
+
+def test_sequences_whose_flights_are_longer_than_those_between_them_decide_nothing() -> None:
+    """A ball on a shaken table: it rests once in several turns, between bounces of all lengths."""
+    parameters = {"omega": 2.095, "A": 3.243, "e": 0.526}
+    table = one_mass(
+        lambda m: m.p["A"] * m.cosine - 1 - 0.05 * m.v,
+        stops=lambda m: (zo.Stop(name="floor", gap=m.x, restitution=m.p["e"]),),
+        start={"x": 0.3, "v": 0.0, "cosine": 1.0},
+        omega=parameters["omega"],
+        A=parameters["A"],
+        e=parameters["e"],
+    )
+    orbit = zo.find_event_orbit(table)
+    begins = [event.time for event in orbit.events if event.name == "impact floor"]
+    assert np.max(np.diff(np.diff(begins))) > 1.0
+    motion = zo.simulate(table, start=orbit.start_state, until=9.0 * orbit.period)
+    time = np.arange(0.3 * orbit.period, 8.3 * orbit.period, 0.05)
+    closed = np.zeros_like(time)
+    for arc in motion.arcs:
+        if arc.closed:
+            closed[(time >= arc.start_time) & (time < arc.end_time)] = 1.0
+    for impact in motion.impacts:
+        closed[(time >= impact.time) & (time < impact.time + 0.12)] = 1.0
+    signal = RecordedSignal(name="contact", unit="1", values=closed)
+    recording = Recording(source=Source.SIMULATED, problem="one_mass", time=time, signals=(signal,))
+    found = compare_recording(orbit, table, recording)
+    assert found.verdict is ComparisonVerdict.UNDECIDED, found
+    assert "cannot be divided into sequences" in found.unresolved[0]

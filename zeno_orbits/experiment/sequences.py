@@ -123,12 +123,22 @@ def longest_flight(sequences: Sequence[OrbitSequence], period: float) -> float:
         sequences: The sequences of the stop, at least one.
         period: The period [s].
     """
+    longest, least = bounce_and_flight(sequences, period)
+    return math.sqrt(longest * least) if longest > 0.0 else least / 2
+
+
+def bounce_and_flight(sequences: Sequence[OrbitSequence], period: float) -> tuple[float, float]:
+    """Return the longest flight within a sequence and the shortest one between two of them [s].
+
+    Args:
+        sequences: The sequences of the stop, at least one.
+        period: The period [s].
+    """
     begins = sorted(one.impacts[0] for one in sequences)
     free = [
         min((b - one.end) % period or period for b in begins)
         for one in sequences
         if one.zeno is None or one.release is not None
     ]
-    least = min(free, default=period)
     bounces = [float(flight) for one in sequences for flight in one.flights]
-    return math.sqrt(max(bounces) * least) if bounces else least / 2
+    return max(bounces, default=0.0), min(free, default=period)

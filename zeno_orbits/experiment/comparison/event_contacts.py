@@ -22,7 +22,7 @@ from zeno_orbits.experiment.comparison.contact_edges import (
 from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.comparison.metrics import Metric, metric
 from zeno_orbits.experiment.orbit_table import PeriodTable
-from zeno_orbits.experiment.sequences import OrbitSequence, longest_flight
+from zeno_orbits.experiment.sequences import OrbitSequence, bounce_and_flight, longest_flight
 
 _ALIKE = 2.0
 """Samples by which a flight and a contact may differ, so that sampling decides what is seen."""
@@ -208,7 +208,8 @@ class SeenEvents:
                 return [f"no contact phase is seen: {what}, the orbit's for {own:.3g} s"], []
         for one in found:
             lengths = np.diff([edge.middle for edge in one.begins])
-            if len(lengths) > 1 and np.any(np.diff(lengths) > 2 * self.step):
+            becomes_shorter = np.all(np.diff(sequence.flights) <= 0.0)
+            if becomes_shorter and len(lengths) > 1 and np.any(np.diff(lengths) > 2 * self.step):
                 return [f"the bounces of `{label}` do not become shorter"], []
         return [], []
 
@@ -280,14 +281,17 @@ def _stop(
     ]
     longest = longest_flight(sequences, orbit_period) * period / orbit_period
     found = seen_sequences(contacts, time, longest, step)
-    coarse = (
-        ""
-        if any(one.zeno is not None for one in sequences)
-        else coarse_channel(time, channel, name)
-    )
     begins: Vector = np.array([one.begins[0].middle for one in found])
     first_impacts: Vector = np.array([one.impacts[0] for one in sequences])
     own: Vector = first_impacts * (period / orbit_period)
+    accumulates = any(one.zeno is not None for one in sequences)
+    coarse = "" if accumulates else coarse_channel(time, channel, name)
+    bounce, flight = bounce_and_flight(sequences, orbit_period)
+    if bounce >= flight:
+        coarse = (
+            f"contacts of `{name}` cannot be divided into sequences: in the orbit a flight within "
+            f"one lasts {bounce:.3g} s, and the one before it {flight:.3g} s"
+        )
     if not found:
         none = tuple(() for _ in sequences)
         return _Stop(
