@@ -413,7 +413,7 @@ def test_an_output_of_a_problem_without_any_cannot_be_drawn(
 def test_a_region_that_cannot_be_drawn_is_refused_before_anything_is_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["zeno-condition", "vibrating_table", "-o", str(tmp_path / "region.png")]) == 2
+    assert main(["zeno-condition", "vibrating_table", "--plot", str(tmp_path / "region.png")]) == 2
     shown = capsys.readouterr()
     assert shown.out == ""
     assert "nor a clock" in shown.err

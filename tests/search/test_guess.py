@@ -229,9 +229,9 @@ def test_a_motion_that_comes_back_after_more_than_a_chunk_is_found() -> None:
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, math.inf, math.nan])
 def test_a_time_to_wait_that_is_not_positive_is_refused(wrong: float) -> None:
-    with pytest.raises(InputError, match="`until` must be a positive number"):
+    with pytest.raises(InputError, match="`until` must be a finite, positive number"):
         TransientSettings(horizon=wrong)
-    with pytest.raises(InputError, match="`chunk` must be a positive number"):
+    with pytest.raises(InputError, match="`chunk` must be a finite, positive number"):
         TransientSettings(chunk=wrong)
 
 
