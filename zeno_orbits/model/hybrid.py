@@ -312,15 +312,25 @@ def _corrected_restitution(
     Raises:
         ValueError: If the restitution depends on the state on the stop.
     """
-    share = _on_stop(bare, _normal_response(weighted) / _normal_response(bare))
+    response = _normal_response(bare)
+    # Closed stops may hold the stop, which is then not struck.
+    is_held = response <= _HELD * _normal_response(replace(bare, holonomic=ca.SX(0, 1)))
+    ratio = _normal_response(weighted) / response
+    if bare.holonomic.numel():
+        ratio = ca.if_else(is_held, 1, ratio)
+    share = _on_stop(bare, ratio)
     if ca.depends_on(share, bare.q):
         raise ValueError(
             "Argument `drive` must leave the restitution constant on the stop, "
             "but its correction changes with the configuration."
         )
     corrected = (1 + restitution) * share - 1
-    sound = ca.logic_and(ca.logic_and(share > 0.5, share < 2), corrected < 1)
+    sound = ca.logic_and(share > 0.5, share < 2)
     return ca.if_else(sound, ca.fmax(corrected, 0), ca.SX(math.nan))
+
+
+_HELD = 1e-12
+"""Part of the response of a stop to its impulse that is rounding, if closed stops hold it."""
 
 
 def _normal_response(lagrangian: HybridLagrangian) -> ca.SX:

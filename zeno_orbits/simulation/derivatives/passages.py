@@ -354,6 +354,8 @@ class _Walk:
         closed, stop, sides = arcs.view
         perturbations = self._of.at((closed, sides), stop)
         shifts = arcs.followed(perturbations, self._here)
+        if not shifts:
+            return []
         passages, struck = list[ArcPassage](), list[tuple[Impact, SaltationDerivative]]()
         for one, then in zip(shifts, [*shifts[1:], None], strict=True):
             events, end = self._ending, one.end
