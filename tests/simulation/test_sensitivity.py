@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import DOP853
 from scipy.linalg import expm
 
-from tests.support.families import BALL, CART, OSCILLATOR
+from tests.support.families import BALL, OSCILLATOR
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy, Tolerance
 from zeno_orbits.model import GAP_ACCELERATION, HybridDynamics
@@ -173,22 +173,20 @@ def test_the_zeno_point_of_a_plastic_impact_moves_as_the_impact(run: Run) -> Non
     assert zeno.rate.tolist() == [0.0] * 6
 
 
-def test_a_start_has_its_own_derivatives_and_its_gap_rate_those_of_the_machine() -> None:
-    angle, turn = 0.4, 1.7
-    sine, cosine = math.sin(angle), math.cos(angle)
-    numbers = {"M": 1.0, "m": 0.5, "l": 0.7, "g": 9.81, "wall": 0.1 + 0.7 * sine, "e": 0.3}
-    machine = CART.at(**numbers)
-    walk = _walk(machine, (2, 4))
-    # On the wall, and about to leave it.
-    run = simulate(machine, np.array([0.1, angle, 0.2, turn]), until=0.01)
-    start, launched = walk.at_start(), _motions(walk, run)[0].start
-    for shift in (start, launched):
-        assert shift.time.tolist() == [0.0] * 6
-        assert shift.state.tolist() == np.eye(4, 6).tolist()
-    assert start.rate.tolist() == [0.0] * 6
-    # The bob's speed is dx + l dtheta cos(theta).
-    expected = [0.0, -0.7 * turn * sine, 1.0, 0.7 * cosine, turn * cosine, 0.0]
-    assert launched.rate == pytest.approx(expected, rel=1e-14)
+@both_paths
+def test_a_start_on_the_stop_moves_by_itself_also_off_the_stop(run: Run) -> None:
+    g, v, e = 10.0, 2.0, 0.5
+    machine = BALL.at(m=0.7, g=g, c=0.0, e=e)
+    for sign in (1.0, -1.0):
+        ended = run(machine, np.array([0.0, sign * v]), 0.9, _settings(ZenoExtrapolation()))
+        passages = _motions(_walk(machine, ()), ended)
+        times = [before.time for one in passages for _, before, _ in one.crossings]
+        # With u^2 = v^2 + 2 g q: t = (v + u) / g, then flights of 2 e^k u / g.
+        factors = 1 + 2 * np.cumsum([0.0, *(e**k for k in range(1, len(times) - 1))])
+        expected = [(factor / v, (1 + sign * factor) / g) for factor in factors]
+        assert np.array(times[:-1]) == pytest.approx(np.array(expected), abs=1e-12)
+        limit = (1 + e) / (1 - e)
+        assert times[-1] == pytest.approx([limit / v, (1 + sign * limit) / g], abs=1e-10)
 
 
 # Perturbations along an arc: a ball in air, which slows it down.

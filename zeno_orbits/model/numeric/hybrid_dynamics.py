@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 _BEYOND = ": the drive's correction is as large as the corrected value; use the full problem."
 
+_ADDED = " (a corrected drive adds its current layer)."
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FusedStop:
@@ -129,7 +131,9 @@ class HybridDynamics:
         if not 0.0 <= self.restitution <= 1.0:
             # All digits: a formula may exceed 1 by rounding.
             message = f"must lie in [0, 1] at these values, but it is {float(self.restitution)}"
-            layer = "." if self.restitution < 0.0 else " (a corrected drive adds its current layer)."
+            layer = (
+                "." if self.restitution < 0.0 else " (a corrected drive adds its current layer)."
+            )
             reason = layer if not math.isnan(self.restitution) else _BEYOND
             raise InputError(f"Argument `restitution` {message}{reason}")
 

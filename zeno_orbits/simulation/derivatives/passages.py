@@ -123,8 +123,7 @@ class EventDerivatives:
         Raises:
             SimulationError: If an event has no derivative: a stop is touched without an impact.
         """
-        here = self._start(execution.arcs[first]) if start is None else start
-        walk = _Walk(self, execution, first, here)
+        walk = _Walk(self, execution, first, start)
         while not walk.is_over:
             yield from walk.followed() or [walk.past()]
 
@@ -278,21 +277,16 @@ class EventDerivatives:
         )
         return 0 if is_flight else None
 
-    def _start(self, arc: Arc) -> SaltationDerivative:
-        start, stop = self.at_start(), self.stop_of_flight(arc)
-        if stop is None:
-            return start
-        by_state = self.of_stop(arc, stop).differentials.contact(arc.start_state)[GAP_RATE]
-        return SaltationDerivative(
-            time=start.time, state=start.state, rate=self.change(by_state, start)
-        )
-
 
 class _Walk:
     """The way along an execution, arc after arc."""
 
     def __init__(
-        self, of: EventDerivatives, execution: Execution, place: int, here: SaltationDerivative
+        self,
+        of: EventDerivatives,
+        execution: Execution,
+        place: int,
+        start: SaltationDerivative | None,
     ) -> None:
         """Begin it, and pass the events at the start of its first arc.
 
@@ -300,11 +294,11 @@ class _Walk:
             of: The derivatives.
             execution: The execution.
             place: Index of the first arc.
-            here: Derivatives of its start.
+            start: Derivatives of its start. By default it moves by itself, also off its stop.
         """
         self._of, self._execution = of, execution
         self._arcs, self._events = execution.arcs, execution.events
-        self.place, self._here = place, here
+        self.place, self._here = place, of.at_start() if start is None else start
         self._bounces: list[ImpactDerivative] = []
         self._crossings: list[Crossing] = []
         arc = self._arcs[place]
@@ -312,8 +306,14 @@ class _Walk:
         self._n = sum(event.time <= arc.start_time for event in self._events) if place else 0
         at_start = [event for event in self._events[self._n :] if event.time == arc.start_time]
         for event in at_start:
-            self._cross(event, arc, arc, caused=bool(self._crossings))
+            # A start off the stop flies to its impact.
+            flies = bool(self._crossings) or isinstance(event, Impact)
+            self._cross(event, arc, arc, caused=flies)
         self._launch(at_start, arc)
+        stop = of.stop_of_flight(arc)
+        if start is None and not at_start and stop is not None:
+            # The flight came from its stop before or after the start.
+            self._here = self._on_gap(arc.start_state, of.of_stop(arc, stop))
 
     @property
     def is_over(self) -> bool:
