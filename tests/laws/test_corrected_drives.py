@@ -140,6 +140,33 @@ def test_periods_of_verified_orbits_show_the_second_order(machine: str) -> None:
     assert slopes == pytest.approx([2] * 2, abs=0.1)
 
 
+def test_a_stop_that_a_closed_stop_holds_keeps_its_restitution() -> None:
+    problem = _problem("two walls and a kink", "corrected", 1e-3)
+    graph = problem.graph_dynamics(problem.values())
+    closed = graph.view(((0,), graph.open_mode[1]), 1)
+    # The cart at the left wall cannot strike the right one, and there is no ratio of inertias.
+    assert closed.restitution == pytest.approx(0.8, abs=1e-15)
+    assert graph.open_views[1].restitution != pytest.approx(0.8, abs=1e-6)
+
+
+def test_a_restitution_that_the_current_layer_raises_above_one_is_refused_with_its_value() -> None:
+    def model(p: Symbols) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q", 1), ca.SX.sym("v", 1)
+        ball = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=v**2 / 2,
+            potential=9.81 * q,
+            stops=(zo.Stop(name="floor", gap=q, restitution=1.0),),
+        )
+        motor = replace(_bank(p, q, v, ca.SX(1)), voltage=-0.2 * v)
+        return zo.hybrid_system(ball, zo.corrected_drive(ball, motor))
+
+    problem = machine_of(model, {"q": "m", "v": "m/s"}, {"L": 1e-3})
+    with pytest.raises(zo.InputError, match=r"is 1\.000\d+ \(a corrected drive adds its current"):
+        zo.simulate(problem, until=1.0, start={"q": 1.0})
+
+
 def test_a_correction_that_varies_on_the_stop_is_refused_with_every_stop() -> None:
     def model(p: Symbols) -> zo.CompletedSystem:
         q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
