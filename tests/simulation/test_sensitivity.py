@@ -29,6 +29,7 @@ from zeno_orbits.simulation import (
     SimulationTask,
     ZenoExtrapolation,
     by_reference,
+    change_of,
     simulate,
 )
 
@@ -99,7 +100,7 @@ def _shifts(machine: HybridDynamics, run: Execution) -> Vector:
     found = [shift for one in motions[:2] for shift in one.crossings[0][1:]]
     rows = [np.vstack([s.time, s.state, s.rate]) for s in [*found, locked.start]]
     slopes = differentials_of(machine, walk.chosen).contact(run.zeno_points[0].state)
-    rows += [walk.change(slopes[GAP_ACCELERATION], locked.start)[None, :]]
+    rows += [change_of(slopes[GAP_ACCELERATION], locked.start.state)[None, :]]
     end = locked.after
     return np.vstack([*rows, end.time, end.state, end.rate])
 

@@ -157,10 +157,9 @@ def _graph(
         one.state, gap=gaps, holonomic=mechanism.holonomic, mass_matrix=mechanism.mass_matrix
     )
     normals = ca.jacobian(gaps, mechanism.q)
-    delassus, coupling = (
-        ca.mtimes([normals, accelerate(part, ca.SX.zeros(one.n_q))[0], normals.T])
-        for part in (one.mechanism, mechanism)
-    )
+    delassus = coupling = _delassus(one.mechanism, normals)
+    if drive.added_inertia.nnz():
+        coupling = _delassus(mechanism, normals)
     conditions, roots = kinks_of(mechanism, drive, one.state)
     bare = ModeGraph(
         mechanism=mechanism,
@@ -171,14 +170,20 @@ def _graph(
         roots=roots,
         time_orders=_time_orders(one),
         delassus=delassus,
-        coupling=coupling if drive.added_inertia.nnz() else delassus,
+        coupling=coupling,
         resets=tuple(_reset(one, switch) for switch in switches),
         state=one.state,
     )
     require_event_names([*(stop.name for stop in stops), *bare.switch_names])
-    if drive.added_inertia.nnz():
+    if bare.has_current_layers:
         _require_constant_restitutions(bare)
     return bare
+
+
+def _delassus(mechanism: HybridLagrangian, normals: ca.SX) -> ca.SX:
+    r"""Return :math:`J W J^\top` of rows `J`."""
+    inverse_mass, _ = accelerate(mechanism, ca.SX.zeros(mechanism.q.numel()))
+    return ca.mtimes([normals, inverse_mass, normals.T])
 
 
 def _require_constant_restitutions(graph: ModeGraph) -> None:

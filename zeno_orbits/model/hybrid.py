@@ -313,10 +313,10 @@ def _corrected_restitution(
         ValueError: If the restitution depends on the state on the stop.
     """
     response = _normal_response(bare)
-    # Closed stops may hold the stop, which is then not struck.
-    is_held = response <= _HELD * _normal_response(replace(bare, holonomic=ca.SX(0, 1)))
     ratio = _normal_response(weighted) / response
     if bare.holonomic.numel():
+        # Closed stops may hold the stop, which is then not struck.
+        is_held = response <= _HELD * _normal_response(replace(bare, holonomic=ca.SX(0, 1)))
         ratio = ca.if_else(is_held, 1, ratio)
     share = _on_stop(bare, ratio)
     if ca.depends_on(share, bare.q):

@@ -56,6 +56,11 @@ class ModeGraph:
     )
 
     @property
+    def has_current_layers(self) -> bool:
+        """True if a corrected drive adds the current layer to every impact."""
+        return self.drive.added_inertia.nnz() > 0
+
+    @property
     def reason(self) -> str:
         """The property that gives the machine another form than one stop, for messages."""
         if len(self.stops) > 1:

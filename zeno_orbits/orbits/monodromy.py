@@ -25,6 +25,7 @@ from zeno_orbits.simulation import (
     Mode,
     SaltationDerivative,
     SimulationSettings,
+    change_of,
 )
 
 
@@ -250,7 +251,7 @@ def _derivative(
     _require_finite(end, release.time, release.state)
     dynamics, n_x = derivatives.graph.first, start.size
     by = differentials_of(dynamics, derivatives.chosen).contact(zeno.state)
-    bend = derivatives.change(by[GAP_ACCELERATION], moved)
+    bend = change_of(by[GAP_ACCELERATION], moved.state)
 
     def sensitivity(value: float, shift: Vector) -> Sensitivity:
         return Sensitivity(value=value, by_state=shift[:n_x], by_parameters=shift[n_x:])

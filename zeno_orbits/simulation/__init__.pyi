@@ -37,6 +37,7 @@ from .events import event_name as event_name
 from .events import state_after as state_after
 from .events import state_before as state_before
 from .derivatives.sensitivity import SaltationDerivative as SaltationDerivative
+from .derivatives.sensitivity import change_of as change_of
 from .signals import Extent as Extent
 from .signals import Signal as Signal
 from .signals import extent_of as extent_of

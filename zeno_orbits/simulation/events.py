@@ -31,8 +31,55 @@ class EventKind(Enum):
         self.word, self.label, self.number = word, label, number
 
 
+class _OfStop:
+    """An event of a stop."""
+
+    __slots__ = ()
+    stop: str
+
+    @property
+    def what(self) -> str:
+        """Name of its stop."""
+        return self.stop
+
+
+class _Jump:
+    """An event with a reset."""
+
+    __slots__ = ()
+    state_minus: Vector
+    state_plus: Vector
+
+    @property
+    def before(self) -> Vector:
+        """State just before it, ``(n_x,)``."""
+        return self.state_minus
+
+    @property
+    def after(self) -> Vector:
+        """State just after it, ``(n_x,)``."""
+        return self.state_plus
+
+
+class _NoJump:
+    """An event at which the state goes on."""
+
+    __slots__ = ()
+    state: Vector
+
+    @property
+    def before(self) -> Vector:
+        """State just before it, ``(n_x,)``."""
+        return self.state
+
+    @property
+    def after(self) -> Vector:
+        """State just after it, ``(n_x,)``."""
+        return self.state
+
+
 @fast_dataclass
-class Impact(ByValue):
+class Impact(_OfStop, _Jump, ByValue):
     """A resolved impact.
 
     Attributes:
@@ -51,24 +98,9 @@ class Impact(ByValue):
     stop: str = ""
     kind: ClassVar[EventKind] = EventKind.IMPACT
 
-    @property
-    def what(self) -> str:
-        """Name of its stop."""
-        return self.stop
-
-    @property
-    def before(self) -> Vector:
-        """State just before it, ``(n_x,)``."""
-        return self.state_minus
-
-    @property
-    def after(self) -> Vector:
-        """State just after it, ``(n_x,)``."""
-        return self.state_plus
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ZenoPoint(ByValue):
+class ZenoPoint(_OfStop, _NoJump, ByValue):
     """The limit of an impact sequence.
 
     Attributes:
@@ -91,24 +123,9 @@ class ZenoPoint(ByValue):
     stop: str = ""
     kind: ClassVar[EventKind] = EventKind.ZENO
 
-    @property
-    def what(self) -> str:
-        """Name of its stop."""
-        return self.stop
-
-    @property
-    def before(self) -> Vector:
-        """State just before it, ``(n_x,)``."""
-        return self.state
-
-    @property
-    def after(self) -> Vector:
-        """State just after it, ``(n_x,)``."""
-        return self.state
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Release(ByValue):
+class Release(_OfStop, _NoJump, ByValue):
     """The end of contact, at which the contact force reaches zero.
 
     Attributes:
@@ -122,24 +139,9 @@ class Release(ByValue):
     stop: str = ""
     kind: ClassVar[EventKind] = EventKind.RELEASE
 
-    @property
-    def what(self) -> str:
-        """Name of its stop."""
-        return self.stop
-
-    @property
-    def before(self) -> Vector:
-        """State just before it, ``(n_x,)``."""
-        return self.state
-
-    @property
-    def after(self) -> Vector:
-        """State just after it, ``(n_x,)``."""
-        return self.state
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SwitchEvent(ByValue):
+class SwitchEvent(_Jump, ByValue):
     """A switch: a guard that fell through zero where it is armed, or a kink of a formula.
 
     Attributes:
@@ -159,16 +161,6 @@ class SwitchEvent(ByValue):
     def what(self) -> str:
         """Name of its switch."""
         return self.name
-
-    @property
-    def before(self) -> Vector:
-        """State just before it, ``(n_x,)``."""
-        return self.state_minus
-
-    @property
-    def after(self) -> Vector:
-        """State just after it, ``(n_x,)``."""
-        return self.state_plus
 
     @property
     def state(self) -> Vector:

@@ -186,7 +186,7 @@ class CompiledGraph:
     def coupling(self) -> ca.Function:
         """``(x, p) -> J W J^T`` of all stops, without the inertia of a corrected drive."""
         graph = self.graph
-        if graph.coupling is graph.delassus:
+        if not graph.has_current_layers:
             return self.delassus
         return dense_function("coupling", [graph.state, self.parameters], [graph.coupling])
 
@@ -286,7 +286,7 @@ class GraphDynamics:
     @property
     def has_current_layers(self) -> bool:
         """True if a corrected drive adds the current layer to every impact."""
-        return self.compiled.graph.coupling is not self.compiled.graph.delassus
+        return self.compiled.graph.has_current_layers
 
     @property
     def n_watched(self) -> int:

@@ -131,10 +131,9 @@ class HybridDynamics:
         if not 0.0 <= self.restitution <= 1.0:
             # All digits: a formula may exceed 1 by rounding.
             message = f"must lie in [0, 1] at these values, but it is {float(self.restitution)}"
-            layer = (
-                "." if self.restitution < 0.0 else " (a corrected drive adds its current layer)."
-            )
-            reason = layer if not math.isnan(self.restitution) else _BEYOND
+            reason = _BEYOND if math.isnan(self.restitution) else _ADDED
+            if self.restitution < 0.0:
+                reason = "."
             raise InputError(f"Argument `restitution` {message}{reason}")
 
     @property

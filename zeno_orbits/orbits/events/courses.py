@@ -126,7 +126,7 @@ class EventCourse:
         arc = passage.arc
         if arc.trajectory is None:
             return self._work_of_tail(passage)
-        unit = arc.time_unit if arc.stop else 1.0
+        unit = arc.time_unit
         times, moved = self.found.differentiation.course(passage, parts=_PARTS)
         values, by = self._along(_POWER, passage, arc.flow_states_at(times), moved)
         n_steps = (len(times) - 1) // _PARTS
@@ -198,7 +198,7 @@ class EventCourse:
                 offset, value = float(inside.x), -sign * float(inside.fun)
         state, moved = self._moved(passage, offset)
         _, by = self._along(name, passage, state[None], moved[None])
-        unit = arc.time_unit if arc.stop else 1.0
+        unit = arc.time_unit
         reading = Reading(value=value, by=by[0])
         return PeakReading(time=arc.start_time + unit * offset, reading=reading)
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import numpy as np
 
@@ -36,6 +35,7 @@ from zeno_orbits.simulation.derivatives.sensitivity import (
     ImpactDerivative,
     SaltationDerivative,
     VariationalEquation,
+    change_of,
 )
 from zeno_orbits.simulation.derivatives.state_transition import carried_within
 from zeno_orbits.simulation.derivatives.tangent import course_of_arc, recorded_arcs
@@ -204,18 +204,7 @@ class EventDerivatives:
         perturbations = self.of_stop(arc, self.index(stop))
         by_state = perturbations.differentials.resting(arc.start_state)[: arc.start_state.size]
         resting = perturbations.dynamics.resting(arc.start_state)
-        return resting.state, self.change(by_state, passage.start)
-
-    def change(self, gradient: Vector, moved: SaltationDerivative) -> Vector:
-        """Return the change of a function at an event, due to state and parameters.
-
-        Args:
-            gradient: Derivatives of the function, ``(..., n_x + k)``.
-            moved: Derivatives of the event.
-        """
-        n_x, m = moved.state.shape
-        parameters = np.eye(len(self.chosen), m, n_x)
-        return np.asarray(gradient[..., :n_x] @ moved.state + gradient[..., n_x:] @ parameters)
+        return resting.state, change_of(by_state, passage.start.state)
 
     # Views.
 
@@ -366,7 +355,10 @@ class _Walk:
                 before, self._here = one.end, one.after
                 if isinstance(event, ZenoPoint) and then is not None:
                     before = self._here = then.start
-                struck = [*struck, (event, one.after)] if isinstance(event, Impact) else []
+                if isinstance(event, Impact):
+                    struck.append((event, one.after))
+                else:
+                    struck.clear()
                 self._add(event, before, self._here)
             if events and self._arcs[self.place].ending is Ending.ZENO:
                 end = self._here
@@ -399,7 +391,8 @@ class _Walk:
         """
         arc, following, found = self._arcs[self.place], self._following, list[Event]()
         closed = () if following is arc else self._of.mode_of(following)[0]
-        for event in islice(self._events, self._n, None):
+        for k in range(self._n, len(self._events)):
+            event = self._events[k]
             held = isinstance(event, Release) and self._of.index(event.stop) in closed
             if event.time > arc.end_time or (found and held):
                 break
@@ -419,7 +412,7 @@ class _Walk:
             if self._of.stop_of_flight(arc) == stop:
                 return self._crossed(arc, None)
             moved = self._crossed(arc, contact[GAP])
-            return replace(moved, rate=self._of.change(contact[GAP_RATE], moved))
+            return _with_gap_rate(moved, contact)
         graph, switch = self._of.graph, self._switch_of(arc, event)
         gradient = graph.guard_gradient(switch, arc.end_state, self._of.chosen, arc.sides)
         return self._crossed(arc, gradient)
@@ -487,7 +480,7 @@ class _Walk:
         if arc.mode is Mode.LOCKED:
             return moved
         contact = perturbations.differentials.contact(arc.end_state)
-        return replace(moved, rate=self._of.change(contact[GAP_RATE], moved))
+        return _with_gap_rate(moved, contact)
 
     # Events.
 
@@ -533,7 +526,7 @@ class _Walk:
 
     def _reset(self, derivative: Vector) -> SaltationDerivative:
         here = self._here
-        state = self._of.change(derivative, here)
+        state = change_of(derivative, here.state)
         return SaltationDerivative(time=here.time, state=state, rate=np.zeros_like(here.rate))
 
     def _launch(self, events: Sequence[Event], following: Arc) -> None:
@@ -565,19 +558,19 @@ class _Walk:
         if here.rate.any():
             return here
         by = self._struck(impact, arc, following).differentials
-        return replace(here, rate=self._of.change(by.contact(impact.state_minus)[GAP_RATE], here))
+        return _with_gap_rate(here, by.contact(impact.state_minus))
 
     def _on_gap(self, x: Vector, perturbations: VariationalEquation) -> SaltationDerivative:
         """Return the derivatives moved along the free flow to the zero of a gap, with its rate."""
-        here, change = self._here, self._of.change
+        here = self._here
         contact, rates = perturbations.differentials.contact(x), perturbations.dynamics.free.rate(x)
-        delay = -change(contact[GAP], here) / float(contact[GAP][: x.size] @ rates)
+        delay = -change_of(contact[GAP], here.state) / float(contact[GAP][: x.size] @ rates)
         moved = SaltationDerivative(
             time=here.time + delay,
             state=here.state + rates[:, None] * delay,
             rate=np.zeros_like(here.rate),
         )
-        return replace(moved, rate=change(contact[GAP_RATE], moved))
+        return _with_gap_rate(moved, contact)
 
     def _struck(self, impact: Impact, arc: Arc, following: Arc) -> VariationalEquation:
         """Return the derivatives of an impact in the mode that keeps its closed stops.
@@ -592,6 +585,11 @@ class _Walk:
                 kept.append(name)
         closed, _ = graph.mode_of(kept, ())
         return self._of.at((closed, following.sides), self._of.index(impact.stop))
+
+
+def _with_gap_rate(moved: SaltationDerivative, contact: Vector) -> SaltationDerivative:
+    """Return the derivatives of an event with those of a gap rate, by the slopes of a contact."""
+    return replace(moved, rate=change_of(contact[GAP_RATE], moved.state))
 
 
 def _touched(arc: Arc) -> SimulationError:

@@ -43,6 +43,18 @@ class SaltationDerivative:
     rate: Vector
 
 
+def change_of(gradient: Vector, state: Vector) -> Vector:
+    """Return the change of a function at an event, due to state and parameters.
+
+    Args:
+        gradient: Derivatives of the function, ``(..., n_x + k)``.
+        state: Derivatives of the state, ``(n_x, n_x + k)``.
+    """
+    n_x, m = state.shape
+    parameters = np.eye(m - n_x, m, n_x)
+    return np.asarray(gradient[..., :n_x] @ state + gradient[..., n_x:] @ parameters)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImpactDerivative:
     """An impact of a sequence that accumulates.
@@ -148,7 +160,7 @@ class VariationalEquation:
             return self._limit(bounces, zeno.state)
         # A plastic reset cut the sequence.
         on_stop = self.differentials.resting(bounces[-1].impact.state_plus)[: self.n_x]
-        state = self._total(on_stop, shift.state)
+        state = change_of(on_stop, shift.state)
         return SaltationDerivative(time=shift.time, state=state, rate=np.zeros_like(shift.rate))
 
     def _limit(self, bounces: Sequence[ImpactDerivative], state: Vector) -> SaltationDerivative:
@@ -177,7 +189,7 @@ class VariationalEquation:
         on_stop = self.differentials.resting(state)[: self.n_x]
         return SaltationDerivative(
             time=shift[-1],
-            state=self._total(on_stop, shift[:-1]),
+            state=change_of(on_stop, shift[:-1]),
             rate=np.zeros(self.restitution.size),
         )
 
@@ -185,7 +197,7 @@ class VariationalEquation:
         """Return the derivatives of the first-order Zeno state of an impact, then of its time."""
         n_x, x, shift = self.n_x, bounce.impact.state_plus, bounce.shift
         resting, e = self.dynamics.resting(x), self.dynamics.restitution
-        moved = self._total(self.differentials.resting(x), shift.state)
+        moved = change_of(self.differentials.resting(x), shift.state)
         acceleration = resting.gap_acceleration
         unit = tail_time(1.0, acceleration, e)
         remaining = unit * bounce.estimate.speed
@@ -193,7 +205,3 @@ class VariationalEquation:
         longer += remaining * (self.restitution / (1 - e) - moved[n_x] / acceleration)
         state = moved[:n_x] + resting.rate[:, None] * longer + remaining * moved[n_x + 1 :]
         return np.concatenate([state, [shift.time + longer]])
-
-    def _total(self, gradient: Vector, state: Vector) -> Vector:
-        """Return the change of a function with a given gradient, due to state and parameters."""
-        return gradient[..., : self.n_x] @ state + gradient[..., self.n_x :] @ self.parameters
