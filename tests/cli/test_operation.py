@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import signal
 import stat
 import subprocess
@@ -115,7 +116,15 @@ def test_an_export_that_ends_while_it_compiles_leaves_no_file(
     begun = 'touch "$TMPDIR/part.s" begun; exec sleep 60'
     compiler.write_text(f'#!/bin/sh\ncase "$*" in *{source}*) {begun};; esac\nexec cc "$@"\n')
     compiler.chmod(0o755)
+    # Another digest than that of an installed package, whose library would be taken.
+    copy = tmp_path / "copy"
+    for part in ("zeno_orbits", "problems"):
+        hidden = shutil.ignore_patterns("__pycache__", "*.so")
+        shutil.copytree(ROOT / part, copy / part, ignore=hidden)
+    changed = copy / "zeno_orbits" / "loop" / "loop.c"
+    changed.write_text(changed.read_text() + "/* changed */\n")
     own = {"CC": str(compiler), "ZENO_ORBITS_CACHE": str(tmp_path / "cache")}
+    own["PYTHONPATH"] = str(copy)
     with started(tmp_path, "export", "bouncing_ball", "--fmu", "-o", "out", **own) as process:
         wait_for((tmp_path / "begun").exists)
         assert list(tmp_path.rglob("zeno-orbits-scratch-*/part.s"))

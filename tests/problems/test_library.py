@@ -68,7 +68,8 @@ def test_every_problem_goes_through_every_command(
     file = tmp_path / "orbit.json"
     assert main(["zeno-condition", name]) == 0
     assert "d2h/dt2 = " in capsys.readouterr().out
-    assert main(["simulate", name, "--until", "1", "-o", str(tmp_path / "run.png")]) == 0
+    run = ["--plot", str(tmp_path / "run.png"), "-o", str(tmp_path / "run.csv")]
+    assert main(["simulate", name, "--until", "1", *run]) == 0
     found = main(["search", name, "-o", str(file)])
     assert found == (1 if name in NO_ORBIT else 0)
     assert file.exists() == (name not in NO_ORBIT)

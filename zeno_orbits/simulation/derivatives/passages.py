@@ -301,8 +301,7 @@ class _Walk:
         self._launch(at_start, arc)
         stop = of.stop_of_flight(arc)
         if start is None and not at_start and stop is not None:
-            # The flight came from its stop before or after the start.
-            self._here = self._on_gap(arc.start_state, of.of_stop(arc, stop))
+            self._here = self._left(arc, of.of_stop(arc, stop))
 
     @property
     def is_over(self) -> bool:
@@ -571,6 +570,14 @@ class _Walk:
             rate=np.zeros_like(here.rate),
         )
         return _with_gap_rate(moved, contact)
+
+    def _left(self, arc: Arc, perturbations: VariationalEquation) -> SaltationDerivative:
+        """Return the derivatives of a start on the stop of its flight."""
+        if perturbations.dynamics.gap_rate(arc.start_state) < arc.time_unit / 2:
+            # It rests there. Only directions along the stop have a derivative.
+            return _with_gap_rate(self._here, perturbations.differentials.contact(arc.start_state))
+        # The flight came from its stop before or after the start.
+        return self._on_gap(arc.start_state, perturbations)
 
     def _struck(self, impact: Impact, arc: Arc, following: Arc) -> VariationalEquation:
         """Return the derivatives of an impact in the mode that keeps its closed stops.
