@@ -22,7 +22,7 @@ from zeno_orbits.orbits import EventSequence
 from zeno_orbits.report.page import Bundle, page_of, words
 from zeno_orbits.report.terminal import print_summary
 from zeno_orbits.simulation import Execution, Mode, Release
-from zeno_orbits.verification import RESIDUALS, OrbitCertificate
+from zeno_orbits.verification import CHECKS, OrbitCertificate
 
 GOOD = OrbitCertificate(
     tolerance=2e-9,
@@ -160,7 +160,7 @@ def test_no_sentence_claims_more_than_a_verification_computes() -> None:
     unstable = replace(GOOD, multipliers=(1.5 + 0j, 0.5 + 0j))
     undecided = replace(GOOD, multipliers=(1.0 + 0j,))
     point = replace(GOOD, multipliers=())
-    told = [*words.CHECKS.values(), *(law[2] for law in words.LAWS)]
+    told = [*(check.plainly for check in CHECKS.values()), *(law[2] for law in words.LAWS)]
     for certificate in (GOOD, unstable, undecided, point):
         told += [words.headline(certificate), words.stability(certificate)]
         told.append(words.story(_orbit(0.5, 0.75), certificate, _execution(*HITS, LIMIT)))
@@ -214,7 +214,6 @@ def test_only_an_angle_beyond_half_a_turn_gets_a_caution(
 
 
 def test_everything_that_a_certificate_names_has_its_words() -> None:
-    assert set(words.CHECKS) == set(RESIDUALS)
     assert list(words.ENERGIES) == [
         *("input_work", "copper_loss", "other_loss", "impact_loss", "energy_gain"),
     ]

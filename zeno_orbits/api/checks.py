@@ -34,7 +34,7 @@ def verify(
     *,
     problem: Named | None = None,
     settings: VerificationSettings | None = None,
-    dynamics: HybridDynamics | None = None,
+    dynamics: HybridDynamics | GraphDynamics | None = None,
     on_progress: Progress = silent,
 ) -> OrbitCertificate:
     """Return the certificate of an orbit from an independent forward integration.
@@ -50,15 +50,22 @@ def verify(
         InputError: If the orbit's problem is not known, or the orbit does not fit the problem.
         OrbitFileError: If the file is not an orbit file.
     """
+    from zeno_orbits.model import GraphDynamics, HybridDynamics
     from zeno_orbits.verification import verifier, verify_events
 
     orbit = any_orbit(orbit)
     known = problem_to_check(orbit, problem)
-    if isinstance(orbit, EventOrbit):
-        return verify_events(orbit, known, settings=settings, on_progress=on_progress)
-    return verifier.verify(
-        orbit, known, settings=settings, dynamics=dynamics, on_progress=on_progress
+    makes, kind, verified = (
+        ("graph_dynamics", GraphDynamics, verify_events)
+        if isinstance(orbit, EventOrbit)
+        else ("dynamics", HybridDynamics, verifier.verify)
     )
+    if dynamics is not None and not isinstance(dynamics, kind):
+        found = type(dynamics).__name__
+        message = f"must come from `Problem.{makes}` for this orbit, but it is a {found}"
+        raise InputError(f"Argument `dynamics` {message}.")
+    given: Any = {"orbit": orbit, "dynamics": dynamics}
+    return verified(problem=known, settings=settings, on_progress=on_progress, **given)
 
 
 @front_door

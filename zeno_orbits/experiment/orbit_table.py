@@ -501,7 +501,7 @@ def graph_nodes(graph: GraphDynamics, arcs: Sequence[Arc]) -> CubicColumns:
     """
     return _joined(
         [
-            _arc_nodes(graph.flow(graph.mode_of(arc.closed, arc.sides)), arc, inside=_INSIDE)
+            _arc_nodes(graph.flow(arc.mode_in(graph)), arc, inside=_INSIDE)
             for arc in arcs
             if arc.end_time > arc.start_time
         ]

@@ -117,7 +117,7 @@ def _close_up(
     if isinstance(dynamics, GraphDynamics):
         tail = next(arc for arc in execution.arcs if arc.end_time == zeno.time)
         stop = dynamics.stop_names.index(zeno.stop)
-        mode = dynamics.mode_of(tail.closed, tail.sides)
+        mode = tail.mode_in(dynamics)
         dynamics = dynamics.view(mode, stop)
         ends = [arc.end_time for arc in execution.arcs if zeno.stop in arc.closed]
     else:

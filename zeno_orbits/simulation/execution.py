@@ -11,7 +11,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import any_number
 from zeno_orbits.integrators import Trajectory, fast_dataclass
-from zeno_orbits.model import UNIT_SCALES, CharacteristicScales
+from zeno_orbits.model import UNIT_SCALES, CharacteristicScales, GraphDynamics, GraphMode
 from zeno_orbits.simulation.events import (
     Event,
     EventKind,
@@ -89,6 +89,16 @@ class Arc(ByValue):
     closed: tuple[str, ...] = ()
     stop: str = ""
     sides: tuple[bool, ...] = ()
+
+    def mode_in(self, graph: GraphDynamics) -> GraphMode:
+        """Return the mode of the arc in the graph of its machine.
+
+        Args:
+            graph: The graph of modes.
+        """
+        closed, sides = graph.mode_of(self.closed, self.sides)
+        # A stop without a name is the only one.
+        return (closed or ((0,) if self.mode is Mode.LOCKED else ())), sides
 
     def state_at(self, time: float) -> Vector:
         """Return the state at a time inside the arc, to the accuracy of the integration.

@@ -6,8 +6,8 @@ orbit. The modules in the order of execution are `claim` (the orbit as vectors),
 `residuals`, `cross_checks` (truncations, energies, a second model) and `certificate`. `verifier`
 combines them. `measurement` computes the range of a quantity along an orbit.
 
-Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `RESIDUALS`,
-`with_certificate`, `problem_dynamics`; `measure`, `require_quantities`.
+Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `CHECKS`,
+`RESIDUALS`, `with_certificate`, `problem_dynamics`; `measure`, `require_quantities`.
 
 Imports: orbits, simulation, model, integrators, work, arrays, errors. Never search,
 continuation, maps, experiment or precision.

@@ -1,3 +1,4 @@
+from .certificate import CHECKS as CHECKS
 from .certificate import DeltaCut as DeltaCut
 from .certificate import OrbitCertificate as OrbitCertificate
 from .certificate import RESIDUALS as RESIDUALS

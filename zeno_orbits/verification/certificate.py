@@ -16,60 +16,142 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.work import Columns, TableRepr
 
-RESIDUALS: Mapping[str, str] = {
-    "release": "gap, gap rate and multiplier are zero at the release",
-    "start": "the period starts just after an impact",
-    "first_impact": "the first impact has the time and state of the orbit",
-    "impact_sequence": "the later impacts have the times and states of the orbit",
-    "restitution": "every impact multiplies the gap rate by -e",
-    "impact_energy": "every impact loses (1 - e^2)/2 m w^2",
-    "events": "every event has the time and state of the orbit",
-    "impulses": "no closed stop pulls in an impact",
-    "zeno_point": "the impacts accumulate at the time and state of the orbit",
-    "phases": "the other phases start at the times and states of the orbit",
-    "delta_sweep": "cutting the sequence at ever slower impacts tends to the same motion",
-    "penetration": "the gap is never negative in flight",
-    "adhesion": "the multiplier is never negative on the stop",
-    "switches": "every formula stays on its branch between the events",
-    "escape": "no coordinate exceeds a divergence limit of the problem",
-    "closure": "the period ends where it starts",
-    "period": "the period agrees with the orbit",
-    "drift": "the later periods end where the first period ends",
-    "energy_balance": "work in = energy gained + copper, friction and impact losses",
-    "holonomic": "the holonomic constraints hold",
-    "second_model": "a second derivation of the model gives the same flows and resets",
-    "integration": "a looser integration gives the same return",
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """A check of an orbit by a relative size, its residual, that is zero for a true orbit.
+
+    Attributes:
+        law: Statement that is true if the residual is zero.
+        failure: Statement that is true if it is not zero.
+        plainly: The check for a reader without knowledge of hybrid systems.
+    """
+
+    law: str
+    failure: str
+    plainly: str
+
+
+CHECKS: Mapping[str, Check] = {
+    "release": Check(
+        law="gap, gap rate and multiplier are zero at the release",
+        failure="gap, gap rate or multiplier is not zero at the release",
+        plainly="The motion starts at a release.",
+    ),
+    "start": Check(
+        law="the period starts just after an impact",
+        failure="the period does not start just after an impact",
+        plainly="The motion starts just after an impact.",
+    ),
+    "first_impact": Check(
+        law="the first impact has the time and state of the orbit",
+        failure="the first impact differs from the orbit in time or state",
+        plainly="The first impact has the time and state of the file.",
+    ),
+    "impact_sequence": Check(
+        law="the later impacts have the times and states of the orbit",
+        failure="a later impact differs from the orbit in time or state",
+        plainly="The later impacts have the times and states of the file.",
+    ),
+    "restitution": Check(
+        law="every impact multiplies the gap rate by -e",
+        failure="an impact does not multiply the gap rate by -e",
+        plainly="The rebound speed is a fixed fraction of the impact speed.",
+    ),
+    "impact_energy": Check(
+        law="every impact loses (1 - e^2)/2 m w^2",
+        failure="an impact does not lose (1 - e^2)/2 m w^2",
+        plainly="Each impact dissipates the predicted energy.",
+    ),
+    "events": Check(
+        law="every event has the time and state of the orbit",
+        failure="an event differs from the orbit in time or state",
+        plainly="Every event has the time and state of the file.",
+    ),
+    "impulses": Check(
+        law="no closed stop pulls in an impact",
+        failure="a closed stop pulls in an impact",
+        plainly="A closed stop does not pull in an impact.",
+    ),
+    "zeno_point": Check(
+        law="the impacts accumulate at the time and state of the orbit",
+        failure="the Zeno point differs from the orbit in time or state",
+        plainly="The impacts accumulate at the time and state of the file.",
+    ),
+    "phases": Check(
+        law="the other phases start at the times and states of the orbit",
+        failure="the start of a later phase differs from the orbit in time or state",
+        plainly="Later flights start at the times and states of the file.",
+    ),
+    "delta_sweep": Check(
+        law="cutting the sequence at ever slower impacts tends to the same motion",
+        failure="truncation at smaller thresholds tends to another motion",
+        plainly="The later the sequence of impacts is truncated, the smaller the effect.",
+    ),
+    "penetration": Check(
+        law="the gap is never negative in flight",
+        failure="the gap is negative in flight",
+        plainly="The moving part does not pass through the stop.",
+    ),
+    "adhesion": Check(
+        law="the multiplier is never negative on the stop",
+        failure="the multiplier is negative on the stop",
+        plainly="The stop pushes and does not pull.",
+    ),
+    "switches": Check(
+        law="every formula stays on its branch between the events",
+        failure="a formula leaves its branch between the events",
+        plainly="Every formula stays on its branch between the events.",
+    ),
+    "escape": Check(
+        law="no coordinate exceeds a divergence limit of the problem",
+        failure="a coordinate exceeds a divergence limit of the problem",
+        plainly="No state exceeds its limit.",
+    ),
+    "closure": Check(
+        law="the period ends where it starts",
+        failure="the period does not end where it starts",
+        plainly="After one period the motion is where it started.",
+    ),
+    "period": Check(
+        law="the period agrees with the orbit",
+        failure="the period differs from the orbit",
+        plainly="The period equals the period of the file.",
+    ),
+    "drift": Check(
+        law="the later periods end where the first period ends",
+        failure="a later period does not end where the first period ends",
+        plainly="The later simulated periods are like the first.",
+    ),
+    "energy_balance": Check(
+        law="work in = energy gained + copper, friction and impact losses",
+        failure="work in differs from energy gained + copper, friction and impact losses",
+        plainly="The energy balance of a period closes: input work minus losses is the change "
+        "of energy.",
+    ),
+    "holonomic": Check(
+        law="the holonomic constraints hold",
+        failure="a holonomic constraint does not hold",
+        plainly="The other constraints of the mechanism hold.",
+    ),
+    "second_model": Check(
+        law="a second derivation of the model gives the same flows and resets",
+        failure="a second derivation of the model gives other flows or resets",
+        plainly="Equations that were derived a second time, independently, agree.",
+    ),
+    "integration": Check(
+        law="a looser integration gives the same return",
+        failure="the return changes at a looser tolerance",
+        plainly="A less accurate integration gives the same values, within the tolerance.",
+    ),
 }
-"""Statement by residual that is true if the residual is zero.
+"""All checks by the name of their residual.
 
 The order is causal: the first residual that fails explains the later failures.
 """
 
-FAILURES: Mapping[str, str] = {
-    "release": "gap, gap rate or multiplier is not zero at the release",
-    "start": "the period does not start just after an impact",
-    "first_impact": "the first impact differs from the orbit in time or state",
-    "impact_sequence": "a later impact differs from the orbit in time or state",
-    "restitution": "an impact does not multiply the gap rate by -e",
-    "impact_energy": "an impact does not lose (1 - e^2)/2 m w^2",
-    "events": "an event differs from the orbit in time or state",
-    "impulses": "a closed stop pulls in an impact",
-    "zeno_point": "the Zeno point differs from the orbit in time or state",
-    "phases": "the start of a later phase differs from the orbit in time or state",
-    "delta_sweep": "truncation at smaller thresholds tends to another motion",
-    "penetration": "the gap is negative in flight",
-    "adhesion": "the multiplier is negative on the stop",
-    "switches": "a formula leaves its branch between the events",
-    "escape": "a coordinate exceeds a divergence limit of the problem",
-    "closure": "the period does not end where it starts",
-    "period": "the period differs from the orbit",
-    "drift": "a later period does not end where the first period ends",
-    "energy_balance": "work in differs from energy gained + copper, friction and impact losses",
-    "holonomic": "a holonomic constraint does not hold",
-    "second_model": "a second derivation of the model gives other flows or resets",
-    "integration": "the return changes at a looser tolerance",
-}
-"""Statement by residual that is true if the residual is not zero."""
+RESIDUALS: Mapping[str, str] = {name: check.law for name, check in CHECKS.items()}
+"""Statement by residual that is true if the residual is zero, in causal order."""
 
 
 _MISSES = ("first_impact", "impact_sequence", "closure", "period")
@@ -133,8 +215,7 @@ class OrbitCertificate(TableRepr):
         open_balance: True if a force acts whose powers are not specified by the problem, so that
             the energy balance cannot be checked.
         events: Event sequence of an orbit given by its events, otherwise empty. Such an orbit has
-            no `shape`, and no truncations are computed for it. Its energies have ``switch_loss``
-            if it has switches.
+            no `shape`. Its energies have ``switch_loss`` if it has switches.
         quantities: Range of each quantity of its events over one period, by name.
     """
 
@@ -262,7 +343,7 @@ class OrbitCertificate(TableRepr):
         if self.failed:
             name = self.failed[0]
             size = f"`{name}` = {self.residuals[name]:.1e} exceeds {self.tolerance:.0e}"
-            reason = f"{size} ({FAILURES[name]})"
+            reason = f"{size} ({CHECKS[name].failure})"
         elif self.trouble:
             reason = self.trouble
         else:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model import HybridDynamics, Problem, load_reference, with_energy_ledger
-from zeno_orbits.orbits import Cycle, Phase, PhaseKind, ZenoOrbit, place_on_section
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, with_energy_ledger
+from zeno_orbits.orbits import Cycle, ZenoOrbit, place_on_section
 from zeno_orbits.simulation import (
     Arc,
     Impact,
@@ -22,7 +22,7 @@ from zeno_orbits.simulation import (
 )
 from zeno_orbits.verification.certificate import DeltaCut
 from zeno_orbits.verification.claim import Claim
-from zeno_orbits.verification.integration import FirstCycle, distance
+from zeno_orbits.verification.integration import distance
 from zeno_orbits.verification.residuals import lawful_impact
 
 _FINEST_CUT = 1e-9
@@ -35,9 +35,30 @@ _LATER = 1.001
 """Factor on the period by which an integration may take longer, because of its error."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accumulation:
+    """Impacts that accumulate, and the contact phase after them.
+
+    Attributes:
+        dynamics: The system of their stop, in which closed stops are constraints.
+        impacts: The resolved impacts.
+        contact: The first arc of the contact phase, which takes time.
+    """
+
+    dynamics: HybridDynamics
+    impacts: tuple[Impact, ...]
+    contact: Arc
+
+    def last_common_impact(self, delta: float) -> Impact:
+        """Return the last impact up to which a motion truncated below a speed is equal."""
+        slow = (impact for impact in self.impacts if abs(impact.approach_rate) < delta)
+        return next(slow, self.impacts[-1])
+
+
 def delta_sweep(
-    dynamics: HybridDynamics,
-    first: FirstCycle,
+    machine: HybridDynamics | GraphDynamics,
+    accumulations: Sequence[Accumulation],
+    scale: Vector,
     cuts: Sequence[float],
     simulation: SimulationSettings,
     enough: float,
@@ -48,8 +69,9 @@ def delta_sweep(
     integrated from the last impact that both motions have.
 
     Args:
-        dynamics: The system.
-        first: The first period, completed by the extrapolated limit.
+        machine: The machine.
+        accumulations: The accumulations of a period, completed by the extrapolated limit.
+        scale: Size of each state over the period, ``(n_x,)``.
         cuts: Thresholds in units of the first impact speed, decreasing.
         simulation: Accuracy.
         enough: Sufficiently small error. Truncations continue, each at a tenth of the speed, while
@@ -60,60 +82,49 @@ def delta_sweep(
         One entry per threshold, for the accumulation with the largest last error. Empty if impacts
         do not accumulate.
     """
-    sweeps = [
-        _sweep_of(dynamics, first, phase, cuts, simulation, enough)
-        for phase in first.cycle.phases
-        if phase.kind is PhaseKind.ZENO
-    ]
+    sweeps = [_sweep_of(machine, one, scale, cuts, simulation, enough) for one in accumulations]
     return max(sweeps, key=lambda sweep: sweep[-1].error, default=())
 
 
 def _sweep_of(
-    dynamics: HybridDynamics,
-    first: FirstCycle,
-    phase: Phase,
+    machine: HybridDynamics | GraphDynamics,
+    one: Accumulation,
+    scale: Vector,
     cuts: Sequence[float],
     simulation: SimulationSettings,
     enough: float,
 ) -> tuple[DeltaCut, ...]:
-    fastest = abs(phase.impacts[0].approach_rate)
-    found = [_cut(dynamics, first, phase, share * fastest, simulation) for share in cuts]
+    fastest = abs(one.impacts[0].approach_rate)
+    found = [_cut(machine, one, scale, share * fastest, simulation) for share in cuts]
     while (
         len(found) > 1
         and enough < found[-1].error < found[-2].error / _FALL
         and found[-1].delta > 10.0 * _FINEST_CUT * fastest
     ):
-        found.append(_cut(dynamics, first, phase, found[-1].delta / 10.0, simulation))
+        found.append(_cut(machine, one, scale, found[-1].delta / 10.0, simulation))
     return tuple(found)
 
 
 def _cut(
-    dynamics: HybridDynamics,
-    first: FirstCycle,
-    phase: Phase,
+    machine: HybridDynamics | GraphDynamics,
+    one: Accumulation,
+    scale: Vector,
     delta: float,
     simulation: SimulationSettings,
 ) -> DeltaCut:
     """Return the error in the middle of the contact phase of a motion truncated below a speed."""
-    zeno = phase.end.time if phase.zeno is None else phase.zeno.time
-    when = (zeno + phase.end.time) / 2
-    before = _last_common_impact(phase, delta)
-    start = dynamics.on_stop(before.state_minus)
-    start = start + before.approach_rate * dynamics.impulse_direction(start)
+    when = (one.contact.start_time + one.contact.end_time) / 2
+    before = one.last_common_impact(delta)
+    start = one.dynamics.on_stop(before.state_minus)
+    start = start + before.approach_rate * one.dynamics.impulse_direction(start)
     rule = replace(simulation, completion=Truncation(delta=delta))
     try:
-        run = simulate(dynamics, start, until=when - before.time, settings=rule)
+        run = simulate(machine, start, until=when - before.time, settings=rule)
     except ZenoOrbitsError:
         return DeltaCut(delta=delta, speed=math.nan, error=math.inf)
     last = run.impacts[-1] if run.impacts else before
-    error = distance(run.end_state, first.cycle.execution.state_at(when), first.scale)
+    error = distance(run.end_state, one.contact.state_at(when), scale)
     return DeltaCut(delta=delta, speed=abs(last.approach_rate), error=error)
-
-
-def _last_common_impact(phase: Phase, delta: float) -> Impact:
-    """Return the last impact up to which the truncated and the completed motion are equal."""
-    slow = (impact for impact in phase.impacts if abs(impact.approach_rate) < delta)
-    return next(slow, phase.impacts[-1])
 
 
 def cut_order(sweep: tuple[DeltaCut, ...], noise: float) -> float:
@@ -231,20 +242,19 @@ def _stored(dynamics: HybridDynamics, before: Vector, after: Vector) -> float:
     return dynamics.energy(changed) - dynamics.energy(before)
 
 
-def second_model(orbit: ZenoOrbit, problem: Problem, cycle: Cycle) -> float:
-    """Return the largest relative difference of the two derivations along the orbit.
+def second_model(
+    by_hand: HybridDynamics, derived: Iterable[tuple[HybridDynamics, Vector]]
+) -> float:
+    """Return the largest relative difference of two derivations of a model along an orbit.
 
     Args:
-        orbit: The orbit.
-        problem: Its problem, which has a hand-written model.
-        cycle: The first period.
+        by_hand: The hand-written model at the values of the orbit.
+        derived: The derived model on each branch of its kinks, with states there, ``(n, n_x)``.
     """
-    values = orbit.values(problem)
-    by_hand: HybridDynamics = load_reference(problem).dynamics(values)
-    derived = problem.dynamics(values)
-    times = np.linspace(0.0, cycle.end.time, 41)
-    struck = [impact.state_minus for impact in cycle.impacts]
-    free = np.array([*cycle.execution.states_at(times), *struck])
+    return max(_between(by_hand, model, free) for model, free in derived)
+
+
+def _between(by_hand: HybridDynamics, derived: HybridDynamics, free: Vector) -> float:
     rested = np.array([derived.on_stop(x) for x in free])
 
     def gap_between(quantity: Callable[[HybridDynamics], Vector]) -> float:

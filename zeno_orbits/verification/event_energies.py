@@ -72,7 +72,7 @@ def is_balanced(graph: GraphDynamics) -> bool:
 
 def _work(graph: GraphDynamics, arc: Arc, zenos: Sequence[ZenoPoint]) -> Vector:
     """Return the input work and both losses along an arc, and with moduli of powers, ``(2, 3)``."""
-    mode, stop = graph.some_stop(graph.mode_of(arc.closed, arc.sides))
+    mode, stop = graph.some_stop(arc.mode_in(graph))
     if arc.trajectory is None:
         struck = min(zenos, key=lambda zeno: abs(zeno.time - arc.end_time)).stop
         stop = graph.stop_names.index(struck)

@@ -163,12 +163,10 @@ def _contacts(
             continue
         stop = graph.stop_names.index(event.stop)
         pushes = [
-            extent_of(
-                graph.holding(graph.mode_of(arc.closed, arc.sides), stop).gap_acceleration, [arc]
-            )
+            extent_of(graph.holding(arc.mode_in(graph), stop).gap_acceleration, [arc])
             for arc in held
         ]
-        mode = graph.mode_of(held[0].closed, held[0].sides)
+        mode = held[0].mode_in(graph)
         yield _Contact(
             duration=sum(arc.duration for arc in held),
             push=-graph.holding(mode, stop).gap_acceleration(event.state),

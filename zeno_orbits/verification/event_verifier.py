@@ -1,12 +1,7 @@
-r"""Check an orbit of a machine with several stops or switches by forward integration.
+"""Check an orbit of a machine with several stops or switches by forward integration.
 
 The problem is rebuilt from the orbit's parameters, and the motion is integrated over several
-periods from the start state alone. Laws are stated here again, by other formulas than those of the
-simulator: the impulses of an impact follow from the changes of all gap rates,
-
-.. math:: G\,p = \dot h^+ - \dot h^-, \qquad G = J W J^\top,
-
-and the guards are sampled between the events.
+periods from the start state alone.
 """
 
 from __future__ import annotations
@@ -14,89 +9,73 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError, finite_number
-from zeno_orbits.model import GraphDynamics, Problem
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import (
     EventOrbit,
     EventQuantities,
     EventReturn,
     Multipliers,
-    OrbitEvent,
     caused_releases,
     derivative_of_return,
     estimated_errors,
     event_return,
-    events_as_listed,
     extrapolated,
     is_one_sided,
     largest_states,
-    lasting_events,
     multipliers_of_return,
     orbit_event_name,
     other_equations,
+    phases_of_events,
     relaxed_tolerance,
-    sequence_of,
     time_blur,
 )
 from zeno_orbits.simulation import (
     Arc,
-    Event,
     Execution,
     Impact,
-    Release,
     SimulationSettings,
     ZenoPoint,
     simulate,
     state_after,
     state_before,
 )
-from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.cross_checks import PeriodEnergies
-from zeno_orbits.verification.event_energies import (
-    event_energies,
-    is_balanced,
-    kept_stops,
-    struck_view,
+from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
+from zeno_orbits.verification.cross_checks import (
+    Accumulation,
+    PeriodEnergies,
+    cut_order,
+    delta_sweep,
+    second_model,
 )
+from zeno_orbits.verification.event_energies import event_energies, is_balanced, struck_view
 from zeno_orbits.verification.event_margins import event_margins
-from zeno_orbits.verification.integration import decisive, error_by_repetition
+from zeno_orbits.verification.event_residuals import (
+    Claimed,
+    IntegratedPeriod,
+    claimed,
+    event_impact_laws,
+    event_misses,
+    guards_along,
+)
+from zeno_orbits.verification.integration import decisive, distance, error_by_repetition
+from zeno_orbits.verification.residuals import escapes_of
+from zeno_orbits.verification.second_net import sampled_guards
 from zeno_orbits.verification.verifier import VerificationSettings
 from zeno_orbits.work import Progress, silent
 
-_SAMPLES = 24
-"""Samples of every arc, in addition to the steps of the integrator."""
+_STATES = 9
+"""States of each arc at which two derivations of the model are compared."""
 _BEYOND = 1e-3
 """Part of a period by which the integration goes on. The last guard falls by more than rounding."""
-_NO_SWEEP = math.nan
 _SHORTER_TAIL = 1e-2
 """Factor on the speed to which impacts are resolved. The work in the tail is then as exact as the
 flow: its error falls with the square of the speed."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Period:
-    """One integrated period.
-
-    Attributes:
-        events: Its events.
-        opened: Releases that its last event causes, at the start of the next period.
-        arcs: Its arcs.
-        start: When it starts [s].
-        end: When it ends [s].
-        state: State just after its last event, ``(n_x,)``.
-    """
-
-    events: tuple[Event, ...]
-    opened: tuple[Release, ...]
-    arcs: tuple[Arc, ...]
-    start: float
-    end: float
-    state: Vector
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,12 +84,14 @@ class _Observation:
 
     Attributes:
         periods: The periods, empty if the first one is not finished.
+        arcs: All arcs.
         trouble: Reason for an early end, else empty.
         residuals: Residuals that belong to this integration.
         integration_error: Relative difference from an integration at a looser tolerance.
     """
 
-    periods: tuple[_Period, ...]
+    periods: tuple[IntegratedPeriod, ...]
+    arcs: tuple[Arc, ...]
     trouble: str
     residuals: Mapping[str, float]
     integration_error: float = math.inf
@@ -121,6 +102,7 @@ def verify_events(
     problem: Problem,
     *,
     settings: VerificationSettings | None = None,
+    dynamics: GraphDynamics | None = None,
     on_progress: Progress = silent,
 ) -> OrbitCertificate:
     """Return the certificate of an orbit given by its events.
@@ -129,64 +111,147 @@ def verify_events(
         orbit: The orbit. Its own certificate and multipliers are ignored.
         problem: Its problem.
         settings: Tolerance, number of periods and accuracy.
+        dynamics: The machine to integrate. By default it is the problem's machine at the orbit's
+            parameter values.
         on_progress: Called with the name of each stage as it begins.
 
     Raises:
         InputError: If the orbit does not fit the problem, or a time is not finite.
     """
-    settings = settings or VerificationSettings()
+    asked = settings or VerificationSettings()
     finite_number("period", orbit.period)
-    graph = problem.graph_dynamics(orbit.values(problem))
+    graph = dynamics or problem.graph_dynamics(orbit.values(problem))
     start = np.array(problem.state_vector(orbit.start_state))
     on_progress("integrating the orbit", None)
-    said = [_said(problem, event) for event in orbit.events]
+    said = [claimed(problem, event) for event in orbit.events]
 
     def observed(simulation: SimulationSettings) -> _Observation:
-        return _observe(graph, orbit, start, said, replace(settings, simulation=simulation))
+        return _observe(graph, orbit, start, said, replace(asked, simulation=simulation))
 
-    seen, simulation = decisive(observed, _worst, settings.simulation, settings.tolerance)
-    periods, trouble, residuals = seen.periods, seen.trouble, dict(seen.residuals)
-    margins: dict[str, float] = {}
-    quantities: dict[str, tuple[float, float]] = {}
-    energies: Mapping[str, float] = {}
-    if periods:
-        first = periods[0]
-        margins = event_margins(graph, start, first.events, first.arcs, first.end - first.start)
-        quantities = _quantities(graph, first, start)
-        on_progress("integrating the powers", None)
-        found = _energies(graph, orbit, start, simulation)
-        energies = found.values if found else {}
-        if is_balanced(graph):
-            residuals["energy_balance"] = found.imbalance if found else math.inf
-        residuals["integration"] = seen.integration_error
+    seen, simulation = decisive(observed, _worst, asked.simulation, asked.tolerance)
+    settings = replace(asked, simulation=simulation)
+    again = _CrossChecks()
+    clauses = [other_equations(orbit.problem_digest, problem), _elastic(orbit, graph), seen.trouble]
+    if seen.periods:
+        again = _cross_checks(graph, orbit, problem, seen, settings, on_progress)
+        clauses += [phrase for _, phrase in again.escapes.values()]
     on_progress("computing the multipliers", None)
     known = Multipliers.unknown()
     with suppress(ZenoOrbitsError):
-        known = multipliers_of_events(orbit, problem, settings=settings)
+        known = multipliers_of_events(orbit, problem, settings=settings, dynamics=graph)
+    residuals = {**seen.residuals, **again.residuals}
     if known.spectral_radius >= 1.0:
+        # Rounding errors grow along an unstable orbit, so later returns are meaningless.
         residuals.pop("drift", None)
-        trouble = "" if periods else trouble
-    trouble = other_equations(orbit.problem_digest, problem) or _elastic(orbit, graph) or trouble
-    errors = [one.limit_error for one in _of_kind(periods, ZenoPoint)]
+        clauses.remove(seen.trouble)
+        clauses += [] if seen.periods else [seen.trouble]
+    errors = [one.limit_error for one in _of_kind(seen.periods, ZenoPoint)]
     return OrbitCertificate(
         tolerance=settings.tolerance,
         residuals={name: float(value) for name, value in residuals.items()},
-        margins={name: float(value) for name, value in margins.items()},
-        energies=energies,
+        margins={name: float(value) for name, value in again.margins.items()},
+        energies=again.energies,
         multipliers=known.values,
         multiplier_error=known.error,
-        delta_sweep=(),
-        delta_order=_NO_SWEEP,
+        delta_sweep=again.sweep,
+        delta_order=cut_order(again.sweep, seen.integration_error),
         integration_error=seen.integration_error,
         zeno_error=max(errors, default=0.0),
-        period=periods[0].end if periods else math.nan,
+        period=seen.periods[0].end if seen.periods else math.nan,
         n_periods=settings.n_periods,
         model="derived",
-        trouble=trouble,
+        trouble="; ".join(clause for clause in clauses if clause),
         open_balance=not is_balanced(graph),
         events=orbit.sequence,
-        quantities=quantities,
+        quantities=again.quantities,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _CrossChecks:
+    """Results that need the first period: residuals, margins, energies, truncations."""
+
+    residuals: dict[str, float] = field(default_factory=dict[str, float])
+    margins: Mapping[str, float] = field(default_factory=dict[str, float])
+    energies: Mapping[str, float] = field(default_factory=dict[str, float])
+    quantities: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict[str, tuple[float, float]]
+    )
+    sweep: tuple[DeltaCut, ...] = ()
+    escapes: Mapping[str, tuple[float, str]] = field(default_factory=dict[str, tuple[float, str]])
+
+
+def _cross_checks(
+    graph: GraphDynamics,
+    orbit: EventOrbit,
+    problem: Problem,
+    seen: _Observation,
+    settings: VerificationSettings,
+    on_progress: Progress,
+) -> _CrossChecks:
+    first, simulation = seen.periods[0], settings.simulation
+    period, scale = first.end - first.start, largest_states(first.arcs, graph)
+    on_progress("sampling all guards", None)
+    again = sampled_guards(graph, first.arcs, period)
+    residuals = {name: max(size, seen.residuals[name]) for name, size in again.items()}
+    on_progress("cutting the impact sequences", None)
+    accumulations, enough = list(_accumulations(graph, first, seen.arcs)), settings.tolerance / 10.0
+    sweep = delta_sweep(graph, accumulations, scale, settings.cuts, simulation, enough)
+    if sweep:
+        residuals["delta_sweep"] = sweep[-1].error
+    on_progress("integrating the powers", None)
+    start = np.array(problem.state_vector(orbit.start_state))
+    found = _energies(graph, orbit, start, simulation)
+    if is_balanced(graph):
+        residuals["energy_balance"] = found.imbalance if found else math.inf
+    if problem.reference is not None and len(graph.stop_names) == 1:
+        on_progress("comparing two derivations of the model", None)
+        by_hand = load_reference(problem).dynamics(orbit.values(problem))
+        residuals["second_model"] = second_model(by_hand, _on_branches(graph, first))
+    states = np.concatenate([arc.flow_states[:, : len(start)] for arc in first.arcs])
+    escapes = escapes_of(problem, np.max(np.abs(states), axis=0))
+    if problem.escapes:
+        residuals["escape"] = max((excess for excess, _ in escapes.values()), default=0.0)
+    residuals["integration"] = seen.integration_error
+    return _CrossChecks(
+        residuals=residuals,
+        margins=event_margins(graph, start, first.events, first.arcs, period),
+        energies=found.values if found else {},
+        quantities=_quantities(graph, first, start),
+        sweep=sweep,
+        escapes=escapes,
+    )
+
+
+def _accumulations(
+    graph: GraphDynamics, period: IntegratedPeriod, arcs: Sequence[Arc]
+) -> Iterator[Accumulation]:
+    """Yield the impacts of a period that accumulate and are followed by contact.
+
+    Args:
+        graph: The graph of modes.
+        period: The period.
+        arcs: Its arcs and those after it.
+    """
+    for phase in phases_of_events([orbit_event_name(event) for event in period.events]):
+        *before, zeno = (period.events[k] for k in phase)
+        impacts = tuple(event for event in before if isinstance(event, Impact))
+        if not isinstance(zeno, ZenoPoint) or not impacts or not zeno.last_speed:
+            continue
+        held = next((arc for arc in arcs if arc.start_time >= zeno.time and arc.duration), None)
+        if held is not None and zeno.stop in held.closed:
+            view = struck_view(graph, period.arcs, impacts[0])
+            yield Accumulation(dynamics=view, impacts=impacts, contact=held)
+
+
+def _on_branches(
+    graph: GraphDynamics, period: IntegratedPeriod
+) -> Iterator[tuple[HybridDynamics, Vector]]:
+    """Yield the model on the branch of each arc, with states there."""
+    for arc in period.arcs:
+        if arc.trajectory is not None:
+            times = np.linspace(arc.start_time, arc.end_time, _STATES)
+            yield graph.view(((), arc.sides), 0), np.array([*arc.states_at(times), arc.end_state])
 
 
 def _elastic(orbit: EventOrbit, graph: GraphDynamics) -> str:
@@ -201,14 +266,14 @@ def _observe(
     graph: GraphDynamics,
     orbit: EventOrbit,
     start: Vector,
-    said: Sequence[tuple[str, float, Vector]],
+    said: Sequence[Claimed],
     settings: VerificationSettings,
 ) -> _Observation:
     """Return the periods of an orbit with their residuals, and the error of the integration."""
-    periods, trouble = _periods(graph, orbit, start, settings.simulation, settings.n_periods)
+    periods, arcs, trouble = _periods(graph, orbit, start, settings.simulation, settings.n_periods)
     residuals: dict[str, float] = dict.fromkeys(("events", "closure", "period"), math.inf)
     if not periods:
-        return _Observation(periods=(), trouble=trouble, residuals=residuals)
+        return _Observation(periods=(), arcs=(), trouble=trouble, residuals=residuals)
     first, scale = periods[0], largest_states(periods[0].arcs, graph)
     blur = time_blur(first.arcs, graph, orbit.period)
 
@@ -216,26 +281,30 @@ def _observe(
         return max(0.0, miss - blur)
 
     residuals |= {
-        "events": beyond_rounding(_miss(orbit, said, first, scale)),
-        "closure": beyond_rounding(_distance(first.state, start, scale)),
+        "events": beyond_rounding(event_misses(graph, orbit, said, first, scale)),
+        "closure": beyond_rounding(distance(first.state, start, scale)),
         "period": beyond_rounding(abs(first.end - orbit.period) / orbit.period),
-        **_impact_laws(graph, first),
-        **_sampled(graph, first),
+        **event_impact_laws(graph, first),
+        **guards_along(graph, first),
     }
     if len(periods) == settings.n_periods > 1:
-        drift = max(_distance(one.state, start, scale) for one in periods)
+        drift = max(distance(one.state, start, scale) for one in periods)
         residuals["drift"] = beyond_rounding(drift)
 
     def difference(looser: SimulationSettings) -> float:
-        others, _ = _periods(graph, orbit, start, looser, 1)
+        others, _, _ = _periods(graph, orbit, start, looser, 1)
         if not others:
             return math.inf
         later = abs(others[0].end - first.end) / first.end
-        return max(_distance(others[0].state, first.state, scale), later)
+        return max(distance(others[0].state, first.state, scale), later)
 
     error = error_by_repetition(difference, settings.simulation, settings.tolerance)
     return _Observation(
-        periods=tuple(periods), trouble=trouble, residuals=residuals, integration_error=error
+        periods=tuple(periods),
+        arcs=arcs,
+        trouble=trouble,
+        residuals=residuals,
+        integration_error=error,
     )
 
 
@@ -249,8 +318,8 @@ def _periods(
     start: Vector,
     settings: SimulationSettings,
     n_periods: int,
-) -> tuple[list[_Period], str]:
-    """Return the integrated periods, and the reason for an early end."""
+) -> tuple[list[IntegratedPeriod], tuple[Arc, ...], str]:
+    """Return the integrated periods, all arcs, and the reason for an early end."""
     until = orbit.period * (n_periods + _BEYOND * n_periods)
     try:
         exact = replace(settings, completion=extrapolated(settings))
@@ -258,9 +327,10 @@ def _periods(
         trouble = ""
     except SimulationError as error:
         if error.execution is None:
-            return [], str(error)
+            return [], (), str(error)
         execution, trouble = error.execution, str(error)
-    return list(_split(execution, orbit.section, orbit.n_returns)), trouble
+    periods = list(_split(execution, orbit.section, orbit.n_returns))
+    return periods, execution.arcs, trouble
 
 
 def _energies(
@@ -272,14 +342,14 @@ def _energies(
     """
     rule = extrapolated(settings)
     finer = replace(settings, completion=replace(rule, resolved=_SHORTER_TAIL * rule.resolved))
-    periods, _ = _periods(graph, orbit, start, finer, 1)
+    periods, _, _ = _periods(graph, orbit, start, finer, 1)
     if not periods:
         return None
     one = periods[0]
     return event_energies(graph, one.arcs, one.events, start, one.state)
 
 
-def _split(execution: Execution, section: str, n_returns: int) -> Iterator[_Period]:
+def _split(execution: Execution, section: str, n_returns: int) -> Iterator[IntegratedPeriod]:
     """Yield the periods of an execution, each ended by its n-th event of the section."""
     begin, count, first = 0.0, 0, 0
     for place, event in enumerate(execution.events):
@@ -287,7 +357,7 @@ def _split(execution: Execution, section: str, n_returns: int) -> Iterator[_Peri
             continue
         count += 1
         if count % n_returns == 0:
-            yield _Period(
+            yield IntegratedPeriod(
                 events=execution.events[first : place + 1],
                 opened=(opened := caused_releases(execution.events, place)),
                 arcs=tuple(a for a in execution.arcs if begin <= a.start_time < event.time),
@@ -298,128 +368,12 @@ def _split(execution: Execution, section: str, n_returns: int) -> Iterator[_Peri
             begin, first = event.time, place + 1 + len(opened)
 
 
-def _said(problem: Problem, event: OrbitEvent) -> tuple[str, float, Vector]:
-    state = np.array(problem.state_vector(event.state))
-    return event.name, finite_number("time", event.time), state
-
-
-def _miss(
-    orbit: EventOrbit,
-    said: Sequence[tuple[str, float, Vector]],
-    first: _Period,
-    scale: Vector,
-) -> float:
-    """Return the largest deviation of an event, infinite if the event sequence differs.
-
-    Kinks in the flights of impacts that accumulate do not belong to the event sequence.
-    """
-    seen = [
-        (orbit_event_name(event), event.time - first.start, np.asarray(state_before(event)))
-        for event in events_as_listed(first.events, orbit.sequence)
-    ]
-    kept, listed = (
-        [events[k] for k in lasting_events([name for name, _, _ in events])]
-        for events in (seen, said)
-    )
-    if sequence_of([name for name, _, _ in seen]) != orbit.sequence or len(kept) != len(listed):
-        return math.inf
-    return max(
-        max(abs(time - t) / orbit.period, _distance(x, y, scale)) if name == other else math.inf
-        for (name, time, x), (other, t, y) in zip(kept, listed, strict=True)
-    )
-
-
-def _distance(x: Vector, y: Vector, scale: Vector) -> float:
-    return float(np.max(np.abs(x - y) / scale))
-
-
-def _of_kind(periods: Sequence[_Period], kind: type[ZenoPoint]) -> list[ZenoPoint]:
+def _of_kind(periods: Sequence[IntegratedPeriod], kind: type[ZenoPoint]) -> list[ZenoPoint]:
     return [event for one in periods[:1] for event in one.events if isinstance(event, kind)]
 
 
-def _impact_laws(graph: GraphDynamics, period: _Period) -> dict[str, float]:
-    """Return the deviations of impacts from Newton's law, and the largest pull of a stop."""
-    impacts = [event for event in period.events if isinstance(event, Impact)]
-    if not impacts:
-        return {}
-    fastest = max(abs(impact.approach_rate) for impact in impacts)
-    turn = pull = 0.0
-    n = len(graph.stop_names)
-    for impact in impacts:
-        stop = graph.stop_names.index(impact.stop)
-        e = struck_view(graph, period.arcs, impact).restitution
-        before, after = (
-            np.array([graph.view(graph.open_mode, k).gap_rate(x) for k in range(n)])
-            for x in (impact.state_minus, impact.state_plus)
-        )
-        turn = max(turn, abs(after[stop] + e * impact.approach_rate) / fastest)
-        impulses = _impulses(graph, period, impact, after - before)
-        largest = float(np.max(np.abs(impulses)))
-        if largest > 0.0 and np.linalg.matrix_rank(graph.delassus(impact.state_minus)) == n:
-            pull = max(pull, float(np.max(-impulses)) * abs(impact.approach_rate) / largest)
-    return {"restitution": turn, "impulses": pull / fastest}
-
-
-def _impulses(graph: GraphDynamics, period: _Period, impact: Impact, change: Vector) -> Vector:
-    """Return the impulses of all stops that change the gap rates as an impact does.
-
-    The current layer of a corrected drive lasts too long to open a stop that a force holds closed.
-    A stop that stays closed then has its impulse by the masses alone.
-    """
-    x, k = impact.state_minus, graph.stop_names.index(impact.stop)
-    impulses: Vector = np.linalg.lstsq(graph.delassus(x), change, rcond=1e-9)[0].astype(np.float64)
-    if graph.has_current_layers:
-        kept, _ = graph.mode_of(kept_stops(graph, period.arcs, impact), ())
-        coupling = graph.coupling(x)
-        share = np.linalg.solve(coupling[np.ix_(kept, kept)], coupling[list(kept), k])
-        impulses[list(kept)] = -share * impulses[k]
-    return impulses
-
-
-def _sampled(graph: GraphDynamics, period: _Period) -> dict[str, float]:
-    """Return the largest violation of gaps, multipliers and switches between the events."""
-    lowest = adhesion = crossed = constraints = 0.0
-    depth, force = 1e-300, 1e-300
-    for arc in period.arcs:
-        if arc.trajectory is None:
-            continue
-        closed, sides = graph.mode_of(arc.closed, arc.sides)
-        n_x, span = len(arc.start_state), arc.end_time - arc.start_time
-        times = np.linspace(0.0, span, _SAMPLES + 2)[1:-1]
-        states = [*arc.flow_states[1:-1, :n_x], *arc.states_at(arc.start_time + times)]
-        for x in states:
-            for k in range(len(graph.stop_names)):
-                if k not in closed:
-                    gap = graph.view(graph.open_mode, k).gap(x)
-                    lowest, depth = min(lowest, gap), max(depth, gap)
-                else:
-                    pressed = graph.holding((closed, sides), k).multiplier(x)
-                    adhesion, force = min(adhesion, pressed), max(force, pressed)
-            crossed = max(crossed, _wrong_side(graph, arc, x))
-        held = graph.first.holonomic(arc.end_state)
-        constraints = max([constraints, *np.abs(held).tolist()])
-    found = {"penetration": abs(lowest) / depth, "adhesion": abs(adhesion) / force}
-    if graph.switch_names:
-        found["switches"] = crossed
-    if len(graph.first.holonomic(period.state)):
-        found["holonomic"] = constraints
-    return found
-
-
-def _wrong_side(graph: GraphDynamics, arc: Arc, x: Vector) -> float:
-    """Return by how much a state of an arc is on the wrong side of a kink, in its size."""
-    guards, rounding, _ = graph.guards(x, arc.sides)
-    n = graph.n_declared
-    wrong = [
-        abs(float(guards[n + k])) / max(float(rounding[n + k]) * 1e12, 1e-300)
-        for k, side in enumerate(arc.sides)
-        if (guards[n + k] > 0.0) != side
-    ]
-    return max(wrong, default=0.0)
-
-
 def _quantities(
-    graph: GraphDynamics, period: _Period, start: Vector
+    graph: GraphDynamics, period: IntegratedPeriod, start: Vector
 ) -> dict[str, tuple[float, float]]:
     """Return the range of each quantity of the events of the first period."""
     found = EventQuantities(
@@ -436,7 +390,11 @@ _LEAST = 1e-12
 
 
 def multipliers_of_events(
-    orbit: EventOrbit, problem: Problem, *, settings: VerificationSettings | None = None
+    orbit: EventOrbit,
+    problem: Problem,
+    *,
+    settings: VerificationSettings | None = None,
+    dynamics: GraphDynamics | None = None,
 ) -> Multipliers:
     """Return the multipliers of an orbit as `verify` computes them, without its other checks.
 
@@ -444,13 +402,14 @@ def multipliers_of_events(
         orbit: The orbit. Its own multipliers are ignored.
         problem: Its problem.
         settings: Accuracy.
+        dynamics: The machine. By default it is the problem's machine at the orbit's values.
 
     Raises:
         InputError: If the orbit does not fit the problem.
         SimulationError: If the orbit does not return.
     """
     settings = settings or VerificationSettings()
-    graph = problem.graph_dynamics(orbit.values(problem))
+    graph = dynamics or problem.graph_dynamics(orbit.values(problem))
     start = np.array(problem.state_vector(orbit.start_state))
 
     def returned(state: Vector, accuracy: SimulationSettings) -> EventReturn:

@@ -12,7 +12,6 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics, Problem, constraint_sizes
-from zeno_orbits.orbits import Phase
 from zeno_orbits.simulation import Impact, Mode, ZenoPoint
 from zeno_orbits.verification.claim import Claim
 from zeno_orbits.verification.integration import FirstCycle, Observation, distance
@@ -44,12 +43,12 @@ def orbit_residuals(
         "drift": max(distance(r.state, claim.start, first.scale) for r in seen.returns),
         "penetration": _penetration(dynamics, first),
         "adhesion": _adhesion(dynamics, first),
-        **_impact_laws(dynamics, cycle.impacts),
+        **impact_laws([(dynamics, impact) for impact in cycle.impacts]),
     }
     if len(dynamics.holonomic(claim.start)):
         residuals["holonomic"] = _holonomic(dynamics, first)
     if problem.escapes:
-        beyond = escapes_of(problem, first).values()
+        beyond = escapes_of(problem, first.largest).values()
         residuals["escape"] = max((excess for excess, _ in beyond), default=0.0)
     return residuals
 
@@ -62,21 +61,21 @@ def _holonomic(dynamics: HybridDynamics, first: FirstCycle) -> float:
     )
 
 
-def escapes_of(problem: Problem, first: FirstCycle) -> dict[str, tuple[float, str]]:
+def escapes_of(problem: Problem, largest: Vector) -> dict[str, tuple[float, str]]:
     """Return the coordinates that exceed the escape limits of a problem.
 
     Args:
         problem: The problem.
-        first: The first period.
+        largest: Largest size of each state over the period, ``(n_x,)``.
 
     Returns:
         For each such coordinate, its excess in units of the limit, and a description of the limit.
     """
     found: dict[str, tuple[float, str]] = {}
-    for name, largest in zip(problem.state_names, first.largest, strict=True):
+    for name, size in zip(problem.state_names, largest, strict=True):
         escape = problem.escapes.get(name)
-        if escape is not None and largest > escape.beyond:
-            found[name] = (float(largest) / escape.beyond - 1.0, escape.phrase)
+        if escape is not None and size > escape.beyond:
+            found[name] = (float(size) / escape.beyond - 1.0, escape.phrase)
     return found
 
 
@@ -97,7 +96,9 @@ def _hits(dynamics: HybridDynamics, claim: Claim, first: FirstCycle) -> dict[str
         zeno = phase.zeno
         if zeno is not None:
             unseen = said.impacts[len(phase.impacts) :]
-            hits += _unseen(dynamics.restitution, phase, zeno, unseen, period, first.scale)
+            hits += unseen_misses(
+                dynamics.restitution, phase.impacts, zeno, unseen, period, first.scale
+            )
             zenos.append(math.inf if said.zeno is None else miss(zeno.time, zeno.state, said.zeno))
         earliest.append(hits[0])
         later += hits[1:]
@@ -109,9 +110,9 @@ def _hits(dynamics: HybridDynamics, claim: Claim, first: FirstCycle) -> dict[str
     return found
 
 
-def _unseen(
+def unseen_misses(
     restitution: float,
-    phase: Phase,
+    impacts: Sequence[Impact],
     zeno: ZenoPoint,
     said: Sequence[tuple[float, Vector]],
     period: float,
@@ -122,10 +123,18 @@ def _unseen(
     With :math:`z = (t / T, x)`, the impacts approach the Zeno point as
     :math:`z_k - z_\infty = a e^k + b e^{2k} + \dots`. The last two resolved impacts give :math:`a`,
     and the size of :math:`b`, up to twice which a claim may deviate.
+
+    Args:
+        restitution: The coefficient of restitution.
+        impacts: The resolved impacts, at least one.
+        zeno: Their Zeno point.
+        said: Time [s] and state of each claimed impact after them.
+        period: The period [s].
+        scale: Size of each state, ``(n_x,)``.
     """
     ways = [
         np.append((impact.time - zeno.time) / period, (impact.state_minus - zeno.state) / scale)
-        for impact in phase.impacts[-2:]
+        for impact in impacts[-2:]
     ]
     last = ways[-1]
     bend = np.abs(last)
@@ -225,11 +234,14 @@ def lawful_impact(dynamics: HybridDynamics, impact: Impact) -> tuple[float, floa
     return -e * rate, (1 - e**2) / 2 * inertia * rate**2
 
 
-def _impact_laws(dynamics: HybridDynamics, impacts: tuple[Impact, ...]) -> dict[str, float]:
-    """Return the deviations of the resets from Newton's law and from its energy loss."""
-    turn, loss = 0.0, 0.0
-    fastest = max(abs(impact.approach_rate) for impact in impacts)
-    for impact in impacts:
+def impact_laws(struck: Sequence[tuple[HybridDynamics, Impact]]) -> dict[str, float]:
+    """Return the deviations of the resets from Newton's law and from its energy loss.
+
+    Args:
+        struck: Each impact with the system of its stop, in which closed stops are constraints.
+    """
+    turn, loss, fastest = 0.0, 0.0, max(abs(impact.approach_rate) for _, impact in struck)
+    for dynamics, impact in struck:
         inertia = dynamics.normal_inertia(impact.state_minus)
         speed, cost = lawful_impact(dynamics, impact)
         change = _energy_change(dynamics, impact)

@@ -13,12 +13,15 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
+import numpy as np
+
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError, require_counts
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import HybridDynamics, Problem, load_reference
+from zeno_orbits.model import HybridDynamics, Problem, graph_of, load_reference
 from zeno_orbits.orbits import (
     EventOrbit,
     Multipliers,
+    PhaseKind,
     ZenoOrbit,
     orbit_multipliers,
     other_equations,
@@ -28,6 +31,7 @@ from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.verification.claim import Claim, claim_of
 from zeno_orbits.verification.cross_checks import (
+    Accumulation,
     cut_order,
     delta_sweep,
     energies_of,
@@ -174,9 +178,16 @@ def _cross_checks(
 ) -> _CrossChecks:
     simulation, residuals = settings.simulation, dict[str, float]()
     on_progress("sampling gap and multiplier", None)
-    residuals |= sampled_guards(dynamics, first)
+    cycle = first.cycle
+    residuals |= sampled_guards(graph_of(dynamics), cycle.execution.arcs, cycle.end.time)
     on_progress("cutting the impact sequence", None)
-    sweep = delta_sweep(dynamics, first, settings.cuts, simulation, settings.tolerance / 10.0)
+    accumulations = [
+        Accumulation(dynamics=dynamics, impacts=phase.impacts, contact=phase.locked)
+        for phase in cycle.phases
+        if phase.kind is PhaseKind.ZENO and phase.locked is not None
+    ]
+    enough = settings.tolerance / 10.0
+    sweep = delta_sweep(dynamics, accumulations, first.scale, settings.cuts, simulation, enough)
     if sweep:
         residuals["delta_sweep"] = sweep[-1].error
     on_progress("balancing the energy", None)
@@ -190,7 +201,11 @@ def _cross_checks(
         residuals["energy_balance"] = math.inf
     if problem.reference is not None:
         on_progress("comparing two derivations of the model", None)
-        residuals["second_model"] = second_model(orbit, problem, first.cycle)
+        values, times = orbit.values(problem), np.linspace(0.0, cycle.end.time, 41)
+        struck = [impact.state_minus for impact in cycle.impacts]
+        states = np.array([*cycle.execution.states_at(times), *struck])
+        by_hand = load_reference(problem).dynamics(values)
+        residuals["second_model"] = second_model(by_hand, [(problem.dynamics(values), states)])
     return _CrossChecks(residuals=residuals, energies=energies, sweep=sweep)
 
 
@@ -207,7 +222,7 @@ def _contradictions(
     if dynamics.restitution == 1.0 and not shape.without_contact:
         yield f"elastic impacts have no Zeno point, but the orbit has the shape `{shape.text}`"
     if seen.first is not None:
-        yield from (phrase for _, phrase in escapes_of(problem, seen.first).values())
+        yield from (phrase for _, phrase in escapes_of(problem, seen.first.largest).values())
 
 
 @checked

@@ -38,7 +38,6 @@ _OVER_RANGES = ("energy", "peak")
 _VERIFY = {
     "proof": "--proof",
     "rigorous": "--rigorous",
-    "truncation": "--truncation",
 }
 """Options of `verify` that need an orbit of a machine with one stop."""
 

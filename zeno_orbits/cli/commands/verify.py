@@ -105,7 +105,7 @@ def _run_verify(options: argparse.Namespace) -> int:
         report.print_certificate(
             certificate,
             margins=options.margins or options.all,
-            truncation=options.truncation or (options.all and not is_event),
+            truncation=options.truncation or options.all,
         )
         if proved is not None:
             report.print_lines([proved.verdict()])

@@ -122,7 +122,7 @@ def _loads(graph: GraphDynamics, motion: Execution) -> Iterator[_Load]:
         struck = [one for one in motion.impacts if one.stop == name]
         inertias = [view.normal_inertia(one.state_minus) for one in struck]
         forces = [
-            graph.holding(graph.mode_of(arc.closed, arc.sides), k).multiplier(x)
+            graph.holding(arc.mode_in(graph), k).multiplier(x)
             for arc in motion.arcs
             if name in arc.closed
             for x in arc.sampled(20)[1]

@@ -256,7 +256,7 @@ class EventCourse:
 
     def _formulas(self, name: str, passage: ArcPassage) -> tuple[ca.Function, ca.Function]:
         arc = passage.arc
-        mode, stop = self.graph.some_stop(self.graph.mode_of(arc.closed, arc.sides))
+        mode, stop = self.graph.some_stop(arc.mode_in(self.graph))
         return _formulas_of(self.graph.compiled, mode, stop, name)
 
 

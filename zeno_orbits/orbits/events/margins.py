@@ -155,7 +155,7 @@ def saddle_of_return(graph: GraphDynamics, found: EventReturn) -> Saddle | None:
         return None
 
     def flow_of(arc: Arc) -> FlowWithEvent:
-        return graph.flow(graph.mode_of(arc.closed, arc.sides))
+        return graph.flow(arc.mode_in(graph))
 
     arcs = [arc for arc in found.execution.arcs if arc.start_time < found.period]
     return nearest_saddle(arcs, flow_of, graph.own.states(found.start.size))
@@ -223,7 +223,7 @@ def contact_view(graph: GraphDynamics, found: EventReturn, contact: ContactPhase
     """
     after = next(arc for arc in found.execution.arcs if arc.start_time >= contact.zeno.time)
     stop = graph.stop_names.index(contact.zeno.stop)
-    closed, sides = graph.mode_of(after.closed, after.sides)
+    closed, sides = after.mode_in(graph)
     return graph.view((tuple(k for k in closed if k != stop), sides), stop)
 
 
@@ -325,7 +325,7 @@ def _conditions(
     graph: GraphDynamics, arc: Arc, accumulating: Sequence[tuple[float, float, set[str]]]
 ) -> dict[_Key, _Guard]:
     """Return the gaps of open stops, multipliers of closed ones, and guards of switches."""
-    mode = graph.mode_of(arc.closed, arc.sides)
+    mode = arc.mode_in(graph)
     found: dict[_Key, _Guard] = {}
     for k, name in enumerate(graph.stop_names):
         if k in mode[0]:
@@ -377,7 +377,7 @@ def _of_contacts(
     struck = {event.time: event.stop for event in found.events if isinstance(event, Impact)}
     for k, after in enumerate(arcs):
         before, place = arcs[k - 1], places[k - 1]
-        closed, sides = graph.mode_of(after.closed, after.sides)
+        closed, sides = after.mode_in(graph)
         for name in set(after.closed) - set(before.closed):
             view, x = (
                 graph.holding((closed, sides), graph.stop_names.index(name)),
@@ -387,7 +387,7 @@ def _of_contacts(
                 yield Margin(loss=MarginKind.ACCELERATION, place=place), -view.gap_acceleration(x)
         opened = set(before.closed) if before.ending is not Ending.RELEASE else set[str]()
         for name in opened - set(after.closed):
-            mode, x = graph.mode_of(before.closed, before.sides), before.end_state
+            mode, x = before.mode_in(graph), before.end_state
             held = graph.holding(mode, graph.stop_names.index(name))
             if held.multiplier_rate(x) < 0.0:
                 yield Margin(loss=MarginKind.ADHESION, place=place, name=name), held.multiplier(x)
@@ -416,7 +416,7 @@ def _of_arming(
             if event is not None and event.name == name:
                 yield Margin(loss=MarginKind.ARMED, place=place), float(armed[switch])
             elif event is None and abs(guards[switch]) <= _LEVELS * levels[switch]:
-                mode = graph.mode_of(arc.closed, arc.sides)
+                mode = arc.mode_in(graph)
                 if graph.guard_flow(mode, switch, above=True).guard(arc.end_state)[1] < 0.0:
                     key = Margin(loss=MarginKind.ARMED, place=place, name=name)
                     yield key, -float(armed[switch])

@@ -201,7 +201,7 @@ def event_chart(
         orbit=orbit,
         settings=settings,
         mode=found.mode,
-        before=graph.mode_of(last.closed, last.sides),
+        before=last.mode_in(graph),
         surface=surface,
         section=section,
         slope=slope,
@@ -264,7 +264,7 @@ def is_one_sided(graph: GraphDynamics, found: EventReturn) -> bool:
 
 def _meets_a_kink(graph: GraphDynamics, x: Vector, arc: Arc, period: float) -> bool:
     values, levels, _ = graph.guards(x, arc.sides)
-    flow = graph.flow(graph.mode_of(arc.closed, arc.sides)).rate(x)
+    flow = graph.flow(arc.mode_in(graph)).rate(x)
     for k, side in enumerate(arc.sides):
         switch = graph.n_declared + k
         change = period * abs(float(graph.guard_gradient(switch, x, (), arc.sides) @ flow))
@@ -364,14 +364,14 @@ def _surface_at(graph: GraphDynamics, event: Event, before: Arc, after: Arc) -> 
         after: The arc that starts there.
     """
     kind, _, name = orbit_event_name(event).partition(" ")
-    closed, sides = mode = graph.mode_of(before.closed, before.sides)
+    closed, sides = mode = before.mode_in(graph)
     if kind == "switch":
         held = tuple((graph.holding(mode, k), REST_ROWS) for k in closed)
         switch = graph.switch_names.index(name)
         return _Surface(graph=graph, contacts=held, switch=switch, sides=sides)
     # An impact may open other stops. Their gaps are zero after it.
     rows: dict[int, tuple[int, ...]] = dict.fromkeys(closed, IMPACT_ROWS)
-    closed, _ = mode = graph.mode_of(after.closed, after.sides)
+    closed, _ = mode = after.mode_in(graph)
     struck = graph.stop_names.index(name)
     rows[struck] = _ROWS[kind]
     if graph.holding(mode, struck).restitution == 0.0 and kind == "impact":

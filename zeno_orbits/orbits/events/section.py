@@ -239,9 +239,7 @@ class EventReturn:
         if not first.stop:
             return end
         scale = largest_states(self.execution.arcs, graph)
-        view = graph.view(
-            graph.mode_of(first.closed, first.sides), graph.stop_names.index(first.stop)
-        )
+        view = graph.view(first.mode_in(graph), graph.stop_names.index(first.stop))
         slopes = conditions_gradient(view, self.differentiation.chosen, IMPACT_ROWS, self.start)
         chart = section_of(slopes[:, :n_x] * scale, self.start, scale)
         back = scale[:, None] * chart.normal
@@ -464,7 +462,7 @@ def time_blur(arcs: Sequence[Arc], graph: GraphDynamics, period: float) -> float
     n_x = len(graph.state_names)
     rates = np.zeros(n_x)
     for arc in arcs:
-        flow = graph.flow(graph.mode_of(arc.closed, arc.sides))
+        flow = graph.flow(arc.mode_in(graph))
         for x in (arc.start_state, arc.end_state):
             rates = np.maximum(rates, np.abs(flow.rate(np.asarray(x))[:n_x]))
     return float(np.max(_SPACINGS * np.spacing(period) * rates / largest_states(arcs, graph)))
@@ -487,7 +485,7 @@ def fall_at(
     arc = next((a for a in arcs if a.end_time == event.time and a.ending is ending), None)
     if arc is None:
         return None
-    mode, x = graph.mode_of(arc.closed, arc.sides), arc.end_state
+    mode, x = arc.mode_in(graph), arc.end_state
     if isinstance(event, Release):
         return -graph.holding(mode, graph.stop_names.index(event.stop)).multiplier_rate(x)
     switch = graph.switch_names.index(event.name)

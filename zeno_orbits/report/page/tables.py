@@ -30,7 +30,7 @@ from zeno_orbits.report.table import (
 )
 from zeno_orbits.report.trade_lines import CHEAPEST, cheapest_of
 from zeno_orbits.simulation import Event, Execution, Impact, Mode, ZenoPoint, event_name
-from zeno_orbits.verification import RESIDUALS, OrbitCertificate
+from zeno_orbits.verification import CHECKS, OrbitCertificate
 from zeno_orbits.work import versions
 
 _MOST_EVENTS = 40
@@ -193,13 +193,13 @@ def checks_table(certificate: OrbitCertificate) -> Table[Any]:
     """Return every residual in plain words, as a number and by its name."""
     sizes, tolerance = certificate.residuals, certificate.tolerance
     columns: list[Column[str]] = [
-        text_column("in plain words", lambda name: words.CHECKS[name]),
+        text_column("in plain words", lambda name: CHECKS[name].plainly),
         text_column("passed", lambda name: sizes[name] <= tolerance),
         number_column("residual [1]", lambda name: _residual(sizes[name])),
-        text_column("for the expert", lambda name: f"{name}: {RESIDUALS[name]}"),
+        text_column("for the expert", lambda name: f"{name}: {CHECKS[name].law}"),
     ]
     caption = f"Relative residuals (up to {tolerance:.0e} pass)"
-    return table_of(caption, columns, [name for name in RESIDUALS if name in sizes])
+    return table_of(caption, columns, [name for name in CHECKS if name in sizes])
 
 
 def _residual(size: float) -> str:

@@ -10,33 +10,6 @@ from zeno_orbits.orbits import EventOrbit, ZenoOrbit
 from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate
 
-CHECKS: Mapping[str, str] = {
-    "release": "The motion starts at a release.",
-    "start": "The motion starts just after an impact.",
-    "first_impact": "The first impact has the time and state of the file.",
-    "impact_sequence": "The later impacts have the times and states of the file.",
-    "restitution": "The rebound speed is a fixed fraction of the impact speed.",
-    "impact_energy": "Each impact dissipates the predicted energy.",
-    "events": "Every event has the time and state of the file.",
-    "impulses": "A closed stop does not pull in an impact.",
-    "zeno_point": "The impacts accumulate at the time and state of the file.",
-    "phases": "Later flights start at the times and states of the file.",
-    "delta_sweep": "The later the sequence of impacts is truncated, the smaller the effect.",
-    "penetration": "The moving part does not pass through the stop.",
-    "adhesion": "The stop pushes and does not pull.",
-    "switches": "Every formula stays on its branch between the events.",
-    "escape": "No state exceeds its limit.",
-    "closure": "After one period the motion is where it started.",
-    "period": "The period equals the period of the file.",
-    "drift": "The later simulated periods are like the first.",
-    "energy_balance": "The energy balance of a period closes: input work minus losses is the "
-    "change of energy.",
-    "holonomic": "The other constraints of the mechanism hold.",
-    "second_model": "Equations that were derived a second time, independently, agree.",
-    "integration": "A less accurate integration gives the same values, within the tolerance.",
-}
-"""Name of a residual to its check in plain words."""
-
 MARGINS: Mapping[str, tuple[str, str]] = {
     "gap_acceleration": (
         "how hard the moving part is drawn to the stop where the impacts accumulate. At zero it "

@@ -97,8 +97,8 @@ class EventDerivatives:
         self.graph, self.chosen, self.tolerance = graph_of(system), tuple(chosen), tolerance
         self.in_python = in_python
         self._known: dict[tuple[GraphMode, int], VariationalEquation] = {}
-        if self.graph.first.differentiation is None:
-            raise InputError("Argument `dynamics` must have formulas, but it has plain functions.")
+        # A system of plain functions is refused here.
+        self.at(*self.graph.some_stop(self.graph.open_mode))
 
     def at_start(self) -> SaltationDerivative:
         """Return the derivatives of a start that moves by itself."""
@@ -212,15 +212,9 @@ class EventDerivatives:
         """Return the index of a stop."""
         return self.graph.stop_names.index(stop)
 
-    def mode_of(self, arc: Arc) -> GraphMode:
-        """Return the mode of an arc."""
-        closed, sides = self.graph.mode_of(arc.closed, arc.sides)
-        # A stop without a name is the only one.
-        return (closed or ((0,) if arc.mode is Mode.LOCKED else ())), sides
-
     def of_stop(self, arc: Arc, stop: int) -> VariationalEquation:
         """Return the derivatives of a stop in the mode of an arc, with that stop open."""
-        closed, sides = self.mode_of(arc)
+        closed, sides = arc.mode_in(self.graph)
         return self.at((tuple(k for k in closed if k != stop), sides), stop)
 
     def at(self, mode: GraphMode, stop: int) -> VariationalEquation:
@@ -229,7 +223,8 @@ class EventDerivatives:
         if key not in self._known:
             view = self.graph.view(mode, stop)
             if view.differentiation is None:
-                raise AssertionError("A compiled system has formulas.")
+                wanted = "must have formulas, but it has plain functions"
+                raise InputError(f"Argument `dynamics` {wanted}.")
             self._known[key] = VariationalEquation(
                 dynamics=view,
                 differentials=view.differentiation.by(self.chosen),
@@ -243,7 +238,7 @@ class EventDerivatives:
         self, arc: Arc, start: SaltationDerivative
     ) -> tuple[VariationalEquation, Mode, Vector, Vector]:
         """Return the flow of an arc, with the perturbations of its start and its parameters."""
-        mode = self.mode_of(arc)
+        mode = arc.mode_in(self.graph)
         stop = self.stop_of_flight(arc)
         if stop is not None:
             perturbations = self.of_stop(arc, stop)
@@ -389,7 +384,7 @@ class _Walk:
         Contact that takes no time ends with a release at the same time, which belongs to it.
         """
         arc, following, found = self._arcs[self.place], self._following, list[Event]()
-        closed = () if following is arc else self._of.mode_of(following)[0]
+        closed = () if following is arc else following.mode_in(self._of.graph)[0]
         for k in range(self._n, len(self._events)):
             event = self._events[k]
             held = isinstance(event, Release) and self._of.index(event.stop) in closed

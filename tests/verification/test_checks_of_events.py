@@ -1,0 +1,281 @@
+"""Each check of an orbit of events refuses the false orbit or law that it is for, and it alone.
+
+The run follows the compiled formulas of the true machine. The checks meet a machine with one false
+law, as if the simulator had this law wrong.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators import Automatic, Segment, SegmentResult
+from zeno_orbits.model import GraphDynamics, HybridDynamics, StateLimit, load_problem
+from zeno_orbits.simulation import TailEstimate, ZenoExtrapolation, ZenoLimit
+from zeno_orbits.verification import CHECKS, OrbitCertificate, VerificationSettings
+
+QUICK = VerificationSettings(n_periods=1)
+MACHINES = ("clapper", "kneed_walker", "relay")
+"""Two stops, two stops with a switch, two stops with kinks."""
+SLOWLY = [pytest.param(name, marks=pytest.mark.slow) for name in MACHINES]
+ZENO = {"clapper": "lower", "kneed_walker": "knee", "relay": "open"}
+"""A stop of each machine at which impacts accumulate."""
+
+View = Callable[[HybridDynamics], HybridDynamics]
+
+
+@cache
+def _orbit(name: str) -> zo.EventOrbit:
+    return zo.find_event_orbit(name)
+
+
+def _graph(name: str) -> GraphDynamics:
+    problem = load_problem(name)
+    return problem.graph_dynamics(_orbit(name).values(problem))
+
+
+def _checked(name: str, change: View, stop: str = "") -> OrbitCertificate:
+    """Verify an orbit with a false law at one stop, or at all."""
+    wrong: Any = copy.copy(_graph(name))
+    right = wrong.view
+
+    def view(mode: Any, k: int) -> HybridDynamics:
+        true = right(mode, k)
+        return change(true) if stop in ("", wrong.stop_names[k]) else true
+
+    wrong.view = view
+    return zo.verify(_orbit(name), settings=QUICK, dynamics=wrong)
+
+
+class _Guard:
+    """A flow whose guard is another function of the guard."""
+
+    def __init__(self, flow: Any, guard: Callable[[Vector], Vector]) -> None:
+        self._flow, self._guard = flow, guard
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._flow, name)
+
+    def guards(self, states: Vector) -> Vector:
+        return self._guard(self._flow.guards(states))
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_true_orbit_passes_every_check_of_its_machine(name: str) -> None:
+    seen = zo.verify(_orbit(name), settings=QUICK)
+    assert seen.passed, seen.verdict()
+    every = {"events", "restitution", "impact_energy", "impulses", "delta_sweep", "energy_balance"}
+    assert every | {"penetration", "adhesion", "closure", "period"} <= set(seen.residuals)
+    assert set(seen.residuals) <= set(CHECKS)
+    assert max(seen.residuals.values()) < 1e-11
+
+
+# False laws.
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_gap_that_is_negative_in_mid_flight_fails_alone(name: str) -> None:
+    def inside(view: HybridDynamics) -> HybridDynamics:
+        def guard(gaps: Vector) -> Vector:
+            return np.where(gaps > 0.5 * gaps.max(initial=0.0), -1e-3 * gaps, gaps)
+
+        return replace(view, free=_Guard(view.free, guard))
+
+    seen = _checked(name, inside, ZENO[name])
+    assert seen.failed == ("penetration",)
+    # Relative to the largest gap that stays, at most half of the true one.
+    assert 1e-5 < seen.residuals["penetration"] < 2.1e-3
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_stop_that_pulls_in_contact_fails_alone(name: str) -> None:
+    def pulling(view: HybridDynamics) -> HybridDynamics:
+        return replace(view, locked=_Guard(view.locked, np.negative))
+
+    assert _checked(name, pulling, ZENO[name]).failed == ("adhesion",)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_false_restitution_breaks_the_law_of_impact(name: str) -> None:
+    seen = _checked(name, lambda view: replace(view, restitution=view.restitution + 1e-6))
+    assert seen.failed == ("restitution", "impact_energy", "energy_balance")
+    assert seen.residuals["restitution"] == pytest.approx(1e-6, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_false_loss_at_an_impact_is_seen_from_kinetic_energies(name: str) -> None:
+    def heavy(view: HybridDynamics) -> HybridDynamics:
+        def inertia(x: Vector) -> float:
+            return (1 + 1e-6) * view.normal_inertia(x)
+
+        return replace(view, normal_inertia=inertia)
+
+    seen = _checked(name, heavy)
+    assert "impact_energy" in seen.failed
+    assert "restitution" not in seen.failed
+    e = min(view.restitution for view in _graph(name).open_views)
+    assert seen.residuals["impact_energy"] == pytest.approx(1e-6 * (1 - e**2), rel=1e-3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plain:
+    """An engine that the compiled loop does not know."""
+
+    def follow(self, leg: Segment) -> SegmentResult:
+        return Automatic().follow(leg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Late(ZenoExtrapolation):
+    """The extrapolated limit, late by a time."""
+
+    delay: float
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        limit = ZenoExtrapolation().limit(dynamics, estimates)
+        return None if limit is None else replace(limit, time=limit.time + self.delay)
+
+
+@pytest.mark.parametrize("name", [MACHINES[0], *SLOWLY[1:]])
+@pytest.mark.parametrize("delay", [0.0, 1e-6])
+def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(name: str, delay: float) -> None:
+    simulation = zo.SimulationSettings(engine=_Plain(), completion=_Late(delay=delay))
+    seen = zo.verify(_orbit(name), settings=replace(QUICK, simulation=simulation))
+    assert {"events", "delta_sweep"} <= set(seen.failed) if delay else seen.passed
+
+
+def test_a_broken_constraint_fails_alone() -> None:
+    (release,) = (one for one in _orbit("clapper").events if one.name == "release upper")
+    there = np.array(list(release.state.values()))
+
+    def broken(view: HybridDynamics) -> HybridDynamics:
+        def constraint(x: Vector) -> Vector:
+            off = 1e-6 if np.max(np.abs(x - there)) < 1e-6 else 0.0
+            return view.holonomic(x) + off
+
+        return replace(view, holonomic=constraint)
+
+    assert _checked("clapper", broken).failed == ("holonomic",)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_kink_on_its_other_side_fails_alone(side: int) -> None:
+    wrong: Any = copy.copy(_graph("relay"))
+    right = wrong.guards
+
+    def guards(x: Vector, sides: tuple[bool, ...]) -> Any:
+        values, rounding, armed = right(x, sides)
+        return (-values if sides[0] == bool(side) else values), rounding, armed
+
+    wrong.guards = guards
+    assert zo.verify(_orbit("relay"), settings=QUICK, dynamics=wrong).failed == ("switches",)
+
+
+def test_an_armed_switch_that_is_passed_without_its_event_fails_alone() -> None:
+    wrong: Any = copy.copy(_graph("kneed_walker"))
+    right = wrong.guards
+    orbit = _orbit("kneed_walker")
+    run = zo.simulate("kneed_walker", start=orbit.start_state, until=orbit.events[0].time)
+    early, middle, late = (float(run.state_at(part * run.end_time)[0]) for part in (0.2, 0.5, 0.8))
+
+    def guards(x: Vector, sides: tuple[bool, ...]) -> Any:
+        _, rounding, armed = right(x, sides)
+        # Another guard, which falls through zero in the middle of the first flight.
+        return np.array([(middle - x[0]) * np.sign(late - early)]), rounding, np.ones_like(armed)
+
+    wrong.guards = guards
+    seen = zo.verify(_orbit("kneed_walker"), settings=QUICK, dynamics=wrong)
+    assert seen.failed == ("switches",)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_coordinate_beyond_its_limit_fails_alone(name: str) -> None:
+    problem, orbit = load_problem(name), _orbit(name)
+    state = problem.state_names[0]
+    largest = max(abs(float(event.state[state])) for event in orbit.events)
+    limit = StateLimit(beyond=0.9 * largest, phrase="the arm left its frame")
+    seen = zo.verify(orbit, problem=replace(problem, escapes={state: limit}), settings=QUICK)
+    assert seen.failed == ("escape",)
+    assert "the arm left its frame" in seen.verdict()
+
+
+def test_a_wrong_second_model_fails_alone(tmp_path: Path) -> None:
+    problem = load_problem("motor_pendulum")
+    orbit = zo.find_event_orbit(problem)
+    assert problem.reference is not None
+    assert zo.verify(orbit, problem=problem, settings=QUICK).residuals["second_model"] < 1e-12
+    text = problem.reference.read_text(encoding="utf-8")
+    file = tmp_path / "reference.py"
+    wrong = text.replace("kinetic - self.g * height", "kinetic + self.g * height")
+    file.write_text(wrong, encoding="utf-8")
+    false = replace(problem, reference=file)
+    assert zo.verify(orbit, problem=false, settings=QUICK).failed == ("second_model",)
+
+
+# False data.
+
+
+@pytest.mark.parametrize("name", [MACHINES[0], *SLOWLY[1:]])
+@pytest.mark.parametrize("of", ["time", "state"])
+def test_every_event_of_a_file_is_compared(name: str, of: str) -> None:
+    orbit = _orbit(name)
+    kinds = {event.name: k for k, event in enumerate(orbit.events[:-1])}
+    for k in kinds.values():
+        event = orbit.events[k]
+        state = dict(event.state)
+        first, value = next(iter(state.items()))
+        moved = (
+            replace(event, time=event.time + 1e-8 * orbit.period)
+            if of == "time"
+            else replace(event, state=state | {first: value + 1e-6 * (1 + abs(value))})
+        )
+        events = (*orbit.events[:k], moved, *orbit.events[k + 1 :])
+        seen = zo.verify(replace(orbit, events=events), settings=QUICK)
+        assert seen.failed == ("events",), event.name
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_impacts_that_the_check_does_not_resolve_obey_the_law_of_the_tail(name: str) -> None:
+    orbit, stop = _orbit(name), ZENO[name]
+    names = [event.name for event in orbit.events]
+    zeno = names.index(f"zeno {stop}")
+    last, limit = orbit.events[zeno - 1], orbit.events[zeno]
+    assert last.name == f"impact {stop}"
+    e = _graph(name).open_views[_graph(name).stop_names.index(stop)].restitution
+
+    def continued(miss: float) -> zo.EventOrbit:
+        """Return the orbit with two further impacts on its way to the Zeno point."""
+        more = [
+            replace(
+                last,
+                time=limit.time + e**j * (last.time - limit.time),
+                state={
+                    state: limit.state[state] + (e**j + miss) * (value - limit.state[state])
+                    for state, value in last.state.items()
+                },
+            )
+            for j in (1, 2)
+        ]
+        return replace(orbit, events=(*orbit.events[:zeno], *more, *orbit.events[zeno:]))
+
+    assert zo.verify(continued(0.0), settings=QUICK).passed
+    assert zo.verify(continued(0.2), settings=QUICK).failed == ("events",)
+    fewer = replace(orbit, events=(*orbit.events[: zeno - 1], *orbit.events[zeno:]))
+    assert zo.verify(fewer, settings=QUICK).passed
+
+
+def test_a_machine_of_another_kind_is_refused() -> None:
+    pendulum = load_problem("motor_pendulum")
+    with pytest.raises(zo.InputError, match="must come from `Problem"):
+        zo.verify(_orbit("clapper"), dynamics=pendulum.dynamics(pendulum.values()))
