@@ -32,7 +32,7 @@ from zeno_orbits.experiment import (
 from zeno_orbits.experiment.recordings.recording import crop_recording
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import Execution, simulate
 
@@ -80,7 +80,7 @@ class Machine:
     """
 
     problem: Problem
-    orbit: ZenoOrbit
+    orbit: Orbit
     motion: Execution
 
 

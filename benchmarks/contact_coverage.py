@@ -38,7 +38,7 @@ class Settled:
         truth: Quantity to its value by the contacts of the rig [s].
     """
 
-    orbit: zo.EventOrbit
+    orbit: zo.Orbit
     run: zo.RigRun
     truth: dict[str, float]
 
@@ -65,7 +65,7 @@ def settled(periods: int = PERIODS, stiffness: float = STIFFNESS) -> Settled:
     return Settled(orbit=orbit, run=run, truth=truth)
 
 
-def rig_run(orbit: zo.EventOrbit, periods: int, stiffness: float) -> zo.RigRun:
+def rig_run(orbit: zo.Orbit, periods: int, stiffness: float) -> zo.RigRun:
     """Return settled periods of the rig near an orbit, and one more.
 
     Args:

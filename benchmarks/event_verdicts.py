@@ -104,7 +104,7 @@ def _shown(problem: zo.Problem) -> tuple[str, ...]:
 
 
 @cache
-def orbit_of(name: str) -> tuple[zo.Problem, zo.EventOrbit]:
+def orbit_of(name: str) -> tuple[zo.Problem, zo.Orbit]:
     """Return a machine and its orbit."""
     problem = OWN[name][0]() if name in OWN else zo.load_problem(name)
     values = problem.values()

@@ -81,7 +81,7 @@ def print_times(names: Sequence[str]) -> None:
 
 
 def _recording(orbit: Any) -> Any:
-    if isinstance(orbit, zo.ZenoOrbit):
+    if orbit.has_phases:
         return zo.rig_recording(zo.simulate_experiment(orbit, cycles=3).run)
     return zo.rig_recording(zo.simulate_periods(orbit, periods=3))
 

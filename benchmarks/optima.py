@@ -37,7 +37,7 @@ from support.spreading import add_options, arriving
 
 import zeno_orbits as zo
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.orbits.bounds import Bound, is_kept
 from zeno_orbits.search import Objective, orbit_by_shooting
 from zeno_orbits.verification import measure
@@ -167,7 +167,7 @@ class Truth:
 
     case: Case
 
-    def orbit(self, point: Sequence[float], near: ZenoOrbit | None = None) -> ZenoOrbit | None:
+    def orbit(self, point: Sequence[float], near: Orbit | None = None) -> Orbit | None:
         """Return the attracting orbit at free values, or nothing."""
         case = self.case
         problem = zo.load_problem(case.problem)
@@ -186,7 +186,7 @@ class Truth:
                 return found
         return None
 
-    def score(self, orbit: ZenoOrbit | None) -> float:
+    def score(self, orbit: Orbit | None) -> float:
         """Return the score of an orbit, infinite without one or outside a bound."""
         if orbit is None:
             return math.inf
@@ -203,7 +203,7 @@ class Truth:
         n = ALONG if len(ranges) == 1 else ACROSS
         grid = [np.linspace(low, high, n) for low, high in ranges]
         points = [np.array(point) for point in itertools.product(*grid)]
-        known: dict[int, ZenoOrbit | None] = {}
+        known: dict[int, Orbit | None] = {}
         scores: list[float] = []
         for k, point in enumerate(points):
             known[k] = self.orbit(point)

@@ -33,12 +33,10 @@ def seconds() -> float:
     return times.user + times.system + times.children_user + times.children_system
 
 
-def closed(
-    problem: zo.Problem, wanted: Sequence[float]
-) -> Iterator[tuple[float, zo.ZenoOrbit | str]]:
+def closed(problem: zo.Problem, wanted: Sequence[float]) -> Iterator[tuple[float, zo.Orbit | str]]:
     """Yield the orbit at each restitution, or why there is none, from the default one outward."""
     own = problem.values().parameters["restitution"]
-    known: dict[float, zo.ZenoOrbit] = {}
+    known: dict[float, zo.Orbit] = {}
     default = zo.find_orbit_by_shooting(problem)
     if default.orbit is not None:
         known[own] = default.orbit
@@ -53,7 +51,7 @@ def closed(
         yield e, found.orbit
 
 
-def row(problem: zo.Problem, orbit: zo.ZenoOrbit, *, check: bool) -> tuple[list[str], bool]:
+def row(problem: zo.Problem, orbit: zo.Orbit, *, check: bool) -> tuple[list[str], bool]:
     """Return the cells of an orbit, and whether its proof holds."""
     started = seconds()
     proof = zo.prove(orbit, problem=problem)

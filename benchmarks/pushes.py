@@ -119,7 +119,7 @@ class Reference:
     """
 
     problem: zo.Problem
-    orbit: zo.ZenoOrbit
+    orbit: zo.Orbit
     release: Vector
     size: Vector
     period: zo.Execution
@@ -166,9 +166,7 @@ class Reference:
         return f"no return within {STAGES[-1]} periods"
 
 
-def simulated(
-    problem: zo.Problem, orbit: zo.ZenoOrbit, state: Vector, periods: float
-) -> zo.Execution:
+def simulated(problem: zo.Problem, orbit: zo.Orbit, state: Vector, periods: float) -> zo.Execution:
     """Simulate a number of periods of an orbit from a state."""
     limits = [problem.escapes[name].beyond for name in ("theta1", "theta2")]
     return zo.simulate(

@@ -34,7 +34,7 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.rig_parts import Contact, Controller, PwmSettings, Rig
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.orbit_file import read_orbit
 from zeno_orbits.search import orbit_by_shooting
 
@@ -78,7 +78,7 @@ class OrbitDistance:
 
 
 def orbit_distance(
-    orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve, settled: SettledRig
+    orbit: Orbit, problem: Problem, curve: OrbitCurve, settled: SettledRig
 ) -> OrbitDistance:
     """Return how far the last cycle of a settled machine is from its orbit.
 
@@ -151,7 +151,7 @@ NAMES = tuple(field.name for field in fields(OrbitDistance))
 
 
 def sweep(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     curve: OrbitCurve,
     exponent: float,
@@ -180,9 +180,7 @@ def sweep(
     return rows, errors
 
 
-def of_each(
-    orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve, settled: SettledRig
-) -> list[Row]:
+def of_each(orbit: Orbit, problem: Problem, curve: OrbitCurve, settled: SettledRig) -> list[Row]:
     """Return the distances of each cycle."""
     return [
         asdict(orbit_distance(orbit, problem, curve, replace(settled, cycles=(cycle,))))
@@ -191,7 +189,7 @@ def of_each(
 
 
 def middle(
-    orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve, settled: SettledRig
+    orbit: Orbit, problem: Problem, curve: OrbitCurve, settled: SettledRig
 ) -> tuple[Row, Row]:
     """Return the medians of the distances of cycles, and their median differences from these."""
     found = of_each(orbit, problem, curve, settled)
@@ -280,7 +278,7 @@ def spring_contact(e: float, load: float) -> tuple[float, float]:
     return float(motion.t_events[0][-1]), -float(motion.y_events[0][-1][1])
 
 
-def show_portrait(orbit: ZenoOrbit, problem: Problem) -> None:
+def show_portrait(orbit: Orbit, problem: Problem) -> None:
     """Print how the distance of the portrait comes to its order, far beyond any real stop."""
     curve = orbit_curve(orbit, problem, n_per_arc=4000)
     settings = RigSettings(tolerance=Tolerance(relative=1e-11, absolute=1e-14))
@@ -341,7 +339,7 @@ def alone(problem: Problem) -> dict[str, Rig]:
     }
 
 
-def show_alone(orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve) -> None:
+def show_alone(orbit: Orbit, problem: Problem, curve: OrbitCurve) -> None:
     """Print what each part does by itself, and where in the cycle the machine is farthest."""
     print(
         f"\n{'part':>18}  {'period':>9}  {'impact':>9}  {'rate':>7}  {'lock':>9}  {'angle':>8}"
@@ -384,7 +382,7 @@ def ripple(settled: SettledRig) -> float:
 
 
 def profile(
-    problem: Problem, curve: OrbitCurve, orbit: ZenoOrbit, settled: SettledRig
+    problem: Problem, curve: OrbitCurve, orbit: Orbit, settled: SettledRig
 ) -> tuple[dict[str, float], tuple[float, str]]:
     """Return the largest distance in the portrait of link 1 in each part of a cycle.
 
@@ -448,7 +446,7 @@ def main() -> int:
 
 
 def orders(
-    orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve, points: int, picture: Path | None
+    orbit: Orbit, problem: Problem, curve: OrbitCurve, points: int, picture: Path | None
 ) -> bool:
     """Print both sweeps with their orders, draw them, and tell whether theory holds."""
     sound = True
@@ -472,7 +470,7 @@ def orders(
     return sound
 
 
-def normal_inertia(orbit: ZenoOrbit, problem: Problem) -> float:
+def normal_inertia(orbit: Orbit, problem: Problem) -> float:
     """Return the inertia that the impacts of an orbit feel, at its Zeno point."""
     dynamics = problem.dynamics(orbit.values(problem))
     return dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))

@@ -122,9 +122,8 @@ new :: no-name ; bouncing_ball
 ones read the files of what has a name, `NAME = `, as `@NAME/FILE`, or its orbit as `@NAME`."""
 SPOILED: dict[str, dict[str, Any]] = {
     "longer_period": {"period": 1.8137147},
-    "later_zeno": {"zeno_time": 1.3201},
-    "moved_release": {"release_state": {"current": -1.858}},
-    "wrong_sign": {"release_state": {"dtheta1": 5.236537552}},
+    "moved_release": {"start_state": {"current": -1.858}},
+    "wrong_sign": {"start_state": {"dtheta1": 5.236537552}},
     "newer": {"format": 99},
 }
 """Name in `@made/` to what is false in it; the rest is `@orbit`."""

@@ -13,7 +13,7 @@ from hypothesis import settings
 
 from tests.support.processes import Commands
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import SearchResult, orbit_at_gains
 from zeno_orbits.verification import OrbitCertificate, problem_dynamics, verify
 
@@ -50,19 +50,19 @@ def found(problem: Problem) -> SearchResult:
 
 
 @pytest.fixture(scope="session")
-def orbit(found: SearchResult) -> ZenoOrbit:
+def orbit(found: SearchResult) -> Orbit:
     """The orbit at the published gains."""
     return found.unwrap()
 
 
 @pytest.fixture(scope="session")
-def machine(orbit: ZenoOrbit, problem: Problem) -> HybridDynamics:
+def machine(orbit: Orbit, problem: Problem) -> HybridDynamics:
     """The motor pendulum at the published gains, as numeric functions."""
     return problem_dynamics(orbit, problem)
 
 
 @pytest.fixture(scope="session")
-def certificate(orbit: ZenoOrbit, problem: Problem) -> OrbitCertificate:
+def certificate(orbit: Orbit, problem: Problem) -> OrbitCertificate:
     """The certificate of the orbit at the published gains."""
     return verify(orbit, problem)
 

@@ -91,13 +91,10 @@ from .model.stops import Switch as Switch
 from .model.waveforms import harmonics as harmonics
 from .model.waveforms import piecewise as piecewise
 from .orbits.bounds import Bound as Bound
-from .orbits.events.event_orbit import EventOrbit as EventOrbit
-from .orbits.events.event_orbit_file import read_event_orbit as read_event_orbit
-from .orbits.events.event_orbit_file import write_event_orbit as write_event_orbit
-from .orbits.orbit import ZenoOrbit as ZenoOrbit
-from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.orbit_file import read_orbit as read_orbit
 from .orbits.orbit_file import write_orbit as write_orbit
+from .orbits.orbit import Orbit as Orbit
+from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.shape import EventSequence as EventSequence
 from .orbits.stability import Stability as Stability
 from .precision.accuracy import ExecutionWithError as ExecutionWithError
@@ -154,7 +151,6 @@ __all__ = [
     "Drawing",
     "EnclosedEvent",
     "EquationsWarning",
-    "EventOrbit",
     "EventSearchResult",
     "EventSequence",
     "Execution",
@@ -176,6 +172,7 @@ __all__ = [
     "MinSpectralRadius",
     "MotorBank",
     "NearestGains",
+    "Orbit",
     "OrbitCertificate",
     "OrbitFileError",
     "OrbitNotFoundError",
@@ -219,7 +216,6 @@ __all__ = [
     "WorkPrecisionSettings",
     "Workers",
     "ZenoCondition",
-    "ZenoOrbit",
     "ZenoOrbitsError",
     "__version__",
     "bundled_problems",
@@ -255,7 +251,6 @@ __all__ = [
     "plot_zeno_set",
     "prove",
     "quasi_static_drive",
-    "read_event_orbit",
     "read_orbit",
     "read_recording",
     "recovery",
@@ -275,7 +270,6 @@ __all__ = [
     "verify",
     "with_certificate",
     "work_precision",
-    "write_event_orbit",
     "write_orbit",
     "write_recording",
     "zeno_condition",

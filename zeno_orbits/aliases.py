@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-ALIASES: Mapping[str, tuple[str, str]] = {}
+ALIASES: Mapping[str, tuple[str, str]] = {
+    "EventOrbit": ("Orbit", "orbits.orbit:Orbit"),
+    "ZenoOrbit": ("Orbit", "orbits.orbit:Orbit"),
+    "read_event_orbit": ("read_orbit", "orbits.orbit_file:read_orbit"),
+    "write_event_orbit": ("write_orbit", "orbits.orbit_file:write_orbit"),
+}
 """Former public name to the new name, and to the module and name of the object in the package."""
 
 FORMER: Mapping[str, tuple[str, ...]] = {

@@ -51,7 +51,7 @@ def test_search_writes_a_file_that_verify_passes() -> None:
 
 
 def test_verify_prints_the_error_of_an_orbit_of_any_machine() -> None:
-    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     zo.write_orbit(zo.find_orbit_by_shooting("vibrating_table").unwrap(), "table.json")
     for file in ("hopper.json", "table.json"):
         error = ask("verify", file, "--accuracy", "1e-9", "--json").data["error"]
@@ -60,7 +60,7 @@ def test_verify_prints_the_error_of_an_orbit_of_any_machine() -> None:
 
 
 def test_plot_draws_the_pictures_that_an_orbit_has() -> None:
-    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     answer = ask("plot", "hopper.json", "-o", "pictures", "--json")
     # No impacts accumulate, and the problem has no outputs.
     assert answer.data == {"pictures": ["pictures/portraits.png", "pictures/time.png"]}
@@ -78,7 +78,7 @@ def test_figures_draws_the_mechanism_and_the_portraits() -> None:
 
 
 def test_report_writes_the_page_and_returns_the_verdict() -> None:
-    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     answer = ask("report", "hopper.json", "-o", "page.html")
     assert answer.code == YES
     page = Path("page.html").read_text(encoding="utf-8")
@@ -112,7 +112,7 @@ def test_an_unstable_orbit_is_written_only_if_it_is_accepted(
 
 
 def test_verify_refuses_a_changed_file() -> None:
-    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     data = json.loads(Path("hopper.json").read_text())
     data["start_state"]["speed"] *= 1.001
     Path("hopper.json").write_text(json.dumps(data))
@@ -153,7 +153,7 @@ def test_search_ranks_attractors_that_coexist_and_prints_where_it_looked() -> No
     assert data["candidates"][0]["orbit"]["start_state"] == data["start_state"]
     assert data["failures"] == []
     assert looked in data["notes"][0]
-    assert zo.read_event_orbit("best.json").start_state == data["start_state"]
+    assert zo.read_orbit("best.json").start_state == data["start_state"]
 
 
 @pytest.mark.slow
@@ -184,7 +184,7 @@ def test_search_finds_gains_that_keep_a_bound_and_writes_their_orbit() -> None:
     assert "Asked for the least energy lost in impacts in a period: 1.5" in answer.out
     assert "stop.impact_speed" in answer.out
     assert "Written: hopper.json" in answer.out
-    orbit = zo.read_event_orbit("hopper.json")
+    orbit = zo.read_orbit("hopper.json")
     assert orbit.parameters["a"] == pytest.approx(15.0, rel=1e-6)
     assert orbit.certificate["asked"][0]["kept"]
 
@@ -197,7 +197,7 @@ def test_search_finds_the_least_energy_from_a_known_orbit() -> None:
     answer = ask(*words, "--objective", "energy", "--bounds", "theta2=:1.9", "-o", "best.json")
     assert answer.code == YES
     assert "Asked for the least electrical energy per period: " in answer.out
-    best = zo.read_event_orbit("best.json")
+    best = zo.read_orbit("best.json")
     assert best.gains["Kp"] == 2.4
     assert best.certificate["asked"][0]["quantity"] == "theta2"
     again = ask("search", "limited_pendulum", "--near", "best.json", "--json").data
@@ -291,7 +291,7 @@ def test_a_search_for_impacts_without_anything_to_vary_is_refused() -> None:
 
 
 def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() -> None:
-    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     assert_refused(ask("zeno-condition", "relay"), "`relay`", "several stops")
     region = ("plot", "hopper.json", "-o", "pictures", "--kind", "region")
     assert_refused(ask(*region), "--kind region", "one stop")
@@ -304,7 +304,7 @@ def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() 
 
 
 def test_rig_of_an_orbit_of_events_writes_a_recording_with_its_contacts() -> None:
-    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     words = ("rig", "hopper.json", "--part", "contact.stiffness=1e5", "--cycles", "2")
     told = ask(*words, "--rate", "1000", "-o", "run.csv", "--json")
     assert told.code == YES
@@ -318,7 +318,7 @@ def test_rig_of_an_orbit_of_events_writes_a_recording_with_its_contacts() -> Non
 
 
 def test_continue_refuses_values_beside_an_orbit_file_and_an_orbit_of_another_problem() -> None:
-    zo.write_event_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     words = ("continue", "hopper", "--parameter", "s=0.05:0.2", "--near", "hopper.json")
     assert_refused(ask(*words, "--set", "a=10"), "--near", "--set")
     other = ("continue", "clapper", "--parameter", "d=0.5:2", "--near", "hopper.json")

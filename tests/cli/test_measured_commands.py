@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.commands import MISUSE, NO, YES, ask, examples
 from zeno_orbits.experiment import Source, read_recording
-from zeno_orbits.orbits import ZenoOrbit, read_orbit, write_orbit
+from zeno_orbits.orbits import Orbit, read_orbit, write_orbit
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +25,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.fixture
-def folder(
-    tmp_path: Path, orbit: ZenoOrbit, recorded: bytes, monkeypatch: pytest.MonkeyPatch
-) -> Path:
+def folder(tmp_path: Path, orbit: Orbit, recorded: bytes, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with an orbit and a recording, to work in."""
     monkeypatch.chdir(tmp_path)
     write_orbit(orbit, tmp_path / "orbit.json")

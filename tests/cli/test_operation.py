@@ -168,14 +168,14 @@ def _masked() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("masked")
-def test_the_umask_decides_who_may_read_a_new_file(tmp_path: Path, orbit: zo.ZenoOrbit) -> None:
+def test_the_umask_decides_who_may_read_a_new_file(tmp_path: Path, orbit: zo.Orbit) -> None:
     path = tmp_path / "orbit.json"
     zo.write_orbit(orbit, path)
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
 
 
 def test_a_file_that_is_replaced_keeps_its_permissions_and_its_link(
-    tmp_path: Path, orbit: zo.ZenoOrbit
+    tmp_path: Path, orbit: zo.Orbit
 ) -> None:
     folder = tmp_path / "elsewhere"
     folder.mkdir()
@@ -256,7 +256,7 @@ def test_two_runs_with_one_output_do_not_disturb_each_other(tmp_path: Path) -> N
     ids=lambda words: words[0],
 )
 def test_a_second_run_with_one_checkpoint_is_refused_and_a_terminated_one_goes_on(
-    words: tuple[str, ...], tmp_path: Path, orbit: zo.ZenoOrbit, monkeypatch: pytest.MonkeyPatch
+    words: tuple[str, ...], tmp_path: Path, orbit: zo.Orbit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     zo.write_orbit(orbit, tmp_path / "orbit.json")
     monkeypatch.chdir(tmp_path)

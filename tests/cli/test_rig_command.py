@@ -9,14 +9,14 @@ import pytest
 
 from tests.support.commands import MISUSE, NO, YES, Answer, ask
 from zeno_orbits.experiment import Source, read_recording
-from zeno_orbits.orbits import ZenoOrbit, write_orbit
+from zeno_orbits.orbits import Orbit, write_orbit
 from zeno_orbits.report.terminal import progress
 
 QUICK = ("--only", "friction", "--part", "contact.stiffness=1e5", "--part", "contact.exponent=1")
 
 
 @pytest.fixture
-def file(tmp_path: Path, orbit: ZenoOrbit) -> Path:
+def file(tmp_path: Path, orbit: Orbit) -> Path:
     """The reference orbit in a file."""
     path = tmp_path / "orbit.json"
     write_orbit(orbit, path)
@@ -39,7 +39,7 @@ def test_a_machine_is_printed_beside_the_orbit_as_simulated(file: Path) -> None:
 
 
 def test_json_holds_the_numbers_of_orbit_and_machine_and_says_simulated(
-    file: Path, orbit: ZenoOrbit, monkeypatch: pytest.MonkeyPatch
+    file: Path, orbit: Orbit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(progress, "_PATIENCE", 0.0)
     answer = ask("rig", file, *QUICK, "--cycles", "2", "--json")

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import zeno_orbits as zo
 from tests.reference.many_digits.fixed_point import ExtendedOrbit, extended_orbit
 from tests.reference.reference_orbit import ORBIT_KEYS, PERIOD, RELEASE
 from tests.support.commands import (
@@ -38,12 +39,12 @@ def test_search_at_the_published_gains_finds_the_orbit_and_writes_what_it_prints
     assert answer.code == YES
     assert answer.data == json.loads(path.read_text())
     assert set(answer.data) == {*ORBIT_KEYS, "problem_digest"}
-    assert answer.data["format"] == 1
+    assert answer.data["format"] == 3
     assert answer.data["problem"] == "motor_pendulum"
     assert answer.data["gains"] == {"Kp": 2.5, "Kd": -1.0}
     # The reference closes to 6e-15; the search promises 3e-10, relative.
     assert answer.data["period"] == pytest.approx(PERIOD, rel=3e-10)
-    assert set(answer.data["impacts"][0]) == {"time", "state_minus"}
+    assert set(answer.data["events"][0]) == {"name", "time", "state"}
     assert {"passed", "residuals", "margins"} <= set(answer.data["certificate"])
     assert answer.data["certificate"]["passed"] is True
     assert all(len(pair) == 2 for pair in answer.data["floquet_multipliers"])
@@ -156,14 +157,16 @@ def orbit_miss(data: Mapping[str, Any], exact: ExtendedOrbit) -> float:
     """
     sizes = {"theta1": 1.2, "theta2": 1.0, "dtheta1": 8.0, "dtheta2": 16.9, "current": 3.0}
     period, zeno = float(exact.period), exact.zeno_points[0]
-    times = [(data["period"], exact.period), (data["zeno_time"], zeno.time)]
-    times += [
-        (i["time"], true.time) for i, true in zip(data["impacts"], exact.impacts, strict=False)
-    ]
+    orbit = zo.orbit_from_json(data, Path("orbit.json"))
+    times = [(orbit.period, exact.period), (orbit.zeno_time, zeno.time)]
+    times += [(i.time, true.time) for i, true in zip(orbit.impacts, exact.impacts, strict=False)]
     misses = [abs(time - float(true)) / period for time, true in times]
-    for found, true in (("release_state", exact.release_state), ("zeno_state", zeno.state)):
+    for found, true in (
+        (orbit.release_state, exact.release_state),
+        (orbit.zeno_state, zeno.state),
+    ):
         for name, value in zip(exact.state_names, true, strict=True):
-            misses.append(abs(data[found][name] - float(value)) / sizes[name])
+            misses.append(abs(found[name] - float(value)) / sizes[name])
     return max(misses)
 
 

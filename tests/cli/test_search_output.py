@@ -14,7 +14,7 @@ from zeno_orbits.api import SearchNotes
 from zeno_orbits.cli import build_parser
 from zeno_orbits.cli.search_output import answer, map_command, on_the_optimum
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import Bound, EventSequence, ZenoOrbit
+from zeno_orbits.orbits import Bound, EventSequence, Orbit
 from zeno_orbits.search import (
     Candidate,
     MinEnergy,
@@ -197,7 +197,7 @@ def test_a_number_at_an_end_of_its_range_is_told_and_whose_range_it_is(problem: 
 # What is said of an optimum.
 
 
-def _found(orbit: ZenoOrbit, starts: int, score: float = 1.0) -> SearchResult:
+def _found(orbit: Orbit, starts: int, score: float = 1.0) -> SearchResult:
     """Return a search of three starts, some of which led to an orbit."""
     candidate = Candidate(
         orbit=orbit,
@@ -216,7 +216,7 @@ def _said(problem: Problem, result: SearchResult, objective: Objective, candidat
 
 
 def test_an_optimum_that_one_start_found_may_be_local_and_one_of_several_is_not_called_so(
-    problem: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: Orbit
 ) -> None:
     assert "the optimum may be local" in _said(problem, _found(orbit, 1), MinEnergy())
     said = _said(problem, _found(orbit, 2), MinEnergy())
@@ -230,7 +230,7 @@ def test_an_optimum_that_one_start_found_may_be_local_and_one_of_several_is_not_
     assert "local" not in _said(problem, _found(orbit, 1), NearestGains(target={}))
 
 
-def test_an_optimum_at_an_end_of_its_range_is_told(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_an_optimum_at_an_end_of_its_range_is_told(problem: Problem, orbit: Orbit) -> None:
     assert orbit.gains["Kp"] == 2.5
     assert "`Kp` = 2.5 is the lower end" in _said(problem, _found(orbit, 1), MinEnergy())
     beyond = NearestGains(target={"Kp": 1.0})
@@ -238,7 +238,7 @@ def test_an_optimum_at_an_end_of_its_range_is_told(problem: Problem, orbit: Zeno
     assert "end of" not in _said(problem, _found(orbit, 1), NearestGains(target={"Kp": 2.5}))
 
 
-def test_fewer_candidates_than_asked_are_explained(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_fewer_candidates_than_asked_are_explained(problem: Problem, orbit: Orbit) -> None:
     said = _said(problem, _found(orbit, 2), MinEnergy(), candidates=3)
     assert "2 fewer than requested: 3 starts and 0 initial states" in "".join(said)
     assert "fewer" not in _said(problem, _found(orbit, 2), MinEnergy())

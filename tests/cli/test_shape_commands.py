@@ -67,26 +67,26 @@ def test_the_file_is_verified_and_its_certificate_says_the_shape(
 
 
 def _phase_out(data: dict[str, Any]) -> None:
-    del data["phases"][1]
-    data["shape"] = "impact*2"
+    del data["events"][1]
+    data |= {"shape": "impact*2", "sequence": data["sequence"][1:]}
 
 
 def _impact_out(data: dict[str, Any]) -> None:
-    data["phases"][1]["impacts"] = []
+    data["events"][1]["name"] = "zeno stop"
 
 
 def _swapped(data: dict[str, Any]) -> None:
-    one, two = data["phases"][1:]
-    one["start_state"], two["start_state"] = two["start_state"], one["start_state"]
+    one, two = data["events"][:2]
+    one["after"], two["after"] = two["after"], one["after"]
 
 
 def _twice(data: dict[str, Any]) -> None:
     turn = data["period"]
-    later = json.loads(json.dumps(data["phases"]))
-    for phase in later:
-        phase["start_time"] += turn
-        phase["impacts"][0]["time"] += turn
-    data |= {"phases": data["phases"] + later, "period": 2 * turn, "shape": "impact*6"}
+    later = json.loads(json.dumps(data["events"]))
+    for event in later:
+        event["time"] += turn
+    data |= {"events": data["events"] + later, "period": 2 * turn, "shape": "impact*6"}
+    data["sequence"] *= 2
 
 
 def _count(data: dict[str, Any]) -> None:
@@ -97,10 +97,10 @@ def _count(data: dict[str, Any]) -> None:
     ("spoil", "code", "word"),
     [
         (_phase_out, 1, "Refused: "),
-        (_impact_out, 2, "lacks an impact in phase 2"),
+        (_impact_out, 2, "its `sequence` is `impact stop, impact stop, impact stop`, but its"),
         (_swapped, 1, "`phases` = "),
         (_twice, 1, "the margin `phases_apart` = 0.0e+00 is not positive"),
-        (_count, 2, "its `shape` is `impact*4`, but its phases are `impact*3`"),
+        (_count, 2, "its `shape` is `impact*4`, but its events are `impact stop, "),
     ],
 )
 def test_a_file_that_was_tampered_with_is_refused(

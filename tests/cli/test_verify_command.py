@@ -65,7 +65,7 @@ def test_verify_on_the_hand_written_model_says_yes_too(orbit_file: Path) -> None
 
 
 def _later_zeno(data: dict[str, Any]) -> None:
-    data["zeno_time"] += 1e-4
+    data["events"][-2]["time"] += 1e-4
 
 
 def _henries_for_millihenries(data: dict[str, Any]) -> None:
@@ -73,7 +73,7 @@ def _henries_for_millihenries(data: dict[str, Any]) -> None:
 
 
 def _out_of_all_bounds(data: dict[str, Any]) -> None:
-    data["release_state"]["theta1"] = 1e200
+    data["start_state"]["theta1"] = 1e200
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from zeno_orbits.continuation.return_maps import Composed, DifferentiatedReturn
 from zeno_orbits.continuation.setup import start_at_release
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import Line, Margin, MarginKind, Section, ZenoOrbit
+from zeno_orbits.orbits import Line, Margin, MarginKind, Orbit, Section
 from zeno_orbits.work import from_plain, silent, to_plain
 
 
@@ -247,9 +247,7 @@ def test_an_acceleration_that_seems_to_vanish_alone_ends_plastic_impacts_only() 
     assert ended({ACCELERATION: 1.0}, restitution=0.3).ending is SpecialPointKind.GAVE_UP
 
 
-def test_two_returns_have_the_product_of_the_derivatives(
-    problem: Problem, orbit: ZenoOrbit
-) -> None:
+def test_two_returns_have_the_product_of_the_derivatives(problem: Problem, orbit: Orbit) -> None:
     box, settings = (-1.5, -0.5), ContinuationSettings()
     setup = start_at_release(problem, orbit, "Kd", box, settings).setup
     returns = setup.returns(problem)

@@ -33,7 +33,7 @@ from zeno_orbits.model import (
     hybrid_system,
     load_problem,
 )
-from zeno_orbits.orbits import ZenoOrbit, poincare_map, release_section
+from zeno_orbits.orbits import Orbit, poincare_map, release_section
 from zeno_orbits.search import newton_on_return_map, orbit_by_shooting, orbit_of
 from zeno_orbits.simulation import SimulationSettings, simulate
 
@@ -52,14 +52,14 @@ def pendulum(**numbers: float) -> HybridDynamics:
 
 
 @cache
-def pendulum_orbit(**numbers: float) -> ZenoOrbit:
+def pendulum_orbit(**numbers: float) -> Orbit:
     gains = {name: numbers[name] for name in ("Kp", "Kd") if name in numbers}
     rest = {name: value for name, value in numbers.items() if name not in gains}
     return start_orbit(PENDULUM, PENDULUM.values(gains=gains, parameters=rest))
 
 
 @cache
-def oscillator_orbit(**numbers: float) -> ZenoOrbit:
+def oscillator_orbit(**numbers: float) -> Orbit:
     return start_orbit(OSCILLATOR, OSCILLATOR.values(parameters=numbers))
 
 
@@ -394,7 +394,7 @@ def test_a_family_whose_section_is_a_point_ends_where_the_motion_jumps() -> None
     juggler = zo.load_problem(MACHINES / "juggler.py")
     turn = 2 * math.pi / juggler.values().parameters["omega"]
 
-    def orbit_at(amplitude: float) -> ZenoOrbit | None:
+    def orbit_at(amplitude: float) -> Orbit | None:
         return zo.find_orbit_by_shooting(juggler, parameters={"A": amplitude}).orbit
 
     start = orbit_at(0.11)

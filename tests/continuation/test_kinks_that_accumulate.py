@@ -130,7 +130,7 @@ MACHINES = {
 
 
 @cache
-def _orbit(name: str) -> zo.EventOrbit:
+def _orbit(name: str) -> zo.Orbit:
     return zo.find_event_orbit(MACHINES[name].problem())
 
 
@@ -185,11 +185,11 @@ def test_a_file_whose_sequence_names_these_kinks_is_read(tmp_path: Path) -> None
     # Former versions had an entry of every impact that a kink follows.
     entries["sequence"] = [name for k, name in enumerate(names) if names[k + 1 : k + 2] != [_ZENO]]
     path.write_text(json.dumps(entries))
-    assert zo.read_event_orbit(path).period == orbit.period
+    assert zo.read_orbit(path).period == orbit.period
     entries["sequence"] = ["release wall", "impact wall", "zeno wall"]
     path.write_text(json.dumps(entries))
     with pytest.raises(zo.OrbitFileError, match="its `sequence` is"):
-        zo.read_event_orbit(path)
+        zo.read_orbit(path)
 
 
 _ZENO = "zeno wall"

@@ -15,7 +15,7 @@ from zeno_orbits.continuation import (
     start_orbit,
 )
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 
 OSCILLATOR = load_problem("forced_oscillator")
 DEFAULT, SHORT = FamilySteps(), FamilySteps(first=0.003, longest=0.01)
@@ -23,7 +23,7 @@ LONG = FamilySteps(first=0.1, longest=0.3)
 
 
 @cache
-def orbit_at(**numbers: float) -> ZenoOrbit:
+def orbit_at(**numbers: float) -> Orbit:
     return start_orbit(OSCILLATOR, OSCILLATOR.values(parameters=numbers))
 
 

@@ -29,7 +29,7 @@ from zeno_orbits.continuation import (
 from zeno_orbits.continuation import parallel as dispatch
 from zeno_orbits.errors import CheckpointError, InputError, WorkError
 from zeno_orbits.model import locate_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import (
     Cluster,
     ExecutionPlan,
@@ -68,7 +68,7 @@ def _kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     return folder, answer.data
 
 
-def oscillator() -> tuple[Any, ZenoOrbit]:
+def oscillator() -> tuple[Any, Orbit]:
     # Plastic impacts, of which a return has one.
     problem = locate_problem(PROBLEM).load()
     return problem, start_orbit(problem, problem.values(parameters={"restitution": 0.0}))

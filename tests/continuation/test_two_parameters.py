@@ -29,7 +29,7 @@ from zeno_orbits.continuation.two_parameters.boundary import half_boundary
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import Line, Margin, MarginKind, Section, ZenoOrbit
+from zeno_orbits.orbits import Line, Margin, MarginKind, Orbit, Section
 from zeno_orbits.work import silent
 
 
@@ -267,7 +267,7 @@ def test_the_folds_and_flips_of_the_pendulum_pass_their_cusp_and_end_where_a_fam
 ):
     problem, box = load_problem("motor_pendulum"), (-1.7, -1.3)
 
-    def orbit(kp: float) -> ZenoOrbit:
+    def orbit(kp: float) -> Orbit:
         return start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": -1.5}))
 
     def family(kp: float) -> Family:
@@ -324,7 +324,7 @@ def test_the_grazing_of_the_pendulum_keeps_to_its_family_and_meets_an_earlier_re
     problem = load_problem("motor_pendulum")
     settings = ContinuationSettings(doublings=0)
 
-    def orbit(kp: float) -> ZenoOrbit:
+    def orbit(kp: float) -> Orbit:
         return start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": -1.0}))
 
     second = SecondParameter(name="Kp", box=(2.3, 4.5), kinds=(SpecialPointKind.GRAZING,))

@@ -30,7 +30,7 @@ from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.orbit_table import gap_coordinates
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import simulate
 
@@ -40,7 +40,7 @@ LABELS = dict(zip(SIGNALS, (r"$\theta_{1}$ [rad]", r"$\theta_{2}$ [rad]", "$i$ [
 
 
 @pytest.fixture(scope="module")
-def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
+def table(orbit: Orbit, problem: Problem) -> OrbitTable:
     return tabulate_orbit(orbit, problem, SIGNALS)
 
 
@@ -54,7 +54,7 @@ def changed(recording: Recording, change: Callable[[np.ndarray, np.ndarray], Any
     return replace(recording, time=time, signals=signals)
 
 
-def truth_of(orbit: ZenoOrbit, stretch: float) -> dict[str, float]:
+def truth_of(orbit: Orbit, stretch: float) -> dict[str, float]:
     """Return what a copy of the orbit, stretched in time, shows of its contacts."""
     first = orbit.impacts[0]
     rate, after = first.state_minus["dtheta2"], first.time
@@ -86,7 +86,7 @@ COPIES: dict[str, dict[str, float]] = {
 
 @pytest.mark.parametrize("name", fast(1, COPIES))
 def test_the_numbers_of_a_copy_are_the_orbits_own(
-    name: str, orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+    name: str, orbit: Orbit, problem: Problem, table: OrbitTable
 ) -> None:
     options: Any = COPIES[name]
     found = compare_recording(orbit, problem, recorded(table, problem, seed=3, **options))
@@ -102,7 +102,7 @@ def test_the_numbers_of_a_copy_are_the_orbits_own(
 
 
 def test_the_numbers_of_a_copy_without_noise_are_near_the_orbits_own(
-    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+    orbit: Orbit, problem: Problem, table: OrbitTable
 ) -> None:
     found = compare_recording(orbit, problem, recorded(table, problem))
     # Times are as good as the period, which sixteen harmonics of a kinked signal give to 1e-5.
@@ -113,9 +113,7 @@ def test_the_numbers_of_a_copy_without_noise_are_near_the_orbits_own(
             assert abs(metric.data) < 1e-2, metric
 
 
-def test_a_known_deviation_is_measured(
-    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
-) -> None:
+def test_a_known_deviation_is_measured(orbit: Orbit, problem: Problem, table: OrbitTable) -> None:
     def cut_off(time: np.ndarray, values: np.ndarray) -> Any:
         # Above 2.1 A the current is cut off; link 1 is off by 0.05 rad.
         return time, np.stack([values[0] + 0.05, values[1], np.minimum(values[2], 2.1)])
@@ -135,7 +133,7 @@ def test_a_known_deviation_is_measured(
 
 
 def test_a_signal_that_comes_late_is_told_by_how_much(
-    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+    orbit: Orbit, problem: Problem, table: OrbitTable
 ) -> None:
     def late(time: np.ndarray, values: np.ndarray) -> Any:
         values = values.copy()
@@ -148,9 +146,7 @@ def test_a_signal_that_comes_late_is_told_by_how_much(
     assert behind == pytest.approx(0.020, abs=4e-4)
 
 
-def test_gaps_and_holes_are_lived_with(
-    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
-) -> None:
+def test_gaps_and_holes_are_lived_with(orbit: Orbit, problem: Problem, table: OrbitTable) -> None:
     copy = recorded(table, problem, noise=2e-3)
     rng = np.random.default_rng(1)
 
@@ -166,7 +162,7 @@ def test_gaps_and_holes_are_lived_with(
         assert abs(metric.data - true) < SURE * metric.error, (what, metric)
 
 
-def test_angles_alone_give_portraits(orbit: ZenoOrbit, problem: Problem, table: OrbitTable) -> None:
+def test_angles_alone_give_portraits(orbit: Orbit, problem: Problem, table: OrbitTable) -> None:
     whole = recorded(table, problem, noise=1e-3)
     angles = replace(whole, signals=whole.signals[:2])
     found = compare_recording(orbit, problem, angles)
@@ -238,7 +234,7 @@ FALSE: dict[str, tuple[Change, str]] = {
     [pytest.param(name, marks=[pytest.mark.slow] * (name == "never at rest")) for name in FALSE],
 )
 def test_what_shows_no_such_orbit_is_told_with_the_reason(
-    name: str, orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+    name: str, orbit: Orbit, problem: Problem, table: OrbitTable
 ) -> None:
     change, reason = FALSE[name]
     found = compare_recording(orbit, problem, changed(recorded(table, problem, noise=1e-3), change))
@@ -247,7 +243,7 @@ def test_what_shows_no_such_orbit_is_told_with_the_reason(
 
 
 def test_the_recording_of_another_problem_is_told_first(
-    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+    orbit: Orbit, problem: Problem, table: OrbitTable
 ) -> None:
     right = recorded(table, problem, noise=1e-3)
     other = replace(right, problem="relay")
@@ -274,7 +270,7 @@ def test_signals_that_jump_are_aligned_as_well() -> None:
 
 @pytest.mark.slow
 def test_a_start_that_still_settles_is_named(
-    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
+    orbit: Orbit, problem: Problem, machine: HybridDynamics
 ) -> None:
     execution = simulate(machine, [0.6, 0, 0, 0, 0], until=30.0)
     time = np.arange(0.0, 30.0, 2.5e-3)
@@ -284,7 +280,7 @@ def test_a_start_that_still_settles_is_named(
     assert any("still settling" in remark and "--t-start" in remark for remark in found.remarks)
 
 
-def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, problem: Problem) -> None:
+def test_signals_of_another_kind_are_refused(orbit: Orbit, problem: Problem) -> None:
     time = np.arange(100) * 0.1
     metres = RecordedSignal(name="theta1", unit="m", values=np.sin(time))
     other = RecordedSignal(name="pressure", unit="Pa", values=np.sin(time))
@@ -301,9 +297,7 @@ def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, problem: Problem)
             compare_recording(orbit, problem, recording)
 
 
-def test_the_data_are_plain_and_finite(
-    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
-) -> None:
+def test_the_data_are_plain_and_finite(orbit: Orbit, problem: Problem, table: OrbitTable) -> None:
     import json
 
     found: Comparison = compare_recording(orbit, problem, recorded(table, problem, noise=1e-3))
@@ -326,7 +320,7 @@ def test_the_data_are_plain_and_finite(
 
 
 def test_each_curve_of_the_picture_is_what_its_label_says(
-    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+    orbit: Orbit, problem: Problem, table: OrbitTable
 ) -> None:
     from zeno_orbits.report.plots import plot_comparison
 
@@ -366,7 +360,7 @@ def test_each_curve_of_the_picture_is_what_its_label_says(
 
 
 def test_a_table_of_the_orbit_is_the_orbit(
-    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
+    orbit: Orbit, problem: Problem, machine: HybridDynamics
 ) -> None:
     whole = tabulate_orbit(orbit, problem, problem.state_names)
     execution = simulate(machine, problem.state_vector(orbit.release_state), until=orbit.period)
@@ -382,7 +376,7 @@ def test_a_table_of_the_orbit_is_the_orbit(
 @pytest.mark.parametrize("n_cycles", [2.2, 3.7, 5.3, 7.27, 9.9])
 @pytest.mark.parametrize("start", [0.0, 0.35, 0.7])
 def test_the_period_is_none_of_its_multiples_wherever_a_record_is_cut_off(
-    n_cycles: float, start: float, orbit: ZenoOrbit, problem: Problem
+    n_cycles: float, start: float, orbit: Orbit, problem: Problem
 ) -> None:
     # What overlaps at the end of a record may hold more of the motion's energy than its share.
     table = tabulate_orbit(orbit, problem, ("theta1", "theta2"))
@@ -439,14 +433,14 @@ def names_of_contact_metrics(found: Comparison) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def shaken() -> tuple[Problem, ZenoOrbit, OrbitTable]:
+def shaken() -> tuple[Problem, Orbit, OrbitTable]:
     problem = load_problem("vibrating_table")
     orbit = orbit_by_shooting(problem, problem.values()).unwrap()
     return problem, orbit, tabulate_orbit(orbit, problem, ("height", "speed"))
 
 
 @pytest.fixture(scope="module")
-def forced() -> tuple[Problem, ZenoOrbit, OrbitTable]:
+def forced() -> tuple[Problem, Orbit, OrbitTable]:
     problem = load_problem("forced_oscillator")
     orbit = orbit_by_shooting(problem, problem.values()).unwrap()
     return problem, orbit, tabulate_orbit(orbit, problem, ("distance", "speed"))
@@ -454,7 +448,7 @@ def forced() -> tuple[Problem, ZenoOrbit, OrbitTable]:
 
 @pytest.mark.parametrize("seed", fast(1, [0, 9, 13, 27]))
 def test_the_period_is_as_sure_as_is_said_where_samples_meet_jumps_step_by_step(
-    seed: int, forced: tuple[Problem, ZenoOrbit, OrbitTable]
+    seed: int, forced: tuple[Problem, Orbit, OrbitTable]
 ) -> None:
     # 376.99 samples a period: from cycle to cycle they move by a hundredth of a step past a jump.
     problem, orbit, table = forced
@@ -466,7 +460,7 @@ def test_the_period_is_as_sure_as_is_said_where_samples_meet_jumps_step_by_step(
 
 
 def test_later_cycles_with_few_samples_say_nothing_of_settling(
-    shaken: tuple[Problem, ZenoOrbit, OrbitTable],
+    shaken: tuple[Problem, Orbit, OrbitTable],
 ) -> None:
     problem, orbit, table = shaken
 
@@ -496,7 +490,7 @@ def noisier(recording: Recording, name: str, factor: float, seed: int) -> Record
 
 @pytest.mark.parametrize("noisy", fast(1, ["distance", "speed"]))
 def test_errors_of_time_follow_the_noise_of_the_signals_that_tell_it(
-    noisy: str, forced: tuple[Problem, ZenoOrbit, OrbitTable]
+    noisy: str, forced: tuple[Problem, Orbit, OrbitTable]
 ) -> None:
     # One signal is thirty times as noisy as the other. An error from the noise of both together is
     # almost twice too large if the distance is noisy: the steep speed tells the time.
@@ -516,7 +510,7 @@ def test_errors_of_time_follow_the_noise_of_the_signals_that_tell_it(
 
 
 def test_the_period_of_a_recording_without_noise_is_exact(
-    forced: tuple[Problem, ZenoOrbit, OrbitTable],
+    forced: tuple[Problem, Orbit, OrbitTable],
 ) -> None:
     problem, orbit, table = forced
     found = compare_recording(orbit, problem, recorded(table, problem, rate=60.0))
@@ -527,7 +521,7 @@ def test_the_period_of_a_recording_without_noise_is_exact(
 
 
 def test_a_part_of_a_cycle_is_not_called_unsettled(
-    forced: tuple[Problem, ZenoOrbit, OrbitTable],
+    forced: tuple[Problem, Orbit, OrbitTable],
 ) -> None:
     # Cut off where it begins, the first and the last cycle have a bin or two in common.
     problem, orbit, table = forced
@@ -539,7 +533,7 @@ def test_a_part_of_a_cycle_is_not_called_unsettled(
 
 @pytest.mark.parametrize("seed", fast(1, range(6)))
 def test_a_period_of_few_samples_is_none_of_its_multiples(
-    seed: int, shaken: tuple[Problem, ZenoOrbit, OrbitTable]
+    seed: int, shaken: tuple[Problem, Orbit, OrbitTable]
 ) -> None:
     problem, orbit, table = shaken
     start = np.random.default_rng(seed).random()
@@ -574,7 +568,7 @@ def test_an_orbit_with_few_samples_is_not_taken_for_another(
     ("samples", "n_cycles"), fast(1, [(30.3, 12.0), (11.76, 40.0), (45.7, 12.0)])
 )
 def test_cycles_that_differ_in_turn_are_seen_with_few_samples(
-    samples: float, n_cycles: float, shaken: tuple[Problem, ZenoOrbit, OrbitTable]
+    samples: float, n_cycles: float, shaken: tuple[Problem, Orbit, OrbitTable]
 ) -> None:
     problem, orbit, table = shaken
 
@@ -591,7 +585,7 @@ def test_cycles_that_differ_in_turn_are_seen_with_few_samples(
 
 @pytest.mark.parametrize("steps", fast(1, [20, 200]))
 def test_a_coarse_encoder_is_no_deviation(
-    steps: int, problem: Problem, orbit: ZenoOrbit, table: OrbitTable
+    steps: int, problem: Problem, orbit: Orbit, table: OrbitTable
 ) -> None:
     def rounded(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         step = np.ptp(values[:2], axis=1, keepdims=True) / steps
@@ -618,7 +612,7 @@ def test_a_coarse_encoder_is_no_deviation(
 def test_a_contact_channel_must_agree_with_the_recorded_gap(
     channel: Callable[[np.ndarray], np.ndarray],
     why: str,
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     table: OrbitTable,
 ) -> None:

@@ -40,7 +40,7 @@ THIS, NONE = ComparisonVerdict.THIS_ORBIT, ComparisonVerdict.NO_ORBIT
 
 
 @cache
-def _orbit(name: str) -> tuple[zo.Problem, zo.EventOrbit]:
+def _orbit(name: str) -> tuple[zo.Problem, zo.Orbit]:
     problem = MACHINES[name][0]()
     return problem, zo.find_event_orbit(problem)
 
@@ -249,7 +249,7 @@ PROBLEM = wheel()
 def test_the_command_prints_words_and_draws(tmp_path: Path) -> None:
     _, orbit = _orbit("wheel")
     (tmp_path / "wheel.py").write_text(FILE)
-    zo.write_event_orbit(orbit, tmp_path / "orbit.json")
+    zo.write_orbit(orbit, tmp_path / "orbit.json")
     short = _recording("wheel", (wheel_motion(),), cycles=0.4)
     answers = {
         "The recording shows this orbit": (_recording("wheel", (wheel_motion(),)), YES),

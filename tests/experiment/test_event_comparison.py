@@ -23,7 +23,7 @@ PERIODS = 4
 
 
 @cache
-def _orbit() -> zo.EventOrbit:
+def _orbit() -> zo.Orbit:
     return zo.find_event_orbit("relay", section="zeno open")
 
 

@@ -45,7 +45,7 @@ def _only(recording: Recording, *names: str) -> Recording:
 def test_a_recording_without_noise_gives_the_true_values() -> None:
     found = zo.identify("relay", _recording(), list(TRUTH))
     assert found.converged
-    assert isinstance(found.orbit, zo.EventOrbit)
+    assert not found.orbit.has_phases
     for one in found.fitted:
         true = TRUTH[one.unknown.label]
         assert abs(one.value / true - 1.0) < 1e-6
@@ -186,7 +186,7 @@ def test_the_command_writes_results_and_orbit(tmp_path: Path) -> None:
     done = ask(*words, "--orbit", tmp_path / "orbit.json")
     assert done.code == 0, done.err
     assert "9 edges of contacts" in done.out
-    orbit = zo.read_event_orbit(tmp_path / "orbit.json")
+    orbit = zo.read_orbit(tmp_path / "orbit.json")
     assert abs(orbit.parameters["restitution"] / TRUTH["restitution"] - 1.0) < 0.02
 
 

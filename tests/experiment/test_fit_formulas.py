@@ -31,7 +31,7 @@ from zeno_orbits.experiment.identification.unknowns import begin_of, unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import newton_on_return_map, orbit_by_shooting
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import silent
@@ -41,12 +41,12 @@ NAMES = ("R", "restitution")
 
 
 @pytest.fixture(scope="module")
-def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
+def table(orbit: Orbit, problem: Problem) -> OrbitTable:
     return tabulate_orbit(orbit, problem, SIGNALS)
 
 
 @pytest.fixture(scope="module")
-def orbits(orbit: ZenoOrbit, problem: Problem, table: OrbitTable) -> Predictions:
+def orbits(orbit: Orbit, problem: Problem, table: OrbitTable) -> Predictions:
     values = orbit.values(problem)
     numbers = {name: values.number(name) for name in NAMES}
     sought = [FitParameter(names=(n,), lower=0.5 * v, upper=2.0 * v) for n, v in numbers.items()]
@@ -220,14 +220,14 @@ def test_the_derivatives_of_all_residuals_equal_finite_differences() -> None:
 
 
 @pytest.fixture(scope="module")
-def other(problem: Problem) -> ZenoOrbit:
+def other(problem: Problem) -> Orbit:
     """The orbit of a machine that is not quite the problem's."""
     true = {"R": 3.12, "K_torque": 0.0303, "K_emf": 0.0303, "restitution": 0.215}
     return orbit_by_shooting(problem, problem.values(parameters=true)).unwrap()
 
 
 def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
-    orbit: ZenoOrbit, problem: Problem
+    orbit: Orbit, problem: Problem
 ) -> None:
     names = ("R", "K_torque", "restitution", "J_rotor")
     places = tuple(problem.names.index(name) for name in names)
@@ -277,7 +277,7 @@ def _at(cycle, times: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def test_gathering_many_samples_changes_no_mean(other: ZenoOrbit, problem: Problem) -> None:
+def test_gathering_many_samples_changes_no_mean(other: Orbit, problem: Problem) -> None:
     table = tabulate_orbit(other, problem, ("theta1",))
     long = recorded(table, problem, n_cycles=20, rate=2000.0)
     where = compare_recording(other, problem, long).where

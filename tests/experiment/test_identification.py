@@ -20,7 +20,7 @@ from zeno_orbits.experiment import (
     tabulate_orbit,
 )
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_by_shooting
 
 SOUGHT = (
@@ -32,18 +32,18 @@ TRUTH = {"R": 3.12, "K_torque": 0.0303, "K_emf": 0.0303, "restitution": 0.215}
 
 
 @pytest.fixture(scope="module")
-def other(problem: Problem) -> ZenoOrbit:
+def other(problem: Problem) -> Orbit:
     """The orbit of a machine that is not quite the problem's."""
     return orbit_by_shooting(problem, problem.values(parameters=TRUTH)).unwrap()
 
 
-def record(other: ZenoOrbit, problem: Problem, seed: int, noise: float = 5e-3) -> Recording:
+def record(other: Orbit, problem: Problem, seed: int, noise: float = 5e-3) -> Recording:
     table = tabulate_orbit(other, problem, ("theta1", "theta2", "current"))
     return recorded(table, problem, n_cycles=8, rate=200.0, noise=noise, seed=seed, start=0.4)
 
 
 @pytest.fixture(scope="module")
-def fitted(other: ZenoOrbit, problem: Problem) -> Identification:
+def fitted(other: Orbit, problem: Problem) -> Identification:
     return fit_parameters(problem, problem.values(), record(other, problem, 0), SOUGHT)
 
 
@@ -73,7 +73,7 @@ def test_what_is_fitted_can_be_passed_on(fitted: Identification, problem: Proble
 
 @pytest.mark.weekly
 @pytest.mark.slow
-def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, problem: Problem) -> None:
+def test_intervals_hold_the_truth_as_often_as_they_say(other: Orbit, problem: Problem) -> None:
     # Of 5 seeds and 3 numbers at 95 %, 10 or fewer inside has a chance below 1e-3.
     inside = 0
     for seed in range(1, 6):
@@ -83,7 +83,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, problem
 
 
 @pytest.mark.slow
-def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, problem: Problem) -> None:
+def test_what_a_recording_cannot_tell_is_named(other: Orbit, problem: Problem) -> None:
     # Only the ratio of both inertial terms I2 and m2 lc2^2 enters with lc2 as it does... I1 and
     # J_rotor enter as their sum alone, so a change of one is undone by the other.
     sought = (
@@ -119,7 +119,7 @@ def test_a_question_that_cannot_be_is_refused(
 
 
 def test_a_recording_that_shows_no_such_orbit_gives_no_parameters(
-    other: ZenoOrbit, problem: Problem
+    other: Orbit, problem: Problem
 ) -> None:
     good = record(other, problem, 0)
     degrees = replace(
@@ -129,7 +129,7 @@ def test_a_recording_that_shows_no_such_orbit_gives_no_parameters(
         fit_parameters(problem, problem.values(), degrees, SOUGHT)
 
 
-def test_a_start_without_an_orbit_is_told(other: ZenoOrbit, problem: Problem) -> None:
+def test_a_start_without_an_orbit_is_told(other: Orbit, problem: Problem) -> None:
     nowhere = problem.values(gains={"Kp": 2.5, "Kd": 5.0})
     with pytest.raises(UnfittableError, match="an orbit to fit is missing at the start"):
         fit_parameters(problem, nowhere, record(other, problem, 0), SOUGHT)

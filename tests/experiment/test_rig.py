@@ -41,7 +41,7 @@ from zeno_orbits.model import (
     load_problem,
     load_reference,
 )
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 
 FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
 STIFF = Contact(stiffness=1e6)
@@ -132,7 +132,7 @@ def test_a_ball_comes_to_rest_in_the_floor_after_a_finite_number_of_contacts() -
 
 
 def test_the_rig_of_the_pendulum_moves_as_scipy_moves_the_one_written_by_hand(
-    problem: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: Orbit
 ) -> None:
     """Contact force, normal inertia and feedback, through the first impact and into the second."""
     stiffness = 1e4
@@ -399,7 +399,7 @@ def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(problem: Pr
 # ---------------------------------------------------------------------- near an orbit of the model
 
 
-def period_error(orbit: ZenoOrbit, problem: Problem, contact: Contact) -> float:
+def period_error(orbit: Orbit, problem: Problem, contact: Contact) -> float:
     """Return how much longer a cycle of the rig is than the orbit."""
     settled = settle_rig(orbit, problem, Rig(contact=contact), cycles=1, settle=6, settings=FINE)
     return settled.cycles[-1].period - orbit.period
@@ -407,7 +407,7 @@ def period_error(orbit: ZenoOrbit, problem: Problem, contact: Contact) -> float:
 
 @pytest.mark.slow
 def test_the_rig_tends_to_the_zeno_orbit_as_the_square_root_of_its_compliance(
-    problem: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: Orbit
 ) -> None:
     errors = [period_error(orbit, problem, Contact(stiffness=k)) for k in (1e4, 1e6, 1e8)]
     orders = [math.log(errors[k] / errors[k + 1]) / math.log(100) for k in range(2)]
@@ -418,7 +418,7 @@ def test_the_rig_tends_to_the_zeno_orbit_as_the_square_root_of_its_compliance(
 
 
 def test_settled_cycles_begin_and_end_at_releases_and_repeat(
-    problem: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: Orbit
 ) -> None:
     settled = settle_rig(orbit, problem, Rig(contact=Contact(stiffness=1e4)), cycles=2)
     first, second = settled.cycles
@@ -437,19 +437,19 @@ def test_settled_cycles_begin_and_end_at_releases_and_repeat(
     assert np.all(settled.run.contact_force >= 0.0)
 
 
-def test_a_machine_that_does_not_lock_is_told_so(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_a_machine_that_does_not_lock_is_told_so(problem: Problem, orbit: Orbit) -> None:
     stuck = Rig(friction={"theta1": Friction(coulomb=0.5)})
     with pytest.raises(SimulationError, match=r"made \d cycles? with a lock where 3 were expected"):
         settle_rig(orbit, problem, stuck, cycles=1, settle=2)
 
 
-def test_no_cycle_at_all_is_refused(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_no_cycle_at_all_is_refused(problem: Problem, orbit: Orbit) -> None:
     for cycles, settle in ((0, 1), (1, -1)):
         with pytest.raises(InputError, match="`cycles` must be at least 1, and `settle`"):
             settle_rig(orbit, problem, Rig(), cycles=cycles, settle=settle)
 
 
-def test_touches_without_a_long_one_hold_no_cycle(orbit: ZenoOrbit, problem: Problem) -> None:
+def test_touches_without_a_long_one_hold_no_cycle(orbit: Orbit, problem: Problem) -> None:
     settled = settle_rig(orbit, problem, Rig(contact=STIFF), cycles=2, settle=2)
     touches = settled.run.touches
     assert len(cut_cycles(touches, orbit)) >= 1
@@ -457,7 +457,7 @@ def test_touches_without_a_long_one_hold_no_cycle(orbit: ZenoOrbit, problem: Pro
 
 
 def test_the_comparison_tells_means_spreads_and_where_the_machine_is_farthest(
-    problem: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: Orbit
 ) -> None:
     settled = settle_rig(orbit, problem, Rig(contact=Contact(stiffness=1e5)), cycles=2)
     comparison = compare_cycles(orbit, problem, settled)

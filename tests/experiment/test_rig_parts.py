@@ -53,7 +53,7 @@ from zeno_orbits.model import (
     rig_with_numbers,
     without_parts,
 )
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 
 ROUNDING = float(np.finfo(float).eps)
 RESTITUTIONS = (1e-3, 0.05, 0.2, 0.5, 0.9, 0.999)
@@ -385,7 +385,7 @@ def test_teeth_give_back_what_their_loss_leaves() -> None:
 
 
 def test_each_further_contact_of_the_chatter_adds_its_length(
-    problem: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: Orbit
 ) -> None:
     """Theory (6.6), without a fitted number, between one stiffness and the next by 1/e^2."""
     e, curve = 0.2, orbit_curve(orbit, problem, n_per_arc=50)
@@ -429,7 +429,7 @@ def test_distances_from_a_line_are_those_of_its_sides() -> None:
     assert stretched.distances(points)[1] == pytest.approx(0.15, abs=1e-15)
 
 
-def test_an_orbit_lies_on_its_own_line(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_an_orbit_lies_on_its_own_line(problem: Problem, orbit: Orbit) -> None:
     coarse, fine = (orbit_curve(orbit, problem, n_per_arc=n) for n in (1500, 2100))
     # Chords of 3e-4 of the size, and what is left out of flights shorter than that.
     assert np.max(fine.distances(coarse.states)) < 3e-4

@@ -16,7 +16,7 @@ import pytest
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import RigComparison, compare_cycles, settle_rig, tabulate_orbit
 from zeno_orbits.model import Contact, Problem, Rig, load_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_by_shooting
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"
@@ -32,11 +32,11 @@ LOCKED = (
 )
 
 
-def orbit_of(problem: Problem) -> ZenoOrbit:
+def orbit_of(problem: Problem) -> Orbit:
     return orbit_by_shooting(problem, problem.values()).unwrap()
 
 
-def machine(problem: Problem, orbit: ZenoOrbit, share: float) -> RigComparison:
+def machine(problem: Problem, orbit: Orbit, share: float) -> RigComparison:
     """Return the cycles of a machine whose contacts last a share of the period, over pi."""
     dynamics = problem.dynamics(orbit.values(problem))
     inertia = dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))

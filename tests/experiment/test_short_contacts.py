@@ -52,7 +52,7 @@ PROBLEM = one_mass(
 
 
 @cache
-def _orbit(one: bool) -> zo.EventOrbit:
+def _orbit(one: bool) -> zo.Orbit:
     return zo.find_event_orbit(PROBLEM, parameters=ONE if one else THREE)
 
 

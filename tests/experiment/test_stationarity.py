@@ -19,7 +19,7 @@ from zeno_orbits.experiment import (
     tabulate_orbit,
 )
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import simulate
 
@@ -42,7 +42,7 @@ def settling(problem: Problem) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def other(problem: Problem) -> ZenoOrbit:
+def other(problem: Problem) -> Orbit:
     """The orbit that it settles to."""
     return orbit_by_shooting(problem, problem.values(parameters=TRUTH)).unwrap()
 
@@ -59,7 +59,7 @@ def test_a_transient_is_told_and_where_it_ends(
 
 
 @pytest.mark.slow
-def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
+def test_a_drift_is_told(other: Orbit, problem: Problem) -> None:
     # What is drawn from one current to the other over the cycles passes for no other problem.
     last = orbit_by_shooting(problem, problem.values(parameters={**TRUTH, "R": 3.24})).unwrap()
     tables = [tabulate_orbit(orbit, problem, SIGNALS) for orbit in (other, last)]
@@ -77,7 +77,7 @@ def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
 
 
 @pytest.mark.slow
-def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, problem: Problem) -> None:
+def test_cycles_that_differ_in_turn_are_told(other: Orbit, problem: Problem) -> None:
     second = orbit_by_shooting(problem, problem.values(parameters={**TRUTH, "R": 3.16})).unwrap()
     tables = [tabulate_orbit(orbit, problem, SIGNALS) for orbit in (other, second)]
     time = np.arange(int(8 * other.period * 200.0)) / 200.0
@@ -91,7 +91,7 @@ def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, problem: Problem)
 
 
 @pytest.mark.slow
-def test_a_settled_machine_is_not_refused(other: ZenoOrbit, problem: Problem) -> None:
+def test_a_settled_machine_is_not_refused(other: Orbit, problem: Problem) -> None:
     table = tabulate_orbit(other, problem, SIGNALS)
     for cycles, start in ((2.3, 0.1), (3.5, 0.9)):
         settled = recorded(table, problem, n_cycles=cycles, rate=200.0, noise=5e-3, start=start)
@@ -119,7 +119,7 @@ def test_a_stop_that_is_never_touched_gives_no_parameters(
 
 
 @pytest.mark.slow
-def test_another_machine_is_told_by_what_repeats(other: ZenoOrbit, problem: Problem) -> None:
+def test_another_machine_is_told_by_what_repeats(other: Orbit, problem: Problem) -> None:
     table = tabulate_orbit(other, problem, SIGNALS)
     good = recorded(table, problem, n_cycles=8, rate=200.0, noise=5e-3)
     # Its first arm and its current have other shapes: of the same period, locked as long, and

@@ -25,7 +25,7 @@ from zeno_orbits.experiment import (
     write_recording,
 )
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import ZenoOrbit, write_orbit
+from zeno_orbits.orbits import Orbit, write_orbit
 from zeno_orbits.search import orbit_by_shooting
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"
@@ -34,7 +34,7 @@ SAMPLES = 150.37
 """Samples per period, not a whole number: phases differ from cycle to cycle."""
 
 
-def orbit_of(name: str, **parameters: float) -> tuple[Problem, ZenoOrbit, OrbitTable]:
+def orbit_of(name: str, **parameters: float) -> tuple[Problem, Orbit, OrbitTable]:
     """Return a machine of the tests with its orbit at some parameters, tabulated."""
     return _orbit_of(name, tuple(parameters.items()))
 
@@ -42,7 +42,7 @@ def orbit_of(name: str, **parameters: float) -> tuple[Problem, ZenoOrbit, OrbitT
 @lru_cache
 def _orbit_of(
     name: str, parameters: tuple[tuple[str, float], ...]
-) -> tuple[Problem, ZenoOrbit, OrbitTable]:
+) -> tuple[Problem, Orbit, OrbitTable]:
     problem = load_problem(MACHINES / f"{name}.py")
     orbit = orbit_by_shooting(problem, problem.values(parameters=dict(parameters))).unwrap()
     signals = [one for one in problem.state_names if one not in {"cosine", "sine"}]

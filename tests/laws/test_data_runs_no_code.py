@@ -103,7 +103,7 @@ def _reads(reader: Callable[[Path], Any], file: Path) -> bool:
 def _readers() -> tuple[Callable[[Path], Any], ...]:
     """Return the functions that read a file of results."""
     return (
-        *(zo.read_orbit, zo.read_event_orbit, zo.read_recording, read_map, read_pushes),
+        *(zo.read_orbit, zo.read_orbit, zo.read_recording, read_map, read_pushes),
         *(read_recovery, read_work_precision, api.any_orbit),
         lambda path: zo.check_proof(path, "forced_oscillator"),
         lambda path: read_boundaries(path, "m", "g"),
@@ -227,10 +227,9 @@ def test_a_name_that_is_not_bundled_asks_for_the_file(
     _write_program(tmp_path, "evil.py")
     write_files(tmp_path, contents_by_kind("evil.py"))
     told = r"Unknown problem `evil\.py`\. If it is yours, pass its file with --problem"
-    read = zo.read_event_orbit if kind == "orbit_3.json" else zo.read_orbit
     for call in (
         lambda: zo.verify(kind),
-        lambda: zo.plot(read(kind)),
+        lambda: zo.plot(zo.read_orbit(kind)),
         lambda: zo.continue_orbit(kind, ("m", 0.5, 2.0), workers=2),
         lambda: zo.largest_push(kind, workers=2),
     ):

@@ -388,7 +388,7 @@ def test_sequences_of_elastic_impacts_are_not_ended_by_force(rule: Truncation) -
 
 @pytest.mark.slow
 def test_an_orbit_with_a_zeno_point_is_false_for_elastic_impacts(
-    orbit: zo.ZenoOrbit, tmp_path: Path
+    orbit: zo.Orbit, tmp_path: Path
 ) -> None:
     elastic = replace(orbit, parameters={**orbit.parameters, "restitution": 1.0})
     certificate = zo.verify(elastic)

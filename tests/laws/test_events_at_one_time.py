@@ -636,7 +636,7 @@ def test_a_switch_that_ends_contact_causes_a_release(name: str) -> None:
     assert run.end_state[:2] == pytest.approx(wanted, abs=LOCATED)
 
 
-def thrown(e: float) -> tuple[zo.Problem, zo.EventOrbit]:
+def thrown(e: float) -> tuple[zo.Problem, zo.Orbit]:
     """Return a mass that a step of force lifts off its floor, and its orbit."""
     problem = lifted(lambda _, s: ca.if_else(s > 0.6, 15, 0), e=e)
     return problem, zo.find_event_orbit(problem, section="switch kink 1")

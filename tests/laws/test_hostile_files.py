@@ -184,7 +184,6 @@ def test_a_hostile_file_is_one_line_for_every_command(
 
 READERS: dict[str, Callable[[Path], object]] = {
     "read_orbit": zo.read_orbit,
-    "read_event_orbit": zo.read_event_orbit,
     "any_orbit": api.any_orbit,
     "verify": zo.verify,
     "check_proof": zo.check_proof,

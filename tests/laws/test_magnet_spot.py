@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from tests.support.magnet_spot import PROBLEM, WIDTH
 from zeno_orbits.integrators import FlowWithEvent, PlainFlow
 from zeno_orbits.maps import Axis, Plane, map_of_plane
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import verify
 from zeno_orbits.work import ExecutionPlan, Workers
@@ -53,19 +53,19 @@ def test_a_map_counts_the_release_at_the_magnet_where_it_is_strong_enough() -> N
 
 
 @pytest.fixture(scope="module")
-def unaware() -> ZenoOrbit:
+def unaware() -> Orbit:
     """The orbit without the magnet, claimed of the machine with it."""
     orbit = orbit_at_gains(PROBLEM, PROBLEM.values(parameters={"pull": 0.0})).unwrap()
     assert verify(orbit, PROBLEM).passed
     return replace(orbit, parameters={**orbit.parameters, "pull": PULL})
 
 
-def test_an_orbit_that_passes_the_spot_is_refused(unaware: ZenoOrbit) -> None:
+def test_an_orbit_that_passes_the_spot_is_refused(unaware: Orbit) -> None:
     assert not verify(unaware, PROBLEM).passed
 
 
 def test_samples_at_bounded_steps_refuse_it_where_the_search_for_events_is_blind(
-    unaware: ZenoOrbit,
+    unaware: Orbit,
 ) -> None:
     machine = PROBLEM.dynamics(unaware.values(PROBLEM))
 

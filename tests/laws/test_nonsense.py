@@ -59,12 +59,12 @@ def motion() -> zo.Execution:
 
 
 @cache
-def orbit() -> zo.ZenoOrbit:
+def orbit() -> zo.Orbit:
     return zo.find_orbit_by_shooting("motor_pendulum").unwrap()
 
 
 @cache
-def events() -> zo.EventOrbit:
+def events() -> zo.Orbit:
     return zo.find_event_orbit("sampled_pendulum")
 
 
@@ -188,8 +188,7 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
     "simulate_periods": {"orbit": events},
     "largest_push": {"orbit": lambda: replace(orbit(), period=1.0)},
     "with_certificate": {"orbit": orbit},
-    "write_event_orbit": {"orbit": events, "path": lambda: Path("file.json")},
-    "write_orbit": {"path": lambda: Path("file.json")},
+    "write_orbit": {"orbit": events, "path": lambda: Path("file.json")},
     "write_recording": {"path": lambda: Path("file.csv")},
     "orbit_from_json": {"path": lambda: Path("file.json")},
     "check_proof": {"certificate": lambda: Path("no.json")},
@@ -223,11 +222,11 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
 
 RESULTS = (
     *("CompletedSystem", "Comparison", "Continuation", "EnclosedEvent", "EventComparison"),
-    *("EventOrbit", "EventSearchResult", "Execution", "ExecutionWithError", "Family"),
+    *("Orbit", "EventSearchResult", "Execution", "ExecutionWithError", "Family"),
     *("Identification", "OrbitCertificate", "ParameterMap", "PeriodEnclosure", "Proof"),
     *("ProofVerdict", "Pushes", "Recording", "Recovery", "RigRun", "SearchResult", "SwitchEvent"),
     "Stability",
-    *("WorkPrecision", "ZenoCondition", "ZenoOrbit", "Drawing", "SpecialPointKind", "PwmSettings"),
+    *("WorkPrecision", "ZenoCondition", "Orbit", "Drawing", "SpecialPointKind", "PwmSettings"),
 )
 """Results, which functions make, and names that are not called."""
 

@@ -48,7 +48,7 @@ def samples() -> zo.Recording:
 
 
 @cache
-def orbit() -> zo.ZenoOrbit:
+def orbit() -> zo.Orbit:
     return zo.find_orbit_by_shooting("motor_pendulum").orbit
 
 

@@ -23,7 +23,7 @@ def written(found: zo.Pushes | zo.Recovery, path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.7, 1.0])
-def test_pushes_read_back(orbit: zo.ZenoOrbit, tmp_path: Path, lost: float) -> None:
+def test_pushes_read_back(orbit: zo.Orbit, tmp_path: Path, lost: float) -> None:
     path = tmp_path / "pushes.json"
     pushes = pushes_of(orbit, lost=lost)
     data = written(pushes, path)
@@ -36,7 +36,7 @@ def test_pushes_read_back(orbit: zo.ZenoOrbit, tmp_path: Path, lost: float) -> N
 
 
 def test_a_direction_that_was_given_twice_or_reversed_reads_back(
-    orbit: zo.ZenoOrbit, tmp_path: Path
+    orbit: zo.Orbit, tmp_path: Path
 ) -> None:
     path = tmp_path / "pushes.json"
     for again in ({"theta1": 1.0}, {"theta1": -1.0}):
@@ -47,7 +47,7 @@ def test_a_direction_that_was_given_twice_or_reversed_reads_back(
 @pytest.mark.parametrize("radius", [0.25, 0.0, math.inf])
 @pytest.mark.parametrize("size", [0, 1, 2])
 def test_a_recovery_reads_back(
-    orbit: zo.ZenoOrbit, problem: zo.Problem, tmp_path: Path, radius: float, size: int
+    orbit: zo.Orbit, problem: zo.Problem, tmp_path: Path, radius: float, size: int
 ) -> None:
     path = tmp_path / "recovery.json"
     made = recovery_of(orbit, problem, radius=radius, size=size)
@@ -92,7 +92,7 @@ PUSH_ENTRIES = ("phase", "direction", "mode", "largest", "error", "beyond", "sea
 
 @pytest.mark.parametrize("name", PUSH_ENTRIES)
 def test_a_push_without_an_entry_is_refused_by_its_name(
-    orbit: zo.ZenoOrbit, tmp_path: Path, name: str
+    orbit: zo.Orbit, tmp_path: Path, name: str
 ) -> None:
     path = tmp_path / "pushes.json"
     data = written(pushes_of(orbit), path)
@@ -101,7 +101,7 @@ def test_a_push_without_an_entry_is_refused_by_its_name(
 
 
 def test_a_file_without_an_entry_is_refused_by_its_name(
-    orbit: zo.ZenoOrbit, problem: zo.Problem, tmp_path: Path
+    orbit: zo.Orbit, problem: zo.Problem, tmp_path: Path
 ) -> None:
     path = tmp_path / "file.json"
     for read, made in (
@@ -156,7 +156,7 @@ def test_a_file_without_an_entry_is_refused_by_its_name(
     ],
 )
 def test_pushes_with_a_false_entry_are_refused_by_its_name(
-    orbit: zo.ZenoOrbit, tmp_path: Path, change: Change, told: str
+    orbit: zo.Orbit, tmp_path: Path, change: Change, told: str
 ) -> None:
     path = tmp_path / "pushes.json"
     data = written(pushes_of(orbit, lost=1.0), path)
@@ -205,7 +205,7 @@ def test_pushes_with_a_false_entry_are_refused_by_its_name(
     ],
 )
 def test_a_recovery_with_a_false_entry_is_refused_by_its_name(
-    orbit: zo.ZenoOrbit, problem: zo.Problem, tmp_path: Path, change: Change, told: str
+    orbit: zo.Orbit, problem: zo.Problem, tmp_path: Path, change: Change, told: str
 ) -> None:
     path = tmp_path / "recovery.json"
     data = written(recovery_of(orbit, problem), path)

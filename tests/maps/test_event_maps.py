@@ -168,7 +168,7 @@ def test_the_command_maps_machines_with_switches(tmp_path: Path, capsys: Any) ->
 @pytest.mark.slow
 def test_the_command_maps_from_an_orbit_and_draws(tmp_path: Path, capsys: Any) -> None:
     orbit = tmp_path / "orbit.json"
-    zo.write_event_orbit(zo.find_event_orbit("clapper"), orbit)
+    zo.write_orbit(zo.find_event_orbit("clapper"), orbit)
     words = ["--orbit", str(orbit), "--x", "place=-0.5:0.5", "--y", "speed=-1:1", "--grid", "2x2"]
     picture = tmp_path / "map.png"
     assert main(["map", "clapper", *words, "--plot", str(picture)]) == 0

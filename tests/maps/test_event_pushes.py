@@ -25,7 +25,7 @@ TURN = 2 * math.pi / BISTABLE["omega"]
 
 
 @cache
-def _clapper() -> zo.EventOrbit:
+def _clapper() -> zo.Orbit:
     return zo.find_event_orbit("clapper", parameters=BISTABLE, start={"speed": 4.0, "cosine": 1.0})
 
 
@@ -35,7 +35,7 @@ def _pushes() -> zo.Pushes:
     return zo.largest_push(_clapper(), settings=settings)
 
 
-def _state_at(orbit: zo.EventOrbit, phase: float) -> dict[str, float]:
+def _state_at(orbit: zo.Orbit, phase: float) -> dict[str, float]:
     run = zo.simulate(
         orbit.problem,
         until=orbit.period,
@@ -193,7 +193,7 @@ def test_an_orbit_that_its_motion_leaves_is_refused() -> None:
 @pytest.mark.slow
 def test_the_command_pushes_an_orbit_of_events(tmp_path: Path) -> None:
     orbit, file = tmp_path / "orbit.json", tmp_path / "pushes.json"
-    zo.write_event_orbit(zo.find_event_orbit("hopper"), orbit)
+    zo.write_orbit(zo.find_event_orbit("hopper"), orbit)
     words = ["--phases", "2", "--steps", "2", "-o", str(file)]
     # Every hopper returns, v^2 maps to e^2 v^2 + 2 a s, but for the one that an impulse m e v just
     # after the impact stops on the ground. The late returns beside it lead to this impulse.

@@ -382,7 +382,7 @@ def pair_rate(o: ImpactPair) -> float:
 
 
 @cache
-def recovering_pair(k: int) -> tuple[Pair, zo.EventOrbit, zo.Recovery]:
+def recovering_pair(k: int) -> tuple[Pair, zo.Orbit, zo.Recovery]:
     o = stable(impact_pair, pair_rate, k + 1)[k]
     numbers = {"A": o.amplitude, "restitution": o.restitution, "d": o.length / 2}
     orbit = zo.find_event_orbit(
@@ -398,7 +398,7 @@ def recovering_pair(k: int) -> tuple[Pair, zo.EventOrbit, zo.Recovery]:
     return Pair(o), orbit, zo.recovery(orbit, settings=fine(samples=100))
 
 
-def side_of(orbit: zo.EventOrbit) -> float:
+def side_of(orbit: zo.Orbit) -> float:
     return 1.0 if orbit.section == "impact upper" else -1.0
 
 
@@ -463,7 +463,7 @@ def test_states_of_the_ball_of_an_impact_pair_return_and_a_larger_ball_is_left(k
 
 
 @cache
-def _walker() -> tuple[zo.EventOrbit, zo.Recovery]:
+def _walker() -> tuple[zo.Orbit, zo.Recovery]:
     orbit = zo.find_event_orbit("kneed_walker", parameters={"restitution": 0.0})
     return orbit, zo.recovery(orbit)
 
@@ -650,7 +650,7 @@ def test_the_recovery_is_the_same_in_other_units(name: str, state: str) -> None:
 def test_the_command_writes_the_recovery_of_an_orbit_of_events(tmp_path: Path) -> None:
     orbit = zo.find_event_orbit("hopper")
     path, file = tmp_path / "orbit.json", tmp_path / "recovery.json"
-    zo.write_event_orbit(orbit, path)
+    zo.write_orbit(orbit, path)
     answer = ask("recovery", path, "-o", file)
     assert answer.code == YES
     assert answer.out.startswith("A small disturbance decays to 1 % in 4 periods (1.95781 s)")
@@ -689,12 +689,12 @@ def test_orbits_of_events_that_are_unstable_open_or_of_another_problem_are_refus
         (replace(hopper, start_state=faster), "must be closed"),
     ):
         path = tmp_path / "orbit.json"
-        zo.write_event_orbit(orbit, path)
+        zo.write_orbit(orbit, path)
         answer = ask("recovery", path)
         assert answer.code == MISUSE
         assert answer.err.count("\n") == 1
         assert said in answer.err
-    zo.write_event_orbit(hopper, path)
+    zo.write_orbit(hopper, path)
     answer = ask("recovery", path, "--problem", "clapper")
     assert answer.code == MISUSE
     assert answer.err.count("\n") == 1

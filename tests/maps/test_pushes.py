@@ -78,7 +78,7 @@ def test_a_push_that_ends_on_the_coexisting_orbit_is_lost_and_names_it() -> None
 
 @pytest.mark.slow
 def test_the_least_push_of_the_pendulum_separates_return_from_loss(
-    orbit: zo.ZenoOrbit, problem: zo.Problem
+    orbit: zo.Orbit, problem: zo.Problem
 ) -> None:
     found = zo.largest_push(orbit, settings=replace(FEW, steps=12))
     least = found.least
@@ -108,7 +108,7 @@ def test_the_least_push_of_the_pendulum_separates_return_from_loss(
 
 
 def test_an_impulse_in_contact_changes_no_gap_rate_and_the_stop_only_pushes(
-    orbit: zo.ZenoOrbit, problem: zo.Problem
+    orbit: zo.Orbit, problem: zo.Problem
 ) -> None:
     from zeno_orbits.maps import pushed
 
@@ -147,14 +147,14 @@ def test_a_push_is_the_same_in_grams_millimetres_and_milliseconds() -> None:
 
 
 @pytest.mark.slow
-def test_several_workers_find_the_same(orbit: zo.ZenoOrbit) -> None:
+def test_several_workers_find_the_same(orbit: zo.Orbit) -> None:
     alone = zo.largest_push(orbit, settings=FEW)
     assert zo.largest_push(orbit, settings=FEW, workers=2).as_json() == alone.as_json()
 
 
 @pytest.mark.slow
 def test_the_command_prints_the_least_push_first_and_writes_all(
-    orbit: zo.ZenoOrbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    orbit: zo.Orbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     zo.write_orbit(orbit, tmp_path / "orbit.json")
@@ -176,7 +176,7 @@ def test_the_command_prints_the_least_push_first_and_writes_all(
 @pytest.mark.parametrize("example", examples("push"), ids=" ".join)
 def test_an_example_of_the_help_runs(
     example: tuple[str, ...],
-    orbit: zo.ZenoOrbit,
+    orbit: zo.Orbit,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -204,7 +204,7 @@ def test_an_example_of_the_help_runs(
 def test_a_push_that_makes_no_sense_is_one_line(
     words: tuple[str, ...],
     told: str,
-    orbit: zo.ZenoOrbit,
+    orbit: zo.Orbit,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -69,7 +69,7 @@ def recovered(a: float, b: float, **settings: float) -> zo.Recovery:
 
 
 @cache
-def of_pendulum() -> tuple[zo.ZenoOrbit, zo.Recovery]:
+def of_pendulum() -> tuple[zo.Orbit, zo.Recovery]:
     orbit = zo.find_orbit_by_shooting("motor_pendulum").unwrap()
     return orbit, zo.recovery(orbit)
 
@@ -243,7 +243,7 @@ def test_orbits_that_do_not_attract_or_do_not_close_are_refused() -> None:
     moved = {**orbit.release_state, "theta1": orbit.release_state["theta1"] + 1e-3}
     phase = replace(orbit.phases[0], start_state=moved)
     with pytest.raises(zo.InputError, match="must be closed"):
-        zo.recovery(replace(orbit, phases=(phase,)))
+        zo.recovery(orbit.with_phases((phase,)))
     problem = hard_to_prove.double_well()
     unstable = zo.find_orbit_by_shooting(problem).unwrap()
     with pytest.raises(zo.InputError, match="must be stable"):

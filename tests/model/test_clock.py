@@ -14,7 +14,7 @@ from tests.reference.closed_forms import COCO, FORCED
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Clock, HybridLagrangian, MotorBank, corrected_drive, load_problem
-from zeno_orbits.orbits import ZenoOrbit, release_section, write_orbit
+from zeno_orbits.orbits import Orbit, release_section, write_orbit
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify
@@ -25,11 +25,11 @@ PERIOD = 2 * math.pi
 
 
 @pytest.fixture(name="orbit", scope="module")
-def _orbit() -> ZenoOrbit:
+def _orbit() -> Orbit:
     return orbit_at_gains(OSCILLATOR, OSCILLATOR.values()).unwrap()
 
 
-def test_the_search_finds_the_orbit_of_the_closed_form(orbit: ZenoOrbit) -> None:
+def test_the_search_finds_the_orbit_of_the_closed_form(orbit: Orbit) -> None:
     # The search asks for agreement of program and simulation to 3e-10; both do far better here.
     release = FORCED.release_time
     assert orbit.period == pytest.approx(PERIOD, rel=1e-12)
@@ -42,7 +42,7 @@ def test_the_search_finds_the_orbit_of_the_closed_form(orbit: ZenoOrbit) -> None
 
 
 def test_its_return_map_has_no_memory_and_the_certificate_calls_it_stable(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
 ) -> None:
     certificate = verify(orbit, OSCILLATOR)
     assert certificate.passed, certificate.verdict()
@@ -52,7 +52,7 @@ def test_its_return_map_has_no_memory_and_the_certificate_calls_it_stable(
 
 
 def test_the_work_of_the_force_pays_for_what_the_impacts_and_the_damper_lose(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
 ) -> None:
     energies = verify(orbit, OSCILLATOR).energies
     losses = energies["other_loss"] + energies["impact_loss"]
@@ -147,7 +147,7 @@ def test_a_corrected_drive_refuses_a_voltage_that_changes_with_time() -> None:
 
 @pytest.mark.slow
 def test_all_pictures_that_a_forced_problem_has_are_drawn(
-    orbit: ZenoOrbit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    orbit: Orbit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "orbit.json"
     write_orbit(orbit, file)

@@ -181,7 +181,7 @@ def test_an_orbit_moves_with_a_stop_that_is_closed_all_the_time() -> None:
     assert after - before == pytest.approx([0, 0.4, 0, 0, 0, 0], abs=1e-9)
 
 
-def _sections(orbit: zo.EventOrbit) -> list[str]:
+def _sections(orbit: zo.Orbit) -> list[str]:
     """Return the events that may be sections. Impacts that accumulate are not."""
     names = set(orbit.sequence)
     return sorted(one for one in names if one.replace("impact", "zeno") not in names - {one})
@@ -314,7 +314,7 @@ class Linear:
         contacts = tuple(contact(k) for k in range(len(self.gaps)))
         return Machine(n=len(self.mass), mass=lambda _: self.mass, force=force, contacts=contacts)
 
-    def differences(self, orbit: zo.EventOrbit) -> list[complex]:
+    def differences(self, orbit: zo.Orbit) -> list[complex]:
         """Return the multipliers by central differences, from the middle of the longest arc."""
         n = len(self.mass)
         run = zo.simulate(self.problem, until=orbit.period, start=orbit.start_state)
@@ -344,7 +344,7 @@ STEP = 1e-6
 
 
 @cache
-def _linear(seed: int) -> tuple[Linear, zo.EventOrbit]:
+def _linear(seed: int) -> tuple[Linear, zo.Orbit]:
     machine = Linear.drawn(seed)
     return machine, zo.find_event_orbit(machine.problem, until=300.0)
 

@@ -14,14 +14,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.reference.reference_orbit import ORBIT_KEYS
+from tests.support.old_orbit_files import old_data
 from tests.support.orbits import changed
 from zeno_orbits.errors import InputError, OrbitFileError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import (
+    Orbit,
+    OrbitEvent,
     OrbitImpact,
     OrbitPhase,
     PhaseKind,
-    ZenoOrbit,
     digest_of,
     new_orbit,
     orbit_from_json,
@@ -30,13 +32,23 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.verification import OrbitCertificate, with_certificate
 
+OLD_KEYS = {"release_state", "impacts", "zeno_time", "zeno_state"}
+"""Entries of format 1 alone."""
+NEEDED = ORBIT_KEYS - {"certificate", "versions", "shape", "floquet_multipliers"}
+
 STATE = {"height": 0.1, "speed": -1 / 3}
-SMALL = ZenoOrbit(
+SMALL = Orbit(
     problem="bouncing_ball",
     parameters={"m": 1.0, "g": 9.81, "restitution": 0.8},
     gains={},
     period=math.pi,
-    phases=(
+    start_state={},
+    events=(),
+    floquet_multipliers=(complex(0.1, -0.2),),
+    certificate={"passed": True, "residuals": {"closure": None}},
+    versions={"python": "3"},
+).with_phases(
+    (
         OrbitPhase(
             kind=PhaseKind.ZENO,
             start_time=0.0,
@@ -45,10 +57,7 @@ SMALL = ZenoOrbit(
             zeno_time=math.nextafter(2.0, 3.0),
             zeno_state=STATE,
         ),
-    ),
-    floquet_multipliers=(complex(0.1, -0.2),),
-    certificate={"passed": True, "residuals": {"closure": None}},
-    versions={"python": "3"},
+    )
 )
 """No real orbit: enough to be written and read."""
 
@@ -58,11 +67,11 @@ def test_the_states_at_events_are_starts_zeno_points_and_those_before_impacts() 
     low, lower = {**STATE, "height": 0.01}, {**STATE, "height": 0.001}
     impacts = (OrbitImpact(time=0.1, state_minus=low), OrbitImpact(time=0.2, state_minus=lower))
     zeno = {**STATE, "speed": 0.0}
-    orbit = replace(SMALL, phases=(replace(phase, impacts=impacts, zeno_state=zeno),))
+    orbit = SMALL.with_phases((replace(phase, impacts=impacts, zeno_state=zeno),))
     assert orbit.states_at_events == (STATE, zeno, low, lower)
 
 
-def _round_trip(orbit: ZenoOrbit, folder: Path) -> ZenoOrbit:
+def _round_trip(orbit: Orbit, folder: Path) -> Orbit:
     path = folder / "orbit.json"
     write_orbit(orbit, path)
     return read_orbit(path)
@@ -86,8 +95,8 @@ def _refusal(folder: Path, text: str | bytes) -> str:
 
 
 def _changed(*path: str | int, to: Any) -> str:
-    """Return the small orbit's file with one entry changed."""
-    data = SMALL.as_json()
+    """Return the small orbit's file of an older version with one entry changed."""
+    data = old_data(SMALL)
     here: Any = data
     for step in path[:-1]:
         here = here[step]
@@ -96,7 +105,7 @@ def _changed(*path: str | int, to: Any) -> str:
 
 
 def test_a_found_orbit_comes_back_bit_for_bit(
-    orbit: ZenoOrbit, certificate: OrbitCertificate, tmp_path: Path
+    orbit: Orbit, certificate: OrbitCertificate, tmp_path: Path
 ) -> None:
     whole = with_certificate(orbit, certificate)
     again = _round_trip(whole, tmp_path)
@@ -111,24 +120,28 @@ def test_a_found_orbit_comes_back_bit_for_bit(
 
 
 def test_the_file_has_every_entry_of_the_contract(
-    orbit: ZenoOrbit, certificate: OrbitCertificate, problem: Problem
+    orbit: Orbit, certificate: OrbitCertificate, problem: Problem
 ) -> None:
     data = json.loads(json.dumps(with_certificate(orbit, certificate).as_json(), allow_nan=False))
     assert set(data) == ORBIT_KEYS | {"problem_digest"}
-    assert data["format"] == 1
+    assert data["format"] == 3
     assert data["shape"] == "zeno"
+    assert data["sequence"] == ["zeno stop", "release stop"]
     assert data["problem"] == problem.name
     assert data["gains"] == {"Kp": 2.5, "Kd": -1.0}
     assert list(data["parameters"]) == [quantity.name for quantity in problem.parameters]
-    for state in (data["release_state"], data["zeno_state"], data["impacts"][0]["state_minus"]):
+    for state in (data["start_state"], *(event["state"] for event in data["events"])):
         assert tuple(state) == problem.state_names
-    assert set(data["impacts"][0]) == {"time", "state_minus"}
+    assert all(set(event) == {"name", "time", "state"} for event in data["events"])
+    assert [data["events"][k]["name"] for k in (0, -2, -1)] == [
+        *("impact stop", "zeno stop", "release stop"),
+    ]
     assert all(len(pair) == 2 for pair in data["floquet_multipliers"])
     assert {"passed", "residuals", "margins"} <= set(data["certificate"])
     assert {"zeno_orbits", "casadi", "numpy", "python"} <= set(data["versions"])
 
 
-def test_an_orbit_gives_the_numbers_of_its_problem(orbit: ZenoOrbit, problem: Problem) -> None:
+def test_an_orbit_gives_the_numbers_of_its_problem(orbit: Orbit, problem: Problem) -> None:
     assert orbit.values(problem) == problem.values()
     with pytest.raises(InputError, match="unknown gain `Ki`"):
         replace(orbit, gains={"Ki": 1.0}).values(problem)
@@ -165,11 +178,36 @@ def test_any_finite_numbers_and_names_come_back(
         impacts=tuple(OrbitImpact(time=time, state_minus=state) for time in times),
         floquet_multipliers=(complex(*pair),),
     )
-    again = _round_trip(original, tmp_path)
+    path = tmp_path / "orbit.json"
+    path.write_text(json.dumps(old_data(original)), encoding="utf-8")
+    again = read_orbit(path)
     assert again == original
     assert {k: _bits(v) for k, v in again.release_state.items()} == {
         k: _bits(v) for k, v in state.items()
     }
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    times=st.lists(POSITIVE, min_size=1, max_size=4),
+    state=NAMED,
+    after=st.none() | NAMED,
+    name=st.sampled_from(["impact a", "zeno b", "release a", "switch edge"]),
+)
+def test_events_of_any_finite_numbers_come_back(
+    tmp_path: Path,
+    times: list[float],
+    state: dict[str, float],
+    after: dict[str, float] | None,
+    name: str,
+) -> None:
+    events = tuple(
+        OrbitEvent(name=name, time=time, state=state, after=after) for time in sorted(times)
+    )
+    original = replace(SMALL, phases_as=None, events=events, start_state=state, period=max(times))
+    again = _round_trip(original, tmp_path)
+    assert again == original
+    assert [_bits(event.time) for event in again.events] == [_bits(one.time) for one in events]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -179,9 +217,9 @@ def test_an_orbit_that_is_not_finite_is_not_written(tmp_path: Path, value: float
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", sorted(ORBIT_KEYS - {"certificate", "versions", "shape"}))
+@pytest.mark.parametrize("name", sorted(OLD_KEYS | NEEDED))
 def test_a_missing_entry_is_named(tmp_path: Path, name: str) -> None:
-    data = SMALL.as_json()
+    data = old_data(SMALL) if name in OLD_KEYS else SMALL.as_json()
     del data[name]
     message = _refusal(tmp_path, json.dumps(data))
     # The format decides how the others are read.
@@ -202,7 +240,7 @@ def test_an_orbit_that_nobody_checked_may_leave_that_out(tmp_path: Path, name: s
 
 @pytest.mark.parametrize("name", ["time", "state_minus"])
 def test_a_missing_entry_of_an_impact_is_named(tmp_path: Path, name: str) -> None:
-    data = SMALL.as_json()
+    data = old_data(SMALL)
     del data["impacts"][0][name]
     assert f"`impacts[0].{name}` is missing" in _refusal(tmp_path, json.dumps(data))
 
@@ -310,7 +348,7 @@ def test_a_number_too_large_for_a_float_is_refused(tmp_path: Path) -> None:
     assert "`period`" in _refusal(tmp_path, text)
 
 
-@pytest.mark.parametrize("name", ["period", "release_state", "height", "time"])
+@pytest.mark.parametrize("name", ["period", "start_state", "height", "time"])
 def test_a_name_that_occurs_twice_is_refused(tmp_path: Path, name: str) -> None:
     text = json.dumps(SMALL.as_json()).replace(f'"{name}": ', f'"{name}": 1.0, "{name}": ', 1)
     words = f"it names `{name}` twice in one object"
@@ -337,9 +375,8 @@ def test_what_is_no_file_is_refused(tmp_path: Path, name: str) -> None:
 # Files of other shapes.
 
 BOUNCE = OrbitImpact(time=0.5, state_minus=STATE)
-OTHER = replace(
-    SMALL,
-    phases=(
+OTHER = SMALL.with_phases(
+    (
         OrbitPhase(
             kind=PhaseKind.ZENO,
             start_time=0.0,
@@ -381,12 +418,14 @@ def test_phases_of_any_finite_numbers_come_back(
         )
         for k, time in enumerate(times)
     )
-    original = replace(SMALL, phases=phases)
-    assert _round_trip(original, tmp_path) == original
+    original = SMALL.with_phases(phases)
+    path = tmp_path / "orbit.json"
+    path.write_text(json.dumps(old_data(original)), encoding="utf-8")
+    assert read_orbit(path) == original
 
 
 def test_a_file_without_a_shape_is_read_as_older_versions_wrote_it(tmp_path: Path) -> None:
-    data = SMALL.as_json()
+    data = old_data(SMALL)
     del data["shape"]
     path = tmp_path / "orbit.json"
     path.write_text(json.dumps(data), encoding="utf-8")
@@ -397,13 +436,14 @@ def test_a_file_without_a_shape_is_read_as_older_versions_wrote_it(tmp_path: Pat
     assert read_orbit(path).shape.text == "plastic"
 
 
-def test_an_older_reader_refuses_another_shape_by_its_format() -> None:
-    assert OTHER.as_json()["format"] == 2
+def test_one_format_is_written_for_every_orbit() -> None:
+    for one in (SMALL, OTHER, THROWN):
+        assert one.as_json()["format"] == 3
     assert OTHER.shape.text == "zeno*2"
 
 
 def _spoilt(*path: str | int, to: Any) -> str:
-    data = OTHER.as_json()
+    data = old_data(OTHER)
     here: Any = data
     for step in path[:-1]:
         here = here[step]
@@ -465,7 +505,7 @@ def _spoilt(*path: str | int, to: Any) -> str:
             "`phases[1].impacts[0].time` must be a number, but it is ",
         ),
         (("format",), 1, "`release_state` is missing"),
-        (("format",), 3, "its format 3 is of a machine with several stops"),
+        (("format",), 3, "`start_state` is missing"),
     ],
 )
 def test_a_file_of_several_phases_that_contradicts_itself_is_refused(
@@ -481,19 +521,24 @@ def test_why_phases_are_no_shape_is_told_with_one_full_stop(tmp_path: Path) -> N
 
 
 def test_a_file_of_one_release_has_format_1_and_no_other(tmp_path: Path) -> None:
-    data = OTHER.as_json() | {"shape": "zeno"}
+    data = old_data(OTHER) | {"shape": "zeno"}
     data["phases"] = data["phases"][:1]
     assert "a shape `zeno` has format 1, but it has 2" in _refusal(tmp_path, json.dumps(data))
-    said = SMALL.as_json() | {"shape": "zeno*2"}
+    said = old_data(SMALL) | {"shape": "zeno*2"}
     assert "its `shape` is `zeno*2`" in _refusal(tmp_path, json.dumps(said))
 
 
-THROWN = replace(
-    OTHER,
-    phases=tuple(
-        replace(phase, kind=PhaseKind.IMPACT, zeno_time=None, zeno_state=None)
-        for phase in OTHER.phases
-    ),
+THROWN = OTHER.with_phases(
+    tuple(
+        replace(
+            phase,
+            kind=PhaseKind.IMPACT,
+            zeno_time=None,
+            zeno_state=None,
+            impacts=(replace(BOUNCE, time=time),),
+        )
+        for phase, time in zip(OTHER.phases, (0.5, math.pi), strict=True)
+    )
 )
 """No real orbit either: two impacts that the stop throws off."""
 
@@ -511,7 +556,7 @@ def test_a_phase_without_a_zeno_point_is_read_as_strictly(
     tmp_path: Path, name: str, value: Any, words: str
 ) -> None:
     assert _round_trip(THROWN, tmp_path) == THROWN
-    data = THROWN.as_json()
+    data = old_data(THROWN)
     data["phases"][1][name] = value
     assert words in _refusal(tmp_path, json.dumps(data))
 
@@ -528,7 +573,7 @@ def test_a_long_entry_is_told_by_its_first_forty_characters(tmp_path: Path) -> N
     told = f'but it is "{text[:39]}'
     for message in (
         _refusal(tmp_path, json.dumps(text)),
-        _refusal(tmp_path, json.dumps(OTHER.as_json() | {"phases": text})),
+        _refusal(tmp_path, json.dumps(old_data(OTHER) | {"phases": text})),
     ):
         assert told in message
         assert f"{told}{text[39]}" not in message
@@ -558,7 +603,7 @@ def test_a_file_is_text_for_eyes_with_an_entry_a_line(tmp_path: Path) -> None:
     path = tmp_path / "orbit.json"
     write_orbit(SMALL, path)
     lines = path.read_text(encoding="utf-8").split("\n")
-    assert (lines[0], lines[1], lines[-2], lines[-1]) == ("{", '  "format": 1,', "}", "")
+    assert (lines[0], lines[1], lines[-2], lines[-1]) == ("{", '  "format": 3,', "}", "")
     assert '    "height": 0.1,' in lines
 
 
@@ -572,30 +617,29 @@ def test_an_orbit_in_one_line_has_its_gains_period_shape_multipliers_and_verdict
         floquet_multipliers=(complex(-0.3, 0.4), complex(0.125, 0.0)),
     )
     assert repr(orbit) == (
-        "<ZenoOrbit of bouncing_ball: Kp=2.5, Kd=-0.3333333, period=3.141592654 s, "
-        "shape=zeno, impacts=1, multipliers of modulus 0.5, 0.125, verified=True>"
+        "<Orbit of bouncing_ball: Kp=2.5, Kd=-0.3333333, period=3.141592654 s, "
+        "sequence=zeno stop, release stop, multipliers of modulus 0.5, 0.125, verified=True>"
     )
     bare = replace(SMALL, floquet_multipliers=(), certificate={"passed": False})
     assert repr(bare) == (
-        "<ZenoOrbit of bouncing_ball: period=3.141592654 s, shape=zeno, impacts=1, verified=False>"
+        "<Orbit of bouncing_ball: period=3.141592654 s, sequence=zeno stop, release stop, "
+        "verified=False>"
     )
     assert "verified=False" in repr(replace(SMALL, certificate={}))
 
 
-def test_the_table_of_an_orbit_has_the_time_and_the_state_before_every_impact() -> None:
+def test_the_table_of_an_orbit_has_the_time_and_the_state_before_every_event() -> None:
     early, late = {"height": 0.5, "speed": -1.0}, {"height": 0.25, "speed": -2.0}
-    first, second = OTHER.phases
-    orbit = replace(
-        OTHER,
-        phases=(
-            replace(first, impacts=(OrbitImpact(time=0.5, state_minus=early),)),
-            replace(second, impacts=(OrbitImpact(time=2.0, state_minus=late),)),
-        ),
+    (phase,) = SMALL.phases
+    impacts = tuple(
+        OrbitImpact(time=time, state_minus=state) for time, state in ((0.5, early), (1.0, late))
     )
+    orbit = SMALL.with_phases((replace(phase, impacts=impacts),))
     assert {name: list(values) for name, values in orbit._columns().items()} == {
-        "time": [0.5, 2.0],
-        "height": [0.5, 0.25],
-        "speed": [-1.0, -2.0],
+        "event": ["impact stop", "impact stop", "zeno stop", "release stop"],
+        "time": [0.5, 1.0, math.nextafter(2.0, 3.0), math.pi],
+        "height": [0.5, 0.25, 0.1, 0.1],
+        "speed": [-1.0, -2.0, -1 / 3, -1 / 3],
     }
 
 
@@ -604,14 +648,13 @@ def test_states_at_events_of_several_phases_are_all_starts_then_all_zeno_points(
         return {**STATE, "height": height}
 
     first, second = OTHER.phases
-    orbit = replace(
-        OTHER,
-        phases=(
+    orbit = OTHER.with_phases(
+        (
             replace(first, start_state=state(1.0), zeno_state=state(2.0), impacts=()),
-            replace(second, start_state=state(3.0), zeno_state=None, impacts=()),
-        ),
+            replace(second, start_state=state(3.0), zeno_state=state(4.0), impacts=()),
+        )
     )
-    assert orbit.states_at_events == (state(1.0), state(3.0), state(2.0))
+    assert orbit.states_at_events == (state(1.0), state(3.0), state(2.0), state(4.0))
     assert orbit.start_state == state(1.0)
 
 
@@ -619,15 +662,6 @@ def test_states_at_events_of_several_phases_are_all_starts_then_all_zeno_points(
 def test_what_belongs_to_one_zeno_point_is_refused_by_an_orbit_of_two(name: str) -> None:
     with pytest.raises(InputError, match="its shape is `zeno\\*2`"):
         getattr(OTHER, name)
-
-
-@pytest.mark.parametrize("missing", ["zeno_time", "zeno_state"])
-@pytest.mark.parametrize("name", ["zeno_time", "zeno_state"])
-def test_an_orbit_whose_zeno_point_lacks_its_time_or_state_has_neither(
-    name: str, missing: str
-) -> None:
-    with pytest.raises(InputError, match="lacks a Zeno point"):
-        getattr(changed(SMALL, **{missing: None}), name)
 
 
 def test_the_numbers_of_one_release_are_those_of_its_phase() -> None:
@@ -652,34 +686,80 @@ def test_one_impact_at_the_zeno_time_itself_is_a_plastic_one(
 ) -> None:
     # The first files of the first format do not say the kind of their phase.
     impacts = [{"time": time, "state_minus": STATE} for time in times]
-    data = SMALL.as_json() | {"impacts": impacts, "zeno_time": 2.0}
+    data = old_data(SMALL) | {"impacts": impacts, "zeno_time": 2.0}
     del data["shape"]
     (phase,) = orbit_from_json(data, Path("orbit.json")).phases
     assert phase.kind is kind
     assert [impact.time for impact in phase.impacts] == list(times)
 
 
-def test_a_file_of_several_phases_has_a_zeno_point_where_the_stop_holds_and_nowhere_else() -> None:
+def test_a_state_after_an_impact_is_written_where_a_phase_begins_and_nowhere_else() -> None:
     first, second = OTHER.phases
+    start = {**STATE, "speed": 1.5}
     bounce = replace(first, kind=PhaseKind.IMPACT, zeno_time=None, zeno_state=None)
-    orbit = replace(OTHER, phases=(bounce, replace(second, kind=PhaseKind.PLASTIC)))
-    data = orbit.as_json()
+    held = replace(second, kind=PhaseKind.PLASTIC, start_state=start)
+    data = OTHER.with_phases((bounce, held)).as_json()
     assert data["shape"] == "impact,plastic"
     assert data["floquet_multipliers"] == [[0.1, -0.2]]
-    thrown = {"time": 0.5, "state_minus": STATE}
-    assert data["phases"] == [
-        {"kind": "impact", "start_time": 0.0, "start_state": STATE, "impacts": [thrown]},
-        {
-            "kind": "plastic",
-            "start_time": 1.0,
-            "start_state": STATE,
-            "impacts": [{"time": 2.0, "state_minus": STATE}],
-            "zeno_time": 2.5,
-            "zeno_state": STATE,
-        },
+    assert data["events"] == [
+        {"name": "impact stop", "time": 0.5, "state": STATE, "after": start},
+        {"name": "impact stop", "time": 2.0, "state": STATE},
+        {"name": "zeno stop", "time": 2.5, "state": STATE},
+        {"name": "release stop", "time": math.pi, "state": STATE},
     ]
-    assert "release_state" not in data
-    assert "phases" not in SMALL.as_json()
+
+
+@pytest.mark.parametrize("orbit", [SMALL, OTHER, THROWN])
+def test_a_file_of_an_older_version_is_the_same_orbit(tmp_path: Path, orbit: Orbit) -> None:
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(old_data(orbit)), encoding="utf-8")
+    again = read_orbit(path)
+    assert again == orbit
+    assert again.phases == orbit.phases
+    assert _round_trip(again, tmp_path) == orbit
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"shape": "zeno*2"}, "its `shape` is `zeno*2`, but its events are `zeno stop, release"),
+        ({"shape": "zenon"}, "`shape` must be phases such as `zeno` or `impact*2`"),
+        ({"sequence": ["zeno stop"]}, "its `sequence` is `zeno stop`, but its events are"),
+        ({"events": []}, "it must have at least one event"),
+        ({"events": [1]}, "`events[0]` must be an object with names"),
+    ],
+)
+def test_a_file_whose_events_contradict_it_is_refused(
+    tmp_path: Path, change: dict[str, Any], words: str
+) -> None:
+    assert words in _refusal(tmp_path, json.dumps(SMALL.as_json() | change))
+
+
+def test_a_last_event_beside_the_end_of_the_period_is_refused(tmp_path: Path) -> None:
+    data = replace(SMALL, phases_as=None).as_json() | {"period": 3.0}
+    assert "its last event is not at the end of its `period`" in _refusal(
+        tmp_path, json.dumps(data)
+    )
+    # That of phases has a residual of its own in a verification.
+    path = tmp_path / "orbit.json"
+    path.write_text(json.dumps(SMALL.as_json() | {"period": 3.0}))
+    assert read_orbit(path) == replace(SMALL, period=3.0)
+
+
+def test_events_out_of_order_are_refused(tmp_path: Path) -> None:
+    data = SMALL.as_json()
+    data["events"][0]["time"] = 2.5
+    assert "its `events` are not in order of time" in _refusal(tmp_path, json.dumps(data))
+
+
+def test_an_orbit_of_several_stops_has_no_phases(tmp_path: Path) -> None:
+    orbit = replace(SMALL, phases_as=None)
+    assert not orbit.has_phases
+    assert orbit.zeno_time == SMALL.zeno_time
+    with pytest.raises(InputError, match="one stop, no switch and no kink, but its events are"):
+        _ = orbit.phases
+    assert "shape" not in orbit.as_json()
+    assert _round_trip(orbit, tmp_path) == orbit
 
 
 def test_a_new_orbit_is_unverified_and_knows_its_problem_and_packages(problem: Problem) -> None:

@@ -40,7 +40,7 @@ def _own_orbit(name: str, orbit: Path, file: str = "mine.py") -> None:
     source = (PROBLEMS / f"{name}.py").read_text(encoding="utf-8")
     assert f'name="{name}"' in source
     Path(file).write_text(source.replace(f'name="{name}"', 'name="mine"'), encoding="utf-8")
-    zo.write_event_orbit(zo.find_event_orbit(file), orbit)
+    zo.write_orbit(zo.find_event_orbit(file), orbit)
 
 
 def _edit(file: Path) -> None:
@@ -96,7 +96,7 @@ def test_an_orbit_in_memory_knows_its_problem_and_is_equal_wherever_it_is(folder
     assert "problem_file" not in orbit.as_json()
 
 
-def test_a_bundled_problem_needs_no_file(orbit: zo.ZenoOrbit, folder: Path) -> None:
+def test_a_bundled_problem_needs_no_file(orbit: zo.Orbit, folder: Path) -> None:
     zo.write_orbit(orbit, "orbit.json")
     assert "problem_file" not in json.loads(Path("orbit.json").read_text())
     assert zo.read_orbit("orbit.json").problem_file is None
@@ -106,7 +106,7 @@ def test_a_bundled_problem_needs_no_file(orbit: zo.ZenoOrbit, folder: Path) -> N
 
 @pytest.mark.parametrize(("entry", "passed"), [(7, False), ("", True), ("mine.py", True)])
 def test_the_entry_is_an_optional_text(
-    entry: object, passed: bool, orbit: zo.ZenoOrbit, folder: Path
+    entry: object, passed: bool, orbit: zo.Orbit, folder: Path
 ) -> None:
     path = folder / "orbit.json"
     path.write_text(json.dumps(orbit.as_json() | {"problem_file": entry}))
@@ -117,7 +117,7 @@ def test_the_entry_is_an_optional_text(
         zo.read_orbit(path)
 
 
-def test_a_file_with_a_byte_order_mark_is_read(orbit: zo.ZenoOrbit, folder: Path) -> None:
+def test_a_file_with_a_byte_order_mark_is_read(orbit: zo.Orbit, folder: Path) -> None:
     path = folder / "orbit.json"
     path.write_bytes(b"\xef\xbb\xbf" + json.dumps(orbit.as_json()).encode())
     assert zo.read_orbit(path) == orbit

@@ -20,7 +20,7 @@ from zeno_orbits.simulation import SwitchEvent, state_after, state_before
 
 OBSERVED = Path(__file__).parents[1] / "support" / "machines" / "observed_valve.py"
 
-Orbit = zo.ZenoOrbit | zo.EventOrbit
+Orbit = zo.Orbit
 Known = tuple[Orbit, zo.Problem, Sequence[complex]]
 
 
@@ -142,7 +142,7 @@ def test_the_errors_of_an_orbit_that_is_not_closed_cover_its_distance(off: float
     speed = orbit.start_state["speed"] * (1.0 + off)
     start = {**orbit.start_state, "speed": speed}
     found = zo.floquet_multipliers(
-        zo.EventOrbit(
+        zo.Orbit(
             problem=orbit.problem,
             parameters=orbit.parameters,
             gains=orbit.gains,
@@ -318,7 +318,7 @@ RELEASE = {
 
 
 @cache
-def _unstable() -> zo.ZenoOrbit:
+def _unstable() -> zo.Orbit:
     return zo.find_orbit_by_shooting("motor_pendulum", gains=UNSTABLE, start=RELEASE).unwrap()
 
 

@@ -18,7 +18,7 @@ from zeno_orbits.model import (
     load_problem,
     quasi_static_drive,
 )
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import OrbitCertificate, verify
 
@@ -100,7 +100,7 @@ def _without_current(model: Callable[[Symbols], CompletedSystem]) -> Problem:
     )
 
 
-def _found(problem: Problem, **parameters: float) -> tuple[ZenoOrbit, OrbitCertificate]:
+def _found(problem: Problem, **parameters: float) -> tuple[Orbit, OrbitCertificate]:
     orbit = orbit_at_gains(problem, problem.values(parameters=parameters)).unwrap()
     return orbit, verify(orbit, problem)
 

@@ -34,7 +34,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.cli import main
 from zeno_orbits.experiment import run_rig
 from zeno_orbits.model import Contact, Controller, Rig, load_problem, load_reference
-from zeno_orbits.orbits import ZenoOrbit, write_orbit
+from zeno_orbits.orbits import Orbit, write_orbit
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify
@@ -47,7 +47,7 @@ Field = Callable[[float, Vector], Any]
 
 
 @cache
-def _orbit(name: str, **numbers: float) -> ZenoOrbit:
+def _orbit(name: str, **numbers: float) -> Orbit:
     problem = load_problem(name)
     return orbit_at_gains(problem, problem.values(numbers=numbers)).unwrap()
 

@@ -17,7 +17,7 @@ import zeno_orbits as zo
 
 
 @cache
-def _orbit(name: str, **numbers: float) -> zo.EventOrbit:
+def _orbit(name: str, **numbers: float) -> zo.Orbit:
     return zo.find_event_orbit(name, parameters=numbers)
 
 
@@ -247,8 +247,8 @@ def test_an_orbit_of_a_relay_is_verified_from_every_section() -> None:
 
 def test_a_file_holds_every_number_to_the_last_bit(tmp_path: Path) -> None:
     orbit = _orbit("hopper")
-    zo.write_event_orbit(orbit, tmp_path / "hopper.json")
-    assert zo.read_event_orbit(tmp_path / "hopper.json") == orbit
+    zo.write_orbit(orbit, tmp_path / "hopper.json")
+    assert zo.read_orbit(tmp_path / "hopper.json") == orbit
     assert zo.verify(tmp_path / "hopper.json").passed
 
 
@@ -262,7 +262,7 @@ def test_an_orbit_without_a_certificate_is_verified_from_its_data() -> None:
     )
 
 
-def _moved(orbit: zo.EventOrbit, place: int, **changes: Any) -> zo.EventOrbit:
+def _moved(orbit: zo.Orbit, place: int, **changes: Any) -> zo.Orbit:
     events = list(orbit.events)
     events[place] = replace(events[place], **changes)
     return replace(orbit, events=tuple(events))
@@ -301,7 +301,7 @@ def test_a_file_that_contradicts_itself_is_refused(
     file = tmp_path / "orbit.json"
     file.write_text(json.dumps(_orbit("hopper").as_json() | change))
     with pytest.raises(zo.OrbitFileError, match=words):
-        zo.read_event_orbit(file)
+        zo.read_orbit(file)
 
 
 def test_events_out_of_order_are_refused(tmp_path: Path) -> None:
@@ -311,7 +311,7 @@ def test_events_out_of_order_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "orbit.json"
     file.write_text(json.dumps(data))
     with pytest.raises(zo.OrbitFileError, match="not in order of time"):
-        zo.read_event_orbit(file)
+        zo.read_orbit(file)
 
 
 def test_a_section_that_does_not_occur_is_refused_with_the_known_events() -> None:

@@ -18,7 +18,7 @@ WEIGHT = 1.6 * 9.8
 
 
 @cache
-def _orbit() -> zo.EventOrbit:
+def _orbit() -> zo.Orbit:
     return zo.find_event_orbit("powered_walker")
 
 
@@ -26,7 +26,7 @@ def _state(state: Any) -> np.ndarray:
     return np.array([state[name] for name in ("q1", "q2", "q3", "dq1", "dq2", "dq3")])
 
 
-def _step(orbit: zo.EventOrbit) -> float:
+def _step(orbit: zo.Orbit) -> float:
     """Return the distance of the feet of both straight legs at heel strike [m]."""
     strike = orbit.events[-1].state
     return math.sin(strike["q2"]) - math.sin(strike["q1"])

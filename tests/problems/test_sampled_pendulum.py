@@ -20,7 +20,7 @@ SAMPLES = 12
 
 
 @cache
-def _orbit() -> zo.EventOrbit:
+def _orbit() -> zo.Orbit:
     return zo.find_event_orbit("sampled_pendulum", until=25.0)
 
 

@@ -14,11 +14,12 @@ import pytest
 from mpmath import mp, mpf
 
 from tests.reference import shaken_truth
+from tests.support.old_orbit_files import old_data
 from tests.support.orbits import changed
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Radau
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import EventSequence, OrbitPhase, ZenoOrbit, read_orbit, write_orbit
+from zeno_orbits.orbits import EventSequence, Orbit, OrbitPhase, read_orbit, write_orbit
 from zeno_orbits.search import SearchStatus, orbit_at_gains, orbit_by_shooting, search_orbits
 from zeno_orbits.simulation import SimulationSettings, simulate
 from zeno_orbits.verification import OrbitCertificate, VerificationSettings, verify
@@ -34,7 +35,7 @@ DOUBLED = {"Kp": 4.3, "Kd": -1.53}
 @cache
 def found(
     name: str, numbers: tuple[tuple[str, float], ...] = (), shape: str | None = None
-) -> ZenoOrbit:
+) -> Orbit:
     """Return the orbit of a problem at some numbers, found once."""
     problem = load_problem(name)
     gains = {key: value for key, value in numbers if key in DOUBLED}
@@ -44,32 +45,32 @@ def found(
     return orbit_at_gains(problem, values, shape=wanted).unwrap()
 
 
-def checked(orbit: ZenoOrbit, settings: VerificationSettings = QUICK) -> OrbitCertificate:
+def checked(orbit: Orbit, settings: VerificationSettings = QUICK) -> OrbitCertificate:
     """Return what a verification says of an orbit."""
     return verify(orbit, load_problem(orbit.problem), settings=settings)
 
 
-def doubled() -> ZenoOrbit:
+def doubled() -> Orbit:
     """Return the pendulum's orbit with two Zeno points a period."""
     return found("motor_pendulum", tuple(DOUBLED.items()))
 
 
-def struck() -> ZenoOrbit:
+def struck() -> Orbit:
     """Return the orbit of COCO's impact oscillator."""
     return found("impact_oscillator")
 
 
-def struck_thrice() -> ZenoOrbit:
+def struck_thrice() -> Orbit:
     """Return an orbit of that oscillator with three impacts a turn of the force."""
     return found("impact_oscillator", (("omega", 0.5), ("stop", 0.5)))
 
 
-def two_tones() -> ZenoOrbit:
+def two_tones() -> Orbit:
     """Return the orbit of the ball that is thrown twice a turn."""
     return found("two_tone_table")
 
 
-def falls(amplitude: float) -> ZenoOrbit:
+def falls(amplitude: float) -> Orbit:
     """Return the orbit of the ball on the shaken plastic table."""
     return found("vibrating_table", (("A", amplitude), ("restitution", 0.0)))
 
@@ -283,7 +284,7 @@ def test_an_impact_that_lets_go_at_once_has_its_multiplier_in_closed_form() -> N
 
 
 @pytest.mark.parametrize("orbit", [doubled, struck, struck_thrice, two_tones])
-def test_closed_by_simulation_it_is_the_same_orbit(orbit: Callable[[], ZenoOrbit]) -> None:
+def test_closed_by_simulation_it_is_the_same_orbit(orbit: Callable[[], Orbit]) -> None:
     solved = orbit()
     problem = load_problem(solved.problem)
     closing = orbit_by_shooting(problem, solved.values(problem), near=solved)
@@ -362,17 +363,16 @@ def test_a_shape_that_the_motion_does_not_settle_to_is_a_no_with_the_one_it_has(
 
 @pytest.mark.parametrize("orbit", [doubled, struck, struck_thrice, two_tones])
 def test_the_file_of_another_shape_comes_back_and_hides_nothing(
-    orbit: Callable[[], ZenoOrbit], tmp_path: Path
+    orbit: Callable[[], Orbit], tmp_path: Path
 ) -> None:
     path = tmp_path / "orbit.json"
     write_orbit(orbit(), path)
     assert read_orbit(path) == orbit()
     data = json.loads(path.read_text(encoding="utf-8"))
-    assert data["format"] == 2
+    assert data["format"] == 3
     assert data["shape"] == orbit().shape.text
-    # Whoever reads only what format 1 has finds nothing rather than a part of the truth.
-    assert not {"release_state", "impacts", "zeno_time", "zeno_state"} & set(data)
-    assert [phase["kind"] for phase in data["phases"]] == [k.value for k in orbit().shape.phases]
+    path.write_text(json.dumps(old_data(orbit())), encoding="utf-8")
+    assert read_orbit(path) == orbit()
 
 
 def test_what_needs_one_zeno_point_does_not_get_the_first_of_two() -> None:
@@ -388,7 +388,7 @@ def test_what_needs_one_zeno_point_does_not_get_the_first_of_two() -> None:
 @pytest.mark.parametrize("orbit", [doubled, struck, struck_thrice, two_tones, lambda: falls(0.048)])
 @pytest.mark.slow
 def test_a_doubled_period_is_refused_though_everything_in_it_is_true(
-    orbit: Callable[[], ZenoOrbit],
+    orbit: Callable[[], Orbit],
 ) -> None:
     once = orbit()
 
@@ -400,9 +400,8 @@ def test_a_doubled_period_is_refused_though_everything_in_it_is_true(
             zeno_time=None if phase.zeno_time is None else phase.zeno_time + once.period,
         )
 
-    twice = replace(
-        once, period=2 * once.period, phases=(*once.phases, *(later(p) for p in once.phases))
-    )
+    phases = (*once.phases, *(later(p) for p in once.phases))
+    twice = replace(once, period=2 * once.period).with_phases(phases)
     seen = checked(twice)
     assert seen.failed == ()
     assert seen.lost == ("phases_apart",)
@@ -411,33 +410,33 @@ def test_a_doubled_period_is_refused_though_everything_in_it_is_true(
 
 
 @pytest.mark.parametrize("orbit", [doubled, struck_thrice, two_tones])
-def test_two_phases_swapped_are_refused(orbit: Callable[[], ZenoOrbit]) -> None:
+def test_two_phases_swapped_are_refused(orbit: Callable[[], Orbit]) -> None:
     first, second, *rest = orbit().phases
     moved = replace(second, start_time=0.0), replace(first, start_time=second.start_time)
-    swapped = replace(orbit(), phases=(*moved, *rest))
+    swapped = orbit().with_phases((*moved, *rest))
     seen = checked(swapped)
     assert not seen.passed
     assert {"first_impact", "phases"} & set(seen.failed)
 
 
 @pytest.mark.parametrize("orbit", [doubled, struck_thrice, two_tones])
-def test_a_phase_left_out_is_refused(orbit: Callable[[], ZenoOrbit]) -> None:
-    seen = checked(replace(orbit(), phases=orbit().phases[:-1]))
+def test_a_phase_left_out_is_refused(orbit: Callable[[], Orbit]) -> None:
+    seen = checked(orbit().with_phases(orbit().phases[:-1]))
     assert not seen.passed
     assert "closure" in seen.failed
 
 
 def test_one_impact_too_many_is_refused() -> None:
     phase = struck().phases[0]
-    twice = replace(struck(), phases=(replace(phase, impacts=2 * phase.impacts),))
-    with pytest.raises(InputError, match="must have one impact, which is `impact`, but it has 2"):
+    twice = struck().with_phases((replace(phase, impacts=2 * phase.impacts),))
+    with pytest.raises(InputError, match="says `impact`, but its events are `impact stop, impact"):
         checked(twice)
-    more = replace(struck(), phases=(phase, replace(phase, start_time=1.0)))
+    more = struck().with_phases((phase, replace(phase, start_time=1.0)))
     assert not checked(more).passed
 
 
 def test_a_phase_without_its_impact_is_refused() -> None:
-    with pytest.raises(InputError, match="lacks an impact in phase 2"):
+    with pytest.raises(InputError, match="says `impact\\*3`, but its events are"):
         checked(changed(struck_thrice(), 1, impacts=()))
 
 
@@ -455,11 +454,10 @@ def test_an_impact_removed_from_an_accumulation_is_refused(place: int) -> None:
         (doubled, 1, "zeno_time", "zeno_point"),
         (doubled, 1, "start_time", "phases"),
         (two_tones, 0, "zeno_time", "zeno_point"),
-        (struck_thrice, 2, "start_time", "phases"),
     ],
 )
 def test_a_false_time_of_a_phase_fails_alone(
-    orbit: Callable[[], ZenoOrbit], place: int, what: str, failed: str
+    orbit: Callable[[], Orbit], place: int, what: str, failed: str
 ) -> None:
     value = getattr(orbit().phases[place], what) + 1e-6
     assert checked(changed(orbit(), place, **{what: value})).failed == (failed,)
@@ -469,9 +467,7 @@ def test_a_false_time_of_a_phase_fails_alone(
     ("orbit", "state"), [(doubled, "current"), (struck_thrice, "speed"), (two_tones, "cosine")]
 )
 @pytest.mark.slow
-def test_a_false_start_of_a_later_phase_fails_alone(
-    orbit: Callable[[], ZenoOrbit], state: str
-) -> None:
+def test_a_false_start_of_a_later_phase_fails_alone(orbit: Callable[[], Orbit], state: str) -> None:
     start = orbit().phases[1].start_state
     moved = {**start, state: start[state] + 1e-6}
     assert checked(changed(orbit(), 1, start_state=moved)).failed == ("phases",)
@@ -527,14 +523,14 @@ def test_a_true_orbit_with_a_false_shape_is_refused() -> None:
         start_state=phase.start_state,
         impacts=phase.impacts[:1],
     )
-    assert not checked(replace(two_tones(), phases=(bounced,))).passed
+    assert not checked(two_tones().with_phases((bounced,))).passed
     rested = replace(
         struck().phases[0],
         kind=EventSequence.parsed("zeno").phases[0],
         zeno_time=struck().period,
         zeno_state=struck().start_state,
     )
-    seen = checked(replace(struck(), phases=(rested,)))
+    seen = checked(struck().with_phases((rested,)))
     assert not seen.passed
     assert "No release occurs" in seen.trouble
 
@@ -549,7 +545,7 @@ def test_a_plastic_impact_that_holds_passes_for_none_that_lets_go() -> None:
         start_state=phase.start_state,
         impacts=phase.impacts,
     )
-    assert not checked(replace(held, phases=(let_go,))).passed
+    assert not checked(held.with_phases((let_go,))).passed
 
 
 @pytest.mark.slow
@@ -574,7 +570,7 @@ def test_the_margins_of_several_phases_are_the_least() -> None:
 
 @pytest.mark.parametrize("orbit", [doubled, struck_thrice])
 @pytest.mark.slow
-def test_a_spent_period_balances_its_energy(orbit: Callable[[], ZenoOrbit]) -> None:
+def test_a_spent_period_balances_its_energy(orbit: Callable[[], Orbit]) -> None:
     energies: Mapping[str, float] = checked(orbit()).energies
     losses = energies["copper_loss"] + energies["other_loss"] + energies["impact_loss"]
     assert energies["input_work"] == pytest.approx(losses, rel=1e-9)

@@ -79,5 +79,19 @@ def test_an_alias_is_the_object_of_its_new_name_and_warns(monkeypatch: pytest.Mo
     assert "Formerly" not in dir(zo)
 
 
+@pytest.mark.parametrize(
+    ("former", "name"),
+    [
+        ("ZenoOrbit", "Orbit"),
+        ("EventOrbit", "Orbit"),
+        ("read_event_orbit", "read_orbit"),
+        ("write_event_orbit", "write_orbit"),
+    ],
+)
+def test_the_two_kinds_of_orbits_are_one(former: str, name: str) -> None:
+    with pytest.warns(DeprecationWarning, match=rf"{former} is now zeno_orbits\.{name}"):
+        assert getattr(zo, former) is getattr(zo, name)
+
+
 def test_no_alias_is_a_public_name() -> None:
     assert not aliases.ALIASES.keys() & {*zo.__all__}

@@ -26,7 +26,7 @@ def test_names_must_be_texts_in_a_mapping(argument: str, bad: Any) -> None:
 
 
 @pytest.mark.parametrize("box", [(), (3.0,), (1.0, None), ("1", 2.0), (1, 2, 3)], ids=repr)
-def test_the_range_of_a_family_holds_two_numbers(box: Any, orbit: zo.ZenoOrbit) -> None:
+def test_the_range_of_a_family_holds_two_numbers(box: Any, orbit: zo.Orbit) -> None:
     with pytest.raises(zo.InputError, match="`parameter`"):
         zo.continue_orbit(orbit, ("Kp", *box))
 

@@ -21,7 +21,7 @@ PROMISED = [
     "load_problem", "bundled_problems", "simulate", "find_orbit", "search_gains",
     "find_orbit_by_shooting", "verify", "with_certificate", "floquet_multipliers",
     "continue_orbit", "parameter_map", "read_orbit", "write_orbit", "plot", "__version__",
-    "Execution", "SearchResult", "ZenoOrbit", "OrbitCertificate", "Continuation", "Family",
+    "Execution", "SearchResult", "Orbit", "OrbitCertificate", "Continuation", "Family",
     "ParameterMap", "SimulationSettings", "SearchSettings", "TargetPeriod", "TargetAmplitude",
     "MinEnergy", "MinPeak", "MinSpectralRadius", "MaxMargin", "NearestGains", "InputError",
     "OrbitNotFoundError", "SimulationError", "ZenoOrbitsError", "Problem", "Quantity",
@@ -88,7 +88,7 @@ def test_a_problem_is_an_object_a_name_or_a_file(tmp_path: Path) -> None:
 
 
 def test_functions_of_an_orbit_take_its_file_and_find_its_problem(
-    orbit: zo.ZenoOrbit, tmp_path: Path
+    orbit: zo.Orbit, tmp_path: Path
 ) -> None:
     path = tmp_path / "orbit.json"
     zo.write_orbit(orbit, str(path))
@@ -97,7 +97,7 @@ def test_functions_of_an_orbit_take_its_file_and_find_its_problem(
         zo.verify(path, problem="bouncing_ball")
 
 
-def test_an_orbit_of_a_problem_that_is_not_bundled_asks_for_its_file(orbit: zo.ZenoOrbit) -> None:
+def test_an_orbit_of_a_problem_that_is_not_bundled_asks_for_its_file(orbit: zo.Orbit) -> None:
     with pytest.raises(zo.InputError, match="Unknown problem `mine`"):
         zo.verify(replace(orbit, problem="mine"))
 
@@ -114,9 +114,9 @@ def test_several_workers_want_a_problem_that_they_can_load() -> None:
         zo.search_gains(ball, vary={"A": (0.01, 0.02)}, workers=2)
 
 
-def test_an_orbit_with_several_zeno_points_is_not_continued(orbit: zo.ZenoOrbit) -> None:
+def test_an_orbit_with_several_zeno_points_is_not_continued(orbit: zo.Orbit) -> None:
     with pytest.raises(zo.InputError, match="must have one Zeno point per period") as refused:
-        zo.continue_orbit(replace(orbit, phases=2 * orbit.phases), ("Kp", 2.4, 2.6))
+        zo.continue_orbit(orbit.with_phases(2 * orbit.phases), ("Kp", 2.4, 2.6))
     assert "its shape is `zeno*2`" in str(refused.value)
 
 

@@ -122,7 +122,7 @@ def test_the_documented_table_is_the_table_of_the_program() -> None:
     assert names_table() in (ROOT / "docs" / "names.md").read_text()
 
 
-def _orbit() -> zo.ZenoOrbit:
+def _orbit() -> zo.Orbit:
     return zo.find_orbit_by_shooting("forced_oscillator").unwrap()
 
 

@@ -35,7 +35,7 @@ def special(kind: SpecialPointKind, value: float) -> SpecialPoint:
 
 
 def test_an_execution_shows_its_span_and_its_events(
-    orbit: zo.ZenoOrbit, problem: zo.Problem, machine: object
+    orbit: zo.Orbit, problem: zo.Problem, machine: object
 ) -> None:
     start = problem.state_vector(orbit.release_state)
     text = shown(simulate(machine, start, until=1.1 * orbit.period))
@@ -44,10 +44,10 @@ def test_an_execution_shows_its_span_and_its_events(
 
 
 def test_an_orbit_shows_its_gains_period_and_multipliers(
-    orbit: zo.ZenoOrbit, certificate: zo.OrbitCertificate
+    orbit: zo.Orbit, certificate: zo.OrbitCertificate
 ) -> None:
     text = shown(with_certificate(orbit, certificate))
-    assert text.startswith("<ZenoOrbit of motor_pendulum: Kp=2.5, Kd=-1, period=1.813712939 s")
+    assert text.startswith("<Orbit of motor_pendulum: Kp=2.5, Kd=-1, period=1.813712939 s")
     assert "verified=True" in text
     assert "verified=False" in shown(orbit)
 
@@ -57,7 +57,7 @@ def test_a_certificate_shows_its_verdict(certificate: zo.OrbitCertificate) -> No
 
 
 @pytest.mark.parametrize("succeeded", [True, False])
-def test_a_search_shows_how_it_ended(orbit: zo.ZenoOrbit, succeeded: bool) -> None:
+def test_a_search_shows_how_it_ended(orbit: zo.Orbit, succeeded: bool) -> None:
     attempts = (StartAttempt(gains=orbit.gains, status=SearchStatus.FOUND),) * 50
     result = zo.SearchResult(
         status=SearchStatus.FOUND if succeeded else SearchStatus.NO_GUESS,
@@ -73,7 +73,7 @@ def test_a_search_shows_how_it_ended(orbit: zo.ZenoOrbit, succeeded: bool) -> No
     )
     text = shown(result)
     assert "starts=50" in text
-    assert ("<ZenoOrbit of" in text) is succeeded
+    assert ("<Orbit of" in text) is succeeded
 
 
 def test_families_show_their_named_points() -> None:
@@ -113,7 +113,7 @@ def test_a_map_shows_its_axes_and_counts_what_motions_settle_to() -> None:
     assert "Zeno periodic orbit: 2999, rest: 1" in text
 
 
-def test_runs_and_recordings_show_their_span_and_their_size(orbit: zo.ZenoOrbit) -> None:
+def test_runs_and_recordings_show_their_span_and_their_size(orbit: zo.Orbit) -> None:
     run = zo.simulate_rig("motor_pendulum", until=0.4)
     assert shown(run).startswith("<RigRun of motor_pendulum from 0 to 0.4 s: times=")
     settled = zo.simulate_experiment(orbit, cycles=1, settle=0)

@@ -21,7 +21,7 @@ import zeno_orbits as zo
 from tests.support.certificates import mutants
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof import basin as searched
 from zeno_orbits.proof import check_proof
 from zeno_orbits.proof.checker import basin as judged
@@ -34,12 +34,12 @@ Certificate = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def orbit() -> ZenoOrbit:
+def orbit() -> Orbit:
     return zo.find_orbit_by_shooting("solenoid").unwrap()
 
 
 @pytest.fixture(scope="module")
-def proof(orbit: ZenoOrbit) -> zo.Proof:
+def proof(orbit: Orbit) -> zo.Proof:
     return zo.prove(orbit, basin=True)
 
 
@@ -88,7 +88,7 @@ def _remembered(prove: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
 
 
 def test_a_set_is_at_least_one_percent_of_the_sampled_ball_and_attracts(
-    orbit: ZenoOrbit, proof: zo.Proof, certificate: Certificate
+    orbit: Orbit, proof: zo.Proof, certificate: Certificate
 ) -> None:
     ball = zo.recovery(orbit)
     assert proof.attracted
@@ -103,7 +103,7 @@ def test_a_set_is_at_least_one_percent_of_the_sampled_ball_and_attracts(
 
 
 def test_a_set_that_the_checker_refuses_is_followed_by_smaller_ones(
-    orbit: ZenoOrbit, proof: zo.Proof, monkeypatch: pytest.MonkeyPatch
+    orbit: Orbit, proof: zo.Proof, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = list[int]()
 
@@ -167,7 +167,7 @@ def test_a_plastic_stop_has_a_set_of_initial_states() -> None:
 
 
 def test_a_search_for_a_set_without_a_result_states_the_reason(
-    orbit: ZenoOrbit, monkeypatch: pytest.MonkeyPatch
+    orbit: Orbit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A box that fills the largest trial set leaves nothing to search.
     monkeypatch.setattr(searched, "_LARGEST", 1e-9)
@@ -179,7 +179,7 @@ def test_a_search_for_a_set_without_a_result_states_the_reason(
 
 
 def test_simulated_returns_lie_within_the_proved_remainder_of_the_polynomials(
-    orbit: ZenoOrbit, certificate: Certificate
+    orbit: Orbit, certificate: Certificate
 ) -> None:
     first, last = certificate["basin"][0], certificate["basin"][0]["records"][-1]["set"]
     ((middle, half),) = _intervals(first["box"])

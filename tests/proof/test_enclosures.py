@@ -13,7 +13,7 @@ from flint import arb, ctx
 import zeno_orbits as zo
 from tests.reference.many_digits.execution import extended_execution
 from tests.support import hard_to_prove
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.arithmetic.balls import matrix
 from zeno_orbits.proof.integration.ball_system import BallSystem
 from zeno_orbits.proof.integration.flow import BallFlow, enclose
@@ -34,7 +34,7 @@ def _holds(ball: Any, truth: Decimal) -> bool:
     return bool((ball + arb(0, _TRUE)).overlaps(arb(str(truth))))
 
 
-def _check(orbit: ZenoOrbit, radius: float, shares: list[float]) -> None:
+def _check(orbit: Orbit, radius: float, shares: list[float]) -> None:
     """Follow a box, and a point of it in many digits; compare all events and the end."""
     problem = zo.load_problem(orbit.problem)
     values = orbit.values(problem)

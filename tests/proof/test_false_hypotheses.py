@@ -298,7 +298,7 @@ SIGNS = {"the struck mass": (-1, 1), "both": (-1, -1), "the free mass": (1, -1)}
 
 
 @pytest.fixture(scope="module")
-def pair() -> tuple[zo.ZenoOrbit, Problem, Certificate]:
+def pair() -> tuple[zo.Orbit, Problem, Certificate]:
     """Return an orbit of two masses and its certificate of one pass."""
     problem = hard_to_prove.two_masses()
     orbit = zo.find_orbit_by_shooting(problem).unwrap()
@@ -309,7 +309,7 @@ def pair() -> tuple[zo.ZenoOrbit, Problem, Certificate]:
 
 @pytest.mark.parametrize("name", fast(1, SIGNS))
 def test_two_masses_are_refused_if_one_of_them_is_negative(
-    pair: tuple[zo.ZenoOrbit, Problem, Certificate], name: str
+    pair: tuple[zo.Orbit, Problem, Certificate], name: str
 ) -> None:
     orbit, problem, certificate = pair
     signs = dict(zip(("1", "2"), SIGNS[name], strict=True))

@@ -21,7 +21,7 @@ ZENO = mp.mpf("5.06454057578434876") - mp.acos(mp.mpf(-0.8))
 OBSERVED = Path(__file__).parents[1] / "support" / "machines" / "observed_valve.py"
 
 
-def _proved(problem: zo.Problem, orbit: zo.ZenoOrbit | None = None) -> Proof:
+def _proved(problem: zo.Problem, orbit: zo.Orbit | None = None) -> Proof:
     orbit = zo.find_orbit_by_shooting(problem).unwrap() if orbit is None else orbit
     proof = zo.prove(orbit, problem=problem)
     assert proof.proved, proof.verdict()

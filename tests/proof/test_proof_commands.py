@@ -123,7 +123,7 @@ def test_an_orbit_beside_the_one_that_is_proved_is_refused(files: tuple[Path, Pa
     moved = {**orbit.start_state, name: orbit.start_state[name] + 1e-6}
     phases = (replace(orbit.phases[0], start_state=moved), *orbit.phases[1:])
     with pytest.raises(InputError, match="at its start, but it encloses"):
-        check_proof_of(replace(orbit, phases=phases), problem, proof)
+        check_proof_of(orbit.with_phases(phases), problem, proof)
     with pytest.raises(InputError, match="must be about an orbit of period"):
         check_proof_of(replace(orbit, period=orbit.period + 1e-6), problem, proof)
 

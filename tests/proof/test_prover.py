@@ -15,22 +15,22 @@ import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.model import CompletedSystem, load_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof import ProofSettings, check_proof, prove_orbit
 
 
 @pytest.fixture(scope="module")
-def table() -> ZenoOrbit:
+def table() -> Orbit:
     return zo.find_orbit_by_shooting("vibrating_table").unwrap()
 
 
 @pytest.fixture(scope="module")
-def surface() -> ZenoOrbit:
+def surface() -> Orbit:
     return zo.find_orbit_by_shooting("curved_surface").unwrap()
 
 
 def test_the_orbit_of_the_vibrating_table_is_proved_and_its_certificate_holds(
-    table: ZenoOrbit,
+    table: Orbit,
 ) -> None:
     proof = zo.prove(table)
     assert proof.proved, proof.verdict()
@@ -45,7 +45,7 @@ def test_the_orbit_of_the_vibrating_table_is_proved_and_its_certificate_holds(
 
 @pytest.mark.slow
 def test_a_gap_that_is_no_coordinate_is_carried_and_the_certificate_holds(
-    surface: ZenoOrbit,
+    surface: Orbit,
 ) -> None:
     proof = zo.prove(surface)
     assert proof.proved, proof.verdict()
@@ -59,7 +59,7 @@ def test_a_gap_that_is_no_coordinate_is_carried_and_the_certificate_holds(
     fast(2, (1, 3, 6, 2, 4, 5)),
 )
 def test_a_model_with_other_formulas_at_one_call_gets_no_theorem_about_them(
-    table: ZenoOrbit, other: int
+    table: Orbit, other: int
 ) -> None:
     calls = list[int]()
     published = load_problem("vibrating_table")
@@ -76,25 +76,25 @@ def test_a_model_with_other_formulas_at_one_call_gets_no_theorem_about_them(
         assert "other formulas" in proof.reason
 
 
-def _start(orbit: ZenoOrbit, **moves: float) -> ZenoOrbit:
+def _start(orbit: Orbit, **moves: float) -> Orbit:
     first = orbit.phases[0]
     state = {**first.start_state}
     for name, move in moves.items():
         state[name] += move
-    return replace(orbit, phases=(replace(first, start_state=state), *orbit.phases[1:]))
+    return orbit.with_phases((replace(first, start_state=state), *orbit.phases[1:]))
 
 
-def _later_zeno(orbit: ZenoOrbit) -> ZenoOrbit:
+def _later_zeno(orbit: Orbit) -> Orbit:
     first = orbit.phases[0]
     assert first.zeno_time is not None
     later = replace(first, zeno_time=first.zeno_time + 1e-6)
-    return replace(orbit, phases=(later, *orbit.phases[1:]))
+    return orbit.with_phases((later, *orbit.phases[1:]))
 
 
-def _later_impact(orbit: ZenoOrbit) -> ZenoOrbit:
+def _later_impact(orbit: Orbit) -> Orbit:
     first = orbit.phases[0]
     later = replace(first.impacts[0], time=first.impacts[0].time + 1e-6)
-    return replace(orbit, phases=(replace(first, impacts=(later, *first.impacts[1:])),))
+    return orbit.with_phases((replace(first, impacts=(later, *first.impacts[1:])),))
 
 
 FALSE: dict[str, tuple[Any, str]] = {
@@ -109,7 +109,7 @@ FALSE: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("name", fast(4, FALSE))
-def test_what_is_no_orbit_is_not_proved(table: ZenoOrbit, surface: ZenoOrbit, name: str) -> None:
+def test_what_is_no_orbit_is_not_proved(table: Orbit, surface: Orbit, name: str) -> None:
     change, claim = FALSE[name]
     # The clock alone says where the table lets go: a moved release is none, and returns to one.
     orbit = surface if claim == "closure" else table
@@ -137,13 +137,13 @@ def test_a_basin_is_much_larger_than_a_box_lies_in_the_sampled_ball_and_its_cert
 
 
 @pytest.mark.slow
-def test_a_map_that_turns_every_box_out_of_itself_gets_no_basin(surface: ZenoOrbit) -> None:
+def test_a_map_that_turns_every_box_out_of_itself_gets_no_basin(surface: Orbit) -> None:
     proof = zo.prove(surface, basin=True)
     assert not proof.proved
     assert proof.claim == "inclusion"
 
 
-def test_a_reset_of_the_wrong_sign_is_not_proved(table: ZenoOrbit) -> None:
+def test_a_reset_of_the_wrong_sign_is_not_proved(table: Orbit) -> None:
     problem = load_problem("vibrating_table")
 
     def wrong(p: Any) -> Any:
@@ -156,7 +156,7 @@ def test_a_reset_of_the_wrong_sign_is_not_proved(table: ZenoOrbit) -> None:
     assert "turns the gap rate round" in proof.reason
 
 
-def test_a_multiplier_that_is_not_the_stops_is_not_proved(table: ZenoOrbit) -> None:
+def test_a_multiplier_that_is_not_the_stops_is_not_proved(table: Orbit) -> None:
     problem = load_problem("vibrating_table")
 
     def pulled(p: Any) -> Any:
@@ -173,7 +173,7 @@ def test_a_stop_that_pulls_for_a_moment_is_not_proved() -> None:
     # would have to be pulled.
     orbit = zo.find_orbit_by_shooting("two_tone_table").unwrap()
     assert orbit.shape.text == "zeno*2"
-    pulled = replace(orbit, phases=orbit.phases[:1])
+    pulled = orbit.with_phases(orbit.phases[:1])
     proof = zo.prove(pulled)
     assert not proof.proved
     assert proof.claim == "exists"
@@ -183,7 +183,7 @@ def test_a_stop_that_pulls_for_a_moment_is_not_proved() -> None:
     "name",
     [*(pytest.param(one, marks=pytest.mark.slow) for one in ("restitution", "A")), "omega"],
 )
-def test_an_orbit_is_proved_over_an_interval_of_any_number(table: ZenoOrbit, name: str) -> None:
+def test_an_orbit_is_proved_over_an_interval_of_any_number(table: Orbit, name: str) -> None:
     proof = zo.prove(table, interval={name: 1e-9})
     assert proof.proved, proof.verdict()
     verdict = check_proof(dict(proof.certificate))
@@ -201,7 +201,7 @@ def test_an_orbit_is_proved_wherever_its_stop_is_within_an_interval() -> None:
 
 
 @pytest.mark.slow
-def test_the_enclosures_over_an_interval_hold_the_numbers_at_its_ends(table: ZenoOrbit) -> None:
+def test_the_enclosures_over_an_interval_hold_the_numbers_at_its_ends(table: Orbit) -> None:
     wide = zo.prove(table, interval={"restitution": 1e-6})
     assert wide.bounds is not None
     for change in (-1e-6, 1e-6):
@@ -220,7 +220,7 @@ def test_the_enclosures_over_an_interval_hold_the_numbers_at_its_ends(table: Zen
             assert outer.width < 1e-5
 
 
-def test_the_command_proves_writes_and_checks(table: ZenoOrbit, tmp_path: Path) -> None:
+def test_the_command_proves_writes_and_checks(table: Orbit, tmp_path: Path) -> None:
     orbit, proof = tmp_path / "orbit.json", tmp_path / "proof.json"
     zo.write_orbit(table, orbit)
     answer = ask("prove", str(orbit), "-o", str(proof))
@@ -249,7 +249,7 @@ def test_the_command_proves_writes_and_checks(table: ZenoOrbit, tmp_path: Path) 
     ],
 )
 def test_wrong_usage_is_told_in_one_line(
-    table: ZenoOrbit,
+    table: Orbit,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     words: tuple[str, ...],

@@ -9,7 +9,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.reference.many_digits.fixed_point import extended_orbit
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof import ProofSettings, prove_orbit
 from zeno_orbits.search import orbit_at_gains
 
@@ -20,11 +20,11 @@ _DIGITS = Fraction("1e-24")
 
 
 @pytest.fixture(scope="module")
-def reference(orbit: ZenoOrbit) -> ZenoOrbit:
+def reference(orbit: Orbit) -> Orbit:
     return orbit
 
 
-def test_the_reference_orbit_is_proved_around_its_many_digits(reference: ZenoOrbit) -> None:
+def test_the_reference_orbit_is_proved_around_its_many_digits(reference: Orbit) -> None:
     proof = zo.prove(reference)
     assert proof.proved, proof.verdict()
     assert proof.stable
@@ -56,14 +56,14 @@ def test_orbits_at_other_restitutions_are_proved(restitution: float) -> None:
     assert proof.stable
 
 
-def test_a_whole_interval_of_a_gain_is_proved_at_once(reference: ZenoOrbit) -> None:
+def test_a_whole_interval_of_a_gain_is_proved_at_once(reference: Orbit) -> None:
     proof = zo.prove(reference, interval={"Kp": 1e-8})
     assert proof.proved, proof.verdict()
     assert proof.stable
 
 
 def test_a_box_of_a_millionth_is_made_wider_until_it_is_taken_into_itself(
-    reference: ZenoOrbit,
+    reference: Orbit,
 ) -> None:
     proof = zo.prove(reference, radius=1e-6)
     assert proof.proved, proof.verdict()

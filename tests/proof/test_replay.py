@@ -13,7 +13,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import MISUSE, NO, YES, ask
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof import replay_proof
 
 HAND_WRITTEN = '''
@@ -61,12 +61,12 @@ def dynamics(values):
 
 
 @pytest.fixture(scope="module")
-def table() -> ZenoOrbit:
+def table() -> Orbit:
     return zo.find_orbit_by_shooting("vibrating_table").unwrap()
 
 
 @pytest.fixture(scope="module")
-def certificate(table: ZenoOrbit) -> dict[str, Any]:
+def certificate(table: Orbit) -> dict[str, Any]:
     return dict(zo.prove(table).certificate)
 
 
@@ -135,7 +135,7 @@ def test_the_command_says_which_levels_were_checked(
 
 
 @pytest.mark.slow
-def test_the_reference_orbit_is_replayed_with_its_hand_written_model(orbit: ZenoOrbit) -> None:
+def test_the_reference_orbit_is_replayed_with_its_hand_written_model(orbit: Orbit) -> None:
     proof = zo.prove(orbit, radius=1e-9)
     replay = replay_proof(dict(proof.certificate), zo.load_problem("motor_pendulum"))
     assert replay is not None

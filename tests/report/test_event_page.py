@@ -17,7 +17,7 @@ from zeno_orbits.errors import InputError
 
 
 @cache
-def _orbit(name: str) -> zo.EventOrbit:
+def _orbit(name: str) -> zo.Orbit:
     return zo.find_event_orbit(name)
 
 

@@ -16,13 +16,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 import zeno_orbits as zo
-from zeno_orbits.orbits import EventOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.report import orbit_motion, plots
 from zeno_orbits.simulation import Execution
 
 
 @cache
-def _orbit(name: str) -> EventOrbit:
+def _orbit(name: str) -> Orbit:
     return zo.find_event_orbit(name)
 
 

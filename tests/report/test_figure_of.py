@@ -93,7 +93,7 @@ def test_every_result_has_a_picture_and_takes_a_title(name: str, tmp_path: Path)
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_an_orbit_is_drawn_over_one_period_of_its_own(orbit: zo.ZenoOrbit) -> None:
+def test_an_orbit_is_drawn_over_one_period_of_its_own(orbit: zo.Orbit) -> None:
     figure = figure_of(orbit)
     first = figure.axes[0]
     (release,) = {
@@ -105,7 +105,7 @@ def test_an_orbit_is_drawn_over_one_period_of_its_own(orbit: zo.ZenoOrbit) -> No
     assert release == pytest.approx((angles["theta1"], angles["dtheta1"]), abs=1e-8)
 
 
-def test_a_search_is_drawn_as_its_best_orbit(orbit: zo.ZenoOrbit) -> None:
+def test_a_search_is_drawn_as_its_best_orbit(orbit: zo.Orbit) -> None:
     found = zo.SearchResult(
         status=SearchStatus.FOUND,
         orbit=orbit,
@@ -145,7 +145,7 @@ def test_every_result_is_drawn_into_axes_that_are_there(name: str) -> None:
 
 
 def test_an_orbit_and_a_certificate_are_drawn_into_axes_that_are_there(
-    orbit: zo.ZenoOrbit, certificate: zo.OrbitCertificate
+    orbit: zo.Orbit, certificate: zo.OrbitCertificate
 ) -> None:
     for result in (orbit, certificate):
         figure = Figure()
@@ -183,7 +183,7 @@ def test_what_are_no_axes_is_refused() -> None:
 
 
 def test_multipliers_have_a_picture_and_a_closing_is_drawn_as_its_orbit(
-    orbit: zo.ZenoOrbit,
+    orbit: zo.Orbit,
 ) -> None:
     found = replace(zo.floquet_multipliers(orbit), values=(0.5 + 0.25j, -0.125j))
     (circle,) = figure_of(found).axes

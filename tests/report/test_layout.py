@@ -88,9 +88,7 @@ def test_rows_are_full_and_labels_are_whole(name: str, width: float) -> None:
 
 
 @pytest.mark.parametrize("n", [1, 2, 4, 5, 7])
-def test_pushes_of_any_number_of_directions_leave_no_empty_place(
-    orbit: zo.ZenoOrbit, n: int
-) -> None:
+def test_pushes_of_any_number_of_directions_leave_no_empty_place(orbit: zo.Orbit, n: int) -> None:
     directions = [{"theta1": 1.0, "theta2": float(k)} for k in range(n)]
     figure = plots.plot_pushes(pushes_of(orbit, directions=directions))
     assert len(figure.axes) == n

@@ -7,7 +7,7 @@ import pytest
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.report import plots
 from zeno_orbits.simulation import Execution, simulate
 
@@ -50,9 +50,7 @@ def test_an_inductance_that_moves_is_the_machine_itself() -> None:
     assert loop.elements[-1].label == "$L(q)$"
 
 
-def test_the_release_is_drawn_before_the_rest_of_the_period(
-    problem: Problem, orbit: ZenoOrbit
-) -> None:
+def test_the_release_is_drawn_before_the_rest_of_the_period(problem: Problem, orbit: Orbit) -> None:
     values = orbit.values(problem)
     start = problem.state_vector(orbit.start_state)
     run = simulate(problem.dynamics(values), start, until=1.01 * orbit.period)

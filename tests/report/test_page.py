@@ -27,7 +27,7 @@ from tests.support.report_pages import commands_in, plotted
 from zeno_orbits.cli import main
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
-from zeno_orbits.orbits import ZenoOrbit, read_orbit, write_orbit
+from zeno_orbits.orbits import Orbit, read_orbit, write_orbit
 from zeno_orbits.precision import TimedSetting, WorkPrecision, read_work_precision
 from zeno_orbits.report.page import Subject, load_bundle, page_of, words
 from zeno_orbits.search import orbit_at_gains
@@ -70,7 +70,7 @@ def trade_of(problem: str) -> WorkPrecision:
 
 @pytest.fixture(scope="module")
 def subject(
-    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics, certificate: OrbitCertificate
+    orbit: Orbit, problem: Problem, machine: HybridDynamics, certificate: OrbitCertificate
 ) -> Subject:
     return Subject(
         orbit=orbit,
@@ -91,7 +91,7 @@ def page(subject: Subject) -> str:
 
 
 @pytest.fixture
-def orbit_file(orbit: ZenoOrbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def orbit_file(orbit: Orbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An orbit file in the working folder."""
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "orbit.json"
@@ -350,9 +350,7 @@ def test_report_writes_a_page_and_says_yes(orbit_file: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_example_of_the_help_runs(
-    orbit_file: Path, orbit: ZenoOrbit, problem: Problem
-) -> None:
+def test_every_example_of_the_help_runs(orbit_file: Path, orbit: Orbit, problem: Problem) -> None:
     made = {
         "trade.json": trade_of("motor_pendulum"),
         "pushes.json": pushes_of(orbit),
@@ -824,7 +822,7 @@ def test_an_elastic_stop_is_told_to_have_many_hits_for_any_number_in_the_file(
     subject: Subject, n: int, many: bool
 ) -> None:
     (phase,) = subject.orbit.phases
-    orbit = replace(subject.orbit, phases=(replace(phase, impacts=phase.impacts[:n]),))
+    orbit = subject.orbit.with_phases((replace(phase, impacts=phase.impacts[:n]),))
     text = words.story(orbit, subject.certificate, subject.execution)
     assert ("in the end each time 5 times slower" in text) is many
     assert ("That one impact takes all of its speed" in text) is not many

@@ -13,7 +13,7 @@ import pytest
 from tests.support.browser import Browser
 from tests.support.report_pages import plotted, tables_in, tiles_in
 from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.precision import TimedSetting, WorkPrecision
 from zeno_orbits.report.page import Subject, load_bundle, page_of
 from zeno_orbits.simulation import Ending, Execution, Mode
@@ -42,7 +42,7 @@ TRIALS = (
 
 @pytest.fixture(scope="module")
 def subject(
-    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics, certificate: OrbitCertificate
+    orbit: Orbit, problem: Problem, machine: HybridDynamics, certificate: OrbitCertificate
 ) -> Subject:
     """The pendulum with complex multipliers and numbers that no two cells share."""
     told = replace(

@@ -29,7 +29,7 @@ EVIL = "</script><script>window.taken = 1</script><img src=x>\"'&"
 
 @pytest.fixture(scope="module")
 def subject(
-    orbit: zo.ZenoOrbit,
+    orbit: zo.Orbit,
     problem: zo.Problem,
     machine: HybridDynamics,
     certificate: zo.OrbitCertificate,
@@ -40,7 +40,7 @@ def subject(
 
 @pytest.fixture
 def folder(
-    orbit: zo.ZenoOrbit, problem: zo.Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    orbit: zo.Orbit, problem: zo.Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Path:
     """The working folder, with the files of an orbit, of its pushes and of its recovery."""
     monkeypatch.chdir(tmp_path)
@@ -146,7 +146,7 @@ def test_the_points_of_the_pictures_are_those_of_the_file(subject: Subject) -> N
     assert [f'id="plot-pushes-{k}"' in page for k in range(4)] == [True, True, True, False]
 
 
-def test_the_figure_of_pushes_has_the_same_points(orbit: zo.ZenoOrbit) -> None:
+def test_the_figure_of_pushes_has_the_same_points(orbit: zo.Orbit) -> None:
     directions = ({"theta1": 1.0, "theta2": 1.0}, {"theta1": 1.0, "theta2": -1.0})
     pushes = pushes_of(orbit, directions=directions)
     figure = plot_pushes(pushes)
@@ -170,7 +170,7 @@ def test_the_figure_of_pushes_has_the_same_points(orbit: zo.ZenoOrbit) -> None:
 
 @pytest.mark.parametrize("lost", [0.0, 0.3, 1.0])
 def test_the_summary_of_pushes_counts_the_losses_and_names_sizes_that_return(
-    orbit: zo.ZenoOrbit, capsys: pytest.CaptureFixture[str], lost: float
+    orbit: zo.Orbit, capsys: pytest.CaptureFixture[str], lost: float
 ) -> None:
     directions = ({"theta1": 1.0}, {"theta1": 1.0, "theta2": -2.0})
     pushes = pushes_of(orbit, directions=directions, lost=lost)
@@ -297,7 +297,7 @@ def test_report_takes_the_files_of_the_commands(folder: Path) -> None:
 
 
 def test_the_python_function_takes_objects_and_files(
-    folder: Path, orbit: zo.ZenoOrbit, problem: zo.Problem
+    folder: Path, orbit: zo.Orbit, problem: zo.Problem
 ) -> None:
     pushes, recovery = pushes_of(orbit), recovery_of(orbit, problem)
     one = zo.VerificationSettings(n_periods=1)
@@ -366,7 +366,7 @@ REMEDY = {
 )
 def test_a_file_of_another_orbit_is_one_line(
     folder: Path,
-    orbit: zo.ZenoOrbit,
+    orbit: zo.Orbit,
     problem: zo.Problem,
     option: str,
     change: Callable[[Any], Any],
@@ -385,7 +385,7 @@ def test_a_file_of_another_orbit_is_one_line(
 
 
 def test_directions_and_states_of_another_machine_are_one_line(
-    folder: Path, orbit: zo.ZenoOrbit, problem: zo.Problem
+    folder: Path, orbit: zo.Orbit, problem: zo.Problem
 ) -> None:
     turned = pushes_of(orbit, directions=({"theta3": 1.0},))
     metric = tuple(replace(push, unit="N s") for push in pushes_of(orbit).pushes)

@@ -40,7 +40,7 @@ from zeno_orbits.experiment import (
     tabulate_orbit,
 )
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
-from zeno_orbits.orbits import ZenoOrbit, write_orbit
+from zeno_orbits.orbits import Orbit, write_orbit
 from zeno_orbits.report import plots
 from zeno_orbits.report.plots import COLUMN_WIDTH, PAPER, TwoMotions
 from zeno_orbits.simulation import Execution, simulate
@@ -67,14 +67,14 @@ def ask(*arguments: str | Path) -> tuple[int, str, str]:
 
 
 @pytest.fixture(scope="module")
-def one(orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics) -> Execution:
+def one(orbit: Orbit, problem: Problem, machine: HybridDynamics) -> Execution:
     """One period of the pendulum from its release on."""
     release = problem.state_vector(orbit.release_state)
     return simulate(machine, release, until=orbit.period * (1 + 1e-6))
 
 
 @pytest.fixture(scope="module")
-def several(orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics) -> Execution:
+def several(orbit: Orbit, problem: Problem, machine: HybridDynamics) -> Execution:
     """Three periods."""
     release = problem.state_vector(orbit.release_state)
     return simulate(machine, release, until=3 * orbit.period)
@@ -99,7 +99,7 @@ def other(several: Execution, problem: Problem) -> MatchedRun:
 
 @pytest.fixture
 def parts(
-    monkeypatch: pytest.MonkeyPatch, several: Execution, problem: Problem, orbit: ZenoOrbit
+    monkeypatch: pytest.MonkeyPatch, several: Execution, problem: Problem, orbit: Orbit
 ) -> None:
     """Stand-ins for the virtual rig and for the reader of recordings, with the model's motion."""
     times, signals = signals_of(several, problem)
@@ -128,7 +128,7 @@ def parts(
 
 
 @pytest.fixture
-def orbit_file(orbit: ZenoOrbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def orbit_file(orbit: Orbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An orbit file in the working folder."""
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "orbit.json"
@@ -139,7 +139,7 @@ def orbit_file(orbit: ZenoOrbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.fixture(scope="module", name="figures")
 def _figures(
     problem: Problem,
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     machine: HybridDynamics,
     one: Execution,
     several: Execution,
@@ -330,7 +330,7 @@ def test_the_zeno_point_is_the_origin_of_its_figure(
 
 
 def test_the_impacts_are_seen_from_the_first_to_beyond_the_release(
-    figures: dict[str, Figure], one: Execution, orbit: ZenoOrbit
+    figures: dict[str, Figure], one: Execution, orbit: Orbit
 ) -> None:
     for ax in figures["fig5b_impacts"].axes:
         start, end = ax.get_xlim()
@@ -357,14 +357,14 @@ def test_gaps_where_a_coordinate_is_missing_stay_gaps(
 
 
 @pytest.fixture(scope="module")
-def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
+def table(orbit: Orbit, problem: Problem) -> OrbitTable:
     return tabulate_orbit(orbit, problem, ("theta1", "theta2"))
 
 
 @pytest.mark.parametrize("stretch", [1.0, 1.1, 0.93])
 @pytest.mark.parametrize("start", [0.0, 0.3, 0.9])
 def test_a_recording_is_laid_over_the_orbit_by_its_phase_in_its_own_time(
-    problem: Problem, orbit: ZenoOrbit, table: OrbitTable, stretch: float, start: float
+    problem: Problem, orbit: Orbit, table: OrbitTable, stretch: float, start: float
 ) -> None:
     # What a search over the orbit's own period alone cannot do: the recording's is another.
     noise = {"noise": 2e-3, "seed": 7}
@@ -385,7 +385,7 @@ def test_a_recording_is_laid_over_the_orbit_by_its_phase_in_its_own_time(
 
 
 def test_the_figures_and_the_comparison_lay_a_recording_over_the_orbit_alike(
-    problem: Problem, orbit: ZenoOrbit, table: OrbitTable
+    problem: Problem, orbit: Orbit, table: OrbitTable
 ) -> None:
     from zeno_orbits.experiment import compare_recording
 
@@ -400,7 +400,7 @@ def test_the_figures_and_the_comparison_lay_a_recording_over_the_orbit_alike(
 
 
 def test_a_start_that_still_settles_does_not_move_the_overlay(
-    problem: Problem, orbit: ZenoOrbit, table: OrbitTable
+    problem: Problem, orbit: Orbit, table: OrbitTable
 ) -> None:
     whole = recorded(table, problem, n_cycles=30.0)
     early = whole.time < whole.time[-1] / 2
@@ -416,7 +416,7 @@ def test_a_start_that_still_settles_does_not_move_the_overlay(
 
 def test_over_the_phase_each_motion_has_its_own_period(
     problem: Problem,
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     machine: HybridDynamics,
     one: Execution,
     table: OrbitTable,
@@ -440,7 +440,7 @@ def test_over_the_phase_each_motion_has_its_own_period(
 
 
 def test_the_picture_of_a_comparison_is_by_phase_and_names_both_periods(
-    problem: Problem, orbit: ZenoOrbit, table: OrbitTable
+    problem: Problem, orbit: Orbit, table: OrbitTable
 ) -> None:
     from zeno_orbits.experiment import compare_recording
 
@@ -488,7 +488,7 @@ def _holed(recording: Recording) -> Recording:
     ],
 )
 def test_a_recording_that_cannot_be_laid_over_is_refused(
-    problem: Problem, orbit: ZenoOrbit, table: OrbitTable, spoil: Any, said: str
+    problem: Problem, orbit: Orbit, table: OrbitTable, spoil: Any, said: str
 ) -> None:
     whole = recorded(table, problem, n_cycles=8.0)
     with pytest.raises(InputError, match=re.escape(said)):
@@ -498,7 +498,7 @@ def test_a_recording_that_cannot_be_laid_over_is_refused(
 # ---------------------------------------------------------------------------- drawings
 
 
-def test_the_pendulum_is_drawn_as_it_hangs(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_the_pendulum_is_drawn_as_it_hangs(problem: Problem, orbit: Orbit) -> None:
     values = orbit.values(problem)
     first, second = values.parameters["L1"], values.parameters["L2"]
     states = np.array([[0.3, 0.5, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0, 0.0]])
@@ -550,12 +550,12 @@ def test_a_parameter_that_only_the_drawing_needs_is_used(problem: Problem) -> No
 
 
 @pytest.fixture(scope="module")
-def film(problem: Problem, orbit: ZenoOrbit, one: Execution) -> plots.Film:
+def film(problem: Problem, orbit: Orbit, one: Execution) -> plots.Film:
     return plots.film_of(problem, orbit.values(problem), one, orbit.period)
 
 
 @pytest.mark.slow
-def test_the_film_lasts_a_period_and_moves(film: plots.Film, orbit: ZenoOrbit) -> None:
+def test_the_film_lasts_a_period_and_moves(film: plots.Film, orbit: Orbit) -> None:
     assert len(film.frames) / film.rate == pytest.approx(orbit.period, abs=0.5 / film.rate)
     stills = {frame.tobytes() for frame in film.frames}
     assert len(stills) == len(film.frames)
@@ -585,7 +585,7 @@ def test_both_portraits_have_a_moving_point(film: plots.Film) -> None:
 
 @pytest.mark.slow
 def test_a_problem_with_one_portrait_has_a_film_with_one(
-    problem: Problem, orbit: ZenoOrbit, one: Execution
+    problem: Problem, orbit: Orbit, one: Execution
 ) -> None:
     single = replace(problem, portraits=problem.portraits[:1])
     film = plots.film_of(single, orbit.values(problem), one, orbit.period)
@@ -619,7 +619,7 @@ def test_the_gif_runs_round_with_all_its_pictures(film: plots.Film) -> None:
 
 
 @pytest.mark.slow
-def test_the_colour_of_the_machine_tells_the_mode(film: plots.Film, orbit: ZenoOrbit) -> None:
+def test_the_colour_of_the_machine_tells_the_mode(film: plots.Film, orbit: Orbit) -> None:
     blue, orange = (0, 114, 178), (213, 94, 0)
 
     def count(frame: Image.Image, colour: tuple[int, int, int]) -> int:
@@ -636,7 +636,7 @@ def test_the_colour_of_the_machine_tells_the_mode(film: plots.Film, orbit: ZenoO
 
 
 def test_a_problem_without_a_drawing_has_no_film(
-    problem: Problem, orbit: ZenoOrbit, one: Execution
+    problem: Problem, orbit: Orbit, one: Execution
 ) -> None:
     bare = replace(problem, drawing=None)
     with pytest.raises(InputError, match="must have a drawing, but `motor_pendulum` lacks one"):
@@ -800,7 +800,7 @@ def test_a_film_that_was_asked_for_needs_a_drawing(orbit_file: Path, problem: Pr
     assert "machine" not in out
 
 
-def test_an_orbit_without_a_zeno_point_is_refused(orbit_file: Path, orbit: ZenoOrbit) -> None:
+def test_an_orbit_without_a_zeno_point_is_refused(orbit_file: Path, orbit: Orbit) -> None:
     write_orbit(replace(orbit, period=0.5 * orbit.zeno_time), orbit_file)
     code, _, err = ask("figures", orbit_file, "-o", "f")
     assert code == MISUSE
@@ -828,7 +828,7 @@ def test_the_examples_of_the_help_run(orbit_file: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-def test_the_real_rig_lies_near_the_model(orbit: ZenoOrbit, problem: Problem) -> None:
+def test_the_real_rig_lies_near_the_model(orbit: Orbit, problem: Problem) -> None:
     found = rig_counterpart(orbit, problem, 2)
     assert found.label == "virtual rig, simulated"
     assert found.times[0] == pytest.approx(0.0, abs=1e-3)

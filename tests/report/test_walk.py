@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
-from zeno_orbits.orbits import EventOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.report import orbit_motion
 from zeno_orbits.report.motion import MachineMotion, frame_of, machine_motion
 
@@ -18,7 +18,7 @@ STEPS = 3
 
 
 @cache
-def _orbit() -> EventOrbit:
+def _orbit() -> Orbit:
     return zo.find_event_orbit("kneed_walker")
 
 

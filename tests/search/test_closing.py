@@ -31,7 +31,7 @@ from zeno_orbits.model import (
 )
 from zeno_orbits.orbits import (
     EventSequence,
-    ZenoOrbit,
+    Orbit,
     orbit_multipliers,
     poincare_jacobian,
     poincare_map,
@@ -133,7 +133,7 @@ def test_the_orbit_of_a_problem_without_gains_has_the_period_of_its_clock() -> N
     assert orbit.period == pytest.approx(2 * math.pi, abs=1e-10)
 
 
-def test_an_orbit_at_other_gains_is_a_start(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_an_orbit_at_other_gains_is_a_start(problem: Problem, orbit: Orbit) -> None:
     values = problem.values(gains={"Kp": 2.6})
     near = orbit_by_shooting(problem, values, near=orbit, simulation=SETTINGS)
     assert near.unwrap().gains["Kp"] == 2.6
@@ -182,7 +182,7 @@ FOLD = -1.6218
 
 
 @pytest.fixture(name="behind_the_fold", scope="module")
-def _behind_the_fold(problem: Problem) -> ZenoOrbit:
+def _behind_the_fold(problem: Problem) -> Orbit:
     """The repelling orbit of the pendulum at `Kd = -1.6`, which no simulation settles to.
 
     The family of orbits is followed round its fold: from release state and gain along the null
@@ -233,7 +233,7 @@ def _behind_the_fold(problem: Problem) -> ZenoOrbit:
 
 
 def test_beside_the_attracting_orbit_there_is_a_repelling_one(
-    problem: Problem, behind_the_fold: ZenoOrbit
+    problem: Problem, behind_the_fold: Orbit
 ) -> None:
     values = problem.values(gains={"Kd": -1.6})
     settled = orbit_by_shooting(problem, values, simulation=SETTINGS).unwrap()
@@ -244,7 +244,7 @@ def test_beside_the_attracting_orbit_there_is_a_repelling_one(
 
 @pytest.mark.slow
 def test_a_repelling_orbit_of_the_pendulum_is_verified_and_called_unstable(
-    problem: Problem, behind_the_fold: ZenoOrbit
+    problem: Problem, behind_the_fold: Orbit
 ) -> None:
     for by_hand in (False, True):
         settings = VerificationSettings(use_reference=by_hand)
@@ -257,7 +257,7 @@ def test_a_repelling_orbit_of_the_pendulum_is_verified_and_called_unstable(
 
 
 def test_the_multiplier_of_a_repelling_orbit_is_that_of_differences(
-    problem: Problem, behind_the_fold: ZenoOrbit
+    problem: Problem, behind_the_fold: Orbit
 ) -> None:
     machine = problem.dynamics(behind_the_fold.values(problem))
     x = np.array(list(behind_the_fold.release_state.values()))
@@ -283,7 +283,7 @@ def test_the_multiplier_of_a_repelling_orbit_is_that_of_differences(
 
 
 def test_a_step_that_leads_nowhere_is_shortened(
-    problem: Problem, behind_the_fold: ZenoOrbit, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, behind_the_fold: Orbit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[Vector] = []
 
@@ -351,7 +351,7 @@ def test_a_start_from_which_nothing_returns_is_refused(machine: HybridDynamics) 
         cycle_near(machine, x, period=0.3 * PERIOD, settings=SETTINGS)
 
 
-def test_an_orbit_of_another_problem_is_no_start(orbit: ZenoOrbit) -> None:
+def test_an_orbit_of_another_problem_is_no_start(orbit: Orbit) -> None:
     ball = load_problem("bouncing_ball")
     with pytest.raises(InputError, match="must be of problem `bouncing_ball`"):
         orbit_by_shooting(ball, ball.values(), near=orbit)
@@ -372,7 +372,7 @@ def test_stages_are_told(problem: Problem) -> None:
 
 
 def test_cuts_from_the_last_common_impact_are_the_cuts_from_the_release(
-    problem: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: Orbit
 ) -> None:
     machine = problem.dynamics(orbit.values(problem))
     seen = verify(orbit, problem, settings=VerificationSettings(n_periods=1))
@@ -404,7 +404,7 @@ def test_a_state_that_vanishes_at_the_events_is_not_sized_by_rounding(
 
 @pytest.mark.slow
 def test_an_orbit_beyond_an_escape_is_refused_in_the_words_of_the_problem(
-    problem: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: Orbit
 ) -> None:
     # The shoulder swings by 1.2 rad and more.
     escapes = {"theta1": StateLimit(beyond=1.0, phrase="link 1 swings too far")}

@@ -15,7 +15,7 @@ from zeno_orbits.simulation import simulate
 TABLE = load_problem("vibrating_table")
 
 
-def impacts_per_turn(orbit: zo.ZenoOrbit, *, turns: int = 20) -> float:
+def impacts_per_turn(orbit: zo.Orbit, *, turns: int = 20) -> float:
     """Return the impacts per turn of the clock of a motion from the start of an orbit."""
     values = orbit.values(TABLE)
     turn = 2 * math.pi / values.number("omega")

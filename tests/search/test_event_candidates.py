@@ -33,7 +33,7 @@ def flown(state: Mapping[str, float], time: float, force: float, omega: float) -
     }
 
 
-def assert_closed_form(orbit: zo.EventOrbit) -> None:
+def assert_closed_form(orbit: zo.Orbit) -> None:
     """Check every flight and every impact of an orbit of the impact pair."""
     force, omega, e = (orbit.parameters[name] for name in ("A", "omega", "restitution"))
     state, time = dict(orbit.start_state), 0.0
@@ -56,7 +56,7 @@ def mirrored(name: str) -> str:
     return "impact lower" if name == "impact upper" else "impact upper"
 
 
-def assert_mirror_images(one: zo.EventOrbit, other: zo.EventOrbit) -> None:
+def assert_mirror_images(one: zo.Orbit, other: zo.Orbit) -> None:
     """Check that each event of an orbit has its mirror image, half a turn of the clock later."""
 
     def by_speed(row: tuple[Any, ...]) -> tuple[str, float]:

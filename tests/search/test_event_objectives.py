@@ -179,7 +179,7 @@ SETTINGS = SimulationSettings()
 
 
 def _course(
-    problem: zo.Problem, near: zo.EventOrbit, name: str, value: float
+    problem: zo.Problem, near: zo.Orbit, name: str, value: float
 ) -> tuple[EventCourse, EventReturn]:
     """Return the orbit near another at a value of a gain or parameter."""
     values = near.values(problem).replaced({name: value})
@@ -311,7 +311,7 @@ def test_no_orbit_of_a_line_of_equal_periods_takes_less_energy() -> None:
     )
     assert found.orbit is not None
 
-    def orbit(kp: float, kd: float) -> zo.EventOrbit:
+    def orbit(kp: float, kd: float) -> zo.Orbit:
         return zo.find_event_orbit("limited_pendulum", near=found.orbit, gains={"Kp": kp, "Kd": kd})
 
     for kp in np.linspace(1.5, 4.5, 7):
@@ -367,7 +367,7 @@ def test_the_least_push_over_a_range_is_that_of_the_weakest_corner() -> None:
 def test_a_search_starts_at_a_known_orbit_and_takes_its_values(tmp_path: Path) -> None:
     orbit = zo.find_event_orbit(COIL_HOPPER, gains={"U": 14.0}, parameters={"s": 0.12})
     path = tmp_path / "hopper.json"
-    zo.write_event_orbit(orbit, path)
+    zo.write_orbit(orbit, path)
     same = zo.find_event_orbit(COIL_HOPPER, near=path)
     assert same.period == pytest.approx(orbit.period, rel=1e-12)
     assert same.gains == {"U": 14.0}

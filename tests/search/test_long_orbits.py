@@ -57,7 +57,7 @@ def test_an_orbit_is_not_refused_for_what_errors_of_the_check_itself_grow_to() -
     last = orbit.phases[0].impacts[-1]
     late = replace(last, time=last.time + 1e-8 * orbit.period)
     impacts = (*orbit.phases[0].impacts[:-1], late)
-    wrong = replace(orbit, phases=(replace(orbit.phases[0], impacts=impacts),))
+    wrong = orbit.with_phases((replace(orbit.phases[0], impacts=impacts),))
     assert verify(wrong, TABLE).failed == ("impact_sequence",)
 
 

@@ -20,7 +20,7 @@ from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
 from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.model import locate_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import (
     MaxMargin,
     SearchResult,
@@ -57,7 +57,7 @@ class Picky:
 
     refused: float = 0.0
 
-    def __call__(self, orbit: ZenoOrbit) -> Verdict:
+    def __call__(self, orbit: Orbit) -> Verdict:
         """Return the objection, or the certificate."""
         if orbit.parameters["restitution"] == self.refused:
             return Verdict(objection="It is the usual one.")

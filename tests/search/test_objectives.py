@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from zeno_orbits.api import Verified
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import Bound, ZenoOrbit, orbit_multipliers
+from zeno_orbits.orbits import Bound, Orbit, orbit_multipliers
 from zeno_orbits.search import (
     OBJECTIVES,
     MaxMargin,
@@ -50,7 +50,7 @@ def _scan(
 ) -> list[float]:
     """Return a quantity of the orbits on a line, each closed by simulation alone."""
     found: list[float] = []
-    near: ZenoOrbit | None = None
+    near: Orbit | None = None
     for value in entries:
         values = problem.values().replaced({**fixed, name: value})
         near = orbit_by_shooting(problem, values, near=near).unwrap()
@@ -328,14 +328,14 @@ def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(problem
 # Ways to an orbit.
 
 
-def test_a_known_orbit_is_followed_to_other_numbers(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_a_known_orbit_is_followed_to_other_numbers(problem: Problem, orbit: Orbit) -> None:
     values = problem.values(parameters={"restitution": 0.3, "R": 2.8})
     result = search_orbits(problem, values, free={}, near=orbit, settings=ONCE)
     alone = orbit_by_shooting(problem, values).unwrap()
     assert result.unwrap().period == pytest.approx(alone.period, abs=1e-8)
 
 
-def test_the_end_of_a_family_is_named(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_the_end_of_a_family_is_named(problem: Problem, orbit: Orbit) -> None:
     values = problem.values(parameters={"restitution": 0.5})
     result = search_orbits(problem, values, free={}, near=orbit, settings=ONCE)
     assert result.status is SearchStatus.NO_GUESS
@@ -380,9 +380,9 @@ def test_the_best_orbit_that_attracts_is_taken_where_the_best_of_all_lies_on_a_f
     problem: Problem, certificate: OrbitCertificate
 ) -> None:
     on_fold = replace(certificate, multipliers=(1.0 + 0.0j,))
-    seen: list[ZenoOrbit] = []
+    seen: list[Orbit] = []
 
-    def refuse_the_first(orbit: ZenoOrbit) -> Verdict:
+    def refuse_the_first(orbit: Orbit) -> Verdict:
         seen.append(orbit)
         if len(seen) == 1:
             return Verdict(objection="It does not attract.", certificate=on_fold)
@@ -453,7 +453,7 @@ def test_a_question_that_makes_no_sense_is_refused(
         search_orbits(problem, problem.values(), free=free, bounds=bounds, objective=objective)
 
 
-def test_an_orbit_of_another_problem_is_no_start(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_an_orbit_of_another_problem_is_no_start(problem: Problem, orbit: Orbit) -> None:
     other = problem.at_fidelity("quasi_static")
     with pytest.raises(InputError, match="`near` must be of problem `motor_pendulum@quasi_static`"):
         search_orbits(other, other.values(), free={}, near=orbit, objective=MinEnergy())

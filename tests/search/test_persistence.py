@@ -15,7 +15,7 @@ ONCE = SearchSettings(n_starts=0)
 
 def widest(
     name: str, free: dict[str, tuple[float, float]], *, start: dict[str, float] | None = None
-) -> tuple[zo.ZenoOrbit, float, str]:
+) -> tuple[zo.Orbit, float, str]:
     """Return the orbit of the widest margin, its margin, and the sentences on it."""
     problem = load_problem(name)
     values = problem.values(numbers=start or {})

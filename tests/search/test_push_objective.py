@@ -23,7 +23,7 @@ PENDULUM = {"Kp": 2.5, "Kd": -1.0}
 
 def pushed(
     problem: zo.Problem, free: Mapping[str, tuple[float, float]], **asked: object
-) -> tuple[zo.ZenoOrbit, float, str]:
+) -> tuple[zo.Orbit, float, str]:
     """Return the orbit with the largest push, the push, and the sentences about it."""
     result = zo.search_gains(problem, vary=free, settings=ONCE, **asked)  # type: ignore[arg-type]
     return result.unwrap(), result.candidates[0].extents["push"].lowest, result.detail

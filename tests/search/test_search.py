@@ -18,7 +18,7 @@ from tests.reference.reference_orbit import (
 )
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem, load_reference
-from zeno_orbits.orbits import ONE_ZENO, ZenoOrbit
+from zeno_orbits.orbits import ONE_ZENO, Orbit
 from zeno_orbits.search import (
     MinEnergy,
     MinSpectralRadius,
@@ -42,7 +42,7 @@ ACCURACY = 1e-8
 IMPATIENT = SearchSettings(settling=TransientSettings(horizon=40.0))
 
 
-def _one_period(orbit: ZenoOrbit, problem: Problem) -> Execution:
+def _one_period(orbit: Orbit, problem: Problem) -> Execution:
     """Return the period after the release, on the model that was written by hand."""
     by_hand = load_reference(problem).dynamics(orbit.values(problem))
     start = by_hand.on_stop(np.array(list(orbit.release_state.values())))
@@ -71,7 +71,7 @@ def test_a_current_that_decays_within_nanoseconds_leaves_the_orbit_of_the_reduce
     assert found.unwrap().period == pytest.approx(without.unwrap().period, rel=6e-10)
 
 
-def test_the_orbit_at_the_published_gains_is_the_declared_one(orbit: ZenoOrbit) -> None:
+def test_the_orbit_at_the_published_gains_is_the_declared_one(orbit: Orbit) -> None:
     assert orbit.period == pytest.approx(PERIOD, abs=ACCURACY)
     assert list(orbit.release_state.values()) == pytest.approx(RELEASE, abs=ACCURACY)
     assert orbit.zeno_time == pytest.approx(ZENO_TIME, abs=ACCURACY)
@@ -263,9 +263,9 @@ def test_orbits_are_looked_for_from_the_given_states_alone(problem: Problem) -> 
 
 @pytest.mark.slow
 def test_an_orbit_that_nobody_accepts_is_not_returned(problem: Problem) -> None:
-    seen: list[ZenoOrbit] = []
+    seen: list[Orbit] = []
 
-    def refuse(orbit: ZenoOrbit) -> Verdict:
+    def refuse(orbit: Orbit) -> Verdict:
         seen.append(orbit)
         return Verdict(objection="it is too plain")
 

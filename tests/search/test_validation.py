@@ -9,7 +9,7 @@ import pytest
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import Bound, ZenoOrbit
+from zeno_orbits.orbits import Bound, Orbit
 from zeno_orbits.search import NearestGains, SearchSettings, TransientSettings, search_orbits
 
 
@@ -76,7 +76,7 @@ def test_every_initial_state_is_one_of_the_problem(problem: Problem) -> None:
         _check(problem, initial_states=(state, {**state, "angle": 1.0}))
 
 
-def test_a_known_orbit_is_one_of_the_problem(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_a_known_orbit_is_one_of_the_problem(problem: Problem, orbit: Orbit) -> None:
     _check(problem, near=orbit)
     other = problem.at_fidelity("quasi_static")
     wrong = "of problem `motor_pendulum@quasi_static`, but it is of `motor_pendulum`"

@@ -10,11 +10,11 @@ import numpy as np
 
 from zeno_orbits.maps import Push, Pushes, PushSettings, Recovery, RecoverySettings
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 
 
 def pushes_of(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     *,
     seed: int = 0,
     phases: int = 5,
@@ -63,9 +63,7 @@ def pushes_of(
     )
 
 
-def recovery_of(
-    orbit: ZenoOrbit, problem: Problem, *, radius: float = 0.25, size: int = 2
-) -> Recovery:
+def recovery_of(orbit: Orbit, problem: Problem, *, radius: float = 0.25, size: int = 2) -> Recovery:
     """Return a recovery with two section coordinates, or with the given number of them.
 
     Args:

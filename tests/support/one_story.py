@@ -94,7 +94,7 @@ def _around(problem: zo.Problem, name: str) -> tuple[str, float, float, int]:
     return name, value - width, value + width, 3
 
 
-def _simulated(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
+def _simulated(problem: zo.Problem, orbit: zo.Orbit) -> float:
     """Return the mean period of a long simulation, from release to release."""
     start = orbit.phases[0].start_state
     motion = zo.simulate(problem, start=start, until=(PERIODS + 0.5) * orbit.period)
@@ -109,7 +109,7 @@ def _simulated(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
     return float((times[-1] - times[0]) / (len(times) - 1))
 
 
-def _continued(problem: str | Path, orbit: zo.ZenoOrbit, range_: tuple[str, float, float]) -> float:
+def _continued(problem: str | Path, orbit: zo.Orbit, range_: tuple[str, float, float]) -> float:
     name, low, high = range_
     family = zo.continue_orbit(orbit, (name, low, high), problem=problem).families[0]
     points = sorted((point.value, point.period) for point in family.points)
@@ -142,7 +142,7 @@ def data_story_of(problem: str | Path) -> DataStory:
     return DataStory(rig=_rigged(known, orbit), identified=_identified(known, orbit))
 
 
-def _rigged(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
+def _rigged(problem: zo.Problem, orbit: zo.Orbit) -> float:
     """Return how far the period of a machine with a stiff stop is off; `rig` takes one release."""
     if not orbit.shape.has_one_release:
         return float("nan")
@@ -154,7 +154,7 @@ def _rigged(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
     return abs(mean.period / orbit.period - 1)
 
 
-def _identified(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
+def _identified(problem: zo.Problem, orbit: zo.Orbit) -> float:
     """Return the relative error of the restitution that fits samples of the orbit."""
     true = orbit.parameters["restitution"]
     if not (true > 0.0 and orbit.shape.has_one_release):

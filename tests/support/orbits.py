@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 
 _OF_PHASE = {"release_state": "start_state", "start_state": "start_state"}
 _ENTRIES = {"kind", "start_time", "impacts", "zeno_time", "zeno_state", *_OF_PHASE}
 
 
-def changed(orbit: ZenoOrbit, place: int = 0, **entries: Any) -> ZenoOrbit:
+def changed(orbit: Orbit, place: int = 0, **entries: Any) -> Orbit:
     """Return an orbit with other entries; those of a phase are changed in one of them.
 
     Args:
@@ -21,6 +21,8 @@ def changed(orbit: ZenoOrbit, place: int = 0, **entries: Any) -> ZenoOrbit:
     """
     inner = {_OF_PHASE.get(k, k): v for k, v in entries.items() if k in _ENTRIES}
     outer = {k: v for k, v in entries.items() if k not in _ENTRIES}
+    if not inner:
+        return replace(orbit, **outer)
     phases = list(orbit.phases)
     phases[place] = replace(phases[place], **inner)
-    return replace(orbit, phases=tuple(phases), **outer)
+    return replace(orbit, **outer).with_phases(phases)

@@ -34,7 +34,7 @@ View = Callable[[HybridDynamics], HybridDynamics]
 
 
 @cache
-def _orbit(name: str) -> zo.EventOrbit:
+def _orbit(name: str) -> zo.Orbit:
     return zo.find_event_orbit(name)
 
 
@@ -254,7 +254,7 @@ def test_impacts_that_the_check_does_not_resolve_obey_the_law_of_the_tail(name: 
     assert last.name == f"impact {stop}"
     e = _graph(name).open_views[_graph(name).stop_names.index(stop)].restitution
 
-    def continued(miss: float) -> zo.EventOrbit:
+    def continued(miss: float) -> zo.Orbit:
         """Return the orbit with two further impacts on its way to the Zeno point."""
         more = [
             replace(

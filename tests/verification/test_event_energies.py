@@ -67,7 +67,7 @@ def _bell(share: float) -> zo.Problem:
 
 
 @cache
-def _orbit() -> zo.EventOrbit:
+def _orbit() -> zo.Orbit:
     return zo.find_event_orbit(_bell(1.0))
 
 
@@ -222,12 +222,12 @@ def _stairs(
     )
 
 
-def _descent(kept: float, g: float, step: float) -> zo.EventOrbit:
+def _descent(kept: float, g: float, step: float) -> zo.Orbit:
     """Return the orbit in closed form: ``v-^2 (1 - kept^2) = 2 g step``."""
     last = math.sqrt(2 * g * step / (1 - kept**2))
     time = (1 - kept) * last / g
     edge = OrbitEvent(name="switch edge", time=time, state={"q": step, "v": last, "z": 0.0})
-    return zo.EventOrbit(
+    return zo.Orbit(
         problem="stairs",
         parameters={},
         gains={},
@@ -298,7 +298,7 @@ def test_the_closed_form_of_a_rimless_wheel_is_verified(spokes: int, slope: floa
 
     period, _ = quad(lambda q: 1 / speed(q), begin, end, epsabs=0.0, epsrel=1e-13)
     strike = OrbitEvent(name="switch strike", time=period, state={"q": end, "v": launch / kept})
-    orbit = zo.EventOrbit(
+    orbit = zo.Orbit(
         problem="wheel",
         parameters={},
         gains={},

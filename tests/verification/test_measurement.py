@@ -8,7 +8,7 @@ import pytest
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import OrbitCertificate, measure
 
@@ -17,7 +17,7 @@ SAMPLES = 20_001
 
 @pytest.mark.slow
 def test_peaks_are_those_of_a_dense_simulation(
-    problem: Problem, orbit: ZenoOrbit, machine: HybridDynamics
+    problem: Problem, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     found = measure(orbit, problem, ["theta2", "current", "voltage"])
     start = machine.on_stop(np.array(list(orbit.release_state.values())))
@@ -41,7 +41,7 @@ def test_peaks_are_those_of_a_dense_simulation(
 
 
 def test_numbers_are_those_of_the_certificate(
-    problem: Problem, orbit: ZenoOrbit, certificate: OrbitCertificate
+    problem: Problem, orbit: Orbit, certificate: OrbitCertificate
 ) -> None:
     names = ["period", "energy", "spectral_radius", "margin", *certificate.margins]
     found = measure(orbit, problem, names)
@@ -54,7 +54,7 @@ def test_numbers_are_those_of_the_certificate(
     assert found["margin"].lowest == pytest.approx(certificate.margins["locked_time"] / PERIOD)
 
 
-def test_what_is_no_quantity_of_the_problem_is_refused(problem: Problem, orbit: ZenoOrbit) -> None:
+def test_what_is_no_quantity_of_the_problem_is_refused(problem: Problem, orbit: Orbit) -> None:
     with pytest.raises(InputError, match=r"`names`: unknown name `theta3`.*Known: "):
         measure(orbit, problem, ["theta1", "theta3"])
 

@@ -22,7 +22,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
 from zeno_orbits.model import CompletedSystem, HybridDynamics, Problem, StateLimit, load_problem
-from zeno_orbits.orbits import OrbitImpact, PhaseKind, ZenoOrbit
+from zeno_orbits.orbits import Orbit, OrbitImpact, PhaseKind
 from zeno_orbits.search import orbit_at_gains, orbit_by_shooting
 from zeno_orbits.simulation import (
     Execution,
@@ -51,7 +51,7 @@ Check = Callable[..., OrbitCertificate]
 
 @pytest.fixture(name="check", scope="module")
 def _check(problem: Problem) -> Check:
-    def check(orbit: ZenoOrbit, dynamics: HybridDynamics | None = None) -> OrbitCertificate:
+    def check(orbit: Orbit, dynamics: HybridDynamics | None = None) -> OrbitCertificate:
         return verify(orbit, problem, settings=QUICK, dynamics=dynamics)
 
     return check
@@ -111,7 +111,7 @@ def test_every_residual_has_its_sentence(certificate: OrbitCertificate) -> None:
 
 @pytest.mark.slow
 def test_the_model_written_by_hand_gives_the_same_certificate(
-    orbit: ZenoOrbit, problem: Problem, certificate: OrbitCertificate
+    orbit: Orbit, problem: Problem, certificate: OrbitCertificate
 ) -> None:
     by_hand = verify(orbit, problem, settings=replace(QUICK, use_reference=True))
     assert by_hand.passed, by_hand.verdict()
@@ -145,14 +145,14 @@ def test_an_orbit_that_may_have_any_amplitude_is_not_called_stable() -> None:
     assert not seen.stable
 
 
-def test_the_orbit_carries_its_certificate(orbit: ZenoOrbit, certificate: OrbitCertificate) -> None:
+def test_the_orbit_carries_its_certificate(orbit: Orbit, certificate: OrbitCertificate) -> None:
     whole = with_certificate(orbit, certificate)
     assert whole.certificate == certificate.as_json()
     assert whole.floquet_multipliers == certificate.multipliers
     assert replace(whole, certificate={}, floquet_multipliers=()) == orbit
 
 
-def test_stages_are_told(orbit: ZenoOrbit, problem: Problem) -> None:
+def test_stages_are_told(orbit: Orbit, problem: Problem) -> None:
     told: list[str] = []
     verify(orbit, problem, settings=QUICK, on_progress=lambda stage, _: told.append(stage))
     assert told[0] == "integrating the orbit"
@@ -163,7 +163,7 @@ def test_stages_are_told(orbit: ZenoOrbit, problem: Problem) -> None:
 
 
 @pytest.mark.parametrize("change", [1e-6, -1e-3])
-def test_a_false_period_fails_alone(check: Check, orbit: ZenoOrbit, change: float) -> None:
+def test_a_false_period_fails_alone(check: Check, orbit: Orbit, change: float) -> None:
     seen = check(replace(orbit, period=orbit.period + change))
     assert seen.failed == ("period",)
     assert not seen.passed
@@ -171,7 +171,7 @@ def test_a_false_period_fails_alone(check: Check, orbit: ZenoOrbit, change: floa
 
 @pytest.mark.parametrize(("gain", "change"), [("Kp", 1e-6), ("Kd", 1e-6), ("Kp", 0.1)])
 def test_false_gains_change_the_motion(
-    check: Check, orbit: ZenoOrbit, gain: str, change: float
+    check: Check, orbit: Orbit, gain: str, change: float
 ) -> None:
     # On the release set the voltage does not enter, so the release holds.
     seen = check(replace(orbit, gains={**orbit.gains, gain: orbit.gains[gain] + change}))
@@ -191,7 +191,7 @@ def test_false_gains_change_the_motion(
     ],
 )
 def test_a_false_release_state_is_refused(
-    check: Check, orbit: ZenoOrbit, state: str, first: str, change: float
+    check: Check, orbit: Orbit, state: str, first: str, change: float
 ) -> None:
     # The multiplier does not depend on dtheta1: such a state is a release, of another motion.
     moved = {**orbit.release_state, state: orbit.release_state[state] + change}
@@ -202,16 +202,14 @@ def test_a_false_release_state_is_refused(
 
 @pytest.mark.parametrize("change", [-1e-2, 1e-2])
 def test_a_false_angle_far_from_the_release_is_refused(
-    check: Check, orbit: ZenoOrbit, change: float
+    check: Check, orbit: Orbit, change: float
 ) -> None:
     moved = {**orbit.release_state, "theta1": orbit.release_state["theta1"] + change}
     assert check(changed(orbit, release_state=moved)).failed[0] == "release"
 
 
 @pytest.mark.parametrize("theta2", [-0.1, -1e-6])
-def test_a_release_inside_the_stop_is_refused(
-    check: Check, orbit: ZenoOrbit, theta2: float
-) -> None:
+def test_a_release_inside_the_stop_is_refused(check: Check, orbit: Orbit, theta2: float) -> None:
     seen = check(changed(orbit, release_state={**orbit.release_state, "theta2": theta2}))
     assert not seen.passed
     assert seen.failed[0] == "release"
@@ -219,7 +217,7 @@ def test_a_release_inside_the_stop_is_refused(
 
 @pytest.mark.parametrize("restitution", [0.0, 0.2 + 1e-6, 0.3])
 def test_a_false_restitution_shows_after_the_first_impact(
-    check: Check, orbit: ZenoOrbit, restitution: float
+    check: Check, orbit: Orbit, restitution: float
 ) -> None:
     seen = check(replace(orbit, parameters={**orbit.parameters, "restitution": restitution}))
     assert seen.failed[0] == "impact_sequence"
@@ -228,7 +226,7 @@ def test_a_false_restitution_shows_after_the_first_impact(
     assert "first_impact" not in seen.failed
 
 
-def test_a_restitution_without_a_locked_arc_is_refused(check: Check, orbit: ZenoOrbit) -> None:
+def test_a_restitution_without_a_locked_arc_is_refused(check: Check, orbit: Orbit) -> None:
     # Beyond 0.417 the impacts do not die out before the stop lets go.
     seen = check(replace(orbit, parameters={**orbit.parameters, "restitution": 0.5}))
     assert not seen.passed
@@ -238,25 +236,23 @@ def test_a_restitution_without_a_locked_arc_is_refused(check: Check, orbit: Zeno
 
 
 @pytest.mark.parametrize(("name", "first"), [("R", "first_impact"), ("m2", "release")])
-def test_a_false_parameter_is_refused(
-    check: Check, orbit: ZenoOrbit, name: str, first: str
-) -> None:
+def test_a_false_parameter_is_refused(check: Check, orbit: Orbit, name: str, first: str) -> None:
     value = orbit.parameters[name] * (1 + 1e-4)
     seen = check(replace(orbit, parameters={**orbit.parameters, name: value}))
     assert seen.failed[0] == first
     assert set(seen.failed) >= MOTION
 
 
-def test_a_length_that_enters_no_law_does_not_matter(check: Check, orbit: ZenoOrbit) -> None:
+def test_a_length_that_enters_no_law_does_not_matter(check: Check, orbit: Orbit) -> None:
     assert check(replace(orbit, parameters={**orbit.parameters, "L2": 0.4})).passed
 
 
-def test_a_false_zeno_time_fails_alone(check: Check, orbit: ZenoOrbit) -> None:
+def test_a_false_zeno_time_fails_alone(check: Check, orbit: Orbit) -> None:
     assert check(changed(orbit, zeno_time=orbit.zeno_time + 1e-6)).failed == ("zeno_point",)
 
 
 @pytest.mark.parametrize("state", ["theta1", "theta2", "dtheta1", "dtheta2", "current"])
-def test_a_false_zeno_state_fails_alone(check: Check, orbit: ZenoOrbit, state: str) -> None:
+def test_a_false_zeno_state_fails_alone(check: Check, orbit: Orbit, state: str) -> None:
     moved = {**orbit.zeno_state, state: orbit.zeno_state[state] + 1e-6}
     assert check(changed(orbit, zeno_state=moved)).failed == ("zeno_point",)
 
@@ -266,7 +262,7 @@ def test_a_false_zeno_state_fails_alone(check: Check, orbit: ZenoOrbit, state: s
 )
 @pytest.mark.parametrize("what", ["time", "state"])
 def test_a_false_impact_fails_alone(
-    check: Check, orbit: ZenoOrbit, index: int, failed: str, what: str
+    check: Check, orbit: Orbit, index: int, failed: str, what: str
 ) -> None:
     impacts = list(orbit.impacts)
     impact = impacts[index]
@@ -278,14 +274,14 @@ def test_a_false_impact_fails_alone(
     assert check(changed(orbit, impacts=tuple(impacts))).failed == (failed,)
 
 
-def test_impacts_out_of_order_are_refused(check: Check, orbit: ZenoOrbit) -> None:
+def test_impacts_out_of_order_are_refused(check: Check, orbit: Orbit) -> None:
     first, second, *rest = orbit.impacts
     seen = check(changed(orbit, impacts=(second, first, *rest)))
     assert seen.failed == ("first_impact", "impact_sequence")
     assert check(changed(orbit, impacts=(first, *rest))).failed == ("impact_sequence",)
 
 
-def test_impacts_after_the_zeno_point_are_refused(check: Check, orbit: ZenoOrbit) -> None:
+def test_impacts_after_the_zeno_point_are_refused(check: Check, orbit: Orbit) -> None:
     late = OrbitImpact(time=orbit.zeno_time + 1e-2, state_minus=orbit.impacts[-1].state_minus)
     impacts = (*orbit.impacts, late, late, late)
     assert check(changed(orbit, impacts=impacts)).failed == ("impact_sequence",)
@@ -328,7 +324,7 @@ def test_claimed_impacts_that_the_check_does_not_resolve_obey_the_law_of_the_tai
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_times_that_are_not_finite_are_refused(check: Check, orbit: ZenoOrbit, bad: float) -> None:
+def test_times_that_are_not_finite_are_refused(check: Check, orbit: Orbit, bad: float) -> None:
     late = replace(orbit.impacts[3], time=bad)
     impacts = (*orbit.impacts[:3], late, *orbit.impacts[4:])
     for wrong in (
@@ -350,7 +346,7 @@ def test_times_that_are_not_finite_are_refused(check: Check, orbit: ZenoOrbit, b
 
 
 def test_a_reset_into_the_stop_stops_the_integration(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     wrong = replace(machine, reset_map=lambda x, rate: machine.reset_map(x, -rate))
     seen = check(orbit, wrong)
@@ -360,7 +356,7 @@ def test_a_reset_into_the_stop_stops_the_integration(
 
 
 def test_a_reset_that_throws_back_too_fast_breaks_the_law_of_restitution(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     def bouncy(x: Vector, rate: float) -> Vector:
         return x - (1 + 0.25) * rate * machine.impulse_direction(x)
@@ -371,7 +367,7 @@ def test_a_reset_that_throws_back_too_fast_breaks_the_law_of_restitution(
 
 
 def test_a_reset_that_throws_back_too_slowly_is_refused(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     def dull(x: Vector, rate: float) -> Vector:
         return x - (1 + 0.15) * rate * machine.impulse_direction(x)
@@ -382,7 +378,7 @@ def test_a_reset_that_throws_back_too_slowly_is_refused(
 
 
 def test_a_reset_that_changes_the_tangential_momentum_loses_the_wrong_energy(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     def pushing(x: Vector, rate: float) -> Vector:
         after = machine.reset_map(x, rate)
@@ -396,7 +392,7 @@ def test_a_reset_that_changes_the_tangential_momentum_loses_the_wrong_energy(
 
 
 def test_a_reset_of_the_knee_alone_loses_the_wrong_energy(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     def knee(x: Vector, rate: float) -> Vector:
         after = machine.reset_map(x, rate)
@@ -409,21 +405,21 @@ def test_a_reset_of_the_knee_alone_loses_the_wrong_energy(
 
 
 def test_a_multiplier_of_the_wrong_sign_pulls(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     wrong = replace(machine, multiplier=lambda x: -machine.multiplier(x))
     assert check(orbit, wrong).failed == ("adhesion",)
 
 
 def test_a_wrong_energy_fails_at_the_impacts(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     wrong = replace(machine, energy=lambda x: machine.energy(x) + 1e-3 * float(x[2]) ** 2)
     assert check(orbit, wrong).failed == ("impact_energy",)
 
 
 def test_a_large_potential_energy_does_not_drown_the_loss_of_an_impact(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     # The difference of two such energies is rounded to 1e-8 J, and an impact loses 0.4 J at most.
     lifted = replace(machine, energy=lambda x: machine.energy(x) + 4e8)
@@ -442,7 +438,7 @@ def test_a_large_potential_energy_does_not_drown_the_loss_of_an_impact(
     ids=["coriolis", "reset", "height"],
 )
 def test_a_second_model_with_a_wrong_sign_fails_alone(
-    orbit: ZenoOrbit, problem: Problem, tmp_path: Path, right: str, wrong: str
+    orbit: Orbit, problem: Problem, tmp_path: Path, right: str, wrong: str
 ) -> None:
     assert problem.reference is not None
     text = problem.reference.read_text(encoding="utf-8")
@@ -454,7 +450,7 @@ def test_a_second_model_with_a_wrong_sign_fails_alone(
 
 
 def test_a_second_model_that_is_wrong_on_the_stop_fails_alone(
-    orbit: ZenoOrbit, problem: Problem, tmp_path: Path
+    orbit: Orbit, problem: Problem, tmp_path: Path
 ) -> None:
     assert problem.reference is not None
     text = problem.reference.read_text(encoding="utf-8")
@@ -468,7 +464,7 @@ def test_a_second_model_that_is_wrong_on_the_stop_fails_alone(
 
 
 def test_a_gap_that_is_negative_in_mid_flight_fails_alone(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     # Far from the stop, so that no event changes; a thousandth of the largest gap inside.
     far = 0.5 * max(abs(machine.gap(x)) for x in _flight_of(orbit, machine))
@@ -482,7 +478,7 @@ def test_a_gap_that_is_negative_in_mid_flight_fails_alone(
 
 
 def test_a_constraint_that_is_broken_before_the_first_impact_only_fails_alone(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     fastest = min(machine.gap_rate(x) for x in _flight_of(orbit, machine))
 
@@ -494,7 +490,7 @@ def test_a_constraint_that_is_broken_before_the_first_impact_only_fails_alone(
     assert seen.residuals["holonomic"] == 1e-6
 
 
-def _flight_of(orbit: ZenoOrbit, machine: HybridDynamics) -> Vector:
+def _flight_of(orbit: Orbit, machine: HybridDynamics) -> Vector:
     """Return states from the release to the first impact, ``(n, n_x)``."""
     start = machine.on_stop(np.array(list(orbit.release_state.values())))
     return simulate(machine, start, until=orbit.period, impacts=1).sampled()[1]
@@ -512,7 +508,7 @@ class _Careless:
 
 @pytest.mark.slow
 def test_a_return_that_a_looser_integration_does_not_confirm_fails_alone(
-    orbit: ZenoOrbit, problem: Problem
+    orbit: Orbit, problem: Problem
 ) -> None:
     careless = SimulationSettings(engine=_Careless())
     seen = verify(orbit, problem, settings=replace(QUICK, simulation=careless))
@@ -534,9 +530,7 @@ class _Late:
 
 
 @pytest.mark.slow
-def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(
-    orbit: ZenoOrbit, problem: Problem
-) -> None:
+def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(orbit: Orbit, problem: Problem) -> None:
     late = SimulationSettings(completion=_Late(delay=1e-6))
     seen = verify(orbit, problem, settings=replace(QUICK, simulation=late))
     assert {"zeno_point", "delta_sweep", "period"} <= set(seen.failed)
@@ -584,7 +578,7 @@ def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(problem: Problem
 
 @pytest.mark.slow
 def test_a_release_that_is_none_fails_alone(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     # The flow's own guard knows better; what the certificate asks is off by a millionth.
     largest = max(abs(machine.multiplier(x)) for x in _locked_of(orbit, machine))
@@ -596,7 +590,7 @@ def test_a_release_that_is_none_fails_alone(
 
 
 def test_a_gap_rate_that_breaks_the_law_of_impact_fails_alone(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     def rate(x: Vector) -> float:
         found = machine.gap_rate(x)
@@ -609,7 +603,7 @@ def test_a_gap_rate_that_breaks_the_law_of_impact_fails_alone(
 
 
 def test_a_motion_that_does_not_come_back_fails_at_its_end_alone(
-    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+    check: Check, orbit: Orbit, machine: HybridDynamics
 ) -> None:
     # A release beside the orbit's, and all that follows it: true but for its end.
     start = {**orbit.release_state, "dtheta1": orbit.release_state["dtheta1"] + 1e-4}
@@ -638,7 +632,7 @@ def test_a_motion_that_does_not_come_back_fails_at_its_end_alone(
     assert seen.residuals["closure"] == pytest.approx(1e-4 / _largest(motion, 2), rel=0.05)
 
 
-def test_a_later_period_that_goes_elsewhere_fails_alone(orbit: ZenoOrbit, problem: Problem) -> None:
+def test_a_later_period_that_goes_elsewhere_fails_alone(orbit: Orbit, problem: Problem) -> None:
     since = orbit.period + 0.5 * orbit.zeno_time
     completion = _OffOnce(since=since, until=since + orbit.period)
     off = replace(QUICK.simulation, completion=completion)
@@ -649,9 +643,7 @@ def test_a_later_period_that_goes_elsewhere_fails_alone(orbit: ZenoOrbit, proble
 
 
 @pytest.mark.slow
-def test_a_power_that_the_motion_does_not_take_fails_alone(
-    orbit: ZenoOrbit, problem: Problem
-) -> None:
+def test_a_power_that_the_motion_does_not_take_fails_alone(orbit: Orbit, problem: Problem) -> None:
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         system = problem.model(p)
         return replace(system, input_power=(1 + 1e-6) * system.input_power)
@@ -662,7 +654,7 @@ def test_a_power_that_the_motion_does_not_take_fails_alone(
 
 
 def test_cuts_that_tend_elsewhere_fail_alone(
-    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
+    orbit: Orbit, problem: Problem, machine: HybridDynamics
 ) -> None:
     hasty = SimulationSettings(engine=_HastyAtTheEnd(flow=machine.locked, end=0.3))
     settings = replace(QUICK, simulation=hasty)
@@ -701,7 +693,7 @@ class _OffOnce:
         return replace(limit, state=state)
 
 
-def _locked_of(orbit: ZenoOrbit, machine: HybridDynamics) -> Vector:
+def _locked_of(orbit: Orbit, machine: HybridDynamics) -> Vector:
     """Return states from the Zeno point to the release, ``(n, n_x)``."""
     start = machine.on_stop(np.array(list(orbit.release_state.values())))
     run = simulate(machine, start, until=1.5 * orbit.period, releases=1)
@@ -746,7 +738,7 @@ def test_margins_are_the_least_of_all_phases() -> None:
 @pytest.mark.parametrize(("part", "failed"), [(0.99, ("escape",)), (1.01, ())])
 @pytest.mark.parametrize("state", ["theta1", "theta2"])
 def test_a_coordinate_beyond_its_escape_fails_alone(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     machine: HybridDynamics,
     state: str,
@@ -763,9 +755,7 @@ def test_a_coordinate_beyond_its_escape_fails_alone(
     assert seen.verdict().endswith("; it goes over the top.") == bool(failed)
 
 
-def test_a_problem_without_escapes_has_no_residual_of_them(
-    orbit: ZenoOrbit, problem: Problem
-) -> None:
+def test_a_problem_without_escapes_has_no_residual_of_them(orbit: Orbit, problem: Problem) -> None:
     seen = verify(orbit, replace(problem, escapes={}), settings=QUICK)
     assert "escape" not in seen.residuals
 
@@ -773,7 +763,7 @@ def test_a_problem_without_escapes_has_no_residual_of_them(
 # False statements of an orbit about itself.
 
 
-def test_an_orbit_with_a_false_shape_is_refused(check: Check, orbit: ZenoOrbit) -> None:
+def test_an_orbit_with_a_false_shape_is_refused(check: Check, orbit: Orbit) -> None:
     seen = check(changed(orbit, kind=PhaseKind.PLASTIC, impacts=orbit.impacts[:1]))
     assert seen.failed == ()
     assert seen.verdict() == (
@@ -782,7 +772,7 @@ def test_an_orbit_with_a_false_shape_is_refused(check: Check, orbit: ZenoOrbit) 
 
 
 def test_an_orbit_of_other_equations_with_the_same_name_is_refused(
-    check: Check, orbit: ZenoOrbit
+    check: Check, orbit: Orbit
 ) -> None:
     foreign = tuple(value + 1e-3 for value in orbit.problem_digest)
     seen = check(replace(orbit, problem_digest=foreign))
@@ -790,14 +780,12 @@ def test_an_orbit_of_other_equations_with_the_same_name_is_refused(
     assert "Refused: the equations of problem `motor_pendulum` differ from those" in seen.verdict()
 
 
-def test_an_orbit_of_an_older_file_is_verified_without_a_digest(
-    check: Check, orbit: ZenoOrbit
-) -> None:
+def test_an_orbit_of_an_older_file_is_verified_without_a_digest(check: Check, orbit: Orbit) -> None:
     assert check(replace(orbit, problem_digest=())).passed
 
 
 def test_a_period_near_the_largest_number_is_refused_without_a_warning(
-    check: Check, orbit: ZenoOrbit
+    check: Check, orbit: Orbit
 ) -> None:
     assert check(replace(orbit, period=1e308)).failed == ("period",)
 
@@ -805,48 +793,44 @@ def test_a_period_near_the_largest_number_is_refused_without_a_warning(
 # Orbits that do not fit.
 
 
-def test_an_orbit_of_another_problem_is_refused(orbit: ZenoOrbit, problem: Problem) -> None:
+def test_an_orbit_of_another_problem_is_refused(orbit: Orbit, problem: Problem) -> None:
     with pytest.raises(InputError, match="must be of problem `motor_pendulum`"):
         verify(replace(orbit, problem="bouncing_ball"), problem)
 
 
-def test_an_orbit_without_impacts_is_refused(orbit: ZenoOrbit, problem: Problem) -> None:
+def test_an_orbit_without_impacts_is_refused(orbit: Orbit, problem: Problem) -> None:
     with pytest.raises(InputError, match="lacks an impact"):
         verify(changed(orbit, impacts=()), problem)
 
 
 @pytest.mark.parametrize("where", ["release_state", "zeno_state"])
-def test_a_state_that_is_not_named_is_refused(
-    orbit: ZenoOrbit, problem: Problem, where: str
-) -> None:
+def test_a_state_that_is_not_named_is_refused(orbit: Orbit, problem: Problem, where: str) -> None:
     state = {name: value for name, value in orbit.release_state.items() if name != "current"}
     with pytest.raises(InputError, match=f"`{where}`, but these differ: current"):
         verify(changed(orbit, **{where: state}), problem)
 
 
-def test_an_impact_with_unknown_states_is_refused(orbit: ZenoOrbit, problem: Problem) -> None:
+def test_an_impact_with_unknown_states_is_refused(orbit: Orbit, problem: Problem) -> None:
     state = {**orbit.release_state, "theta3": 0.0}
     with pytest.raises(InputError, match="`impacts`, but these differ: theta3"):
         verify(changed(orbit, impacts=(OrbitImpact(time=1.0, state_minus=state),)), problem)
 
 
 @pytest.mark.parametrize("where", ["gains", "parameters"])
-def test_numbers_that_are_missing_are_refused(
-    orbit: ZenoOrbit, problem: Problem, where: str
-) -> None:
+def test_numbers_that_are_missing_are_refused(orbit: Orbit, problem: Problem, where: str) -> None:
     values = dict(getattr(orbit, where))
     name, _ = values.popitem()
     with pytest.raises(InputError, match=f"but these differ: {name}"):
         verify(replace(orbit, **{where: values}), problem)
 
 
-def test_a_period_too_short_for_a_return_is_refused(check: Check, orbit: ZenoOrbit) -> None:
+def test_a_period_too_short_for_a_return_is_refused(check: Check, orbit: Orbit) -> None:
     seen = check(replace(orbit, period=1e-3))
     assert not seen.passed
     assert "No release occurs" in seen.trouble
 
 
-def test_a_pendulum_at_rest_is_no_orbit(check: Check, orbit: ZenoOrbit) -> None:
+def test_a_pendulum_at_rest_is_no_orbit(check: Check, orbit: Orbit) -> None:
     seen = check(changed(orbit, release_state=dict.fromkeys(orbit.release_state, 0.0)))
     assert not seen.passed
     assert "No release occurs" in seen.trouble

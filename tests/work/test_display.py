@@ -133,7 +133,7 @@ def test_a_map_is_a_table_of_its_points() -> None:
 
 
 def test_orbit_certificate_search_and_trade_are_tables(
-    orbit: zo.ZenoOrbit, certificate: zo.OrbitCertificate, found: SearchResult
+    orbit: zo.Orbit, certificate: zo.OrbitCertificate, found: SearchResult
 ) -> None:
     impacts = orbit.to_pandas()
     assert list(impacts.time) == [impact.time for impact in orbit.impacts]

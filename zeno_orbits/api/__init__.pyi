@@ -3,7 +3,6 @@ from .checks import check_certificate_of as check_certificate_of
 from .checks import enclose_period as enclose_period
 from .checks import floquet_multipliers as floquet_multipliers
 from .checks import prove as prove
-from .checks import dynamics_of_orbit as dynamics_of_orbit
 from .checks import verify as verify
 from .checks import write_proof as write_proof
 from .executions import engine_choice as engine_choice

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.api.inputs import (
     Named,
@@ -17,8 +17,8 @@ from zeno_orbits.api.inputs import (
     problem_to_check,
 )
 from zeno_orbits.errors import InputError, finite_number, named_numbers, positive_number
-from zeno_orbits.model import Problem, recorded_problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.model import recorded_problem
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import Progress, read_json, silent
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @front_door
 def verify(
-    orbit: ZenoOrbit | EventOrbit | str | Path,
+    orbit: Orbit | str | Path,
     *,
     problem: Named | None = None,
     settings: VerificationSettings | None = None,
@@ -55,22 +55,22 @@ def verify(
 
     orbit = any_orbit(orbit)
     known = problem_to_check(orbit, problem)
-    makes, kind, verified = (
-        ("graph_dynamics", GraphDynamics, verify_events)
-        if isinstance(orbit, EventOrbit)
-        else ("dynamics", HybridDynamics, verifier.verify)
-    )
-    if dynamics is not None and not isinstance(dynamics, kind):
-        found = type(dynamics).__name__
-        message = f"must come from `Problem.{makes}` for this orbit, but it is a {found}"
+    if orbit.has_phases and not isinstance(dynamics, GraphDynamics):
+        return verifier.verify(
+            orbit, known, settings=settings, dynamics=dynamics, on_progress=on_progress
+        )
+    if orbit.has_phases or isinstance(dynamics, HybridDynamics):
+        makes = "dynamics" if orbit.has_phases else "graph_dynamics"
+        message = f"must come from `Problem.{makes}` for this orbit"
         raise InputError(f"Argument `dynamics` {message}.")
-    given: Any = {"orbit": orbit, "dynamics": dynamics}
-    return verified(problem=known, settings=settings, on_progress=on_progress, **given)
+    return verify_events(
+        orbit, known, settings=settings, dynamics=dynamics, on_progress=on_progress
+    )
 
 
 @front_door
 def prove(
-    orbit: ZenoOrbit | str | Path,
+    orbit: Orbit | str | Path,
     *,
     problem: Named | None = None,
     interval: Numbers | None = None,
@@ -115,7 +115,7 @@ def prove(
 
 @front_door
 def enclose_period(
-    orbit: ZenoOrbit | str | Path,
+    orbit: Orbit | str | Path,
     *,
     problem: Named | None = None,
     radius: float | None = None,
@@ -188,7 +188,7 @@ def write_proof(certificate: Mapping[str, Any], path: str | Path) -> None:
 
 
 def check_certificate_of(
-    orbit: ZenoOrbit, certificate: str | Path, *, problem: Named | None = None
+    orbit: Orbit, certificate: str | Path, *, problem: Named | None = None
 ) -> ProofVerdict:
     """Check a certificate that must belong to a given orbit.
 
@@ -205,33 +205,8 @@ def check_certificate_of(
     return check_proof_of(orbit, problem_to_check(orbit, problem), Path(certificate))
 
 
-@overload
-def dynamics_of_orbit(orbit: ZenoOrbit, problem: Problem) -> HybridDynamics: ...
-
-
-@overload
-def dynamics_of_orbit(
-    orbit: ZenoOrbit | EventOrbit, problem: Problem
-) -> HybridDynamics | GraphDynamics: ...
-
-
-def dynamics_of_orbit(
-    orbit: ZenoOrbit | EventOrbit, problem: Problem
-) -> HybridDynamics | GraphDynamics:
-    """Return the dynamics of an orbit at its gains and parameters.
-
-    For an orbit of events it is the graph of modes.
-    """
-    values = orbit.values(problem)
-    if isinstance(orbit, EventOrbit):
-        return problem.graph_dynamics(values)
-    return problem.dynamics(values)
-
-
 @front_door
-def floquet_multipliers(
-    orbit: ZenoOrbit | EventOrbit | str | Path, *, problem: Named | None = None
-) -> Stability:
+def floquet_multipliers(orbit: Orbit | str | Path, *, problem: Named | None = None) -> Stability:
     """Return the Floquet multipliers of an orbit with their errors, from exact derivatives.
 
     The result also has the return map in named coordinates, the slowest direction and the time in
@@ -250,6 +225,6 @@ def floquet_multipliers(
 
     orbit = any_orbit(orbit)
     used = problem_of(orbit, problem)
-    is_event = isinstance(orbit, EventOrbit)
+    is_event = not orbit.has_phases
     found = multipliers_of_events(orbit, used) if is_event else multipliers_of(orbit, used)
     return stability_of(used, orbit, found)

@@ -28,10 +28,9 @@ from zeno_orbits.model import (
 )
 from zeno_orbits.orbits import (
     ZENO_ORBIT,
-    EventOrbit,
-    ZenoOrbit,
+    Orbit,
     other_equations,
-    read_any_orbit,
+    read_orbit,
 )
 from zeno_orbits.work import ExecutionPlan, Workers, checked
 
@@ -134,7 +133,7 @@ def split_numbers(problem: Problem, numbers: Numbers) -> tuple[dict[str, float],
     return gains, {name: x for name, x in numbers.items() if name not in gains}
 
 
-def problem_of(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> Problem:
+def problem_of(orbit: Orbit, problem: Named | None = None) -> Problem:
     """Return the problem of an orbit: as given, by its name, or from the file that it records.
 
     A warning is issued if the equations of the problem differ from those of the orbit.
@@ -155,14 +154,14 @@ def problem_of(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> P
     return found
 
 
-def _require_zeno_points(orbit: ZenoOrbit | EventOrbit, problem: Problem) -> None:
+def _require_zeno_points(orbit: Orbit, problem: Problem) -> None:
     """Refuse an orbit whose impacts accumulate at an elastic stop.
 
     Raises:
         InputError: If a restitution is 1 there.
     """
     values = orbit.values(problem)
-    if isinstance(orbit, ZenoOrbit):
+    if orbit.has_phases:
         if not orbit.shape.without_contact:
             require_zeno_points(problem.first_system(values).restitution)
         return
@@ -173,7 +172,7 @@ def _require_zeno_points(orbit: ZenoOrbit | EventOrbit, problem: Problem) -> Non
                 require_zeno_points(view.restitution, name)
 
 
-def problem_to_check(orbit: ZenoOrbit | EventOrbit, problem: Named | None = None) -> Problem:
+def problem_to_check(orbit: Orbit, problem: Named | None = None) -> Problem:
     """Return the problem of an orbit like `problem_of`, for a check that compares the equations."""
     given = None if problem is None else known_problem(problem)
     return recorded_problem(orbit.problem, given, file=orbit.problem_file)
@@ -257,7 +256,7 @@ def file_of(problem: Named) -> ProblemFile:
     return file
 
 
-def as_orbit(orbit: ZenoOrbit | EventOrbit | str | Path, problem: Named | None = None) -> ZenoOrbit:
+def as_orbit(orbit: Orbit | str | Path, problem: Named | None = None) -> Orbit:
     """Return the orbit of one stop given by a file, or the orbit itself.
 
     Args:
@@ -268,7 +267,7 @@ def as_orbit(orbit: ZenoOrbit | EventOrbit | str | Path, problem: Named | None =
         InputError: If the orbit passes further modes. The message names the cause.
     """
     found = any_orbit(orbit)
-    if isinstance(found, ZenoOrbit):
+    if found.has_phases:
         return found
     try:
         reason = problem_to_check(found, problem).modes_reason
@@ -313,8 +312,8 @@ def problem_or_orbit(
     return problem, {**values.gains, **gains}, {**own, **parameters}
 
 
-def any_orbit(orbit: ZenoOrbit | EventOrbit | str | Path) -> ZenoOrbit | EventOrbit:
+def any_orbit(orbit: Orbit | str | Path) -> Orbit:
     """Return the orbit given by a file of any format, or the orbit itself."""
-    if isinstance(orbit, ZenoOrbit | EventOrbit):
+    if isinstance(orbit, Orbit):
         return orbit
-    return read_any_orbit(orbit)
+    return read_orbit(orbit)

@@ -20,7 +20,7 @@ from zeno_orbits.api.inputs import (
 )
 from zeno_orbits.errors import InputError, number_range, shown
 from zeno_orbits.model import ParameterValues, Problem, Rig, recorded_problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def crop(
 
 @front_door
 def compare(
-    orbit: ZenoOrbit | EventOrbit | str | Path,
+    orbit: Orbit | str | Path,
     recording: Recording | str | Path,
     *,
     problem: Named | None = None,
@@ -203,7 +203,7 @@ def rig_duration(problem: Problem, values: ParameterValues) -> float:
 
 @front_door
 def simulate_experiment(
-    orbit: ZenoOrbit | str | Path,
+    orbit: Orbit | str | Path,
     *,
     problem: Named | None = None,
     rig: Rig | None = None,
@@ -246,7 +246,7 @@ def simulate_experiment(
 
 @front_door
 def simulate_periods(
-    orbit: EventOrbit | str | Path,
+    orbit: Orbit | str | Path,
     *,
     problem: Named | None = None,
     rig: Rig | None = None,
@@ -279,8 +279,8 @@ def simulate_periods(
     """
     from zeno_orbits.experiment import periods_near
 
-    found = orbit if isinstance(orbit, EventOrbit) else any_orbit(orbit)
-    if not isinstance(found, EventOrbit):
+    found = any_orbit(orbit)
+    if found.has_phases:
         wanted = "must be of a machine with several stops or switches: use `simulate_experiment`"
         raise InputError(f"Argument `orbit` {wanted}.")
     return periods_near(
@@ -295,7 +295,7 @@ def simulate_periods(
     )
 
 
-def compare_rig(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> RigComparison:
+def compare_rig(orbit: Orbit, problem: Problem, settled: SettledRig) -> RigComparison:
     """Return the cycles of a machine compared with an orbit.
 
     Args:
@@ -311,7 +311,7 @@ def compare_rig(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> RigC
 def machine_of(
     problem: Problem,
     *,
-    orbit: ZenoOrbit | EventOrbit | None = None,
+    orbit: Orbit | None = None,
     values: ParameterValues | None = None,
     numbers: Numbers | None = None,
     only: Sequence[str] | None = None,
@@ -426,7 +426,7 @@ def rig_warnings(run: RigRun, problem: Problem) -> tuple[str, ...]:
 
 
 def counterpart_for(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     *,
     recording: str | Path | None = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.api.inputs import (
     Named,
@@ -21,7 +21,7 @@ from zeno_orbits.api.inputs import (
 from zeno_orbits.api.settings import verification_settings
 from zeno_orbits.errors import InputError, named_numbers, number_range
 from zeno_orbits.model import ParameterValues, Problem, ProblemFile
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import ExecutionPlan, Progress, silent
 
 if TYPE_CHECKING:
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     )
     from zeno_orbits.simulation import SimulationSettings
     from zeno_orbits.verification import VerificationSettings
-
-_Orbit = TypeVar("_Orbit", ZenoOrbit, EventOrbit)
 
 
 @front_door
@@ -97,7 +95,7 @@ def search_gains(
     start: Numbers | None = None,
     objective: Objective | None = None,
     bounds: Sequence[Bound] = (),
-    near: ZenoOrbit | str | Path | None = None,
+    near: Orbit | str | Path | None = None,
     shape: EventSequence | None = None,
     settings: SearchSettings | None = None,
     allow_unstable: bool = False,
@@ -180,13 +178,13 @@ def find_event_orbit(
     *,
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
-    near: EventOrbit | str | Path | None = None,
+    near: Orbit | str | Path | None = None,
     start: Numbers | None = None,
     section: str | None = None,
     until: float | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
-) -> EventOrbit:
+) -> Orbit:
     """Find and verify the orbit to which a machine settles, as a list of events.
 
     It is for machines with several stops or switches. The stop of a machine with one stop is named
@@ -239,7 +237,7 @@ def search_event_gains(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
-    near: EventOrbit | str | Path | None = None,
+    near: Orbit | str | Path | None = None,
     objective: Objective | None = None,
     bounds: Sequence[Bound] = (),
     section: str | None = None,
@@ -328,7 +326,7 @@ def find_orbit_by_shooting(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
-    near: ZenoOrbit | str | Path | None = None,
+    near: Orbit | str | Path | None = None,
     shape: EventSequence | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
@@ -381,13 +379,13 @@ class Verified:
     allow_unstable: bool = False
     accuracy: float | None = None
 
-    def __call__(self, orbit: ZenoOrbit | EventOrbit) -> Any:
+    def __call__(self, orbit: Orbit) -> Any:
         """Return the certificate of an orbit and the reason against accepting it, if any."""
         from zeno_orbits.search import Verdict
         from zeno_orbits.verification import verifier, verify_events
 
         known = self.problem if isinstance(self.problem, Problem) else self.problem.load()
-        if isinstance(orbit, EventOrbit):
+        if not orbit.has_phases:
             certificate = verify_events(orbit, known, settings=self.settings)
         else:
             certificate = verifier.verify(orbit, known, settings=self.settings)
@@ -415,7 +413,7 @@ def _with_one_stop(problem: Problem) -> Problem:
 def start_values(
     problem: Problem,
     *,
-    near: ZenoOrbit | EventOrbit | None = None,
+    near: Orbit | None = None,
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
 ) -> ParameterValues:
@@ -438,7 +436,7 @@ def start_values(
     )
 
 
-def _near(near: ZenoOrbit | str | Path, problem: Problem) -> ZenoOrbit:
+def _near(near: Orbit | str | Path, problem: Problem) -> Orbit:
     """Return the known orbit of a search.
 
     Raises:
@@ -447,22 +445,16 @@ def _near(near: ZenoOrbit | str | Path, problem: Problem) -> ZenoOrbit:
     return _of_problem(as_orbit(near), problem)
 
 
-def _near_events(near: EventOrbit | str | Path, problem: Problem) -> EventOrbit:
+def _near_events(near: Orbit | str | Path, problem: Problem) -> Orbit:
     """Return the known orbit of a search for an orbit of events.
 
     Raises:
-        InputError: If the orbit belongs to another problem, or lists phases in place of events.
+        InputError: If the orbit belongs to another problem.
     """
-    orbit = any_orbit(near)
-    if isinstance(orbit, ZenoOrbit):
-        raise InputError(
-            f"Argument `near` must be an orbit that lists its events, but `{near}` lists phases: "
-            "leave it out."
-        )
-    return _of_problem(orbit, problem)
+    return _of_problem(any_orbit(near), problem)
 
 
-def _of_problem(orbit: _Orbit, problem: Problem) -> _Orbit:
+def _of_problem(orbit: Orbit, problem: Problem) -> Orbit:
     """Refuse an orbit of another problem, and return the orbit."""
     if orbit.problem != problem.name:
         message = f"must be an orbit of `{problem.name}`, but it is of `{orbit.problem}`"

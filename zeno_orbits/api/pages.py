@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zeno_orbits.api.checks import dynamics_of_orbit, verify
+from zeno_orbits.api.checks import verify
 from zeno_orbits.api.inputs import Named, any_orbit, front_door, problem_of
 from zeno_orbits.errors import InputError
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @front_door
 def report_page(
-    orbit: ZenoOrbit | EventOrbit | str | Path,
+    orbit: Orbit | str | Path,
     *,
     problem: Named | None = None,
     settings: VerificationSettings | None = None,
@@ -64,7 +64,7 @@ def report_page(
 
 
 def report_subject(
-    orbit: ZenoOrbit | EventOrbit | str | Path,
+    orbit: Orbit | str | Path,
     *,
     problem: Named | None = None,
     settings: VerificationSettings | None = None,
@@ -92,34 +92,31 @@ def report_subject(
 
     found = any_orbit(orbit)
     known = problem_of(found, problem)
-    if isinstance(found, EventOrbit) and trade is not None:
+    if not found.has_phases and trade is not None:
         raise InputError("Argument `trade` needs a machine with one stop, no switch and no kink.")
     study = _trade_of(found, trade)
     pushed = _pushes_of(found, known, pushes)
     recovered = _recovery_of(found, known, recovery)
-    # The verification of an orbit of events builds its own graph of modes.
-    built = None if isinstance(found, EventOrbit) else dynamics_of_orbit(found, known)
+    machine = found.machine(known)
     certificate = verify(
-        found, problem=known, settings=settings, dynamics=built, on_progress=on_progress
+        found, problem=known, settings=settings, dynamics=machine, on_progress=on_progress
     )
     return Subject(
         orbit=found,
         problem=known,
-        dynamics=built or dynamics_of_orbit(found, known),
+        dynamics=machine,
         certificate=certificate,
         trade=study,
         pushes=pushed,
         recovery=recovered,
-        file="orbit.json" if isinstance(orbit, ZenoOrbit | EventOrbit) else Path(orbit).name,
+        file="orbit.json" if isinstance(orbit, Orbit) else Path(orbit).name,
         problem_file=str(problem) if isinstance(problem, str | Path) else "",
         content=json.dumps(found.as_json(), indent=2, allow_nan=False) + "\n",
         date=datetime.now(tz=UTC).date().isoformat(),
     )
 
 
-def _trade_of(
-    orbit: ZenoOrbit | EventOrbit, trade: WorkPrecision | str | Path | None
-) -> WorkPrecision | None:
+def _trade_of(orbit: Orbit, trade: WorkPrecision | str | Path | None) -> WorkPrecision | None:
     """Return the work-precision study of the orbit's problem."""
     if isinstance(trade, str | Path):
         from zeno_orbits.precision import read_work_precision
@@ -131,9 +128,7 @@ def _trade_of(
     return trade
 
 
-def _pushes_of(
-    orbit: ZenoOrbit | EventOrbit, problem: Problem, pushes: Pushes | str | Path | None
-) -> Pushes | None:
+def _pushes_of(orbit: Orbit, problem: Problem, pushes: Pushes | str | Path | None) -> Pushes | None:
     """Return the largest pushes of the orbit."""
     from zeno_orbits.maps import read_pushes, require_pushes_of
 
@@ -144,7 +139,7 @@ def _pushes_of(
 
 
 def _recovery_of(
-    orbit: ZenoOrbit | EventOrbit, problem: Problem, recovery: Recovery | str | Path | None
+    orbit: Orbit, problem: Problem, recovery: Recovery | str | Path | None
 ) -> Recovery | None:
     """Return the recovery of the orbit."""
     from zeno_orbits.maps import read_recovery, require_recovery_of

@@ -14,7 +14,7 @@ from zeno_orbits.api.inputs import (
     plan_of,
     problem_of,
 )
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import ExecutionPlan, Progress, silent
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @front_door
 def largest_push(
-    orbit: ZenoOrbit | EventOrbit | str | Path,
+    orbit: Orbit | str | Path,
     *,
     problem: Named | None = None,
     directions: Sequence[Mapping[str, float]] = (),
@@ -69,7 +69,7 @@ def largest_push(
 
 @front_door
 def recovery(
-    orbit: ZenoOrbit | EventOrbit | str | Path,
+    orbit: Orbit | str | Path,
     *,
     problem: Named | None = None,
     settings: RecoverySettings | None = None,

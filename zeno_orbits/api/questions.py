@@ -12,7 +12,7 @@ from zeno_orbits.search import objectives
 
 if TYPE_CHECKING:
     from zeno_orbits.model import ParameterValues, Problem
-    from zeno_orbits.orbits import Bound, ZenoOrbit
+    from zeno_orbits.orbits import Bound, Orbit
     from zeno_orbits.search import Objective, ObjectiveWord, SearchSettings
 
 
@@ -58,7 +58,7 @@ class SearchNotes:
     far: Sequence[str]
     driven: bool = True
 
-    def at_ends(self, problem: Problem, orbit: ZenoOrbit) -> list[str]:
+    def at_ends(self, problem: Problem, orbit: Orbit) -> list[str]:
         """Return a sentence for each decision variable of an orbit at an end of its range.
 
         Args:

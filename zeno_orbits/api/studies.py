@@ -24,7 +24,7 @@ from zeno_orbits.api.inputs import (
 )
 from zeno_orbits.errors import InputError, named_numbers
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import ExecutionPlan, Progress, Workers, silent
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 @front_door
 def continue_orbit(
-    orbit: ZenoOrbit | EventOrbit | str | Path,
+    orbit: Orbit | str | Path,
     parameter: Span,
     *,
     problem: Named | None = None,
@@ -78,9 +78,7 @@ def continue_orbit(
     if isinstance(second, tuple | list):
         second = second_parameter(*as_span("parameter2", second))
     orbit = any_orbit(orbit)
-    if isinstance(orbit, ZenoOrbit) and not (
-        orbit.shape.has_one_release or orbit.shape.without_contact
-    ):
+    if orbit.has_phases and not (orbit.shape.has_one_release or orbit.shape.without_contact):
         wanted = "must have one Zeno point per period, or impacts without a contact phase"
         raise InputError(f"Argument `orbit` {wanted}, but its shape is `{orbit.shape.text}`.")
     known = problem_of(orbit, problem)
@@ -151,7 +149,7 @@ def orbit_inside(
     *,
     numbers: Numbers | None = None,
     on_progress: Progress = silent,
-) -> ZenoOrbit | EventOrbit:
+) -> Orbit:
     """Return the orbit that a simulation reaches at values inside some ranges.
 
     A default outside its range is replaced by the middle of the range.
@@ -235,7 +233,7 @@ def parameter_map(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
-    orbit: ZenoOrbit | EventOrbit | str | Path | None = None,
+    orbit: Orbit | str | Path | None = None,
     refine: int = 0,
     until: float | None = None,
     workers: int = 1,
@@ -294,7 +292,7 @@ def map_plane(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
-    orbit: ZenoOrbit | EventOrbit | str | Path | None = None,
+    orbit: Orbit | str | Path | None = None,
     until: float | None = None,
     in_file: bool = True,
 ) -> Plane:

@@ -32,7 +32,7 @@ from zeno_orbits.continuation.special_points.test_functions import INSIDE
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import ONE_ZENO, EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import ONE_ZENO, Orbit
 from zeno_orbits.search import orbit_at_gains, orbit_by_shooting
 from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import Checked, Progress, silent, to_plain, versions
@@ -55,7 +55,7 @@ class SecondParameter(Checked):
 
 def family_of_orbit(
     problem: Problem,
-    orbit: ZenoOrbit | EventOrbit,
+    orbit: Orbit,
     parameter: str,
     box: tuple[float, float],
     *,
@@ -82,7 +82,7 @@ def family_of_orbit(
         WorkError: If the work cannot be finished.
     """
     settings = settings or ContinuationSettings()
-    if isinstance(orbit, EventOrbit):
+    if not orbit.has_phases:
         second = None if second is None else _without_ends(second)
         start = start_at_event(problem, orbit, parameter, box, settings)
     elif orbit.shape.without_contact:
@@ -180,7 +180,7 @@ def clip_to_box(
 
 def start_orbit(
     problem: Problem, values: ParameterValues, *, on_progress: Progress = silent
-) -> ZenoOrbit:
+) -> Orbit:
     """Return the attracting orbit at given parameter values.
 
     The orbit is computed by simulation alone. If it does not close, it is computed by the search.

@@ -22,10 +22,9 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
     Cycle,
-    EventOrbit,
     EventSection,
     Line,
-    ZenoOrbit,
+    Orbit,
     cycle_of,
     event_return,
     section_of_family,
@@ -117,7 +116,7 @@ class FamilyStart:
 
 def start_at_release(
     problem: Problem,
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,
@@ -199,7 +198,7 @@ def start_at_impact(
 
 def start_at_impacts_of(
     problem: Problem,
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,
@@ -260,7 +259,7 @@ def _start_of_impacts(
 
 def start_at_event(
     problem: Problem,
-    orbit: EventOrbit,
+    orbit: Orbit,
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,

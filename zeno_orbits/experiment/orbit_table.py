@@ -22,7 +22,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.sequences import OrbitSequence, orbit_sequences
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model import Columns, GraphDynamics, HybridDynamics, Problem, dense_function
-from zeno_orbits.orbits import Cycle, EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Cycle, Orbit
 from zeno_orbits.search import cycle_near
 from zeno_orbits.simulation import (
     Arc,
@@ -363,7 +363,7 @@ def _beside(
     return near
 
 
-def tabulate_orbit(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> OrbitTable:
+def tabulate_orbit(orbit: Orbit, problem: Problem, names: Sequence[str]) -> OrbitTable:
     """Return the period of an orbit, simulated from its release.
 
     Args:
@@ -382,7 +382,7 @@ def tabulate_orbit(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> 
     return tabulated(dynamics, cycle, measurement(problem, names), p)
 
 
-def tabulate_events(orbit: EventOrbit, problem: Problem, names: Sequence[str]) -> PeriodTable:
+def tabulate_events(orbit: Orbit, problem: Problem, names: Sequence[str]) -> PeriodTable:
     """Return the period of an orbit given as events, simulated from its start.
 
     Args:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.orbits import EventOrbit
+from zeno_orbits.orbits import Orbit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +94,7 @@ def placed_sequences(
     return tuple(found)
 
 
-def orbit_sequences(orbit: EventOrbit, stop: str) -> tuple[OrbitSequence, ...]:
+def orbit_sequences(orbit: Orbit, stop: str) -> tuple[OrbitSequence, ...]:
     """Return the sequences of a stop in a period, in order of their first impacts.
 
     Args:

@@ -15,7 +15,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.pushes import Push, Pushes, PushSettings, unit_of_push
 from zeno_orbits.maps.recovery import Recovery, RecoverySettings
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import Mode
 from zeno_orbits.work import EntryError, from_plain, read_object
 
@@ -137,7 +137,7 @@ def read_recovery(path: Path) -> Recovery:
     return _read("recovery", "recovery", _RecoveryFile, _recovery, path)
 
 
-def require_pushes_of(orbit: ZenoOrbit | EventOrbit, problem: Problem, found: Pushes) -> None:
+def require_pushes_of(orbit: Orbit, problem: Problem, found: Pushes) -> None:
     """Raise an error for pushes of another orbit.
 
     Args:
@@ -158,7 +158,7 @@ def require_pushes_of(orbit: ZenoOrbit | EventOrbit, problem: Problem, found: Pu
             raise _refused("push", "pushes", reason)
 
 
-def require_recovery_of(orbit: ZenoOrbit | EventOrbit, problem: Problem, found: Recovery) -> None:
+def require_recovery_of(orbit: Orbit, problem: Problem, found: Recovery) -> None:
     """Raise an error for the recovery of another orbit.
 
     Args:
@@ -174,9 +174,7 @@ def require_recovery_of(orbit: ZenoOrbit | EventOrbit, problem: Problem, found: 
         raise _refused("recovery", "recovery", "its states and units differ from the problem")
 
 
-def _require_same(
-    orbit: ZenoOrbit | EventOrbit, found: Pushes | Recovery, command: str, argument: str
-) -> None:
+def _require_same(orbit: Orbit, found: Pushes | Recovery, command: str, argument: str) -> None:
     remedy = f"Run `zeno-orbits {command} -o` for this orbit"
     if found.problem != orbit.problem:
         wanted = f"must be of the problem `{orbit.problem}`, but it is of `{found.problem}`"

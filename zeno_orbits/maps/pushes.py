@@ -47,7 +47,7 @@ from zeno_orbits.model import (
     graph_of,
     unknown,
 )
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import Mode, simulate, simulator_in_use, state_after
 from zeno_orbits.work import (
     Columns,
@@ -363,7 +363,7 @@ def stop_impulses(matrix: Vector, rates: Vector) -> Vector:
 
 def largest_pushes(
     source: Problem | ProblemFile,
-    orbit: ZenoOrbit | EventOrbit,
+    orbit: Orbit,
     *,
     directions: Sequence[Mapping[str, float]] = (),
     settings: PushSettings | None = None,
@@ -421,7 +421,7 @@ def largest_pushes(
 
 def least_push(
     problem: Problem,
-    orbit: ZenoOrbit | EventOrbit,
+    orbit: Orbit,
     *,
     directions: Sequence[Mapping[str, float]] = (),
     settings: PushSettings | None = None,
@@ -511,7 +511,7 @@ def _require_direction(
 def _prepared(
     problem: Problem,
     values: ParameterValues,
-    orbit: ZenoOrbit | EventOrbit,
+    orbit: Orbit,
     directions: Sequence[Mapping[str, float]],
     settings: PushSettings,
 ) -> tuple[KnownOrbit, float, list[tuple[Push, dict[str, Any]]]]:
@@ -604,7 +604,7 @@ def _computed(
 
 
 def _attracting(
-    problem: Problem, values: ParameterValues, orbit: ZenoOrbit | EventOrbit, until: float | None
+    problem: Problem, values: ParameterValues, orbit: Orbit, until: float | None
 ) -> KnownOrbit:
     """Return the orbit as a known orbit for comparison with motions.
 
@@ -631,9 +631,7 @@ def _attracting(
     return known[0]
 
 
-def _meets(
-    problem: Problem, values: ParameterValues, known: KnownOrbit, orbit: ZenoOrbit | EventOrbit
-) -> bool:
+def _meets(problem: Problem, values: ParameterValues, known: KnownOrbit, orbit: Orbit) -> bool:
     """Return True if the start of an orbit is a state of a known orbit."""
     start = np.array(problem.state_vector(orbit.start_state))
     # Its period may start at another event.
@@ -655,9 +653,7 @@ def _touched(system: HybridDynamics | GraphDynamics, state: Vector) -> tuple[int
     )
 
 
-def _moments(
-    problem: Problem, values: ParameterValues, orbit: ZenoOrbit | EventOrbit, phases: int
-) -> list[_Moment]:
+def _moments(problem: Problem, values: ParameterValues, orbit: Orbit, phases: int) -> list[_Moment]:
     """Return the orbit at equidistant phases."""
     system = problem.system(values)
     start = np.array(problem.state_vector(orbit.start_state))

@@ -29,8 +29,7 @@ from zeno_orbits.errors import InputError, SimulationError, positive_number, sho
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import (
-    EventOrbit,
-    ZenoOrbit,
+    Orbit,
     cycle_of,
     event_chart,
     place_on_section,
@@ -210,7 +209,7 @@ class _ReturnMap:
 
 def recovery_of(
     problem: Problem,
-    orbit: ZenoOrbit | EventOrbit,
+    orbit: Orbit,
     *,
     settings: RecoverySettings | None = None,
     on_progress: Progress = silent,
@@ -228,7 +227,7 @@ def recovery_of(
         SimulationError: If the motion from its start does not have the events of the orbit.
     """
     settings = settings or RecoverySettings()
-    is_event = isinstance(orbit, EventOrbit)
+    is_event = not orbit.has_phases
     returns = _event_returns(problem, orbit) if is_event else _cycles(problem, orbit)
     slope, directions = returns.slope, returns.directions
     rate = max((abs(value) for value in eigenvalues(slope)), default=0.0)
@@ -265,7 +264,7 @@ def recovery_of(
     )
 
 
-def _cycles(problem: Problem, orbit: ZenoOrbit) -> _ReturnMap:
+def _cycles(problem: Problem, orbit: Orbit) -> _ReturnMap:
     """Return the return map of an orbit of a machine with one stop."""
     shape, horizon = orbit.shape, _LONG * orbit.period
     dynamics = problem.dynamics(orbit.values(problem))
@@ -287,7 +286,7 @@ def _cycles(problem: Problem, orbit: ZenoOrbit) -> _ReturnMap:
     return _ReturnMap(slope=slope, directions=section.lift, returned=returned)
 
 
-def _event_returns(problem: Problem, orbit: EventOrbit) -> _ReturnMap:
+def _event_returns(problem: Problem, orbit: Orbit) -> _ReturnMap:
     """Return the return map of an orbit of a machine with several stops or switches."""
     graph = problem.graph_dynamics(orbit.values(problem))
     chart = event_chart(graph, orbit, problem.state_units, _ACCURATE)

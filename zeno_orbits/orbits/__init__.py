@@ -6,7 +6,7 @@ exact, through every impact and the Zeno point.
 
 Offers: `EventSequence` and its phases; `Cycle`, `cycle_of` (simulate one period), `cycles` (all
 that an execution has); `Section`, `section_around`; `poincare_map`, `return_derivative`,
-`orbit_multipliers`; `ZenoOrbit`, `new_orbit`, `read_orbit`, `write_orbit`; `Bound`; `follow_path`
+`orbit_multipliers`; `Orbit`, `new_orbit`, `read_orbit`, `write_orbit`; `Bound`; `follow_path`
 (predictor-corrector steps); `relaxed_tolerance` (error estimates by a second run).
 
 Imports: simulation, model, integrators, work, arrays, errors.

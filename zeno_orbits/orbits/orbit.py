@@ -1,23 +1,54 @@
-"""The data of a periodic orbit, and its JSON file."""
+"""The data of a periodic orbit."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import ParameterValues, Problem, RecordedFile
+from zeno_orbits.model import (
+    GraphDynamics,
+    HybridDynamics,
+    ParameterValues,
+    Problem,
+    RecordedFile,
+)
 from zeno_orbits.orbits.digest import digest_of
+from zeno_orbits.orbits.events.sequences import kind_of_events, sequence_of
 from zeno_orbits.orbits.shape import EventSequence, PhaseKind
 from zeno_orbits.work import Columns, TableRepr, by_name, versions
 
-FORMAT = 2
+FORMAT = 3
 """Version of the file format. It is the newest version that this code can read."""
-ONE_RELEASE = 1
-"""Version of the format for orbits with exactly one Zeno point and one release."""
-EVENT_FORMAT = 3
-"""Version of the format of orbit files that list events."""
+
+_STOP = "stop"
+"""Name of a stop that is not named."""
+_ENDS = {True: ["zeno", "release"], False: []}
+"""Kinds of the events after the impacts of a phase, by whether contact follows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitEvent:
+    """An event of an orbit.
+
+    Attributes:
+        name: Kind of the event, and its stop or switch, such as ``impact knee``.
+        time: Time since the start of the period [s].
+        state: State name to value just before the event.
+        after: State name to value just after it, where a phase begins at an impact. Else None.
+    """
+
+    name: str
+    time: float
+    state: Mapping[str, float]
+    after: Mapping[str, float] | None = None
+
+    @property
+    def word(self) -> str:
+        """Kind of the event: ``impact``, ``zeno``, ``release`` or ``switch``."""
+        return self.name.partition(" ")[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +66,7 @@ class OrbitImpact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitPhase:
-    """A flight of an orbit and the events that end it.
+    """A flight of an orbit of a machine with one stop, and the events that end it.
 
     Attributes:
         kind: Kind of its end.
@@ -55,7 +86,7 @@ class OrbitPhase:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class ZenoOrbit(TableRepr):
+class Orbit(TableRepr):
     """The data with which a periodic orbit can be rebuilt and verified. Times count from its start.
 
     Attributes:
@@ -63,7 +94,10 @@ class ZenoOrbit(TableRepr):
         parameters: Name to value, for all parameters of the problem.
         gains: Name to value, for all gains of the problem.
         period: Period [s].
-        phases: Phases of a period. The first starts at time 0.
+        start_state: State name to value just after the last event of the period.
+        events: All events of the period in order. The last event ends the period.
+        phases_as: Kinds of the phases, for an orbit of a machine with one stop and no switch that
+            starts at a release, or at an impact without contact. Else None.
         floquet_multipliers: Multipliers of the return map at the start of the period. Empty while
             unknown.
         certificate: Result of a verification, as plain data. Empty while unverified.
@@ -77,56 +111,97 @@ class ZenoOrbit(TableRepr):
     parameters: Mapping[str, float]
     gains: Mapping[str, float]
     period: float
-    phases: tuple[OrbitPhase, ...]
+    start_state: Mapping[str, float]
+    events: tuple[OrbitEvent, ...]
+    phases_as: EventSequence | None = None
     floquet_multipliers: tuple[complex, ...] = ()
-    certificate: Mapping[str, Any]
-    versions: Mapping[str, str]
+    certificate: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    versions: Mapping[str, str] = field(default_factory=dict[str, str])
     problem_digest: tuple[float, ...] = ()
     problem_file: RecordedFile | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
-        """Return one line with the gains, the period, the phases and the verification status."""
+        """Return one line with the gains, the period, the events and the verification status."""
         gains = "".join(f"{name}={value:.7g}, " for name, value in self.gains.items())
         known = ", ".join(f"{abs(value):.3g}" for value in self.floquet_multipliers)
         moduli = f"multipliers of modulus {known}, " if known else ""
         verified = bool(self.certificate.get("passed"))
         return (
-            f"<ZenoOrbit of {self.problem}: {gains}period={self.period:.10g} s, "
-            f"shape={self.shape.text}, impacts={len(self.impacts)}, {moduli}verified={verified}>"
+            f"<Orbit of {self.problem}: {gains}period={self.period:.10g} s, "
+            f"sequence={', '.join(self.sequence)}, {moduli}verified={verified}>"
         )
 
     def _columns(self) -> Columns:
-        """Return the impacts with the states before them."""
+        """Return the events with the states before them."""
         return {
-            "time": [impact.time for impact in self.impacts],
-            **by_name([impact.state_minus for impact in self.impacts]),
+            "event": [event.name for event in self.events],
+            "time": [event.time for event in self.events],
+            **by_name([event.state for event in self.events]),
         }
 
     @property
-    def shape(self) -> EventSequence:
-        """Kinds of its phases."""
-        return EventSequence(phases=tuple(phase.kind for phase in self.phases))
+    def sequence(self) -> tuple[str, ...]:
+        """The event sequence: one entry per phase, named after its end.
+
+        Impacts that accumulate, and kinks in their flights, belong to the entry of their Zeno
+        point.
+        """
+        return sequence_of([event.name for event in self.events])
 
     @property
     def kind(self) -> str:
         """Name of the orbit: Zeno periodic, simple (plastic impacts), or without a Zeno point."""
-        return self.shape.kind
+        if self.phases_as is not None:
+            return self.phases_as.kind
+        return kind_of_events([(event.name, event.time) for event in self.events])
 
     @property
-    def start_state(self) -> Mapping[str, float]:
-        """State name to value at the start of the period: a release, or just after an impact."""
-        return self.phases[0].start_state
+    def section(self) -> str:
+        """Name of the event at which the period starts and ends."""
+        return self.events[-1].name
+
+    @property
+    def n_returns(self) -> int:
+        """Number of events of the section in a period."""
+        return sum(event.name == self.section for event in self.events)
+
+    @property
+    def has_phases(self) -> bool:
+        """True if the period is a sequence of phases of one stop."""
+        return self.phases_as is not None
+
+    @property
+    def shape(self) -> EventSequence:
+        """Kinds of its phases.
+
+        Raises:
+            InputError: If the period is not a sequence of phases of one stop.
+        """
+        if self.phases_as is None:
+            wanted = "must be of a machine with one stop, no switch and no kink"
+            sequence = ", ".join(self.sequence)
+            raise InputError(f"Argument `orbit` {wanted}, but its events are `{sequence}`.")
+        return self.phases_as
+
+    @property
+    def phases(self) -> tuple[OrbitPhase, ...]:
+        """The phases of an orbit of a machine with one stop. The first starts at time 0.
+
+        Raises:
+            InputError: If the period is not a sequence of phases of one stop.
+        """
+        return _phases(self.shape, self.events, self.start_state)
 
     @property
     def impacts(self) -> tuple[OrbitImpact, ...]:
-        """The resolved impacts of all phases."""
-        return tuple(impact for phase in self.phases for impact in phase.impacts)
+        """The resolved impacts."""
+        return tuple(_impact(event) for event in self.events if event.word == "impact")
 
     @property
     def states_at_events(self) -> tuple[Mapping[str, float], ...]:
-        """State name to value at the start of each phase, before its impacts, at its Zeno point."""
+        """State name to value at the start of each phase, at Zeno points, before impacts."""
         starts = [phase.start_state for phase in self.phases]
-        zeno = [phase.zeno_state for phase in self.phases if phase.zeno_state is not None]
+        zeno = [event.state for event in self.events if event.word == "zeno"]
         return (*starts, *zeno, *(impact.state_minus for impact in self.impacts))
 
     @property
@@ -146,7 +221,7 @@ class ZenoOrbit(TableRepr):
         Raises:
             InputError: If the orbit has a different shape.
         """
-        return self._held()[0]
+        return self._zeno_point().time
 
     @property
     def zeno_state(self) -> Mapping[str, float]:
@@ -155,44 +230,48 @@ class ZenoOrbit(TableRepr):
         Raises:
             InputError: If the orbit has a different shape.
         """
-        return self._held()[1]
+        return self._zeno_point().state
 
-    def _held(self) -> tuple[float, Mapping[str, float]]:
-        self.shape.require_one_release()
-        phase = self.phases[0]
-        if phase.zeno_time is None or phase.zeno_state is None:
-            raise InputError("Argument `orbit` lacks a Zeno point.")
-        return phase.zeno_time, phase.zeno_state
+    def _zeno_point(self) -> OrbitEvent:
+        if self.phases_as is not None:
+            self.phases_as.require_one_release()
+        points = [event for event in self.events if event.word == "zeno"]
+        if len(points) != 1:
+            wanted = f"must have one Zeno point per period, but it has {len(points)}"
+            raise InputError(f"Argument `orbit` {wanted}.")
+        return points[0]
+
+    def with_phases(self, phases: Sequence[OrbitPhase]) -> Orbit:
+        """Return the orbit with other phases of its one stop.
+
+        Args:
+            phases: The phases of a period, which ends where it did.
+
+        Raises:
+            InputError: If the phases are not possible together.
+        """
+        shape = EventSequence(phases=tuple(phase.kind for phase in phases))
+        events, start = _events(phases, self.period), phases[0].start_state
+        return replace(self, events=events, start_state=start, phases_as=shape)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the orbit as the plain data of its file, without `problem_file`.
-
-        An orbit with one Zeno point and one release has format 1, which older versions can read.
-        All other orbits have format 2, which older versions reject. The entries of format 1 are
-        then absent.
-        """
-        one = self.shape.has_one_release
+        """Return the orbit as the plain data of its file, without `problem_file`."""
         digest = {"problem_digest": list(self.problem_digest)} if self.problem_digest else {}
+        shape = {} if self.phases_as is None else {"shape": self.phases_as.text}
         return {
-            "format": ONE_RELEASE if one else FORMAT,
+            "format": FORMAT,
             "problem": self.problem,
             "parameters": dict(self.parameters),
             "gains": dict(self.gains),
-            "shape": self.shape.text,
+            "sequence": list(self.sequence),
+            **shape,
             "period": self.period,
-            **(self._one_release() if one else {"phases": [_plain(p) for p in self.phases]}),
+            "start_state": dict(self.start_state),
+            "events": [_plain(event) for event in self.events],
             "floquet_multipliers": [[mu.real, mu.imag] for mu in self.floquet_multipliers],
             "certificate": dict(self.certificate),
             "versions": dict(self.versions),
             **digest,
-        }
-
-    def _one_release(self) -> dict[str, Any]:
-        return {
-            "release_state": dict(self.release_state),
-            "impacts": _plain_impacts(self.impacts),
-            "zeno_time": self.zeno_time,
-            "zeno_state": dict(self.zeno_state),
         }
 
     def values(self, problem: Problem) -> ParameterValues:
@@ -203,11 +282,20 @@ class ZenoOrbit(TableRepr):
         """
         return problem.values(gains=self.gains, parameters=self.parameters)
 
+    def machine(self, problem: Problem) -> HybridDynamics | GraphDynamics:
+        """Return the machine of the orbit at its gains and parameters.
+
+        Raises:
+            InputError: If the names or values do not fit the problem.
+        """
+        values = self.values(problem)
+        return problem.dynamics(values) if self.has_phases else problem.graph_dynamics(values)
+
 
 def new_orbit(
-    problem: Problem, values: ParameterValues, *, period: float, phases: tuple[OrbitPhase, ...]
-) -> ZenoOrbit:
-    """Return an orbit without a certificate, computed by this version.
+    problem: Problem, values: ParameterValues, *, period: float, phases: Sequence[OrbitPhase]
+) -> Orbit:
+    """Return an orbit of one stop without a certificate, computed by this version.
 
     Args:
         problem: Its problem.
@@ -215,59 +303,100 @@ def new_orbit(
         period: Period [s].
         phases: Phases of a period.
     """
-    return ZenoOrbit(
+    return orbit_of_events(problem, values, period=period, start_state={}, events=()).with_phases(
+        phases
+    )
+
+
+def orbit_of_events(
+    problem: Problem,
+    values: ParameterValues,
+    *,
+    period: float,
+    start_state: Mapping[str, float],
+    events: Sequence[OrbitEvent],
+) -> Orbit:
+    """Return an orbit without a certificate, computed by this version.
+
+    Args:
+        problem: Its problem.
+        values: The problem's parameter values.
+        period: Period [s].
+        start_state: State name to value at its start.
+        events: Its events.
+    """
+    return Orbit(
         problem=problem.name,
         parameters=dict(values.parameters),
         gains=dict(values.gains),
         period=period,
-        phases=phases,
-        certificate={},
+        start_state=start_state,
+        events=tuple(events),
         versions=versions(),
         problem_digest=digest_of(problem),
         problem_file=RecordedFile.of(problem),
     )
 
 
-def one_release_phase(
-    *,
-    release_state: Mapping[str, float],
-    impacts: Sequence[OrbitImpact],
-    zeno_time: float,
-    zeno_state: Mapping[str, float],
-) -> OrbitPhase:
-    """Return the only phase of an orbit from release to release, with its kind from the impacts.
+def _impact(event: OrbitEvent) -> OrbitImpact:
+    return OrbitImpact(time=event.time, state_minus=event.state)
 
-    If there is a single impact at the Zeno time itself, the phase is plastic.
 
-    Args:
-        release_state: State name to value at the release.
-        impacts: The resolved impacts.
-        zeno_time: Zeno time since the release [s].
-        zeno_state: State name to value at the Zeno point.
+def _phases(
+    shape: EventSequence, events: Sequence[OrbitEvent], start_state: Mapping[str, float]
+) -> tuple[OrbitPhase, ...]:
+    """Return the phases that events of one stop form.
+
+    Raises:
+        InputError: If the events do not have the shape.
     """
-    at_once = len(impacts) == 1 and impacts[0].time == zeno_time
-    return OrbitPhase(
-        kind=PhaseKind.PLASTIC if at_once else PhaseKind.ZENO,
-        start_time=0.0,
-        start_state=release_state,
-        impacts=tuple(impacts),
-        zeno_time=zeno_time,
-        zeno_state=zeno_state,
-    )
+    found: list[OrbitPhase] = []
+    left, time, state = [*events], 0.0, start_state
+    for kind in shape.phases:
+        # An impact that the stop throws off is a phase. Other impacts belong to a Zeno point.
+        most = len(left) if kind.holds else 1
+        impacts = [*takewhile(lambda event: event.word == "impact", left[:most])]
+        ends = left[len(impacts) :][:2] if kind.holds else []
+        if [event.word for event in ends] != _ENDS[kind.holds] or not (ends or impacts):
+            break
+        last = (impacts + ends)[-1]
+        zeno = ends[0] if ends else None
+        found.append(
+            OrbitPhase(
+                kind=kind,
+                start_time=time,
+                start_state=state,
+                impacts=tuple(map(_impact, impacts)),
+                zeno_time=None if zeno is None else zeno.time,
+                zeno_state=None if zeno is None else zeno.state,
+            )
+        )
+        left = left[len(impacts) + len(ends) :]
+        time, state = last.time, last.state if last.after is None else last.after
+    if left or len(found) < len(shape.phases):
+        listed = ", ".join(sequence_of([event.name for event in events]))
+        raise InputError(f"Argument `orbit` says `{shape.text}`, but its events are `{listed}`.")
+    return tuple(found)
 
 
-def _plain(phase: OrbitPhase) -> dict[str, Any]:
-    zeno = {}
-    if phase.zeno_state is not None:
-        zeno = {"zeno_time": phase.zeno_time, "zeno_state": dict(phase.zeno_state)}
-    return {
-        "kind": phase.kind.value,
-        "start_time": phase.start_time,
-        "start_state": dict(phase.start_state),
-        "impacts": _plain_impacts(phase.impacts),
-        **zeno,
-    }
+def _events(phases: Sequence[OrbitPhase], period: float) -> tuple[OrbitEvent, ...]:
+    """Return the events of phases of one stop, which is named `stop`."""
+    found: list[OrbitEvent] = []
+    ends = [(phase.start_time, phase.start_state) for phase in phases[1:]]
+    for phase, (time, state) in zip(phases, [*ends, (period, phases[0].start_state)], strict=True):
+        after = None if phase.kind.holds else state
+        found += [
+            OrbitEvent(name=f"impact {_STOP}", time=one.time, state=one.state_minus, after=after)
+            for one in phase.impacts
+        ]
+        if phase.zeno_time is not None and phase.zeno_state is not None:
+            zeno = phase.zeno_time, phase.zeno_state
+            found.append(OrbitEvent(name=f"zeno {_STOP}", time=zeno[0], state=zeno[1]))
+        if phase.kind.holds:
+            found.append(OrbitEvent(name=f"release {_STOP}", time=time, state=state))
+    return tuple(found)
 
 
-def _plain_impacts(impacts: Sequence[OrbitImpact]) -> list[dict[str, Any]]:
-    return [{"time": one.time, "state_minus": dict(one.state_minus)} for one in impacts]
+def _plain(event: OrbitEvent) -> dict[str, Any]:
+    after = {} if event.after is None else {"after": dict(event.after)}
+    return {"name": event.name, "time": event.time, "state": dict(event.state), **after}

@@ -1,35 +1,35 @@
-"""Orbit files: JSON that stores every number of an orbit to the last bit."""
+"""Orbit files: JSON that stores every number of an orbit to the last bit.
+
+One format is written. Those of older versions are read: format 1 is a period from release to
+release, and format 2 a list of phases, both of a machine with one stop.
+"""
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import InputError, OrbitFileError, newer_format, shortened
 from zeno_orbits.model import RecordedFile
-from zeno_orbits.orbits.orbit import (
-    EVENT_FORMAT,
-    FORMAT,
-    ONE_RELEASE,
-    OrbitImpact,
-    OrbitPhase,
-    ZenoOrbit,
-    one_release_phase,
-)
-from zeno_orbits.orbits.shape import PhaseKind
+from zeno_orbits.orbits.events.sequences import sequence_of
+from zeno_orbits.orbits.orbit import FORMAT, Orbit, OrbitEvent, OrbitImpact, OrbitPhase
+from zeno_orbits.orbits.shape import EventSequence, PhaseKind
 from zeno_orbits.work import EntryError, checked, from_plain, read_json, write_whole
 
 MOST_EVENTS = 10_000
 """Largest number of events of a period in a file. The verification takes about 0.1 ms for each."""
 _MOST_BYTES = 1 << 26
 """Largest size of an orbit file [B]: an event of 10 states has about 400."""
+_ONE_RELEASE, _PHASES = 1, 2
+"""Older versions of the format."""
 
 
 @checked
-def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:
+def write_orbit(orbit: Orbit, path: Path | str) -> None:
     """Write an orbit file completely or not at all.
 
     Args:
@@ -39,27 +39,14 @@ def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    write_orbit_data(orbit.as_json(), orbit.problem_file, Path(path))
-
-
-def write_orbit_data(data: Mapping[str, Any], file: RecordedFile | None, path: Path) -> None:
-    """Write the plain data of an orbit and the path of its problem file, relative to its folder.
-
-    Args:
-        data: The plain data.
-        file: File of the problem, or None.
-        path: The file. An existing file is replaced.
-
-    Raises:
-        InputError: If the folder cannot be written.
-    """
+    path, file = Path(path), orbit.problem_file
     entry = {} if file is None else {"problem_file": file.relative_to(path.parent)}
-    text = json.dumps({**data, **entry}, indent=2, allow_nan=False) + "\n"
+    text = json.dumps({**orbit.as_json(), **entry}, indent=2, allow_nan=False) + "\n"
     write_whole(path, text, "path")
 
 
 @checked
-def read_orbit(path: Path | str) -> ZenoOrbit:
+def read_orbit(path: Path | str) -> Orbit:
     """Read an orbit file, every number to the last bit.
 
     Args:
@@ -70,14 +57,11 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
             a name occurs twice in it, or if its entries contradict each other.
     """
     path = Path(path)
-    return orbit_from_json(plain_data(path), path)
+    return orbit_from_json(_plain_data(path), path)
 
 
-def plain_data(path: Path) -> object:
+def _plain_data(path: Path) -> object:
     """Return the plain data of a JSON file in which every name occurs once.
-
-    Args:
-        path: The file.
 
     Raises:
         OrbitFileError: If the file is missing, truncated, no text, or repeats a name.
@@ -105,8 +89,8 @@ def _lists(data: object) -> Iterator[tuple[str, list[Any]]]:
 
 
 @checked
-def orbit_from_json(data: object, path: Path) -> ZenoOrbit:
-    """Return the orbit of the plain data from `ZenoOrbit.as_json`.
+def orbit_from_json(data: object, path: Path) -> Orbit:
+    """Return the orbit of the plain data from `Orbit.as_json`, or from a file of an older version.
 
     Args:
         data: Plain data.
@@ -129,18 +113,27 @@ class _ContradictionError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Entries:
-    """Entries of both formats."""
+    """Entries of all formats."""
 
     problem: str
     parameters: Mapping[str, float]
     gains: Mapping[str, float]
     period: float
-    floquet_multipliers: tuple[complex, ...]
+    floquet_multipliers: tuple[complex, ...] = ()
     shape: str = ""
     certificate: Mapping[str, Any] = field(default_factory=dict[str, Any])
     versions: Mapping[str, Any] = field(default_factory=dict[str, Any])
     problem_digest: tuple[float, ...] = ()
     problem_file: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Listed:
+    """The period as events."""
+
+    start_state: Mapping[str, float]
+    events: tuple[OrbitEvent, ...]
+    sequence: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,27 +164,35 @@ class _HeldPhase(_Phase):
     zeno_state: Mapping[str, float]
 
 
-def _orbit(data: object, folder: Path) -> ZenoOrbit:
+def _orbit(data: object, folder: Path) -> Orbit:
     if not isinstance(data, dict):
         raise EntryError("the file", "an object with names", _shown(data))
     named = cast("dict[str, Any]", data)
     number = _format(named)
     entries = from_plain(_Entries, named, finite=True)
     _require_positive("period", entries.period)
-    phases = (_one_release(named, entries.shape),) if number == ONE_RELEASE else _phases(named)
-    orbit = ZenoOrbit(
+    orbit = Orbit(
         problem=entries.problem,
         parameters=entries.parameters,
         gains=entries.gains,
         period=entries.period,
-        phases=phases,
+        start_state={},
+        events=(),
         floquet_multipliers=entries.floquet_multipliers,
         certificate=entries.certificate,
         versions={name: str(value) for name, value in entries.versions.items()},
         problem_digest=entries.problem_digest,
         problem_file=RecordedFile.beside(folder, entries.problem_file),
     )
-    _require_shape(named, orbit, number)
+    if number == FORMAT:
+        return _with_events(orbit, from_plain(_Listed, named, finite=True), entries.shape)
+    phases = (_one_release(named, entries.shape),) if number == _ONE_RELEASE else _phases(named)
+    try:
+        orbit = orbit.with_phases(phases)
+    except InputError as error:
+        message = f"its phases are not a valid shape: {error}".removesuffix(".")
+        raise _ContradictionError(message) from error
+    _require_shape(named, orbit.shape, number)
     return orbit
 
 
@@ -208,25 +209,81 @@ def _format(entries: Mapping[str, Any]) -> int:
     if isinstance(number, bool) or not isinstance(number, int) or number < 1:
         found = json.dumps(number) if "format" in entries else "missing"
         raise EntryError("format", "a positive whole number", found)
-    if number == EVENT_FORMAT:
-        machine = "a machine with several stops or switches"
-        raise _ContradictionError(f"its format {number} is of {machine} (`read_event_orbit`)")
     if number > FORMAT:
-        raise _ContradictionError(newer_format(number, EVENT_FORMAT))
+        raise _ContradictionError(newer_format(number, FORMAT))
     return number
 
 
-def _one_release(entries: Mapping[str, Any], shape: str) -> OrbitPhase:
-    period = from_plain(_OneRelease, entries, finite=True)
-    _require_positive("zeno_time", period.zeno_time)
-    phase = one_release_phase(
-        release_state=period.release_state,
-        impacts=period.impacts,
-        zeno_time=period.zeno_time,
-        zeno_state=period.zeno_state,
+# Events.
+
+
+def _with_events(orbit: Orbit, listed: _Listed, shape: str) -> Orbit:
+    """Return an orbit with the events of a file."""
+    kinds = _shape_of(shape) if shape else None
+    found = replace(orbit, start_state=listed.start_state, events=listed.events, phases_as=kinds)
+    _require_order(listed)
+    if kinds is None and listed.events[-1].time != orbit.period:
+        raise _ContradictionError("its last event is not at the end of its `period`")
+    if kinds is not None:
+        try:
+            _ = found.phases
+        except InputError as error:
+            said = f"its `shape` is `{shape}`, but its events are `{', '.join(found.sequence)}`"
+            raise _ContradictionError(said) from error
+    return found
+
+
+def _shape_of(text: str) -> EventSequence:
+    try:
+        return EventSequence.parsed(text)
+    except InputError as error:
+        wanted = "phases such as `zeno` or `impact*2`"
+        raise EntryError("shape", wanted, json.dumps(text)) from error
+
+
+def _require_order(listed: _Listed) -> None:
+    """Reject events that contradict each other.
+
+    Raises:
+        _ContradictionError: If an event comes before the one before it, or the sequence belongs to
+            other events.
+    """
+    times = [0.0, *(event.time for event in listed.events)]
+    if not listed.events:
+        raise _ContradictionError("it must have at least one event")
+    if any(later < earlier for earlier, later in itertools.pairwise(times)):
+        raise _ContradictionError("its `events` are not in order of time")
+    found = sequence_of([event.name for event in listed.events])
+    if found not in (listed.sequence, _without_kinks(listed.sequence)):
+        said, has = ", ".join(listed.sequence), ", ".join(found)
+        raise _ContradictionError(f"its `sequence` is `{said}`, but its events are `{has}`")
+
+
+def _without_kinks(sequence: Sequence[str]) -> tuple[str, ...]:
+    """Return a sequence of a former file without the kinks in flights that accumulate."""
+    zenos = {name: name.replace("zeno", "impact", 1) for name in sequence if name[:5] == "zeno "}
+    return sequence_of(
+        [one for name in sequence for one in ((zenos[name], name) if name in zenos else (name,))]
     )
-    said = {kind.value: kind for kind in PhaseKind if kind.holds}.get(shape)
-    return phase if said is None else replace(phase, kind=said)
+
+
+# Phases of older files.
+
+
+def _one_release(entries: Mapping[str, Any], shape: str) -> OrbitPhase:
+    """Return the only phase of format 1. Its first files do not name the kind of the phase."""
+    one = from_plain(_OneRelease, entries, finite=True)
+    _require_positive("zeno_time", one.zeno_time)
+    at_once = len(one.impacts) == 1 and one.impacts[0].time == one.zeno_time
+    seen = PhaseKind.PLASTIC if at_once else PhaseKind.ZENO
+    return OrbitPhase(
+        kind={kind.value: kind for kind in PhaseKind if kind.holds}.get(shape, seen),
+        start_time=0.0,
+        start_state=one.release_state,
+        impacts=one.impacts,
+        zeno_time=one.zeno_time,
+        zeno_state=one.zeno_state,
+    )
 
 
 def _phases(entries: Mapping[str, Any]) -> tuple[OrbitPhase, ...]:
@@ -269,18 +326,13 @@ def _require_positive(name: str, value: float) -> None:
         raise EntryError(name, "positive", f"{value:g}")
 
 
-def _require_shape(entries: Mapping[str, Any], orbit: ZenoOrbit, number: int) -> None:
-    """Reject phases of an invalid shape, of a shape unlike the file's, or of the other format."""
-    try:
-        shape = orbit.shape
-    except InputError as error:
-        message = f"its phases are not a valid shape: {error}".removesuffix(".")
-        raise _ContradictionError(message) from error
-    if number == FORMAT and "shape" not in entries:
+def _require_shape(entries: Mapping[str, Any], shape: EventSequence, number: int) -> None:
+    """Reject phases of a shape unlike the file's, or of the other format."""
+    if number == _PHASES and "shape" not in entries:
         raise EntryError("shape", "there", "missing")
     said = entries.get("shape", shape.text)
     if said != shape.text:
         raise _ContradictionError(f"its `shape` is `{said}`, but its phases are `{shape.text}`")
-    if shape.has_one_release and number != ONE_RELEASE:
-        message = f"a shape `{said}` has format {ONE_RELEASE}, but it has {number}"
+    if shape.has_one_release and number != _ONE_RELEASE:
+        message = f"a shape `{said}` has format {_ONE_RELEASE}, but it has {number}"
         raise _ContradictionError(message)

@@ -17,8 +17,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits.events.event_orbit import EventOrbit
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.poincare import Multipliers
 from zeno_orbits.work import Columns, TableRepr, versions
 
@@ -208,9 +207,7 @@ class Stability(TableRepr):
         }
 
 
-def stability_of(
-    problem: Problem, orbit: ZenoOrbit | EventOrbit, multipliers: Multipliers
-) -> Stability:
+def stability_of(problem: Problem, orbit: Orbit, multipliers: Multipliers) -> Stability:
     """Return the stability of an orbit in the names and units of its problem.
 
     Args:

@@ -15,7 +15,7 @@ from flint import arb
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError, counted
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, matrix
 from zeno_orbits.proof.arithmetic.polynomials import Basis, Polynomial
 from zeno_orbits.proof.fixed_point import JudgedBox
@@ -47,7 +47,7 @@ _LONGEST = 0.125
 
 
 def large_sets(
-    orbit: ZenoOrbit, system: BallSystem, found: JudgedBox, on_progress: Progress
+    orbit: Orbit, system: BallSystem, found: JudgedBox, on_progress: Progress
 ) -> Iterator[list[PolynomialPass]]:
     """Yield ever smaller sets around a box, each with the sets that lead from its image to the box.
 
@@ -89,7 +89,7 @@ def large_sets(
 
 
 def _chain(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     system: BallSystem,
     found: JudgedBox,
     first: PolynomialPass,
@@ -118,7 +118,7 @@ def _image(one: PolynomialPass) -> Vector:
 
 
 def _pass(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     system: BallSystem,
     found: JudgedBox,
     radii: Vector,

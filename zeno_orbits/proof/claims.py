@@ -9,7 +9,7 @@ from typing import Any
 from flint import arb
 
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.arithmetic.balls import Ball, exact_fraction, fraction_text, product
 from zeno_orbits.proof.fixed_point import JudgedBox
 from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
@@ -135,7 +135,7 @@ def proved_box(problem: Problem, system: BallSystem, found: JudgedBox) -> Proved
     )
 
 
-def require_numbers(orbit: ZenoOrbit, bounds: Bounds, sizes: Sequence[float]) -> None:
+def require_numbers(orbit: Orbit, bounds: Bounds, sizes: Sequence[float]) -> None:
     """Raise an error if the remaining values of an orbit differ from the proved orbit.
 
     Args:

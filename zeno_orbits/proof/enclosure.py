@@ -16,7 +16,7 @@ from flint import arb, ctx
 
 from zeno_orbits.errors import InputError, ProofError, TranslationError
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import OrbitPhase, ZenoOrbit
+from zeno_orbits.orbits import Orbit, OrbitPhase
 from zeno_orbits.proof.arithmetic.balls import Ball, all_finite, exact_fraction
 from zeno_orbits.proof.claims import own_state
 from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
@@ -73,7 +73,7 @@ class _ContradictionError(ProofError):
 
 
 def enclose_one_period(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     *,
     settings: EnclosureSettings | None = None,
@@ -113,7 +113,7 @@ def enclose_one_period(
 
 
 def _enclosed(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     system: BallSystem,
     settings: EnclosureSettings,
@@ -153,7 +153,7 @@ class _Match:
 
     def __init__(
         self,
-        orbit: ZenoOrbit,
+        orbit: Orbit,
         problem: Problem,
         system: BallSystem,
         start: SectionStart,

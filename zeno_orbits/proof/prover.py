@@ -14,7 +14,7 @@ from flint import arb, ctx
 
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.arithmetic.balls import Ball
 from zeno_orbits.proof.basin import large_sets
 from zeno_orbits.proof.checker.certificate import check_proof
@@ -84,7 +84,7 @@ class ProofSettings:
 
 
 def prove_orbit(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     *,
     over: Mapping[str, float] | None = None,
@@ -142,7 +142,7 @@ def prove_orbit(
 
 
 def _found(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     system: BallSystem,
     over: Mapping[str, float],
@@ -196,7 +196,7 @@ def _moved(start: SectionStart, step: Sequence[Ball]) -> list[Ball]:
 
 
 def _enlarged(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     system: BallSystem,
     found: JudgedBox,
     settings: ProofSettings,
@@ -238,7 +238,7 @@ def _enlarged(
 
 def _with_basin(
     proof: Proof,
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     system: BallSystem,
     found: JudgedBox,
@@ -278,7 +278,7 @@ def _with_basin(
 
 
 def _refined(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     system: BallSystem,
     found: JudgedBox,
     settings: ProofSettings,
@@ -307,7 +307,7 @@ def _refined(
 
 
 def _proof(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     values: ParameterValues,
     over: Mapping[str, float],

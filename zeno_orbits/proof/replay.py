@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, load_reference
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.checker.balls import number
 from zeno_orbits.proof.checker.certificate import check_proof
 from zeno_orbits.proof.checker.verdict import ProofVerdict
@@ -131,7 +131,7 @@ _CLOSE = 1e-8
 """Largest distance of an orbit's values from both ends of a proved interval, relative to size."""
 
 
-def check_proof_of(orbit: ZenoOrbit, problem: Problem, path: Path) -> ProofVerdict:
+def check_proof_of(orbit: Orbit, problem: Problem, path: Path) -> ProofVerdict:
     """Check a certificate, and that it belongs to a given orbit.
 
     Parameters must be equal. For the smallest box, both ends of the enclosures of the start and of

@@ -10,7 +10,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit, place_on_section
+from zeno_orbits.orbits import Orbit, place_on_section
 from zeno_orbits.simulation import Execution, Mode, simulate, state_after, state_before
 
 _LONGER = 1e-6
@@ -24,7 +24,7 @@ _SAME = 1e-6
 
 
 def orbit_motion(
-    orbit: ZenoOrbit | EventOrbit,
+    orbit: Orbit,
     problem: Problem,
     dynamics: HybridDynamics | GraphDynamics,
     *,
@@ -43,7 +43,7 @@ def orbit_motion(
         SimulationError: If the execution cannot be continued: a false orbit may run anywhere.
     """
     start = np.array(problem.state_vector(orbit.start_state))
-    if isinstance(orbit, ZenoOrbit) and isinstance(dynamics, HybridDynamics):
+    if orbit.has_phases and isinstance(dynamics, HybridDynamics):
         shape = orbit.shape.at_restitution(dynamics.restitution)
         # The verifier rejects an initial state off the section, but the simulator must accept it.
         start = place_on_section(dynamics, shape, start)

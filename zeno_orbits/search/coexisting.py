@@ -21,7 +21,7 @@ from zeno_orbits.model import (
     Problem,
     graph_of,
 )
-from zeno_orbits.orbits import Cycle, EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Cycle, Orbit
 from zeno_orbits.search.scan import ACCURACY, PHASE, cycle_at, is_of_shape
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import Execution, simulate
@@ -36,7 +36,7 @@ _SAME = 1e-3
 """Two attractors are the same if their first states differ by less, in units of the box."""
 
 
-def coexisting_cycles(search: SearchProblem, orbit: ZenoOrbit) -> list[Cycle]:
+def coexisting_cycles(search: SearchProblem, orbit: Orbit) -> list[Cycle]:
     """Return a period of each attractor at the values of an orbit, possibly including this orbit.
 
     Args:
@@ -71,7 +71,7 @@ def coexisting_attractors(
     problem: Problem,
     values: ParameterValues,
     system: HybridDynamics | GraphDynamics,
-    orbit: ZenoOrbit | EventOrbit,
+    orbit: Orbit,
     *,
     until: float | None,
     seed: int,

@@ -19,9 +19,9 @@ from zeno_orbits.orbits import (
     Cycle,
     EventSequence,
     Moment,
+    Orbit,
     OrbitImpact,
     OrbitPhase,
-    ZenoOrbit,
     allowance,
     cycle_of,
     excess,
@@ -116,7 +116,7 @@ def _orbit(
     unknowns: Mapping[str, Array],
     values: ParameterValues,
     shape: EventSequence,
-) -> ZenoOrbit:
+) -> Orbit:
     """Return the orbit of a solution."""
     dynamics, problem = search.dynamics(values), search.problem
     period = float(unknowns["period"][0, 0])

@@ -10,7 +10,7 @@ import numpy as np
 from zeno_orbits.arrays import Array
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues
-from zeno_orbits.orbits import Cycle, ZenoOrbit
+from zeno_orbits.orbits import Cycle, Orbit
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import OrbitCertificate
@@ -38,7 +38,7 @@ class Verdict:
         )
 
 
-Accept = Callable[[ZenoOrbit], Verdict]
+Accept = Callable[[Orbit], Verdict]
 """A check of the orbits of a search."""
 
 
@@ -61,7 +61,7 @@ class Accepted:
 class Candidate(Accepted):
     """An accepted orbit, with the measured quantities of the objective and the bounds by name."""
 
-    orbit: ZenoOrbit
+    orbit: Orbit
     extents: Mapping[str, Extent]
 
 
@@ -80,7 +80,7 @@ class SimulatedSolution:
     values: ParameterValues
     cycle: Cycle
     unknowns: Mapping[str, Array]
-    orbit: ZenoOrbit | None
+    orbit: Orbit | None
     excesses: Mapping[str, float]
 
 
@@ -166,7 +166,7 @@ class SearchResult(TableRepr):
     """
 
     status: SearchStatus
-    orbit: ZenoOrbit | None
+    orbit: Orbit | None
     residuals: Mapping[str, float]
     agreement: float
     closure_error: float
@@ -201,7 +201,7 @@ class SearchResult(TableRepr):
             "score": [candidate.score for candidate in self.candidates],
         }
 
-    def unwrap(self) -> ZenoOrbit:
+    def unwrap(self) -> Orbit:
         """Return the best orbit.
 
         Raises:

@@ -12,7 +12,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, Cycle, EventSequence, ZenoOrbit
+from zeno_orbits.orbits import Bound, Cycle, EventSequence, Orbit
 from zeno_orbits.search.multistart import StartWorkers, outcomes_here, outcomes_spread
 from zeno_orbits.search.objectives import NearestGains, Objective, Target, TargetPeriod
 from zeno_orbits.search.outcome import (
@@ -55,7 +55,7 @@ def search_orbits(
     free: Mapping[str, tuple[float, float]],
     objective: Objective | None = None,
     bounds: Sequence[Bound] = (),
-    near: ZenoOrbit | None = None,
+    near: Orbit | None = None,
     settings: SearchSettings | None = None,
     accept: Accept | None = None,
     on_progress: Progress = silent,
@@ -197,14 +197,14 @@ def _with_coexisting(
     return candidates, N_STATES
 
 
-def _begins_alike(search: SearchProblem, cycle: Cycle, orbit: ZenoOrbit) -> bool:
+def _begins_alike(search: SearchProblem, cycle: Cycle, orbit: Orbit) -> bool:
     """Return True if a period begins at one of the events of an orbit of the same shape."""
     if cycle.shape != orbit.shape:
         return False
     return _has_event_at(search, orbit, cycle.start.state)
 
 
-def _has_event_at(search: SearchProblem, orbit: ZenoOrbit, state: Vector) -> bool:
+def _has_event_at(search: SearchProblem, orbit: Orbit, state: Vector) -> bool:
     events = np.array([search.problem.state_vector(one) for one in orbit.states_at_events])
     sizes = search.problem.dynamics(orbit.values(search.problem)).own.not_small(
         np.max(np.abs(events), axis=0), SAME_STATE

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from zeno_orbits.model import CompiledSystem, HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import Bound, EventSequence, ZenoOrbit
+from zeno_orbits.orbits import Bound, EventSequence, Orbit
 from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.settings import SearchSettings
 from zeno_orbits.search.transcription.nearness import Nearness
@@ -45,7 +45,7 @@ class SearchProblem:
     free: Mapping[str, tuple[float, float]]
     objective: Objective
     bounds: tuple[Bound, ...] = ()
-    near: ZenoOrbit | None = None
+    near: Orbit | None = None
     shape: EventSequence | None = None
     initial_states: tuple[Mapping[str, float], ...]
     sizes: Mapping[str, float] = field(default_factory=dict[str, float])

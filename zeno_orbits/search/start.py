@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, Cycle, ZenoOrbit, objection_to
+from zeno_orbits.orbits import Bound, Cycle, Orbit, objection_to
 from zeno_orbits.search.homotopy.margins import CycleWays
 from zeno_orbits.search.homotopy.persistence import persistence
 from zeno_orbits.search.number_notes import far_from_own
@@ -130,7 +130,7 @@ def _judged(
     return replace(outcome, candidate=candidate), judgement
 
 
-def _accepted(search: SearchProblem, orbit: ZenoOrbit, accept: Accept) -> Verdict:
+def _accepted(search: SearchProblem, orbit: Orbit, accept: Accept) -> Verdict:
     """Check an orbit, and the orbits at all corners of uncertain ranges."""
     judgement = accept(orbit)
     if judgement.objection or not isinstance(search.objective, MaxPush) or not search.free:
@@ -282,7 +282,7 @@ def _at_part(
     name: str,
     place: ParameterValues,
     part: float,
-    near: ZenoOrbit | None = None,
+    near: Orbit | None = None,
 ) -> StartOutcome:
     """Search at fixed values on the line from a start to a point, and check the orbit.
 
@@ -303,7 +303,7 @@ def _at_part(
     return _judged(search, from_start(replace(search, free={}), there), accept, name)[0]
 
 
-def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str, Extent]:
+def _measured(search: SearchProblem, orbit: Orbit, name: str) -> Mapping[str, Extent]:
     names = [bound.name for bound in search.bounds]
     if search.free:
         names = [*search.objective.quantities, *names]

@@ -12,7 +12,7 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, ParameterValues
 from zeno_orbits.orbits import (
     Cycle,
-    ZenoOrbit,
+    Orbit,
     minimal_period,
     relaxed_tolerance,
     round_again,
@@ -61,7 +61,7 @@ class SearchStart:
     """
 
     values: ParameterValues
-    near: ZenoOrbit | None = None
+    near: Orbit | None = None
     easy: tuple[ParameterValues, ...] = ()
     known_empty: bool = False
 
@@ -269,7 +269,7 @@ def _by_samples(search: SearchProblem, values: ParameterValues, cycle: Cycle) ->
         values, cycle, lacking = _where_bounds_are_kept(search, values, cycle)
         if lacking is not None:
             return lacking
-    best: Strength | Persistence[Cycle | ZenoOrbit]
+    best: Strength | Persistence[Cycle | Orbit]
     if isinstance(search.objective, MaxPush):
         best = strongest(search, values, cycle)
         if best.push is None:

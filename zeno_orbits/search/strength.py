@@ -23,7 +23,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.maps import Push, PushSettings, least_push
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Cycle, EventOrbit, ZenoOrbit, excess
+from zeno_orbits.orbits import Cycle, Orbit, excess
 from zeno_orbits.search.homotopy.best_on_line import all_kept, bounded_extents
 from zeno_orbits.search.homotopy.homotopy import follow
 from zeno_orbits.search.objectives import MaxPush
@@ -53,7 +53,7 @@ class Strength:
     """
 
     values: ParameterValues
-    cycle: Cycle | ZenoOrbit
+    cycle: Cycle | Orbit
     place: ParameterValues
     push: Push | None
     reason: str = ""
@@ -100,9 +100,7 @@ def said_of(push: Push, at: str = "") -> str:
     return f"The least push is {said} at phase {push.phase:.4g}{at}. Beyond it: {push.beyond}."
 
 
-def push_of(
-    problem: Problem, orbit: ZenoOrbit | EventOrbit, objective: MaxPush
-) -> tuple[Push | None, str]:
+def push_of(problem: Problem, orbit: Orbit, objective: MaxPush) -> tuple[Push | None, str]:
     """Return the least push of an orbit, or ``None`` and the reason why it has none.
 
     Args:
@@ -120,7 +118,7 @@ def push_of(
         return None, str(error).removesuffix(".")
 
 
-def strength(search: SearchProblem, values: ParameterValues, near: Cycle | ZenoOrbit) -> Strength:
+def strength(search: SearchProblem, values: ParameterValues, near: Cycle | Orbit) -> Strength:
     """Compute the least push of an orbit, over all corners of the uncertain ranges.
 
     Args:
@@ -145,8 +143,8 @@ def strength(search: SearchProblem, values: ParameterValues, near: Cycle | ZenoO
 
 
 def orbits_at_corners(
-    search: SearchProblem, values: ParameterValues, near: Cycle | ZenoOrbit
-) -> Iterator[tuple[ParameterValues, ZenoOrbit | None, str]]:
+    search: SearchProblem, values: ParameterValues, near: Cycle | Orbit
+) -> Iterator[tuple[ParameterValues, Orbit | None, str]]:
     """Yield values, orbit and reason of its absence, at an orbit and at all uncertain corners.
 
     Args:

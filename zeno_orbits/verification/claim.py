@@ -10,7 +10,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, finite_number
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventSequence, OrbitImpact, OrbitPhase, PhaseKind, ZenoOrbit
+from zeno_orbits.orbits import EventSequence, Orbit, OrbitImpact, OrbitPhase, PhaseKind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,11 +38,13 @@ class Claim:
         shape: Its shape.
         period: Period [s].
         phases: Its phases.
+        end: Time [s] of the last event and the state before it, ``(n_x,)``.
     """
 
     shape: EventSequence
     period: float
     phases: tuple[ClaimedPhase, ...]
+    end: tuple[float, Vector]
 
     @property
     def start(self) -> Vector:
@@ -50,7 +52,7 @@ class Claim:
         return self.phases[0].start
 
 
-def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
+def claim_of(orbit: Orbit, problem: Problem) -> Claim:
     """Return an orbit's data as vectors.
 
     Raises:
@@ -77,7 +79,7 @@ def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
     def hit(impact: OrbitImpact) -> tuple[float, Vector]:
         return finite_number("time", impact.time), vector(impact.state_minus, "impacts")
 
-    one = orbit.shape.has_one_release
+    one, last = orbit.shape.has_one_release, orbit.events[-1]
     return Claim(
         shape=orbit.shape,
         period=finite_number("period", orbit.period),
@@ -95,6 +97,7 @@ def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
             )
             for phase in orbit.phases
         ),
+        end=(finite_number("period", last.time), vector(last.state, "events")),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, with_energy_ledger
-from zeno_orbits.orbits import Cycle, ZenoOrbit, place_on_section
+from zeno_orbits.orbits import Cycle, Orbit, place_on_section
 from zeno_orbits.simulation import (
     Arc,
     Impact,
@@ -183,7 +183,7 @@ def largest_kinetic(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> float:
 
 
 def energies_of(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     claim: Claim,
     cycle: Cycle,

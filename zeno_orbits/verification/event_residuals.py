@@ -20,7 +20,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import finite_number
 from zeno_orbits.model import GraphDynamics, Problem, constraint_sizes
 from zeno_orbits.orbits import (
-    EventOrbit,
+    Orbit,
     OrbitEvent,
     events_as_listed,
     lasting_events,
@@ -74,7 +74,7 @@ def claimed(problem: Problem, event: OrbitEvent) -> Claimed:
 
 def event_misses(
     graph: GraphDynamics,
-    orbit: EventOrbit,
+    orbit: Orbit,
     said: Sequence[Claimed],
     first: IntegratedPeriod,
     scale: Vector,

@@ -17,10 +17,10 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError, finite_number
 from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import (
-    EventOrbit,
     EventQuantities,
     EventReturn,
     Multipliers,
+    Orbit,
     caused_releases,
     derivative_of_return,
     estimated_errors,
@@ -98,7 +98,7 @@ class _Observation:
 
 
 def verify_events(
-    orbit: EventOrbit,
+    orbit: Orbit,
     problem: Problem,
     *,
     settings: VerificationSettings | None = None,
@@ -183,7 +183,7 @@ class _CrossChecks:
 
 def _cross_checks(
     graph: GraphDynamics,
-    orbit: EventOrbit,
+    orbit: Orbit,
     problem: Problem,
     seen: _Observation,
     settings: VerificationSettings,
@@ -254,7 +254,7 @@ def _on_branches(
             yield graph.view(((), arc.sides), 0), np.array([*arc.states_at(times), arc.end_state])
 
 
-def _elastic(orbit: EventOrbit, graph: GraphDynamics) -> str:
+def _elastic(orbit: Orbit, graph: GraphDynamics) -> str:
     """Return a clause about a Zeno point at a stop whose restitution is 1, or an empty text."""
     for name, view in zip(graph.stop_names, graph.open_views, strict=False):
         if view.restitution == 1.0 and f"zeno {name}" in orbit.sequence:
@@ -264,7 +264,7 @@ def _elastic(orbit: EventOrbit, graph: GraphDynamics) -> str:
 
 def _observe(
     graph: GraphDynamics,
-    orbit: EventOrbit,
+    orbit: Orbit,
     start: Vector,
     said: Sequence[Claimed],
     settings: VerificationSettings,
@@ -314,7 +314,7 @@ def _worst(seen: _Observation) -> float:
 
 def _periods(
     graph: GraphDynamics,
-    orbit: EventOrbit,
+    orbit: Orbit,
     start: Vector,
     settings: SimulationSettings,
     n_periods: int,
@@ -334,7 +334,7 @@ def _periods(
 
 
 def _energies(
-    graph: GraphDynamics, orbit: EventOrbit, start: Vector, settings: SimulationSettings
+    graph: GraphDynamics, orbit: Orbit, start: Vector, settings: SimulationSettings
 ) -> PeriodEnergies | None:
     """Return the energies of one period, ``None`` if it is not finished.
 
@@ -390,7 +390,7 @@ _LEAST = 1e-12
 
 
 def multipliers_of_events(
-    orbit: EventOrbit,
+    orbit: Orbit,
     problem: Problem,
     *,
     settings: VerificationSettings | None = None,

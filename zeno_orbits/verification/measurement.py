@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from zeno_orbits.errors import InputError, SimulationError, not_known
 from zeno_orbits.model import HybridDynamics, Problem, bind
-from zeno_orbits.orbits import Cycle, ZenoOrbit, orbit_multipliers, place_on_section
+from zeno_orbits.orbits import Cycle, Orbit, orbit_multipliers, place_on_section
 from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal, signal_names
 from zeno_orbits.verification.claim import Claim, claim_of
 from zeno_orbits.verification.cross_checks import energies_of
@@ -46,7 +46,7 @@ def require_quantities(names: Sequence[str], problem: Problem, argument: str) ->
 
 
 def measure(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     names: Sequence[str],
     *,
@@ -86,7 +86,7 @@ def measure(
 
 def _number(
     name: str,
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     dynamics: HybridDynamics,
     claim: Claim,

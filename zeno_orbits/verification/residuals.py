@@ -38,7 +38,7 @@ def orbit_residuals(
     residuals = {
         start: _off_section(dynamics, claim, first),
         **_hits(dynamics, claim, first),
-        "closure": distance(cycle.end.state, claim.start, first.scale),
+        "closure": _closure(claim, first),
         "period": abs(cycle.end.time - period) / period,
         "drift": max(distance(r.state, claim.start, first.scale) for r in seen.returns),
         "penetration": _penetration(dynamics, first),
@@ -51,6 +51,16 @@ def orbit_residuals(
         beyond = escapes_of(problem, first.largest).values()
         residuals["escape"] = max((excess for excess, _ in beyond), default=0.0)
     return residuals
+
+
+def _closure(claim: Claim, first: FirstCycle) -> float:
+    """Return the distance of the end of the period from its start, and from the last event."""
+    end, (time, state) = first.cycle.end, claim.end
+    apart = distance(end.state, claim.start, first.scale)
+    if not claim.shape.starts_at_release:
+        # The last event is an impact, which is compared with the other impacts.
+        return apart
+    return max(apart, distance(end.state, state, first.scale), abs(end.time - time) / claim.period)
 
 
 def _holonomic(dynamics: HybridDynamics, first: FirstCycle) -> float:

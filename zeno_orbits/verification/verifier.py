@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -19,10 +18,9 @@ from zeno_orbits.errors import SimulationError, ZenoOrbitsError, require_counts
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, Problem, graph_of, load_reference
 from zeno_orbits.orbits import (
-    EventOrbit,
     Multipliers,
+    Orbit,
     PhaseKind,
-    ZenoOrbit,
     orbit_multipliers,
     other_equations,
     place_on_section,
@@ -67,8 +65,6 @@ class VerificationSettings(Checked):
         require_counts(n_periods=self.n_periods)
 
 
-OrbitType = TypeVar("OrbitType", ZenoOrbit, EventOrbit)
-
 _SHARE = 0.1
 """Conservative ratio between the errors of the finer and of the looser integration."""
 
@@ -78,7 +74,7 @@ _MULTIPLIERS = 1e-10
 
 
 def verify(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     *,
     settings: VerificationSettings | None = None,
@@ -168,7 +164,7 @@ class _CrossChecks:
 
 
 def _cross_checks(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     dynamics: HybridDynamics,
     claim: Claim,
@@ -210,7 +206,7 @@ def _cross_checks(
 
 
 def _contradictions(
-    orbit: ZenoOrbit, problem: Problem, dynamics: HybridDynamics, seen: Observation
+    orbit: Orbit, problem: Problem, dynamics: HybridDynamics, seen: Observation
 ) -> Iterator[str]:
     """Yield clauses on false statements in an orbit's data, and on coordinates that escape."""
     if other := other_equations(orbit.problem_digest, problem):
@@ -226,7 +222,7 @@ def _contradictions(
 
 
 @checked
-def with_certificate(orbit: OrbitType, certificate: OrbitCertificate) -> OrbitType:
+def with_certificate(orbit: Orbit, certificate: OrbitCertificate) -> Orbit:
     """Return the orbit with a certificate and its multipliers in it."""
     return replace(
         orbit,
@@ -236,7 +232,7 @@ def with_certificate(orbit: OrbitType, certificate: OrbitCertificate) -> OrbitTy
 
 
 def problem_dynamics(
-    orbit: ZenoOrbit, problem: Problem, *, use_reference: bool = False
+    orbit: Orbit, problem: Problem, *, use_reference: bool = False
 ) -> HybridDynamics:
     """Return the system of an orbit, derived from energies or written by hand.
 
@@ -256,7 +252,7 @@ def problem_dynamics(
 
 
 def multipliers_of(
-    orbit: ZenoOrbit, problem: Problem, *, settings: VerificationSettings | None = None
+    orbit: Orbit, problem: Problem, *, settings: VerificationSettings | None = None
 ) -> Multipliers:
     """Return the multipliers of an orbit as `verify` computes them, without its other checks.
 

@@ -196,7 +196,7 @@ def _require_agreement(options: argparse.Namespace) -> None:
 
 def _orbit(
     options: argparse.Namespace, problem: zo.Problem, progress: report.ProgressLine
-) -> zo.ZenoOrbit | zo.EventOrbit:
+) -> zo.Orbit:
     """Return the orbit to start from."""
     if options.start_orbit is None:
         ranges = [one for one in (options.range, options.second) if one is not None]

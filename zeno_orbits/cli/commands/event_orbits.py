@@ -87,7 +87,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
         certificate = api.verify(orbit, problem=problem, on_progress=progress)
     passes = certificate.passed and (certificate.stable or options.allow_unstable)
     if options.output is not None and passes:
-        zo.write_event_orbit(orbit, options.output)
+        zo.write_orbit(orbit, options.output)
     if options.json:
         print_json(orbit.as_json())
         return YES if passes else NO
@@ -136,7 +136,7 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
         return NO
     passes = certificate.passed and (certificate.stable or options.allow_unstable)
     if options.output is not None and passes:
-        zo.write_event_orbit(orbit, options.output)
+        zo.write_orbit(orbit, options.output)
     lacking = lacking_orbits(options, result) if options.candidates > 1 else []
     if options.json:
         told = {"notes": lacking} if lacking else {}

@@ -58,13 +58,12 @@ def add_plot(commands: Any) -> None:
 
 
 def _run_plot(options: argparse.Namespace) -> int:
-    import zeno_orbits as zo
     from zeno_orbits.report import orbit_motion, plots
 
     require_outputs(options, {"output": FOLDER})
     orbit = api.any_orbit(options.orbit)
     problem = api.problem_of(orbit, options.problem)
-    dynamics = api.dynamics_of_orbit(orbit, problem)
+    dynamics: Any = orbit.machine(problem)
     execution = orbit_motion(orbit, problem, dynamics, periods=options.periods)
     draw = {
         "portraits": lambda: plots.plot_portraits(problem, execution),
@@ -72,17 +71,13 @@ def _run_plot(options: argparse.Namespace) -> int:
         "outputs": lambda: plots.plot_outputs(problem, orbit.values(problem), execution),
         "zeno": lambda: plots.plot_zeno_neighbourhood(problem, execution, dynamics),
     }
-    has = {"outputs": bool(problem.outputs)}
-    if isinstance(orbit, zo.EventOrbit):
-        if "region" in (options.kind or ()):
-            raise InputError(needs_one_stop("--kind region"))
-        rests = any(name.startswith("zeno ") for name in orbit.sequence)
-    else:
-        one = api.dynamics_of_orbit(orbit, problem)
-        draw["region"] = lambda: plots.plot_zeno_set(problem, one, execution)
-        rests = orbit.shape.starts_at_release
-        has["region"] = rests and plots.has_zeno_region(one)
-    has["zeno"] = rests
+    rests = any(name.startswith("zeno ") for name in orbit.sequence)
+    has = {"outputs": bool(problem.outputs), "zeno": rests}
+    if orbit.has_phases:
+        draw["region"] = lambda: plots.plot_zeno_set(problem, dynamics, execution)
+        has["region"] = rests and plots.has_zeno_region(dynamics)
+    elif "region" in (options.kind or ()):
+        raise InputError(needs_one_stop("--kind region"))
     kinds = options.kind or [kind for kind in draw if has.get(kind, True)]
     if "outputs" in kinds and not problem.outputs:
         raise InputError(
@@ -185,13 +180,12 @@ def _run_figures(options: argparse.Namespace) -> int:
 
 
 def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plots.Material:
-    import zeno_orbits as zo
     from zeno_orbits.report import orbit_motion, plots
 
     orbit, problem = _orbit_and_problem(options, progress)
-    dynamics = api.dynamics_of_orbit(orbit, problem)
+    dynamics = orbit.machine(problem)
     one = orbit_motion(orbit, problem, dynamics)
-    if isinstance(orbit, zo.ZenoOrbit) and not one.zeno_points:
+    if orbit.has_phases and not one.zeno_points:
         message = "must reach a Zeno point, but its period contains only other impacts"
         raise InputError(f"Argument `orbit` {message}. See `verify`.")
 
@@ -213,18 +207,16 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plo
     )
 
 
-def _with_one_stop(orbit: zo.ZenoOrbit | zo.EventOrbit) -> zo.ZenoOrbit:
+def _with_one_stop(orbit: zo.Orbit) -> zo.Orbit:
     """Return the orbit of a machine with one stop and no switch, and refuse others."""
-    import zeno_orbits as zo
-
-    if isinstance(orbit, zo.EventOrbit):
+    if not orbit.has_phases:
         raise InputError(needs_one_stop("--kind beside"))
     return orbit
 
 
 def _orbit_and_problem(
     options: argparse.Namespace, progress: report.ProgressLine
-) -> tuple[zo.ZenoOrbit | zo.EventOrbit, zo.Problem]:
+) -> tuple[zo.Orbit, zo.Problem]:
     """Return the orbit of a file, or the orbit of a problem at its default parameters."""
     if options.orbit.suffix == ".json":
         orbit = api.any_orbit(options.orbit)

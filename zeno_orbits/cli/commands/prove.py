@@ -150,7 +150,7 @@ def add_proof(parser: argparse.ArgumentParser) -> None:
 
 
 def proof_of(
-    options: argparse.Namespace, orbit: zo.ZenoOrbit, problem: zo.Problem
+    options: argparse.Namespace, orbit: zo.Orbit, problem: zo.Problem
 ) -> zo.ProofVerdict | None:
     """Return the verdict on the orbit's certificate, or ``None`` without a certificate.
 

@@ -141,10 +141,7 @@ def _run_identify(options: argparse.Namespace) -> int:
     if options.output is not None:
         write_json(found, options.output)
     if options.orbit is not None:
-        if isinstance(found.orbit, zo.EventOrbit):
-            zo.write_event_orbit(found.orbit, options.orbit)
-        else:
-            zo.write_orbit(found.orbit, options.orbit)
+        zo.write_orbit(found.orbit, options.orbit)
     if options.json:
         print_json(found.as_json())
     else:

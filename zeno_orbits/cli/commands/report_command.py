@@ -76,7 +76,6 @@ def add_report(commands: Any) -> None:
 
 
 def _run_report(options: argparse.Namespace) -> int:
-    import zeno_orbits as zo
     from zeno_orbits.report import load_bundle, page_of
 
     given = (options.orbit, options.trade, options.pushes, options.recovery, options.proof)
@@ -85,7 +84,7 @@ def _run_report(options: argparse.Namespace) -> int:
     bundle = load_bundle()
     orbit = api.any_orbit(options.orbit)
     problem = api.problem_of(orbit, options.problem)
-    if isinstance(orbit, zo.EventOrbit) and options.proof is not None:
+    if not orbit.has_phases and options.proof is not None:
         raise InputError(needs_one_stop("--proof"))
     settings = api.verification_settings(tolerance=options.tolerance, n_periods=options.periods)
     with report.ProgressLine(options.interrupts.check) as progress:
@@ -98,7 +97,7 @@ def _run_report(options: argparse.Namespace) -> int:
             recovery=options.recovery,
             on_progress=progress,
         )
-        proved = None if isinstance(orbit, zo.EventOrbit) else proof_of(options, orbit, problem)
+        proved = None if not orbit.has_phases else proof_of(options, orbit, problem)
         progress("writing the page")
         subject = replace(
             subject,

@@ -129,7 +129,6 @@ def _run_rig(options: argparse.Namespace) -> int:
 
 
 def _near_orbit(options: argparse.Namespace) -> int:
-    import zeno_orbits as zo
 
     for name in ("set", "start", "until"):
         if getattr(options, name) not in (None, {}):
@@ -141,7 +140,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
     cycles = options.cycles or _CYCLES
     settings = api.rig_sampling(rig, options.rate, cycles * orbit.period, noise=options.noise)
     require_output_of(options, "noise")
-    if isinstance(orbit, zo.EventOrbit):
+    if not orbit.has_phases:
         return _near_event_orbit(options, orbit, problem, rig, settings)
     with report.ProgressLine(options.interrupts.check) as progress:
         settled = api.simulate_experiment(
@@ -164,7 +163,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
 
 def _near_event_orbit(
     options: argparse.Namespace,
-    orbit: zo.EventOrbit,
+    orbit: zo.Orbit,
     problem: zo.Problem,
     rig: zo.Rig,
     settings: zo.RigSettings,
@@ -234,7 +233,7 @@ def _rig_of(
     options: argparse.Namespace,
     problem: zo.Problem,
     *,
-    orbit: zo.ZenoOrbit | zo.EventOrbit | None = None,
+    orbit: zo.Orbit | None = None,
     values: zo.ParameterValues | None = None,
 ) -> zo.Rig:
     return api.machine_of(

@@ -73,10 +73,9 @@ def add_verify(commands: Any) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
-    import zeno_orbits as zo
 
     orbit = api.any_orbit(options.orbit)
-    is_event = isinstance(orbit, zo.EventOrbit)
+    is_event = not orbit.has_phases
     _require_few_periods(options, len(orbit.events if is_event else orbit.phases))
     if is_event:
         require_verifiable(options)
@@ -145,7 +144,7 @@ def _require_whole_run(certificate: zo.OrbitCertificate, options: argparse.Names
 
 
 def _enclosure(
-    options: argparse.Namespace, orbit: zo.ZenoOrbit, problem: zo.Problem, tolerance: float
+    options: argparse.Namespace, orbit: zo.Orbit, problem: zo.Problem, tolerance: float
 ) -> zo.PeriodEnclosure | None:
     """Return the enclosure of one period, or None if it was not requested."""
     if not options.rigorous:

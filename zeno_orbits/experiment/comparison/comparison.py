@@ -50,7 +50,7 @@ from zeno_orbits.experiment.recordings.contacts import contact_channels, contact
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZENO_ORBIT, EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import ZENO_ORBIT, Orbit
 from zeno_orbits.work import Columns, TableRepr
 
 __all__ = ["Comparison", "ComparisonVerdict", "Metric", "compare_recording"]
@@ -87,7 +87,7 @@ class Comparison(TableRepr):
         remarks: Further findings.
     """
 
-    orbit: ZenoOrbit | EventOrbit
+    orbit: Orbit
     problem: Problem
     recording: Recording
     signals: tuple[str, ...]
@@ -196,9 +196,7 @@ class Comparison(TableRepr):
         }
 
 
-def compare_recording(
-    orbit: ZenoOrbit | EventOrbit, problem: Problem, recording: Recording
-) -> Comparison:
+def compare_recording(orbit: Orbit, problem: Problem, recording: Recording) -> Comparison:
     """Compare a recording with an orbit.
 
     Args:
@@ -221,7 +219,7 @@ def compare_recording(
     return replace(found, reasons=(*other, *found.reasons), remarks=remarks)
 
 
-def _compared(orbit: ZenoOrbit | EventOrbit, problem: Problem, recording: Recording) -> Comparison:
+def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Comparison:
     """Return the comparison, with another name of the problem as a remark alone."""
     values = orbit.values(problem)
     stops = problem.graph_dynamics(values).stop_names if problem.has_graph else (STOP,)
@@ -290,11 +288,9 @@ def _compared(orbit: ZenoOrbit | EventOrbit, problem: Problem, recording: Record
     return replace(compared, unresolved=(*seen.unresolved, *unseen, *few))
 
 
-def _missed(
-    orbit: ZenoOrbit | EventOrbit, time: Vector, channels: Mapping[str, Vector]
-) -> Iterator[str]:
+def _missed(orbit: Orbit, time: Vector, channels: Mapping[str, Vector]) -> Iterator[str]:
     """Yield why the channels of stops without a lasting contact may miss contacts."""
-    if isinstance(orbit, ZenoOrbit):
+    if orbit.has_phases:
         return
     for stop, row in channels.items():
         if f"zeno {stop}" in orbit.sequence:

@@ -19,7 +19,7 @@ from zeno_orbits.experiment.comparison.overlay import lay_over, shared_signals
 from zeno_orbits.experiment.recordings.recording import Recording, crop_recording
 from zeno_orbits.experiment.rig import settle_rig
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import Progress, silent
 
 RIG = "virtual rig, simulated"
@@ -90,7 +90,7 @@ def counterpart_of(
 
 
 def rig_counterpart(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     n_periods: int,
     on_progress: Progress = silent,
@@ -117,7 +117,7 @@ def rig_counterpart(
 
 
 def recording_counterpart(
-    recording: Recording, orbit: ZenoOrbit, problem: Problem, n_periods: int
+    recording: Recording, orbit: Orbit, problem: Problem, n_periods: int
 ) -> MatchedRun:
     """Return the last whole cycles of a recording, from the release found by the alignment.
 

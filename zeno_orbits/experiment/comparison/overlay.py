@@ -26,7 +26,7 @@ from zeno_orbits.experiment.orbit_table import (
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem, powers_of
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 
 _REPEATS = 0.4
 """Part of the variance that repeats in a record that shows an orbit, at least."""
@@ -140,7 +140,7 @@ class Overlay:
 
 
 def lay_over(
-    orbit: ZenoOrbit | EventOrbit,
+    orbit: Orbit,
     problem: Problem,
     recording: Recording,
     names: Sequence[str],
@@ -169,7 +169,7 @@ def lay_over(
     found = _periodicity(time, rows, orbit.period)
     if found is None or found.n_cycles < 1.0:
         return None
-    if isinstance(orbit, EventOrbit):
+    if not orbit.has_phases:
         table = tabulate_events(orbit, problem, (*names, *also))
     else:
         table = tabulate_orbit(orbit, problem, (*names, *also))

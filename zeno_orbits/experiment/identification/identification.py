@@ -47,7 +47,7 @@ from zeno_orbits.experiment.identification.unknowns import (
 )
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import ByValue, Progress, silent
 
 __all__ = ["FittedParameter", "Identification", "UnfittableError", "fit_parameters"]
@@ -121,7 +121,7 @@ class Identification(ByValue):
     fitted: tuple[FittedParameter, ...]
     correlation: Vector
     unseen: tuple[Unseen, ...]
-    orbit: ZenoOrbit | EventOrbit
+    orbit: Orbit
     before: float
     after: float
     misfit: float

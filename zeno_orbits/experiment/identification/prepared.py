@@ -38,7 +38,7 @@ from zeno_orbits.experiment.recordings.contacts import contact_names
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import event_orbit_of, orbit_by_shooting, orbit_of, settled_return
 from zeno_orbits.work import Progress
 
@@ -75,7 +75,7 @@ class Prepared:
     time: Vector
     remarks: tuple[str, ...]
     restitution: float
-    orbit_of: Callable[[Any, ParameterValues], ZenoOrbit | EventOrbit]
+    orbit_of: Callable[[Any, ParameterValues], Orbit]
 
 
 def prepared(
@@ -128,7 +128,7 @@ def _prepared_cycle(
     contacts = first.contacts
     known = contacts is not None and contacts.restitution.known
 
-    def orbit(table: OrbitTable, values: ParameterValues) -> ZenoOrbit:
+    def orbit(table: OrbitTable, values: ParameterValues) -> Orbit:
         return orbit_of(table.cycle, problem, values)
 
     return Prepared(
@@ -181,7 +181,7 @@ def _prepared_events(
     period = compared.metrics[0]
     where = replace(laid.where, period=period.data, period_error=period.error)
 
-    def orbit(table: EventPeriod, values: ParameterValues) -> EventOrbit:
+    def orbit(table: EventPeriod, values: ParameterValues) -> Orbit:
         return event_orbit_of(problem, values, table.found)
 
     instruments, errors = unknowns.instruments(names), unknowns.start

@@ -14,7 +14,7 @@ from zeno_orbits.experiment.rig.cycles import RigCycle, SettledRig
 from zeno_orbits.experiment.rig.default_stop import DEEP
 from zeno_orbits.experiment.rig.run import RigRun
 from zeno_orbits.model import Problem, unit_quotient
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import simulate
 
 _POINTS = 400
@@ -50,7 +50,7 @@ class CycleNumbers:
     period: float
 
 
-def numbers_of_orbit(orbit: ZenoOrbit, problem: Problem) -> CycleNumbers:
+def numbers_of_orbit(orbit: Orbit, problem: Problem) -> CycleNumbers:
     """Return the characteristic quantities of an orbit of the model."""
     dynamics = problem.dynamics(orbit.values(problem))
     first = orbit.impacts[0]
@@ -93,7 +93,7 @@ class OrbitCurve:
         return line_distances(self.states / self.ranges, states / self.ranges)
 
 
-def orbit_curve(orbit: ZenoOrbit, problem: Problem, *, n_per_arc: int = 1500) -> OrbitCurve:
+def orbit_curve(orbit: Orbit, problem: Problem, *, n_per_arc: int = 1500) -> OrbitCurve:
     """Return an orbit as a line, made by simulating one period of it.
 
     Args:
@@ -148,7 +148,7 @@ class RigComparison:
         return {"source": "simulated", **asdict(self)}
 
 
-def compare_cycles(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> RigComparison:
+def compare_cycles(orbit: Orbit, problem: Problem, settled: SettledRig) -> RigComparison:
     """Compare the cycles of a settled machine with an orbit.
 
     Args:

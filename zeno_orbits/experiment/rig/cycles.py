@@ -18,7 +18,7 @@ from zeno_orbits.experiment.rig.default_stop import default_rig
 from zeno_orbits.experiment.rig.run import RigRun, RigSettings, Touch
 from zeno_orbits.experiment.rig.simulator import run_rig
 from zeno_orbits.model import Problem, Rig
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import AttractorKind, Motion, SectionReturn, outcome_of
 from zeno_orbits.work import ByValue, Progress, silent
 
@@ -93,7 +93,7 @@ class SettledRig(ByValue):
 
 
 def settle_rig(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     problem: Problem,
     rig: Rig | None = None,
     *,
@@ -154,7 +154,7 @@ def settle_rig(
 
 
 def periods_near(
-    orbit: EventOrbit,
+    orbit: Orbit,
     problem: Problem,
     rig: Rig | None = None,
     *,
@@ -198,7 +198,7 @@ def periods_near(
 
 
 def _outcome(
-    run: RigRun, cycles: Sequence[RigCycle], orbit: ZenoOrbit, problem: Problem
+    run: RigRun, cycles: Sequence[RigCycle], orbit: Orbit, problem: Problem
 ) -> AttractorKind:
     """Classify the attractor of a machine without cycles that match the orbit."""
     n_x, swing = len(problem.state_names), run.of(problem.amplitude_of)
@@ -214,7 +214,7 @@ def _outcome(
     return outcome_of(motion, close=_CLOSE_TO).outcome
 
 
-def settling_cycles(orbit: ZenoOrbit | EventOrbit) -> int:
+def settling_cycles(orbit: Orbit) -> int:
     """Return after how many cycles a machine near a stable orbit has settled."""
     radius = max((abs(mu) for mu in orbit.floquet_multipliers), default=math.nan)
     if math.isnan(radius):
@@ -225,7 +225,7 @@ def settling_cycles(orbit: ZenoOrbit | EventOrbit) -> int:
     return min(max(math.ceil(wanted), _FEWEST), _MOST)
 
 
-def cut_cycles(touches: Sequence[Touch], orbit: ZenoOrbit) -> tuple[RigCycle, ...]:
+def cut_cycles(touches: Sequence[Touch], orbit: Orbit) -> tuple[RigCycle, ...]:
     """Return the whole cycles in a sequence of contacts.
 
     Args:

@@ -21,7 +21,7 @@ from zeno_orbits.model import (
     Problem,
     Rig,
 )
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import Execution, SimulationSettings, simulated_at_most
 
 PENETRATION = 1e-3
@@ -39,7 +39,7 @@ _STEPS = 100_000
 def default_rig(
     problem: Problem,
     *,
-    orbit: ZenoOrbit | EventOrbit | None = None,
+    orbit: Orbit | None = None,
     values: ParameterValues | None = None,
 ) -> Rig:
     """Return the parts that a problem declares, otherwise a single stop of stated penetration.
@@ -54,7 +54,7 @@ def default_rig(
     if problem.rig is not None:
         return problem.rig
     if orbit is not None:
-        state = orbit.start_state if isinstance(orbit, EventOrbit) else orbit.release_state
+        state = orbit.start_state if not orbit.has_phases else orbit.release_state
         start = problem.state_vector(state)
         return Rig(contact=_stop(problem, orbit.values(problem), start, orbit.period))
     known = values or problem.values()

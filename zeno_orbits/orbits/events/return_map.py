@@ -18,13 +18,13 @@ import numpy as np
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
-from zeno_orbits.orbits.events.event_orbit import (
-    EventOrbit,
+from zeno_orbits.orbits.events.section import EventReturn, SectionMode, event_return, largest_states
+from zeno_orbits.orbits.events.sequences import (
     orbit_event_name,
     phases_of_events,
 )
-from zeno_orbits.orbits.events.section import EventReturn, SectionMode, event_return, largest_states
 from zeno_orbits.orbits.monodromy import differentials_of
+from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.section import (
     IMPACT_ROWS,
     RELEASE_ROWS,
@@ -127,7 +127,7 @@ class EventChart:
     """
 
     graph: GraphDynamics
-    orbit: EventOrbit
+    orbit: Orbit
     settings: SimulationSettings
     mode: SectionMode
     before: GraphMode
@@ -175,7 +175,7 @@ class EventChart:
 
 
 def event_chart(
-    graph: GraphDynamics, orbit: EventOrbit, units: Sequence[str], settings: SimulationSettings
+    graph: GraphDynamics, orbit: Orbit, units: Sequence[str], settings: SimulationSettings
 ) -> EventChart:
     """Return the return map of an event orbit in a chart of its section.
 
@@ -331,7 +331,7 @@ def _cause_at(found: EventReturn, time: float) -> Event:
 
 def _next_return(
     graph: GraphDynamics,
-    orbit: EventOrbit,
+    orbit: Orbit,
     x: Vector,
     settings: SimulationSettings,
     mode: SectionMode | None,

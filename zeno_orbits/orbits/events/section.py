@@ -19,7 +19,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics, require_zeno_points
-from zeno_orbits.orbits.events.event_orbit import (
+from zeno_orbits.orbits.events.sequences import (
     caused_releases,
     orbit_event_name,
     phases_of_events,

@@ -9,7 +9,7 @@ from flint import arb
 
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import ZenoOrbit, other_equations
+from zeno_orbits.orbits import Orbit, other_equations
 from zeno_orbits.proof.arithmetic.balls import Ball
 from zeno_orbits.proof.arithmetic.expressions import stop_identities
 from zeno_orbits.proof.arithmetic.program import BallProgram
@@ -30,7 +30,7 @@ _ROUNDING = 1e-8
 """Rounding error of an identity of the stop, relative to the size of its terms."""
 
 
-def require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> None:
+def require_fit(orbit: Orbit, problem: Problem, values: ParameterValues) -> None:
     """Raise an error for orbits that do not fit the problem, or of a kind that cannot be proved.
 
     Args:
@@ -51,7 +51,7 @@ def require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> 
         raise ProofError("shape", reason)
 
 
-def _require_stop(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> None:
+def _require_stop(orbit: Orbit, problem: Problem, values: ParameterValues) -> None:
     """Check the identities of the stop at a few states near the orbit's start."""
     own = problem.dynamics(values).own
     function, sizes = stop_identities(problem, own)
@@ -83,7 +83,7 @@ def _near(program: BallProgram, state: Sequence[float], moves: Sequence[float]) 
     return found
 
 
-def prover_state(system: BallSystem, problem: Problem, orbit: ZenoOrbit) -> list[float]:
+def prover_state(system: BallSystem, problem: Problem, orbit: Orbit) -> list[float]:
     """Return the orbit's start in the prover's states, ``(n,)``.
 
     Args:
@@ -101,7 +101,7 @@ def prover_state(system: BallSystem, problem: Problem, orbit: ZenoOrbit) -> list
 
 
 def walk_period(
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     system: BallSystem,
     start: SectionStart,
     settings: WalkSettings,

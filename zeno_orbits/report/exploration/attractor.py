@@ -9,7 +9,7 @@ from typing import Any
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Multipliers, ZenoOrbit
+from zeno_orbits.orbits import Multipliers, Orbit
 from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.report.paths import ArcPath, paths_of
 from zeno_orbits.report.table import shown_multipliers
@@ -38,7 +38,7 @@ class ExploredAttractor:
     """
 
     name: str
-    orbit: ZenoOrbit | None
+    orbit: Orbit | None
     multipliers: Multipliers | None
     motion: Execution | None
 
@@ -78,7 +78,7 @@ class ExploredAttractor:
 
 
 def attractor_at(
-    problem: Problem, values: ParameterValues, *, near: ZenoOrbit | None = None
+    problem: Problem, values: ParameterValues, *, near: Orbit | None = None
 ) -> ExploredAttractor:
     """Compute the attractor that a simulation reaches, not verified.
 
@@ -102,9 +102,7 @@ def attractor_at(
     return _described(problem, values, reached.orbit)
 
 
-def _followed(
-    problem: Problem, values: ParameterValues, near: ZenoOrbit
-) -> ExploredAttractor | None:
+def _followed(problem: Problem, values: ParameterValues, near: Orbit) -> ExploredAttractor | None:
     """Return the orbit to which Newton's method leads from an orbit at other values, if stable.
 
     It takes a quarter of the time of a simulation.
@@ -121,7 +119,7 @@ def _followed(
     return found if stable else None
 
 
-def _described(problem: Problem, values: ParameterValues, orbit: ZenoOrbit) -> ExploredAttractor:
+def _described(problem: Problem, values: ParameterValues, orbit: Orbit) -> ExploredAttractor:
     motion = orbit_motion(orbit, problem, problem.dynamics(values))
     multipliers = multipliers_of(orbit, problem)
     return ExploredAttractor(
@@ -132,7 +130,7 @@ def _described(problem: Problem, values: ParameterValues, orbit: ZenoOrbit) -> E
     )
 
 
-def _name(multipliers: Multipliers, orbit: ZenoOrbit) -> str:
+def _name(multipliers: Multipliers, orbit: Orbit) -> str:
     stable = "Stable" if multipliers.spectral_radius < 1.0 else "Unstable"
     return f"{stable} {orbit.kind}"
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import printable
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventOrbit
 from zeno_orbits.report.disturbances import (
     least_push_line,
     recovery_lines,
@@ -146,7 +145,7 @@ def commands_of(subject: Subject) -> tuple[tuple[str, ...], ...]:
     search = ["zeno-orbits", "search", name]
     search += [word for name, v in orbit.gains.items() for word in ("--set", f"{name}={v!r}")]
     search += [word for name, v in given.items() for word in ("--set", f"{name}={v!r}")]
-    if isinstance(orbit, EventOrbit):
+    if not orbit.has_phases:
         search += ["--section", orbit.section]
     where = ("--problem", subject.problem_file) if subject.problem_file else ()
     check = ("zeno-orbits", "verify", subject.file, *where)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Pushes, Recovery
 from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.simulation import Execution
@@ -39,7 +39,7 @@ class Subject:
             theorem, one per line. Empty without a certificate.
     """
 
-    orbit: ZenoOrbit | EventOrbit
+    orbit: Orbit
     problem: Problem
     dynamics: HybridDynamics | GraphDynamics
     certificate: OrbitCertificate

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from zeno_orbits.maps import Push, Pushes, Recovery
 from zeno_orbits.model import Problem, Quantity, unit_quotient
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.disturbances import PUSHES, extent_columns, extents_of, least_pushes
 from zeno_orbits.report.page import words
@@ -47,7 +47,7 @@ def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
     orbit, execution = subject.orbit, subject.execution
     radius = subject.certificate.spectral_radius
     points = execution.zeno_points[:3] if execution else ()
-    if isinstance(orbit, EventOrbit):
+    if not orbit.has_phases:
         first = next((one.time for one in orbit.events if one.name.startswith("impact ")), None)
         # The execution is a little longer than the period, which may start in contact.
         end = orbit.period
@@ -119,20 +119,20 @@ def _quantity_columns(values: Mapping[str, float]) -> list[Column[Quantity]]:
     ]
 
 
-def gains_table(orbit: ZenoOrbit | EventOrbit, problem: Problem) -> Table[Any]:
+def gains_table(orbit: Orbit, problem: Problem) -> Table[Any]:
     """Return the gains with their units."""
     known = {gain.name: gain for gain in problem.gains}
     gains = [known[name] for name in orbit.gains]
     return table_of("Gains", _quantity_columns(orbit.gains), gains)
 
 
-def parameters_table(orbit: ZenoOrbit | EventOrbit, problem: Problem) -> Table[Any]:
+def parameters_table(orbit: Orbit, problem: Problem) -> Table[Any]:
     """Return the physical parameters with their units."""
     columns = _quantity_columns(orbit.parameters)
     return _titled(table_of("Parameters", columns, problem.parameters))
 
 
-def bounds_table(orbit: ZenoOrbit | EventOrbit) -> Table[Any]:
+def bounds_table(orbit: Orbit) -> Table[Any]:
     """Return the bounds of the search, as far as the orbit's file contains them."""
     known: list[Any] = list(orbit.certificate.get("asked", ()))
     bounds = [cast("dict[str, Any]", one) for one in known if isinstance(one, dict)]
@@ -288,7 +288,7 @@ def extents_table(found: Recovery) -> Table[Any]:
     return table_of(caption, extent_columns(found), extents_of(found))
 
 
-def versions_table(orbit: ZenoOrbit | EventOrbit, bundle: Bundle) -> Table[Any]:
+def versions_table(orbit: Orbit, bundle: Bundle) -> Table[Any]:
     """Return the versions that found the orbit and the versions that wrote the page."""
     here = {**versions(), "plotly": bundle.version}
     columns: list[Column[str]] = [

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventOrbit, ZenoOrbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate
 
@@ -126,7 +126,7 @@ def cautions(problem: Problem, execution: Execution | None) -> list[str]:
 
 
 def story(
-    orbit: ZenoOrbit | EventOrbit,
+    orbit: Orbit,
     certificate: OrbitCertificate,
     execution: Execution | None,
 ) -> str:
@@ -145,7 +145,7 @@ def story(
     repeats = f"In the model the motion repeats every {orbit.period:.4g} s."
     if execution is None:
         return f"{said}{repeats}"
-    if isinstance(orbit, EventOrbit):
+    if not orbit.has_phases:
         return f"{said}{repeats} {_events(orbit)}"
     if len(execution.zeno_points) == 1:
         return f"{said}{repeats} {_one_zeno_point(orbit, execution.zeno_points[0].time)}"
@@ -176,7 +176,7 @@ _PHRASES: Mapping[str, str] = {
 """Kind of an event to its phrase. The braces stand for the name of the stop or switch."""
 
 
-def _events(orbit: EventOrbit) -> str:
+def _events(orbit: Orbit) -> str:
     """Return the event sequence in words."""
     phrases: list[str] = []
     for name in orbit.sequence:
@@ -185,7 +185,7 @@ def _events(orbit: EventOrbit) -> str:
     return f"In each period, in this order: {'; '.join(phrases)}."
 
 
-def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
+def _one_zeno_point(orbit: Orbit, zeno: float) -> str:
     e, first = orbit.parameters.get("restitution", 0.0), orbit.impacts[0].time
     flight = f"The moving part leaves its stop, flies for {first:.4g} s and hits it."
     if e > 0.0:

@@ -14,7 +14,7 @@ from zeno_orbits.errors import InputError, shown
 from zeno_orbits.experiment import Comparison
 from zeno_orbits.maps import ParameterMap
 from zeno_orbits.model import Problem, recorded_problem
-from zeno_orbits.orbits import EventOrbit, Stability, ZenoOrbit
+from zeno_orbits.orbits import Orbit, Stability
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.report.plots.certificate import plot_certificate, plot_multipliers
@@ -28,7 +28,7 @@ from zeno_orbits.report.plots.time_series import plot_states, plot_time_series
 from zeno_orbits.report.plots.work_precision import plot_trade
 from zeno_orbits.search import SearchResult, ShootingResult
 from zeno_orbits.simulation import Execution
-from zeno_orbits.verification import OrbitCertificate, problem_dynamics
+from zeno_orbits.verification import OrbitCertificate
 
 
 def figure_of(
@@ -86,19 +86,9 @@ def figure_of(
     raise InputError(f"Argument `result` {message}.")
 
 
-def _of_orbit(
-    orbit: ZenoOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
-) -> Figure:
+def _of_orbit(orbit: Orbit, problem: Problem | None, width: float, axes: Sequence[Axes]) -> Figure:
     problem = recorded_problem(orbit.problem, problem, file=orbit.problem_file)
-    execution = orbit_motion(orbit, problem, problem_dynamics(orbit, problem))
-    return plot_portraits(problem, execution, width=width, axes=axes)
-
-
-def _of_events(
-    orbit: EventOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
-) -> Figure:
-    problem = recorded_problem(orbit.problem, problem, file=orbit.problem_file)
-    execution = orbit_motion(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
+    execution = orbit_motion(orbit, problem, orbit.machine(problem))
     return plot_portraits(problem, execution, width=width, axes=axes)
 
 
@@ -120,8 +110,7 @@ def _of_continuation(
 
 _PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Figure]] = {
     Execution: _of_execution,
-    ZenoOrbit: _of_orbit,
-    EventOrbit: _of_events,
+    Orbit: _of_orbit,
     SearchResult: lambda found, problem, width, axes: _of_orbit(
         found.unwrap(), problem, width, axes
     ),

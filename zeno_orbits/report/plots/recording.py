@@ -23,7 +23,6 @@ from zeno_orbits.experiment import (
     recorded_portraits_of,
 )
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventOrbit
 from zeno_orbits.report.plots.panels import is_wide, panels_of
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS
 from zeno_orbits.report.symbols import label_of, quantity_label
@@ -91,7 +90,7 @@ def plot_comparison(
 
 def _start_of(found: Comparison) -> str:
     """Return the event at which the orbit's period starts."""
-    return found.orbit.section if isinstance(found.orbit, EventOrbit) else "release"
+    return found.orbit.section if not found.orbit.has_phases else "release"
 
 
 def _draw_signal(

@@ -25,7 +25,7 @@ from zeno_orbits.report.terminal.console import line_width, print_lines, print_t
 
 if TYPE_CHECKING:
     from zeno_orbits.model import Problem
-    from zeno_orbits.orbits import EventOrbit, OrbitPhase, ZenoOrbit
+    from zeno_orbits.orbits import Orbit, OrbitPhase
     from zeno_orbits.precision import ExecutionWithError
     from zeno_orbits.simulation import Event
     from zeno_orbits.verification import DeltaCut, OrbitCertificate
@@ -206,7 +206,7 @@ def print_error_estimate(error: float) -> None:
 
 def print_summary(
     problem: Problem,
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     certificate: OrbitCertificate,
     free: Iterable[str] = (),
 ) -> None:
@@ -248,7 +248,7 @@ def _stability(certificate: OrbitCertificate) -> tuple[str, str]:
     return "", ", of unknown stability"
 
 
-def print_event_orbit(orbit: EventOrbit, certificate: OrbitCertificate) -> None:
+def print_event_orbit(orbit: Orbit, certificate: OrbitCertificate) -> None:
     """Print an orbit of a machine with several stops or switches, its events and its verdict.
 
     Args:
@@ -314,7 +314,7 @@ def _range_text(ends: tuple[float, float] | None) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _phase_lines(problem: Problem, orbit: ZenoOrbit, k: int, phase: OrbitPhase) -> list[str]:
+def _phase_lines(problem: Problem, orbit: Orbit, k: int, phase: OrbitPhase) -> list[str]:
     """Return the events of a phase and the state at its start, as lines."""
     events = [f"first impact {phase.impacts[0].time:.8g} s"]
     if phase.zeno_time is not None:
@@ -338,7 +338,7 @@ _Row = tuple[str, str, str]
 
 def print_orbit(
     problem: Problem,
-    orbit: ZenoOrbit,
+    orbit: Orbit,
     certificate: OrbitCertificate,
     free: Iterable[str] = (),
 ) -> None:
@@ -363,7 +363,7 @@ def print_orbit(
     print_table(columns, rows)
 
 
-def _value_rows(problem: Problem, orbit: ZenoOrbit, free: set[str]) -> Iterator[_Row]:
+def _value_rows(problem: Problem, orbit: Orbit, free: set[str]) -> Iterator[_Row]:
     units = {gain.name: gain.unit for gain in problem.gains}
     for name, value in orbit.gains.items():
         yield name, f"{value:.12g}", units[name]
@@ -373,7 +373,7 @@ def _value_rows(problem: Problem, orbit: ZenoOrbit, free: set[str]) -> Iterator[
     yield "period", f"{orbit.period:.12g}", "s"
 
 
-def _phase_rows(problem: Problem, orbit: ZenoOrbit) -> Iterator[_Row]:
+def _phase_rows(problem: Problem, orbit: Orbit) -> Iterator[_Row]:
     if not orbit.shape.has_one_release:
         yield "shape", orbit.shape.text, ""
     for k, phase in enumerate(orbit.phases):

@@ -14,7 +14,7 @@ import numpy as np
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import EventOrbit, EventReturn, orbit_event_name
+from zeno_orbits.orbits import EventReturn, Orbit, orbit_event_name
 from zeno_orbits.search.events.event_search import return_near
 from zeno_orbits.search.events.outcome import AcceptEvents, EventCandidate, EventSearchResult
 from zeno_orbits.search.outcome import StartAttempt, Verdict
@@ -239,7 +239,7 @@ class _Ranking:
             return False
         return self._has_last_event(other.orbit, there)
 
-    def _has_last_event(self, orbit: EventOrbit, found: EventReturn) -> bool:
+    def _has_last_event(self, orbit: Orbit, found: EventReturn) -> bool:
         """Return True if an orbit has the last event of a return."""
         problem = self._problem
         events = [(one.name, np.array(problem.state_vector(one.state))) for one in orbit.events]

@@ -8,22 +8,23 @@ simulation. `gains` varies values.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, counted
-from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, RecordedFile, own_time
+from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, own_time
 from zeno_orbits.orbits import (
-    EventOrbit,
     EventReturn,
+    Orbit,
     OrbitEvent,
     StepControl,
     closed_return,
-    digest_of,
     multipliers_of_return,
     near_return,
     orbit_event_name,
+    orbit_of_events,
     settles_at,
     shortest_return,
 )
@@ -35,7 +36,7 @@ from zeno_orbits.simulation import (
     simulated_at_most,
     state_before,
 )
-from zeno_orbits.work import Progress, silent, versions
+from zeno_orbits.work import Progress, silent
 
 _FIRST, _LONGEST, _LONGER = 25.0, 400.0, 4.0
 """First and longest simulated time in units of the problem's slowest time, and factor of a longer
@@ -54,13 +55,13 @@ def settled_event_orbit(
     problem: Problem,
     values: ParameterValues,
     *,
-    near: EventOrbit | None = None,
+    near: Orbit | None = None,
     start: Mapping[str, float] | None = None,
     section: str | None = None,
     until: float | None = None,
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
-) -> EventOrbit:
+) -> Orbit:
     """Return the orbit to which a motion settles, or that a known orbit becomes, not verified.
 
     Args:
@@ -116,7 +117,7 @@ def require_no_other_start(start: Mapping[str, float] | None, section: str | Non
 def return_near(
     problem: Problem,
     values: ParameterValues,
-    near: EventOrbit,
+    near: Orbit,
     *,
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
@@ -328,7 +329,7 @@ def _closed(
     return shortest_return(graph, found, settings)
 
 
-def event_orbit_of(problem: Problem, values: ParameterValues, found: EventReturn) -> EventOrbit:
+def event_orbit_of(problem: Problem, values: ParameterValues, found: EventReturn) -> Orbit:
     """Return the orbit of a periodic return, not verified.
 
     Args:
@@ -336,22 +337,17 @@ def event_orbit_of(problem: Problem, values: ParameterValues, found: EventReturn
         values: Its parameter values.
         found: The return.
     """
-    return EventOrbit(
-        problem=problem.name,
-        parameters=dict(values.parameters),
-        gains=dict(values.gains),
-        period=found.period,
-        start_state=named(problem, found.start),
-        events=tuple(
-            OrbitEvent(
-                name=orbit_event_name(event),
-                time=event.time,
-                state=named(problem, state_before(event)),
-            )
-            for event in found.events
-        ),
-        floquet_multipliers=multipliers_of_return(problem.graph_dynamics(values), found),
-        versions=versions(),
-        problem_digest=digest_of(problem),
-        problem_file=RecordedFile.of(problem),
+    events = (
+        OrbitEvent(
+            name=orbit_event_name(event),
+            time=event.time,
+            state=named(problem, state_before(event)),
+        )
+        for event in found.events
     )
+    start = named(problem, found.start)
+    orbit = orbit_of_events(
+        problem, values, period=found.period, start_state=start, events=tuple(events)
+    )
+    multipliers = multipliers_of_return(problem.graph_dynamics(values), found)
+    return replace(orbit, floquet_multipliers=multipliers)

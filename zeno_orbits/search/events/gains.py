@@ -21,8 +21,8 @@ from zeno_orbits.orbits import (
     ENERGY,
     PERIOD,
     Bound,
-    EventOrbit,
     EventReturn,
+    Orbit,
     StepError,
     asked_and_reached,
     at_section,
@@ -93,7 +93,7 @@ def search_event_orbits(
     free: Mapping[str, tuple[float, float]],
     objective: Objective | None = None,
     bounds: Sequence[Bound] = (),
-    near: EventOrbit | None = None,
+    near: Orbit | None = None,
     start: Mapping[str, float] | None = None,
     section: str | None = None,
     until: float | None = None,
@@ -198,7 +198,7 @@ class _Search:
     free: Mapping[str, tuple[float, float]]
     objective: Objective
     bounds: tuple[Bound, ...]
-    near: EventOrbit | None
+    near: Orbit | None
     section: str | None
     until: float | None
     simulation: SimulationSettings

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zeno_orbits.maps import Push
-from zeno_orbits.orbits import Bound, EventOrbit
+from zeno_orbits.orbits import Bound, Orbit
 from zeno_orbits.search.objectives import MaxMargin, MaxPush, Objective
 from zeno_orbits.search.outcome import Accepted, StartAttempt, Verdict
 from zeno_orbits.search.search_problem import listed
 from zeno_orbits.search.strength import said_of
 from zeno_orbits.verification import OrbitCertificate
 
-AcceptEvents = Callable[[EventOrbit], Verdict]
+AcceptEvents = Callable[[Orbit], Verdict]
 """A check of the orbits of a search."""
 
 
@@ -23,7 +23,7 @@ AcceptEvents = Callable[[EventOrbit], Verdict]
 class EventCandidate(Accepted):
     """An accepted orbit of events."""
 
-    orbit: EventOrbit
+    orbit: Orbit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ class EventSearchResult:
         n_states: Number of initial states in the search for other attractors at the best values.
     """
 
-    orbit: EventOrbit | None
+    orbit: Orbit | None
     free: Mapping[str, float] = field(default_factory=dict[str, float])
     objective: Objective
     value: float = math.nan

@@ -12,9 +12,9 @@ from zeno_orbits.model import HybridDynamics, ParameterValues
 from zeno_orbits.orbits import (
     Cycle,
     EventSequence,
+    Orbit,
     StepControl,
     StepError,
-    ZenoOrbit,
     orbit_multipliers,
     place_on_section,
 )
@@ -58,7 +58,7 @@ class _Line:
 
 def follow(
     search: SearchProblem,
-    near: Cycle | ZenoOrbit,
+    near: Cycle | Orbit,
     easy: ParameterValues,
     wanted: ParameterValues,
     *,

@@ -9,7 +9,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Cycle, ZenoOrbit, excess
+from zeno_orbits.orbits import Cycle, Orbit, excess
 from zeno_orbits.search.homotopy.best_on_line import bounded_extents
 from zeno_orbits.search.homotopy.homotopy import follow
 from zeno_orbits.search.homotopy.line import Followed
@@ -44,8 +44,8 @@ class CycleWays:
         return bool(self.search.bounds)
 
     def follow(
-        self, near: Cycle | ZenoOrbit, here: ParameterValues, wanted: ParameterValues
-    ) -> Followed[Cycle | ZenoOrbit]:
+        self, near: Cycle | Orbit, here: ParameterValues, wanted: ParameterValues
+    ) -> Followed[Cycle | Orbit]:
         """Follow a stable orbit along a line of values, until it is lost.
 
         Args:
@@ -55,7 +55,7 @@ class CycleWays:
         """
         return follow(self.search, near, here, wanted, steps=WAY, attracting=True)
 
-    def slack(self, values: ParameterValues, near: Cycle | ZenoOrbit) -> Vector:
+    def slack(self, values: ParameterValues, near: Cycle | Orbit) -> Vector:
         """Return the distance of each bounded quantity from its bounds, positive inside.
 
         Args:

@@ -19,10 +19,10 @@ from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import (
     Cycle,
     EventSequence,
+    Orbit,
     OrbitImpact,
     OrbitPhase,
     Phase,
-    ZenoOrbit,
     minimal_period,
     new_orbit,
     place_on_section,
@@ -50,12 +50,12 @@ class ShootingResult:
         detail: Reason of a failure, as a sentence. Empty after a success.
     """
 
-    orbit: ZenoOrbit | None
+    orbit: Orbit | None
     miss: float = np.inf
     returns: int = 0
     detail: str = ""
 
-    def unwrap(self) -> ZenoOrbit:
+    def unwrap(self) -> Orbit:
         """Return the orbit.
 
         Raises:
@@ -82,7 +82,7 @@ def orbit_by_shooting(
     problem: Problem,
     values: ParameterValues,
     *,
-    near: ZenoOrbit | None = None,
+    near: Orbit | None = None,
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
     shape: EventSequence | None = None,
@@ -117,7 +117,7 @@ def orbit_by_shooting(
 def _closed(
     problem: Problem,
     values: ParameterValues,
-    near: ZenoOrbit | None,
+    near: Orbit | None,
     wanted: EventSequence | None,
     simulation: SimulationSettings,
     on_progress: Progress,
@@ -211,7 +211,7 @@ def named(problem: Problem, state: Vector) -> dict[str, float]:
     return dict(zip(problem.state_names, map(float, state), strict=True))
 
 
-def orbit_of(cycle: Cycle, problem: Problem, values: ParameterValues) -> ZenoOrbit:
+def orbit_of(cycle: Cycle, problem: Problem, values: ParameterValues) -> Orbit:
     """Convert a period that repeats to an orbit without a certificate.
 
     Args:
