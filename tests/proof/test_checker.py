@@ -32,10 +32,9 @@ MULTIPLIER = -0.58429531434153 + 0.00560035149247j
 """As published of the impact oscillator, with its conjugate."""
 
 
-def test_a_zeno_orbit_in_closed_form_is_proved(zeno: Certificate) -> None:
-    verdict = check_proof(zeno)
-    assert verdict.ok, verdict.claims
-    names = [claim.name for claim in verdict.claims]
+def test_a_zeno_orbit_in_closed_form_is_proved(zeno_verdict: ProofVerdict) -> None:
+    assert zeno_verdict.ok, zeno_verdict.claims
+    names = [claim.name for claim in zeno_verdict.claims]
     assert names == ["motion 0", "exists", "unique", "period", "zeno_time", "impact_time"]
 
 
@@ -113,10 +112,10 @@ def _exactly(text: str) -> Fraction:
 
 
 @pytest.mark.slow
-def test_a_theorem_over_a_range_is_about_each_value(zeno: Certificate) -> None:
-    theorem = check_proof(zeno).theorem
+def test_a_theorem_over_a_range_is_about_each_value(zeno_verdict: ProofVerdict) -> None:
+    theorem = zeno_verdict.theorem
     radius = Fraction(1, 2**300) + Fraction(1, 2**90)
-    verdict = replace(check_proof(zeno), theorem=replace(theorem, over={"omega": radius}))
+    verdict = replace(zeno_verdict, theorem=replace(theorem, over={"omega": radius}))
     (line,) = (line for line in verdict.lines() if line.startswith("Parameters that vary"))
     assert _exactly(line.rpartition(" ")[2].removesuffix(".")) == radius
     assert "for each value of omega there is a Zeno periodic orbit" in verdict.verdict()
