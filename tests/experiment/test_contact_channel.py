@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.orbits import event_orbit
 from zeno_orbits.experiment import RecordedSignal, Recording, contact_channels
 
 RATE = 1e5
@@ -114,7 +115,7 @@ def test_samples_of_a_controller_have_their_own_rate_and_noise() -> None:
 
 
 def test_periods_near_an_orbit_repeat_its_first_impacts() -> None:
-    orbit = zo.find_event_orbit("relay", section="zeno open")
+    orbit = event_orbit("relay", "zeno open")
     rig = zo.Rig(contact=zo.Contact(stiffness=1e9))
     run = zo.simulate_periods(orbit, rig=rig, periods=2, settle=1)
     closed = next(event.time for event in orbit.events if event.name == "impact closed")

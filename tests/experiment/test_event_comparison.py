@@ -7,13 +7,15 @@ of all edges are known without a rig.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 
 import zeno_orbits as zo
 from benchmarks.contact_coverage import NOISE, RATE, scores, settled
+from tests.support.cases import fast
+from tests.support.orbits import event_orbit
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import ComparisonVerdict, RecordedSignal, Recording, Source
 
@@ -22,9 +24,7 @@ CONTACT = 6e-5
 PERIODS = 4
 
 
-@cache
-def _orbit() -> zo.Orbit:
-    return zo.find_event_orbit("relay", section="zeno open")
+_orbit = partial(event_orbit, "relay", "zeno open")
 
 
 def _times(kind: str, stop: str) -> list[float]:
@@ -155,11 +155,14 @@ def test_a_signal_that_moves_otherwise_is_no_orbit() -> None:
 
 @pytest.mark.parametrize(
     ("scale", "offset", "words"),
-    [
-        (1e-3, 0.0, "looks like its unit labelled as a thousandth"),
-        (1.0, 5e-3, "the contact `closed` is 1 at a mean gap of"),
-        (3.0, 1e-3, "channel and signals contradict each other"),
-    ],
+    fast(
+        1,
+        [
+            (1e-3, 0.0, "looks like its unit labelled as a thousandth"),
+            (1.0, 5e-3, "the contact `closed` is 1 at a mean gap of"),
+            (3.0, 1e-3, "channel and signals contradict each other"),
+        ],
+    ),
 )
 def test_a_signal_of_another_size_is_no_orbit(scale: float, offset: float, words: str) -> None:
     recording = _recording(signals=("z",))

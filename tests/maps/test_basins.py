@@ -10,6 +10,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.antidamped_spring import PROBLEM, SETS, numbers, threshold
+from tests.support.cases import fast
 from tests.support.commands import MISUSE, ask
 from zeno_orbits.errors import InputError, MapFileError
 from zeno_orbits.maps import AttractorClass, ParameterMap, read_map, write_map
@@ -27,16 +28,16 @@ def spring_map(*, columns: int = 3, rows: int = 3, refine: int = 0) -> Parameter
     )
 
 
-@pytest.mark.parametrize("numbers_of", SETS)
+@pytest.mark.parametrize(("a", "weight", "restitution"), fast(5, SETS))
 def test_a_map_has_the_threshold_of_one_flight_and_one_impact_to_1e_8(
-    numbers_of: tuple[float, float, float],
+    a: float, weight: float, restitution: float
 ) -> None:
-    v = threshold(*numbers_of)
+    v = threshold(a, weight, restitution)
     found = zo.parameter_map(
         PROBLEM,
         x=("x", 0.0, 0.01 * v, 2),
         y=("v", v * (1 - 1e-8), v * (1 + 1e-8), 2),
-        parameters=numbers(*numbers_of),
+        parameters=numbers(a, weight, restitution),
         # So near the threshold a motion needs hundreds of impacts to leave it.
         until=3000.0,
     )
@@ -166,7 +167,6 @@ def test_an_axis_that_makes_no_sense_is_one_line(words: tuple[str, ...], told: s
     assert told in answer.err
 
 
-def test_the_orbit_of_another_problem_is_refused() -> None:
-    orbit = zo.find_orbit("motor_pendulum").unwrap()
+def test_the_orbit_of_another_problem_is_refused(orbit: zo.Orbit) -> None:
     with pytest.raises(InputError, match="must be the problem `motor_pendulum` of the orbit"):
         zo.parameter_map(PROBLEM, x=("x", 0, 1, 2), y=("v", 0, 1, 2), orbit=orbit)

@@ -16,6 +16,7 @@ import pytest
 import zeno_orbits as zo
 from tests.reference.event_loop import Accuracy, Contact, Machine, complementary, simulated
 from tests.reference.kneed_walker import motors, walker
+from tests.support.orbits import event_orbit
 from zeno_orbits.cli import main
 from zeno_orbits.maps import pushed, read_pushes
 
@@ -90,7 +91,7 @@ def test_an_orbit_that_starts_at_another_event_has_the_same_pushes() -> None:
 
 
 def test_a_push_on_a_closed_knee_follows_the_law_of_contact() -> None:
-    orbit = zo.find_event_orbit("powered_walker")
+    orbit = event_orbit("powered_walker")
     problem = zo.load_problem("powered_walker")
     graph = problem.graph_dynamics(orbit.values(problem))
     # Just before heel strike the knee is on its stop: the gap is q2 - q3.
@@ -113,7 +114,7 @@ def test_a_push_on_a_closed_knee_follows_the_law_of_contact() -> None:
 
 @pytest.mark.slow
 def test_an_independent_event_loop_walks_on_or_falls_beside_the_largest_push() -> None:
-    orbit = zo.find_event_orbit("powered_walker")
+    orbit = event_orbit("powered_walker")
     settings = zo.PushSettings(phases=1, steps=6, error=1e-2)
     found = zo.largest_push(orbit, directions=[{"q1": 1.0}], settings=settings)
     machine = walker(0.2, slope=0.0, drive=motors)
@@ -214,11 +215,16 @@ def test_the_command_pushes_an_orbit_of_events(tmp_path: Path) -> None:
     "name",
     [
         "vibrating_table",
-        "motor_valve",
         "impact_oscillator",
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("forced_oscillator", "torque_pendulum", "solenoid", "motor_cart")
+            for name in (
+                "motor_valve",
+                "forced_oscillator",
+                "torque_pendulum",
+                "solenoid",
+                "motor_cart",
+            )
         ),
     ],
 )

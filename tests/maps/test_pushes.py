@@ -233,7 +233,6 @@ def test_pushes_that_no_simulation_can_follow_are_lost() -> None:
 
 
 @pytest.mark.parametrize("size", [1e-200, 1e308])
-def test_a_direction_whose_square_is_no_double_is_refused(size: float) -> None:
-    orbit = zo.find_orbit_by_shooting("motor_pendulum").unwrap()
+def test_a_direction_whose_square_is_no_double_is_refused(orbit: zo.Orbit, size: float) -> None:
     with pytest.raises(InputError, match="must have a largest entry from 1e-100 to 1e"):
         zo.largest_push(orbit, directions=[{"theta1": size}], settings=FEW)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +13,15 @@ import pytest
 from scipy.linalg import expm
 
 import zeno_orbits as zo
-
-
-@cache
-def _orbit(name: str, **numbers: float) -> zo.Orbit:
-    return zo.find_event_orbit(name, parameters=numbers)
-
+from tests.support.cases import fast
+from tests.support.orbits import event_orbit
 
 WALKER_MULTIPLIERS = (0.3531363 + 0.552108j, 0.3531363 - 0.552108j, 0.1438697)
 """From a program that shares no code with this one, to seven digits."""
 
 
 def test_the_walker_with_plastic_knees_has_the_published_gait() -> None:
-    orbit = _orbit("kneed_walker", restitution=0.0)
+    orbit = event_orbit("kneed_walker", restitution=0.0)
     assert orbit.certificate["passed"]
     assert orbit.sequence == ("zeno knee", "switch heel strike")
     # The swing knee is free after heel strike, with which the period ends.
@@ -42,7 +37,7 @@ def test_the_walker_with_plastic_knees_has_the_published_gait() -> None:
     assert orbit.floquet_multipliers == pytest.approx(WALKER_MULTIPLIERS, abs=1e-6)
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-6])
+@pytest.mark.parametrize("factor", fast(1, [1e3, 1e-6]))
 @pytest.mark.parametrize(
     ("name", "lengths", "states"),
     [
@@ -75,7 +70,7 @@ def test_events_do_not_depend_on_the_unit_of_length(
 
 @pytest.mark.slow
 def test_the_multipliers_of_a_walker_are_those_of_differences_of_its_returns() -> None:
-    orbit = _orbit("kneed_walker", restitution=0.3)
+    orbit = event_orbit("kneed_walker", restitution=0.3)
     problem = zo.load_problem("kneed_walker")
     names = problem.state_names
     x = np.array([orbit.start_state[name] for name in names])
@@ -102,7 +97,7 @@ def test_the_multipliers_of_a_walker_are_those_of_differences_of_its_returns() -
 
 @pytest.mark.slow
 def test_gaits_with_a_zeno_knee_end_where_heel_strike_meets_the_zeno_point() -> None:
-    orbit = _orbit("kneed_walker", restitution=0.37)
+    orbit = event_orbit("kneed_walker", restitution=0.37)
     family = zo.continue_orbit(orbit, ("restitution", 0.3, 0.5)).families[0]
     assert family.last.kind is zo.SpecialPointKind.EVENTS_MEET
     assert family.last.at.value == pytest.approx(0.38397, abs=5e-6)
@@ -115,7 +110,7 @@ def test_gaits_with_a_zeno_knee_end_where_heel_strike_meets_the_zeno_point() -> 
 @pytest.mark.parametrize("section", ["zeno knee", "switch heel strike"])
 def test_a_gait_is_the_same_from_every_section(section: str) -> None:
     orbit = zo.find_event_orbit("kneed_walker", section=section)
-    usual = _orbit("kneed_walker")
+    usual = event_orbit("kneed_walker")
     assert orbit.events[-1].name == section
     assert orbit.certificate["passed"]
     assert orbit.period == pytest.approx(usual.period, rel=1e-12)
@@ -123,7 +118,7 @@ def test_a_gait_is_the_same_from_every_section(section: str) -> None:
 
 
 def test_both_halves_of_a_clapper_are_mirror_images() -> None:
-    orbit = _orbit("clapper")
+    orbit = event_orbit("clapper")
     period = 2 * math.pi / 0.3
     assert orbit.certificate["passed"]
     assert orbit.period == pytest.approx(period, rel=1e-13)
@@ -136,7 +131,7 @@ def test_both_halves_of_a_clapper_are_mirror_images() -> None:
 
 
 def test_the_first_impact_of_a_clapper_follows_the_matrix_exponential() -> None:
-    orbit = _orbit("clapper")
+    orbit = event_orbit("clapper")
     at = [event.name for event in orbit.events].index("release upper")
     release = orbit.events[at]
     hit = next(event for event in orbit.events[at:] if event.name == "impact lower")
@@ -152,7 +147,7 @@ def test_the_first_impact_of_a_clapper_follows_the_matrix_exponential() -> None:
 def test_a_hopper_has_the_speed_and_the_multiplier_of_its_closed_form(
     a: float, s: float, e: float
 ) -> None:
-    orbit = _orbit("hopper", a=a, s=s, restitution=e)
+    orbit = event_orbit("hopper", a=a, s=s, restitution=e)
     impact = orbit.events[-1]
     assert impact.state["speed"] ** 2 == pytest.approx(2 * a * s / (1 - e**2), rel=1e-12)
     # The impact takes the part 1 - e^2 of the energy, and the push gives the same each time.
@@ -161,7 +156,7 @@ def test_a_hopper_has_the_speed_and_the_multiplier_of_its_closed_form(
 
 @pytest.mark.slow
 def test_a_limit_that_is_never_reached_changes_nothing() -> None:
-    orbit = _orbit("limited_pendulum", U=1000.0)
+    orbit = event_orbit("limited_pendulum", U=1000.0)
     unlimited = zo.find_orbit("motor_pendulum").unwrap()
     assert orbit.sequence == ("release stop", "zeno stop")
     assert orbit.period == pytest.approx(unlimited.period, rel=1e-11)
@@ -170,7 +165,7 @@ def test_a_limit_that_is_never_reached_changes_nothing() -> None:
 
 
 def test_a_limited_voltage_has_its_orbit() -> None:
-    orbit = _orbit("limited_pendulum")
+    orbit = event_orbit("limited_pendulum")
     assert orbit.certificate["passed"]
     voltage = {"Kp": 2.5, "Kd": -1.0, "U": 5.0}
     limits = [event for event in orbit.events if event.name.startswith("switch")]
@@ -183,7 +178,7 @@ def test_a_limited_voltage_has_its_orbit() -> None:
 @pytest.mark.slow
 def test_a_limited_voltage_moves_as_the_rig_with_that_part_alone() -> None:
     # The rig has a compliant stop in place of impacts, multiplier and kinks.
-    orbit = _orbit("limited_pendulum")
+    orbit = event_orbit("limited_pendulum")
     release = next(event for event in orbit.events if event.name == "release stop")
     start = dict(release.state) | {"theta2": 0.0, "dtheta2": 0.0}
     names = ("theta1", "dtheta1", "current")
@@ -207,7 +202,7 @@ def test_a_limited_voltage_moves_as_the_rig_with_that_part_alone() -> None:
 
 
 def test_a_relay_has_the_published_bounces() -> None:
-    orbit = zo.find_event_orbit("relay", section="zeno open")
+    orbit = event_orbit("relay", "zeno open")
     assert orbit.certificate["passed"]
     on, off = (event.time for event in orbit.events if event.name == "switch kink 1")
     first = {}
@@ -246,19 +241,19 @@ def test_an_orbit_of_a_relay_is_verified_from_every_section() -> None:
 
 
 def test_a_file_holds_every_number_to_the_last_bit(tmp_path: Path) -> None:
-    orbit = _orbit("hopper")
+    orbit = event_orbit("hopper")
     zo.write_orbit(orbit, tmp_path / "hopper.json")
     assert zo.read_orbit(tmp_path / "hopper.json") == orbit
     assert zo.verify(tmp_path / "hopper.json").passed
 
 
 def test_an_orbit_without_a_certificate_is_verified_from_its_data() -> None:
-    bare = replace(_orbit("kneed_walker"), certificate={}, floquet_multipliers=())
+    bare = replace(event_orbit("kneed_walker"), certificate={}, floquet_multipliers=())
     certificate = zo.verify(bare)
     assert certificate.passed
     assert certificate.stable
     assert certificate.multipliers == pytest.approx(
-        _orbit("kneed_walker").floquet_multipliers, abs=1e-9
+        event_orbit("kneed_walker").floquet_multipliers, abs=1e-9
     )
 
 
@@ -269,7 +264,7 @@ def _moved(orbit: zo.Orbit, place: int, **changes: Any) -> zo.Orbit:
 
 
 def test_false_orbits_are_refused_with_the_residual_that_explains_it() -> None:
-    orbit = _orbit("kneed_walker")
+    orbit = event_orbit("kneed_walker")
     start = {**orbit.start_state, "dq1": orbit.start_state["dq1"] * (1 + 1e-6)}
     assert "closure" in zo.verify(replace(orbit, start_state=start)).failed
     late = _moved(orbit, 0, time=orbit.events[0].time + 1e-6)
@@ -299,13 +294,13 @@ def test_a_file_that_contradicts_itself_is_refused(
     tmp_path: Path, change: dict[str, Any], words: str
 ) -> None:
     file = tmp_path / "orbit.json"
-    file.write_text(json.dumps(_orbit("hopper").as_json() | change))
+    file.write_text(json.dumps(event_orbit("hopper").as_json() | change))
     with pytest.raises(zo.OrbitFileError, match=words):
         zo.read_orbit(file)
 
 
 def test_events_out_of_order_are_refused(tmp_path: Path) -> None:
-    data = _orbit("hopper").as_json()
+    data = event_orbit("hopper").as_json()
     data["events"] = [data["events"][1], data["events"][0], *data["events"][2:]]
     data["sequence"] = [event["name"] for event in data["events"]]
     file = tmp_path / "orbit.json"

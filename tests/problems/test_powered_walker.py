@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,12 @@ import pytest
 import zeno_orbits as zo
 from tests.reference import kneed_walker
 from tests.reference.event_loop import simulated
+from tests.support.orbits import event_orbit
 
 WEIGHT = 1.6 * 9.8
 """Of two legs of 0.55 kg each and a hip of 0.5 kg [N]."""
 
-
-@cache
-def _orbit() -> zo.Orbit:
-    return zo.find_event_orbit("powered_walker")
+_orbit = partial(event_orbit, "powered_walker")
 
 
 def _state(state: Any) -> np.ndarray:

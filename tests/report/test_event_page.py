@@ -13,17 +13,13 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.browser import Browser
+from tests.support.orbits import event_orbit
 from zeno_orbits.errors import InputError
 
 
 @cache
-def _orbit(name: str) -> zo.Orbit:
-    return zo.find_event_orbit(name)
-
-
-@cache
 def _page(name: str) -> str:
-    return zo.report_page(_orbit(name))
+    return zo.report_page(event_orbit(name))
 
 
 def _curves(page: str) -> dict[str, Any]:
@@ -33,7 +29,7 @@ def _curves(page: str) -> dict[str, Any]:
 
 
 def test_the_page_tells_the_events_in_their_order_with_times_and_multipliers() -> None:
-    orbit, page = _orbit("kneed_walker"), _page("kneed_walker")
+    orbit, page = event_orbit("kneed_walker"), _page("kneed_walker")
     assert "Zeno periodic orbit" in page
     story = page.index("the impacts on the stop “knee” end in contact (Zeno point)")
     assert story < page.index("the switch “heel strike”")
@@ -49,7 +45,7 @@ def test_the_page_tells_the_events_in_their_order_with_times_and_multipliers() -
 
 
 def test_the_curves_of_the_page_are_those_of_the_orbit() -> None:
-    orbit, curves = _orbit("kneed_walker"), _curves(_page("kneed_walker"))
+    orbit, curves = event_orbit("kneed_walker"), _curves(_page("kneed_walker"))
     series = curves["series"]
     strike = orbit.events[-1]
     assert series["switches"] == pytest.approx([strike.time], abs=1e-9)
@@ -65,7 +61,7 @@ def test_the_curves_of_the_page_are_those_of_the_orbit() -> None:
 
 
 def test_each_of_two_stops_has_the_duration_of_its_contact() -> None:
-    orbit, page = _orbit("clapper"), _page("clapper")
+    orbit, page = event_orbit("clapper"), _page("clapper")
     times = {event.name: event.time for event in orbit.events}
     lower = times["release lower"] - times["zeno lower"]
     # By symmetry both stops hold the mass equally long.
@@ -81,7 +77,7 @@ def test_the_page_zooms_into_the_zeno_point_of_every_stop(name: str, stops: list
     assert re.findall(r"Zoom into the Zeno point of (\w+)<", page) == stops
     assert len(zooms) == len(stops)
     assert [f'id="plot-zeno-{k}"' in page for k in range(3)] == [k < len(stops) for k in range(3)]
-    hits = [event.name for event in _orbit(name).events if event.name.startswith("impact")]
+    hits = [event.name for event in event_orbit(name).events if event.name.startswith("impact")]
     for stop, zoom in zip(stops, zooms, strict=True):
         assert len(zoom["speeds"]["x"]) == hits.count(f"impact {stop}")
 
@@ -154,14 +150,14 @@ def test_an_orbit_without_zeno_point_has_a_page_without_a_zoom() -> None:
 
 
 def test_the_page_of_a_false_orbit_says_so() -> None:
-    orbit = _orbit("hopper")
+    orbit = event_orbit("hopper")
     false = replace(orbit, period=1.001 * orbit.period)
     assert "Not verified: do not rely on these values." in zo.report_page(false)
 
 
 @pytest.mark.slow
 def test_the_page_shows_pushes_and_recovery_of_this_orbit_only(tmp_path: Path) -> None:
-    orbit, file = _orbit("hopper"), tmp_path / "recovery.json"
+    orbit, file = event_orbit("hopper"), tmp_path / "recovery.json"
     recovery = zo.recovery(orbit, settings=zo.RecoverySettings(samples=5))
     file.write_text(json.dumps(recovery.as_json()))
     pushes = zo.largest_push(orbit, settings=zo.PushSettings(phases=2, steps=2))
@@ -181,4 +177,4 @@ def test_the_page_shows_pushes_and_recovery_of_this_orbit_only(tmp_path: Path) -
 
 def test_a_work_precision_study_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="`trade` needs a machine with one stop"):
-        zo.report_page(_orbit("hopper"), trade=tmp_path / "study.json")
+        zo.report_page(event_orbit("hopper"), trade=tmp_path / "study.json")

@@ -16,19 +16,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 import zeno_orbits as zo
-from zeno_orbits.orbits import Orbit
+from tests.support.cases import fast
+from tests.support.orbits import event_orbit
 from zeno_orbits.report import orbit_motion, plots
 from zeno_orbits.simulation import Execution
 
 
 @cache
-def _orbit(name: str) -> Orbit:
-    return zo.find_event_orbit(name)
-
-
-@cache
 def _motion(name: str) -> Execution:
-    orbit, problem = _orbit(name), zo.load_problem(name)
+    orbit, problem = event_orbit(name), zo.load_problem(name)
     return orbit_motion(orbit, problem, problem.graph_dynamics(orbit.values(problem)))
 
 
@@ -54,7 +50,7 @@ def _spans(ax: Axes) -> dict[str, list[tuple[float, float]]]:
 
 
 def test_the_closed_intervals_of_each_stop_are_shaded_in_a_colour_of_its_own() -> None:
-    orbit, execution = _orbit("clapper"), _motion("clapper")
+    orbit, execution = event_orbit("clapper"), _motion("clapper")
     figure = plots.plot_time_series(zo.load_problem("clapper"), execution)
     spans = _spans(figure.axes[0])
     times = {event.name: event.time for event in orbit.events}
@@ -111,7 +107,7 @@ def test_two_stops_that_are_closed_at_once_share_the_height_of_a_panel() -> None
 
 
 def test_switches_are_lines_at_their_times_and_marks_at_their_states() -> None:
-    orbit, problem = _orbit("hopper"), zo.load_problem("hopper")
+    orbit, problem = event_orbit("hopper"), zo.load_problem("hopper")
     figure = plots.plot_time_series(problem, _motion("hopper"))
     for ax in figure.axes:
         drawn = [float(_points(line)[0, 0]) for line in ax.lines if line.get_gid() == "switch"]
@@ -129,7 +125,7 @@ def test_switches_are_lines_at_their_times_and_marks_at_their_states() -> None:
 
 
 def test_an_orbit_of_events_is_drawn_as_portraits_with_its_resets() -> None:
-    orbit = _orbit("kneed_walker")
+    orbit = event_orbit("kneed_walker")
     figure = zo.plot(orbit)
     assert {"switch: heel strike", "locked arc: knee", "Zeno point", "reset"} <= _labels(figure)
     strike = orbit.events[-1].state
@@ -148,15 +144,18 @@ def test_the_legend_lacks_a_contact_phase_that_is_a_point_of_the_portrait() -> N
 
 @pytest.mark.parametrize(
     ("name", "gaps"),
-    [
-        ("clapper", {"lower": lambda q: 1.0 + q, "upper": lambda q: 1.0 - q}),
-        ("relay", {"open": lambda z: 9e-4 - z, "closed": lambda z: z}),
-    ],
+    fast(
+        1,
+        [
+            ("clapper", {"lower": lambda q: 1.0 + q, "upper": lambda q: 1.0 - q}),
+            ("relay", {"open": lambda z: 9e-4 - z, "closed": lambda z: z}),
+        ],
+    ),
 )
 def test_a_zoom_has_a_row_for_every_stop_with_its_own_gap_and_impacts(
     name: str, gaps: dict[str, Callable[[float], float]]
 ) -> None:
-    orbit, problem = _orbit(name), zo.load_problem(name)
+    orbit, problem = event_orbit(name), zo.load_problem(name)
     graph = problem.graph_dynamics(orbit.values(problem))
     figure = plots.plot_zeno_neighbourhood(problem, _motion(name), graph)
     # The rows follow the Zeno points of the period.

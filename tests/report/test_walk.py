@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, partial
 
 import casadi as ca
 import numpy as np
 import pytest
 
 import zeno_orbits as zo
-from zeno_orbits.orbits import Orbit
+from tests.support.orbits import event_orbit
 from zeno_orbits.report import orbit_motion
 from zeno_orbits.report.motion import MachineMotion, frame_of, machine_motion
 
 STEPS = 3
 
 
-@cache
-def _orbit() -> Orbit:
-    return zo.find_event_orbit("kneed_walker")
+_orbit = partial(event_orbit, "kneed_walker")
 
 
 @cache

@@ -1,14 +1,28 @@
-"""Orbits with some of their numbers changed."""
+"""Orbits that several files of tests ask for, and orbits with some of their numbers changed."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
+import zeno_orbits as zo
 from zeno_orbits.orbits import Orbit
 
 _OF_PHASE = {"release_state": "start_state", "start_state": "start_state"}
 _ENTRIES = {"kind", "start_time", "impacts", "zeno_time", "zeno_state", *_OF_PHASE}
+
+
+@cache
+def event_orbit(name: str, section: str | None = None, **numbers: float) -> zo.Orbit:
+    """Return the orbit of events of a bundled problem, which a process searches once.
+
+    Args:
+        name: Of the problem.
+        section: Where the period starts.
+        numbers: Parameters by name.
+    """
+    return zo.find_event_orbit(name, parameters=numbers, section=section)
 
 
 def changed(orbit: Orbit, place: int = 0, **entries: Any) -> Orbit:
