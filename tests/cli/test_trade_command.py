@@ -25,7 +25,10 @@ from zeno_orbits.precision import read_work_precision
 pytestmark = pytest.mark.usefixtures("here")
 
 
-TRADING = ("work-precision", "bouncing_ball", "--quick", "--until", "4.5")
+TRADING = (
+    *("work-precision", "bouncing_ball", "--quick"),
+    *("--set", "restitution=0.5", "--until", "1.5"),
+)
 
 
 @pytest.fixture(name="traded", scope="module")

@@ -44,6 +44,13 @@ def table(orbit: Orbit, problem: Problem) -> OrbitTable:
     return tabulate_orbit(orbit, problem, SIGNALS)
 
 
+@pytest.fixture(scope="module")
+def compared(orbit: Orbit, problem: Problem, table: OrbitTable) -> tuple[Recording, Comparison]:
+    """Return a copy of the orbit with little noise, and its comparison."""
+    recording = recorded(table, problem, noise=1e-3)
+    return recording, compare_recording(orbit, problem, recording)
+
+
 def changed(recording: Recording, change: Callable[[np.ndarray, np.ndarray], Any]) -> Recording:
     """Return a recording with other times and values, ``(time, values) -> (time, values)``."""
     values = np.stack([signal.values for signal in recording.signals])
@@ -101,6 +108,7 @@ def test_the_numbers_of_a_copy_are_the_orbits_own(
     assert found.metric("locked duration").error < 2e-2
 
 
+@pytest.mark.slow
 def test_the_numbers_of_a_copy_without_noise_are_near_the_orbits_own(
     orbit: Orbit, problem: Problem, table: OrbitTable
 ) -> None:
@@ -297,10 +305,10 @@ def test_signals_of_another_kind_are_refused(orbit: Orbit, problem: Problem) -> 
             compare_recording(orbit, problem, recording)
 
 
-def test_the_data_are_plain_and_finite(orbit: Orbit, problem: Problem, table: OrbitTable) -> None:
+def test_the_data_are_plain_and_finite(compared: tuple[Recording, Comparison]) -> None:
     import json
 
-    found: Comparison = compare_recording(orbit, problem, recorded(table, problem, noise=1e-3))
+    found = compared[1]
     data = json.loads(json.dumps(found.as_json(), allow_nan=False))
     assert data["agrees"] is True
     assert data["source"] == "simulated"
@@ -320,12 +328,11 @@ def test_the_data_are_plain_and_finite(orbit: Orbit, problem: Problem, table: Or
 
 
 def test_each_curve_of_the_picture_is_what_its_label_says(
-    orbit: Orbit, problem: Problem, table: OrbitTable
+    orbit: Orbit, problem: Problem, table: OrbitTable, compared: tuple[Recording, Comparison]
 ) -> None:
     from zeno_orbits.report.plots import plot_comparison
 
-    recording = recorded(table, problem, noise=1e-3)
-    found = compare_recording(orbit, problem, recording)
+    recording, found = compared
     assert found.deviations is not None
     assert found.where is not None
     axes = plot_comparison(problem, found).axes
@@ -488,7 +495,7 @@ def noisier(recording: Recording, name: str, factor: float, seed: int) -> Record
     return replace(recording, signals=signals)
 
 
-@pytest.mark.parametrize("noisy", fast(1, ["distance", "speed"]))
+@pytest.mark.parametrize("noisy", fast(0, ["distance", "speed"]))
 def test_errors_of_time_follow_the_noise_of_the_signals_that_tell_it(
     noisy: str, forced: tuple[Problem, Orbit, OrbitTable]
 ) -> None:
@@ -509,6 +516,7 @@ def test_errors_of_time_follow_the_noise_of_the_signals_that_tell_it(
     assert 0.68 < float(np.sqrt(np.mean(np.square(scores)))) < 1.3
 
 
+@pytest.mark.slow
 def test_the_period_of_a_recording_without_noise_is_exact(
     forced: tuple[Problem, Orbit, OrbitTable],
 ) -> None:
@@ -549,7 +557,7 @@ FEW = (9.4, 8.35, 3.3, 4.3, 5.3, 7.1, 7.9, 10.5, 11.75, 15.3, 20.6)
 
 @pytest.mark.parametrize(("n_cycles", "noise"), fast(1, [(20.0, 1e-3), (40.0, 0.0)]))
 @pytest.mark.parametrize("samples", fast(1, FEW))
-@pytest.mark.parametrize("machine", ["shaken", "forced"])
+@pytest.mark.parametrize("machine", fast(1, ["shaken", "forced"]))
 def test_an_orbit_with_few_samples_is_not_taken_for_another(
     machine: str, samples: float, n_cycles: float, noise: float, request: pytest.FixtureRequest
 ) -> None:
@@ -616,7 +624,7 @@ def test_a_contact_channel_must_agree_with_the_recorded_gap(
     problem: Problem,
     table: OrbitTable,
 ) -> None:
-    plain = recorded(table, problem, n_cycles=5)
+    plain = recorded(table, problem, n_cycles=5, rate=200.0)
     time = (plain.time + 0.3 * orbit.period) % orbit.period
     closed = np.array(time > orbit.zeno_time, dtype=np.float64)
     contact = RecordedSignal(name="contact", unit="1", values=channel(closed))

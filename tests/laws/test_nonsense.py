@@ -326,7 +326,7 @@ def test_nonsense_is_refused_in_one_line_that_names_the_argument(
     monkeypatch.chdir(tmp_path)
     drawn = random.Random(2026)
     known = places()
-    calls = [(*known[k % len(known)], drawn.choice(NONSENSE)) for k in range(900)]
+    calls = [(*known[k % len(known)], drawn.choice(NONSENSE)) for k in range(400)]
     assert failures(calls, tmp_path) == []
 
 

@@ -43,8 +43,7 @@ DRIFT = 1e-14
 
 def examples(n: int) -> Callable[[Any], Any]:
     """Return how often a property is tried; what else is asked of it stands in `conftest.py`."""
-    factor = 1 if settings().derandomize else 20
-    return settings(max_examples=factor * n)
+    return settings(max_examples=max(n // 2, 4) if settings().derandomize else 20 * n)
 
 
 def between(lowest: float, highest: float) -> st.SearchStrategy[float]:

@@ -56,7 +56,13 @@ def _code_words(path: Path) -> set[str]:
     return words
 
 
+ANYWHERE = re.compile(WORDS.pattern.replace(r"\b", ""))
+"""Words in a text whose borders are not known: in most modules none is found, at once."""
+
+
 def _named_problems(path: Path) -> set[str]:
+    if not ANYWHERE.search(path.read_text()):
+        return set()
     return {found[0] for word in _code_words(path) if (found := WORDS.search(word))}
 
 

@@ -56,7 +56,7 @@ def test_no_text_of_a_file_commands_the_terminal(
     for name, content in contents_by_kind("motor_pendulum").items():
         count = [0]
         _spoiled(content, "", -1, count)
-        for chosen in drawn.integers(1, count[0] + 1, 3):
+        for chosen in drawn.integers(1, count[0] + 1, 2):
             spoiled = _spoiled(content, text, int(chosen), [0])
             Path(name).write_text(json.dumps(spoiled), encoding="utf-8")
             for words in list(reading_commands(Path(name), output=tmp_path / "out.html"))[::4]:
@@ -94,7 +94,7 @@ def test_tables_and_sentences_show_a_command_as_its_escape(
 
 @pytest.mark.parametrize(
     "name",
-    fast(3, ["$x^{2$", "$", "a $ b", r"$\frac{$", "$$", r"$\nope$", "$^^$", "x$_$", "$x_1$", "%"]),
+    fast(1, ["$x^{2$", "$", "a $ b", r"$\frac{$", "$$", r"$\nope$", "$^^$", "x$_$", "$x_1$", "%"]),
 )
 def test_an_axis_of_any_name_is_drawn(name: str, tmp_path: Path) -> None:
     found = zo.parameter_map("bouncing_ball", x=("g", 5, 10, 2), y=("m", 1, 2, 2))
@@ -144,18 +144,19 @@ def test_settings_of_matplotlib_in_the_current_folder_are_not_obeyed(
     else:
         path.write_bytes(b"\xff\xfe\0nonsense")
     usual = mpl.rcParamsDefault
-    told = _python(tmp_path, DRAWS, MPLCONFIGDIR=str(tmp_path / "none"))
+    # Nor is a backend that does not exist: a picture needs none.
+    told = _python(tmp_path, DRAWS, MPLCONFIGDIR=str(tmp_path / "none"), MPLBACKEND="nonsense")
     assert told == f"{usual['animation.ffmpeg_path']} {usual['font.size']}\n"
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("backend", fast(1, ["nonsense", "module://nonsense", "agg", ""]))
+@pytest.mark.parametrize("backend", fast(0, ["nonsense", "module://nonsense", "agg", ""]))
 def test_a_picture_needs_no_backend(backend: str, tmp_path: Path) -> None:
     _python(tmp_path, DRAWS, MPLBACKEND=backend)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("count", [20_000, 200_000])
+@pytest.mark.parametrize("count", fast(1, [20_000, 200_000]))
 def test_repeated_names_are_found_at_once(count: int, tmp_path: Path) -> None:
     path = tmp_path / "orbit.json"
     names = ",".join(f'"name{k}":0' for k in range(count))

@@ -182,7 +182,7 @@ def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
 
 
 def test_points_that_kill_once_each_are_all_computed_in_their_chunks(tmp_path: Path) -> None:
-    task = Deadly(points=tuple(POINTS[1::6]), once=str(tmp_path))
+    task = Deadly(points=tuple(POINTS[1::12]), once=str(tmp_path))
     assert list(parallel_map(task, POINTS, plan())) == POINTS
 
 
