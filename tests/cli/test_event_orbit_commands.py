@@ -77,6 +77,7 @@ def test_figures_draws_the_mechanism_and_the_portraits() -> None:
     assert answer.data["left_out"] == {}
 
 
+@pytest.mark.slow
 def test_report_writes_the_page_and_returns_the_verdict() -> None:
     zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
     answer = ask("report", "hopper.json", "-o", "page.html")
@@ -174,6 +175,7 @@ def test_orbits_that_are_not_stable_are_not_ranked() -> None:
     assert scores == sorted(scores)
 
 
+@pytest.mark.slow
 def test_search_finds_gains_that_keep_a_bound_and_writes_their_orbit() -> None:
     answer = ask(
         *("search", "hopper", "--vary", "a=5:40", "--objective", "impacts"),

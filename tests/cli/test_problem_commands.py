@@ -62,6 +62,7 @@ def test_conditions_draws_the_region_when_asked(here: Path) -> None:
     assert "Written: region.png" in answer.out
 
 
+@pytest.mark.slow
 def test_fidelity_names_the_reduced_models_and_their_cost() -> None:
     answer = ask("reduced-models", "motor_pendulum")
     assert answer.code == YES

@@ -145,9 +145,9 @@ def test_misuse_of_the_module_is_an_exit_code_and_one_line() -> None:
     assert_refused(Answer(process.returncode, out, err), "--until 0: ")
 
 
-@pytest.mark.parametrize("arguments", [("problems",), ("problems", "--json")], ids=" ".join)
-def test_a_reader_who_has_seen_enough_is_no_error(arguments: tuple[str, ...]) -> None:
-    with started(*arguments) as process:
+@pytest.mark.parametrize("words", fast(1, ["problems", "problems --json"]))
+def test_a_reader_who_has_seen_enough_is_no_error(words: str) -> None:
+    with started(*words.split()) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()
@@ -189,9 +189,9 @@ def test_a_yes_and_a_misuse_do_not_depend_on_it_either(here: Path) -> None:
         assert closed("verify", here / "none.json", streams=streams).returncode == MISUSE
 
 
-@pytest.mark.parametrize("arguments", [("problems",), ("problems", "--json"), ("--help",)])
-def test_an_output_that_finds_no_room_is_no_yes(arguments: tuple[str, ...]) -> None:
-    found = closed(*arguments, streams="> /dev/full")
+@pytest.mark.parametrize("words", fast(1, ["problems", "problems --json", "--help"]))
+def test_an_output_that_finds_no_room_is_no_yes(words: str) -> None:
+    found = closed(*words.split(), streams="> /dev/full")
     assert found.returncode == MISUSE
     assert re.fullmatch(
         r"zeno-orbits: Standard output is not writable.*No space left.*\n", found.stderr

@@ -39,7 +39,7 @@ def family_in_the_force(box: tuple[float, float], steps: FamilySteps, **numbers:
     [
         pytest.param((0.5, 1.01), SHORT, marks=pytest.mark.slow),
         pytest.param((0.7, 1.1), DEFAULT, marks=pytest.mark.slow),
-        ((0.5, 1.5), LONG),
+        pytest.param((0.5, 1.5), LONG, marks=pytest.mark.slow),
         ((0.79, 1.01), LONG),
     ],
 )

@@ -662,6 +662,7 @@ PRESSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _some(PRESSED, "three impacts below"))
 def test_a_contact_phase_vanishes_beside_repeated_impacts_on_another_stop(name: str) -> None:
     machine = PRESSED[name]

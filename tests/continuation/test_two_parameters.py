@@ -131,6 +131,7 @@ def test_every_fold_on_the_curve_is_found_wherever_it_starts() -> None:
     assert len(one.cusps) == len(other.cusps) == 1
 
 
+@pytest.mark.slow
 def test_charts_that_turn_with_every_question_change_nothing() -> None:
     # A section's tangents are any basis: an eigenvalue solver gives one today, another tomorrow.
     @dataclass(frozen=True, kw_only=True)

@@ -83,7 +83,7 @@ def _compared(name: str, recording: Recording) -> zo.Comparison:
 
 
 @pytest.mark.parametrize("chosen", [(), ("v",)], ids=["all", "speed"])
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", fast(2, MACHINES))
 def test_a_recording_of_the_orbit_shows_it(name: str, chosen: tuple[str, ...]) -> None:
     own = MACHINES[name][1]()
     found = _compared(name, _recording(name, (own,), chosen=chosen))
@@ -103,7 +103,7 @@ OTHERS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "changed", "first"), fast(3, OTHERS))
+@pytest.mark.parametrize(("name", "changed", "first"), fast(1, OTHERS))
 def test_another_controller_is_not_this_orbit_and_the_first_difference_is_named(
     name: str, changed: dict[str, float], first: str
 ) -> None:
@@ -134,11 +134,14 @@ def test_a_recording_reversed_in_time_is_no_orbit(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "changed"),
-    [
-        ("wheel", {"slope": 0.09}),
-        ("escapement", {"push": 1.2}),
-        ("duffing", {"amplitude": 0.24}),
-    ],
+    fast(
+        1,
+        [
+            ("wheel", {"slope": 0.09}),
+            ("escapement", {"push": 1.2}),
+            ("duffing", {"amplitude": 0.24}),
+        ],
+    ),
 )
 def test_two_orbits_in_turn_are_a_doubled_period(name: str, changed: dict[str, float]) -> None:
     motion = MACHINES[name][1]

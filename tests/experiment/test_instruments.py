@@ -98,6 +98,7 @@ def test_an_error_of_an_instrument_biases_values_unless_it_is_fitted(
     assert max(d / one.error for d, one in zip(deviations, sure.fitted[:2], strict=True)) > 8.0
 
 
+@pytest.mark.slow
 def test_a_gain_is_not_told_from_the_size_of_the_motion() -> None:
     # Lengths A, stop and distance scale together: the oscillator is linear between impacts.
     fit = ["A", "stop", "distance.gain"]

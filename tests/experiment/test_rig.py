@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from benchmarks.rig_convergence import fit_order
+from tests.support.cases import fast
 from tests.support.disc import DISC, ELECTRIC, INERTIA
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
@@ -541,7 +542,9 @@ def test_a_machine_that_runs_away_says_which_coordinate_did(problem: Problem) ->
 # ------------------------------------------------------------------------------- any other problem
 
 
-@pytest.mark.parametrize("name", ["two_motors", "motor_cart", "motor_valve", "forced_oscillator"])
+@pytest.mark.parametrize(
+    "name", fast(2, ["two_motors", "motor_cart", "motor_valve", "forced_oscillator"])
+)
 def test_other_problems_have_a_rig_too(name: str) -> None:
     problem = load_problem(name)
     rig = Rig(contact=Contact(stiffness=1e5))

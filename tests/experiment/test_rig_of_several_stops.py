@@ -138,7 +138,7 @@ def _end_deviation(name: str, until: float, stiffness: float, **options: Any) ->
 @pytest.mark.parametrize(
     ("name", "until", "stiffness", "order"),
     fast(
-        2,
+        1,
         [
             # The clock decides the release: its delay is the dent, with the order 1.
             ("clapper", 30.0, 1e5, 1.0),
@@ -161,6 +161,7 @@ def test_compliant_stops_converge_to_the_execution_with_hard_stops(
     assert soft / stiff == pytest.approx(100**order, rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_contacts_of_a_stiff_relay_begin_at_the_published_impacts() -> None:
     """MACHINES: first impacts 2.09300141683 ms and 27.3932730156 ms after the voltage is on."""
     period = 0.04

@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 from scipy.integrate import DOP853, Radau
@@ -29,12 +31,17 @@ from zeno_orbits.simulation import simulate
 TABLE = Path(__file__).parents[2] / "docs" / "extremes.md"
 
 
-def _marked(row: Row) -> object:
-    marks = [pytest.mark.slow] if row.slow else []
-    return pytest.param(row, id=row.name, marks=marks)
+def _cases() -> list[Any]:
+    """Return the rows; those after the first two of a kind are slow."""
+    seen, cases = Counter[str](), list[Any]()
+    for row in ROWS:
+        slow = row.slow or seen[row.kind] >= 2
+        seen[row.kind] += not row.slow
+        cases.append(pytest.param(row, id=row.name, marks=[pytest.mark.slow] * slow))
+    return cases
 
 
-@pytest.mark.parametrize("row", [_marked(row) for row in ROWS])
+@pytest.mark.parametrize("row", _cases())
 def test_the_row_is_right_or_ends_in_its_named_error(row: Row) -> None:
     if row.ends_in is not None:
         with pytest.raises(row.ends_in):

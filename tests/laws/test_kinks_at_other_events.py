@@ -18,6 +18,7 @@ from scipy.integrate import quad
 from scipy.linalg import expm
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from tests.support.mechanisms import machine_of
 
 ca: Any = casadi
@@ -112,7 +113,7 @@ MEETING: dict[str, tuple[Force, Truth]] = {
 }
 
 
-@pytest.mark.parametrize("name", MEETING)
+@pytest.mark.parametrize("name", fast(3, MEETING))
 def test_kinks_of_the_clock_may_meet(name: str) -> None:
     force, truth = MEETING[name]
     run = zo.simulate(driven(force, 2.0), until=UNTIL)

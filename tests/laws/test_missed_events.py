@@ -19,6 +19,7 @@ import pytest
 from scipy.integrate import DOP853, LSODA
 from scipy.optimize import brentq
 
+from tests.support.cases import fast
 from tests.support.mechanisms import numeric, slider
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
 from zeno_orbits.model import HybridDynamics, HybridLagrangian
@@ -257,7 +258,7 @@ def test_no_first_event_of_a_family_is_missed(family: Family, cases: int) -> Non
 
 @pytest.mark.parametrize(
     "engine",
-    [RungeKutta(), Radau(), SciPy(method=DOP853), SciPy(method=LSODA)],
+    fast(2, [RungeKutta(), Radau(), SciPy(method=DOP853), SciPy(method=LSODA)]),
     ids=("explicit", "implicit", "scipy explicit", "scipy multistep"),
 )
 def test_every_engine_sees_them(engine: Engine) -> None:

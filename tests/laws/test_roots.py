@@ -19,6 +19,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from tests.support.one_mass import Motion, one_mass
 from zeno_orbits.arrays import Vector
 
@@ -52,7 +53,7 @@ def _pad(force: Callable[[ca.SX], ca.SX]) -> zo.Problem:
     )
 
 
-@pytest.mark.parametrize("form", PADS)
+@pytest.mark.parametrize("form", fast(6, PADS))
 def test_the_time_in_an_elastic_contact_is_the_closed_form(form: str) -> None:
     n, force = PADS[form]
     one = 1.0 / (n + 1.0)

@@ -13,6 +13,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.reference.exact_flights import TURN, Truth, clearly_settled, flight_time, settled
+from tests.support.cases import fast
 from zeno_orbits.maps import attractors_at
 
 GRAVITY = 9.81
@@ -52,7 +53,7 @@ def tables() -> list[tuple[float, float, Truth]]:
     return found
 
 
-@pytest.mark.parametrize("omega", [30.0, 1.0, 0.01])
+@pytest.mark.parametrize("omega", fast(1, [30.0, 1.0, 0.01]))
 def test_a_map_names_the_periods_of_random_tables(
     tables: list[tuple[float, float, Truth]], omega: float
 ) -> None:
@@ -87,6 +88,7 @@ def test_a_map_names_orbits_of_sequences_of_impacts_that_never_rest(
     assert 0.0 < found.spectral_radius < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("acceleration", "restitution"),
     # At local errors of 1e-6, 1e-7 and 1e-8 it comes to rest after 40, 54 and 89 turns.

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from tests.support.units import Units, dimension_of, in_units
 
 GRAMS = Units(mass=1e3, length=1e3, time=1e3)
@@ -149,7 +150,7 @@ def in_si(ask: Callable[[zo.Problem, Units], Told], name: str) -> Told:
     return ask(zo.load_problem(name), Units())
 
 
-@pytest.mark.parametrize("units", [GRAMS, MIXED, *FAR], ids=name_of)
+@pytest.mark.parametrize("units", fast(5, [GRAMS, MIXED, *FAR]), ids=name_of)
 @pytest.mark.parametrize("name", ["vibrating_table", "motor_valve"])
 def test_a_simulation_is_the_same(name: str, units: Units) -> None:
     require_same(simulated, name, units)

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.loop.agreement import needs_compiler
+from tests.support.cases import fast
 from tests.support.source_trees import unbuilt_tree
 from zeno_orbits.cli import main
 from zeno_orbits.loop import library_folder, loop_library
@@ -176,10 +177,13 @@ def test_a_failed_compilation_is_not_remembered(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("command", "told"),
-    [
-        ("no-such-compiler -O3", "the program `no-such-compiler` is missing"),
-        ("cc 'unfinished", "CC=`cc 'unfinished` is not a command (No closing quotation)"),
-    ],
+    fast(
+        1,
+        [
+            ("no-such-compiler -O3", "the program `no-such-compiler` is missing"),
+            ("cc 'unfinished", "CC=`cc 'unfinished` is not a command (No closing quotation)"),
+        ],
+    ),
 )
 def test_a_variable_that_names_no_compiler_is_one_line_in_every_command(
     command: str, told: str, tmp_path: Path

@@ -22,6 +22,7 @@ from tests.loop.agreement import (
     require_equal,
     task_of,
 )
+from tests.support.cases import fast
 from tests.support.families import BALL, CART
 from tests.support.mechanisms import numeric, slider
 from tests.support.one_stop import one_stop_problems
@@ -57,14 +58,14 @@ ROUNDING = 1e-11
 rounding, and a few seconds of motion magnify that. Up to 1.6e-12 was seen."""
 
 
-@pytest.mark.parametrize(("name", "start"), [one for one in STARTS if one[0] in STIFF])
+@pytest.mark.parametrize(("name", "start"), fast(3, [one for one in STARTS if one[0] in STIFF]))
 def test_explicit_steps_give_the_same_bits(name: str, start: int) -> None:
     run = require_equal(task_of(zo.load_problem(name), until=2.0, start=start, settings=EXPLICIT))
     assert run is not None
     assert n_implicit(run) == 0
 
 
-@pytest.mark.parametrize(("name", "start"), STARTS)
+@pytest.mark.parametrize(("name", "start"), fast(8, STARTS))
 def test_the_default_engine_gives_the_same_to_rounding(name: str, start: int) -> None:
     task = task_of(zo.load_problem(name), until=2.0, start=start)
     if name in STIFF:
@@ -348,7 +349,7 @@ def test_starts_on_the_stop_are_the_same() -> None:
 
 @pytest.mark.parametrize(
     "units",
-    [Units(length=1e3), Units(length=1e-6, mass=1e6), Units(time=1e6), Units(time=1e-6)],
+    fast(2, [Units(length=1e3), Units(length=1e-6, mass=1e6), Units(time=1e6), Units(time=1e-6)]),
     ids=str,
 )
 @pytest.mark.parametrize("name", ["vibrating_table", "curved_surface"])

@@ -142,7 +142,7 @@ def test_elastic_impacts_on_several_stops_are_the_same() -> None:
 
 @pytest.mark.parametrize("engine", [RungeKutta(), Radau()], ids=["explicit", "implicit"])
 @pytest.mark.parametrize("half_periods", fast(1, [2, 4, 5]))
-@pytest.mark.parametrize("name", ["relay", "relay_soft"])
+@pytest.mark.parametrize("name", fast(1, ["relay", "relay_soft"]))
 def test_a_switch_at_the_end_of_the_time_does_not_count(
     name: str, half_periods: int, engine: Engine
 ) -> None:
@@ -193,7 +193,7 @@ def test_explicit_steps_give_the_same_bits(
     assert len(run.events) >= 10
 
 
-@pytest.mark.parametrize(("name", "until", "values"), BUNDLED)
+@pytest.mark.parametrize(("name", "until", "values"), fast(3, BUNDLED))
 def test_the_default_engine_gives_the_same_to_rounding(
     name: str, until: float, values: dict[str, float]
 ) -> None:

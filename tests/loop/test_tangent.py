@@ -94,7 +94,7 @@ def _of_one_rounding(task: SimulationTask, chosen: tuple[int, ...], run: Executi
 
 @pytest.mark.parametrize(
     ("name", "until"),
-    [("relay", 0.05), ("kneed_walker", 0.5), ("clapper", 8.0), ("limited_pendulum", 1.0)],
+    fast(2, [("relay", 0.05), ("kneed_walker", 0.5), ("clapper", 8.0), ("limited_pendulum", 1.0)]),
 )
 def test_every_event_of_several_stops_and_switches_moves_as_in_python(
     name: str, until: float
@@ -120,7 +120,7 @@ def test_every_event_of_several_stops_and_switches_moves_as_in_python(
     assert np.all(off <= ROUNDING * np.maximum(largest, [until, *states, fastest]))
 
 
-@pytest.mark.parametrize(("name", "engine"), fast(8, COMBINED))
+@pytest.mark.parametrize(("name", "engine"), fast(3, COMBINED))
 def test_every_arc_moves_as_in_python(name: str, engine: str) -> None:
     settings = SimulationSettings(completion=ZenoExtrapolation(), engine=ENGINES[engine])
     task = task_of(zo.load_problem(name), until=0.7, settings=settings)

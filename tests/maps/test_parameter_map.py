@@ -517,6 +517,7 @@ def table(**changes: Any) -> Plane:
     return Plane(**{"source": locate_problem("vibrating_table"), "y": y, **TABLE, **changes})
 
 
+@pytest.mark.slow
 def test_a_problem_object_is_mapped_by_this_process_as_its_file_is_by_workers() -> None:
     here = map_of_plane(table(source=replace(load_problem("vibrating_table"))), ONE)
     assert here.as_json() == map_of_plane(table(), ONE).as_json()
@@ -546,6 +547,7 @@ def test_motions_are_waited_for_in_turns_of_the_slowest_clock_or_oscillation() -
     assert require_plane(pendulum()).time == 200.0
 
 
+@pytest.mark.slow
 def test_the_command_finds_the_orbits_of_a_table_that_search_finds() -> None:
     words = "--x A=0.0149:0.0151 --y omega=29.9:30.1 --grid 3x3 --workers 1 --json"
     answer = ask("map", "vibrating_table", *words.split())

@@ -15,6 +15,7 @@ import casadi as ca
 import pytest
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from tests.support.commands import ask
 
 FILE = """
@@ -118,7 +119,7 @@ STARTS: list[tuple[Any, Callable[[float, float], float]]] = [
 
 @pytest.mark.parametrize("model", [_thrown, _under_a_roof])
 @pytest.mark.parametrize(("start", "truth"), STARTS)
-@pytest.mark.parametrize(("g", "floor"), [(1.62, 0.25), (25.0, -0.5)])
+@pytest.mark.parametrize(("g", "floor"), fast(1, [(1.62, 0.25), (25.0, -0.5)]))
 def test_a_start_follows_the_parameters_of_its_formulas(
     model: Any, start: Any, truth: Callable[[float, float], float], g: float, floor: float
 ) -> None:

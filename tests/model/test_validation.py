@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.support.cases import fast
 from tests.support.units import Units, in_units
 from zeno_orbits import Problem, Quantity
 from zeno_orbits.cli import main
@@ -249,7 +250,7 @@ def test_the_traceback_is_there_for_those_who_ask(tmp_path: Path) -> None:
     assert isinstance(caught.value.__cause__, ValueError)
 
 
-@pytest.mark.parametrize("flags", [[], ["--with-motor"], ["--with-circuit"]])
+@pytest.mark.parametrize("flags", fast(1, [[], ["--with-motor"], ["--with-circuit"]]))
 def test_a_new_problem_works_as_it_is_written(
     flags: list[str],
     tmp_path: Path,

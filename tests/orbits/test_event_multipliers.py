@@ -121,7 +121,7 @@ ALWAYS_CLOSED = [
 ]
 
 
-@pytest.mark.parametrize("machine", fast(3, ALWAYS_CLOSED))
+@pytest.mark.parametrize("machine", fast(1, ALWAYS_CLOSED))
 def test_a_stop_that_is_closed_all_the_time_adds_no_multiplier(machine: Pressed) -> None:
     orbit = zo.find_event_orbit(machine.problem, until=200.0)
     certificate = zo.verify(orbit, problem=machine.problem)
@@ -434,7 +434,7 @@ def _door(inductance: float, *, one_stop: bool) -> zo.Problem:
     )
 
 
-@pytest.mark.parametrize("inductance", fast(2, [5e-3, 0.5, 2e-2, 3.0]))
+@pytest.mark.parametrize("inductance", fast(1, [5e-3, 0.5, 2e-2, 3.0]))
 def test_both_forms_of_a_machine_have_the_multipliers_of_its_section(inductance: float) -> None:
     plain, named = (_door(inductance, one_stop=one_stop) for one_stop in (True, False))
     found = zo.find_orbit(plain).orbit

@@ -312,6 +312,7 @@ def _with_inductance(problem: Problem, inductance: float, **others: float) -> Pa
     return problem.values(parameters={"L": inductance, **others})
 
 
+@pytest.mark.slow
 def test_the_orbit_shows_the_order_of_its_drive_over_two_decades(
     costs: Mapping[tuple[str, float], ReductionCost],
 ) -> None:

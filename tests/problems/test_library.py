@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 
 from tests.reference import library_truth as truth
 from tests.reference.reference_orbit import PERIOD
+from tests.support.cases import fast
 from tests.support.one_stop import one_stop_problems
 from zeno_orbits.cli import main
 from zeno_orbits.model import bind, load_problem, powers_of
@@ -87,7 +88,9 @@ def test_every_problem_goes_through_every_command(
     assert {path.stem for path in tmp_path.glob("*.png")} == pictures
 
 
-@pytest.mark.parametrize("name", [one for one in PROBLEMS if "omega" in load_problem(one).names])
+@pytest.mark.parametrize(
+    "name", fast(4, [one for one in PROBLEMS if "omega" in load_problem(one).names])
+)
 def test_a_forced_orbit_has_the_period_of_its_forcing(name: str) -> None:
     orbit = _orbit(name)
     turn = 2 * math.pi / orbit.parameters["omega"]

@@ -314,6 +314,7 @@ def test_an_orbit_of_another_shape_is_searched_from_one_at_other_numbers() -> No
         search_orbits(problem, values, free={}, near=struck(), shape=EventSequence.parsed("zeno"))
 
 
+@pytest.mark.slow
 def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
     # The larger the force, the harder the impact: the bound is met where it just binds.
     from zeno_orbits.orbits import Bound

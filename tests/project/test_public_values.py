@@ -180,6 +180,7 @@ def test_a_problem_goes_through_a_dask_cluster(tmp_path: Path) -> None:
     assert execution == zo.simulate(problem, until=2.0)
 
 
+@pytest.mark.slow
 def test_several_workers_take_a_problem_that_has_a_file(tmp_path: Path) -> None:
     problem = zo.load_problem(ball_file(tmp_path))
     axes = {"x": ("g", 5.0, 10.0, 2), "y": ("restitution", 0.2, 0.6, 2)}

@@ -13,6 +13,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
+from tests.support.cases import fast
 from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker import identities, lanes
 from zeno_orbits.proof.checker.balls import Ball, NotProved, exactly, linear_solution
@@ -436,7 +437,7 @@ def _length_of_a_turned_vector(graph: Graph) -> tuple[int, int]:
 
 @pytest.mark.parametrize(
     "identity",
-    [_root_squared, _conjugate, _same_radicand, _nested, _length_of_a_turned_vector],
+    fast(2, [_root_squared, _conjugate, _same_radicand, _nested, _length_of_a_turned_vector]),
 )
 def test_a_true_identity_between_positive_roots_is_always_accepted(
     identity: Callable[[Graph], tuple[int, int]],

@@ -13,6 +13,7 @@ from flint import arb, ctx
 import zeno_orbits as zo
 from tests.reference.many_digits.execution import extended_execution
 from tests.support import hard_to_prove
+from tests.support.cases import fast
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.arithmetic.balls import matrix
 from zeno_orbits.proof.integration.ball_system import BallSystem
@@ -75,7 +76,7 @@ def _compare(
         assert _holds(ball, truth)
 
 
-@pytest.mark.parametrize("name", ["vibrating_table", "forced_oscillator", "motor_valve"])
+@pytest.mark.parametrize("name", fast(1, ["vibrating_table", "forced_oscillator", "motor_valve"]))
 def test_a_single_point_is_enclosed(name: str) -> None:
     gains = {gain.name: gain.default for gain in zo.load_problem(name).gains}
     _check(zo.find_orbit_by_shooting(name, gains=gains).unwrap(), 1e-9, [])

@@ -40,7 +40,7 @@ def _is_that_of_the_forced_oscillator(proof: Proof) -> None:
 @pytest.mark.parametrize(
     "problem",
     fast(
-        2,
+        1,
         [
             hard_to_prove.double_well,
             lambda: hard_to_prove.with_gap(lambda d: d + d**2),
@@ -225,7 +225,7 @@ def test_the_certificate_of_an_orbit_that_repels_at_zero_holds() -> None:
     assert verdict.ok, verdict.claims
 
 
-@pytest.mark.parametrize("name", ["vibrating_table", "forced_oscillator", "motor_valve"])
+@pytest.mark.parametrize("name", fast(1, ["vibrating_table", "forced_oscillator", "motor_valve"]))
 def test_flights_that_are_not_resolved_are_summed_up_earlier(name: str) -> None:
     # Over an interval this wide the late impacts of different restitutions meet no common window.
     orbit = zo.find_orbit_by_shooting(name).unwrap()

@@ -42,7 +42,7 @@ def surface() -> zo.Orbit:
 @pytest.mark.parametrize(
     "name",
     fast(
-        2,
+        1,
         ["forced_oscillator", "vibrating_table", "motor_valve", "two_tone_table", "curved_surface"],
     ),
 )
@@ -109,6 +109,7 @@ def test_a_plastic_orbit_has_one_impact_and_is_refused_with_two() -> None:
     assert zo.enclose_period(orbit.with_phases((twice,))).claim == "shape"
 
 
+@pytest.mark.slow
 def test_an_orbit_that_repels_is_enclosed() -> None:
     problem = hard_to_prove.double_well()
     orbit = zo.find_orbit_by_shooting(problem).unwrap()
@@ -395,7 +396,7 @@ def test_the_command_fails_with_the_reason(table: zo.Orbit, file: Path) -> None:
     assert "Rigorous: not enclosed: `impact_time`: impact 1 of phase 1 is enclosed" in answer.out
 
 
-@pytest.mark.parametrize(("sign", "offset"), [(-1, 0.0), (-1, 0.25), (1, -0.5)])
+@pytest.mark.parametrize(("sign", "offset"), fast(1, [(-1, 0.0), (-1, 0.25), (1, -0.5)]))
 def test_a_gap_against_its_coordinate_is_enclosed_with_the_signs_of_the_states(
     sign: int, offset: float
 ) -> None:

@@ -24,6 +24,7 @@ def orbit() -> ExtendedOrbit:
     return extended_orbit(PENDULUM, PENDULUM.values(), guess, digits=25)
 
 
+@pytest.mark.slow
 def test_a_period_is_the_simulated_one_to_the_simulators_digits() -> None:
     values = PENDULUM.values()
     times = (0.3, 1.2, 1.3, 1.6, 1.9)

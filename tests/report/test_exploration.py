@@ -89,6 +89,7 @@ def test_a_forced_orbit_keeps_the_period_of_its_clock_and_forgets_its_start() ->
         assert widget.attractor.multipliers.spectral_radius < 1e-6
 
 
+@pytest.mark.slow
 def test_every_change_of_a_forced_problem_gives_its_orbit() -> None:
     widget = zo.explore("forced_oscillator", vary={"A": (0.9, 1.4), "restitution": (0.1, 0.5)})
     chance = random.Random(0)

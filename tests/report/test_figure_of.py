@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 import zeno_orbits as zo
 from tests.report.test_plots import EVERY_FATE, TRADE, small_map
+from tests.support.cases import fast
 from zeno_orbits.continuation import (
     Continuation,
     Family,
@@ -195,7 +196,7 @@ def test_multipliers_have_a_picture_and_a_closing_is_drawn_as_its_orbit(
         figure_of(ShootingResult(orbit=None, detail="nothing comes back"))
 
 
-@pytest.mark.parametrize("width", [2.5, COLUMN_WIDTH, FULL_WIDTH])
+@pytest.mark.parametrize("width", fast(1, [2.5, COLUMN_WIDTH, FULL_WIDTH]))
 def test_labels_of_ticks_across_keep_off_each_other(
     width: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

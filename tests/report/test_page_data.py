@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.browser import Browser
+from tests.support.cases import fast
 from tests.support.report_pages import plotted, tables_in, tiles_in
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.orbits import Orbit
@@ -281,7 +282,7 @@ def test_every_cell_of_margins_and_energies(page: str, subject: Subject) -> None
     assert (parts["part"][-1], parts["energy [J]"][-1]) == ("left over after the period", "0")
 
 
-@pytest.mark.parametrize(("unit", "force"), [("m", "N"), ("rad", "N m"), ("1", "J")])
+@pytest.mark.parametrize(("unit", "force"), fast(1, [("m", "N"), ("rad", "N m"), ("1", "J")]))
 def test_the_force_on_a_stop_has_the_unit_of_its_gap(
     subject: Subject, unit: str, force: str
 ) -> None:

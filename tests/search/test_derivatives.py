@@ -227,7 +227,7 @@ def _terms(
 @pytest.mark.parametrize(
     ("name", "numbers", "size"),
     fast(
-        3,
+        1,
         [
             ("motor_pendulum", {}, 2),
             ("motor_pendulum", {"Kp": 1.5, "Kd": -1.4}, 2),

@@ -100,6 +100,7 @@ def test_two_pairs_of_mirror_images_coexist() -> None:
     assert_mirror_images(*orbits[2:])
 
 
+@pytest.mark.slow
 def test_a_symmetric_machine_with_one_attractor_has_one_candidate() -> None:
     found = zo.search_event_gains("clapper", vary={}, candidates=2)
     assert len(found.candidates) == 1

@@ -73,6 +73,7 @@ def test_the_worst_case_over_a_range_has_its_closed_form() -> None:
     assert found.asked[0]["lowest"] == pytest.approx(2.0, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_bounds_that_no_orbit_keeps_are_named_with_their_excess() -> None:
     found = _search({"a": (5.0, 40.0)}, bounds=[zo.Bound(name="stop.impact_speed", lower=9.0)])
     assert found.orbit is None

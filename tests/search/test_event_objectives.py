@@ -61,6 +61,7 @@ def test_the_least_energy_has_its_closed_form() -> None:
     assert found.value == pytest.approx(worked, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_the_least_peak_is_where_two_peaks_are_equal() -> None:
     # At half the sum of both voltages the current is constant.
     found = _search(zo.MinPeak(signal="current"))
@@ -379,6 +380,7 @@ def test_a_search_starts_at_a_known_orbit_and_takes_its_values(tmp_path: Path) -
     assert near.orbit.parameters["s"] == 0.12
 
 
+@pytest.mark.slow
 def test_a_known_orbit_that_is_lost_on_the_way_is_named() -> None:
     known = zo.find_event_orbit("hopper")
     with pytest.raises(zo.SimulationError, match="known orbit is lost"):

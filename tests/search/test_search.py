@@ -16,6 +16,7 @@ from tests.reference.reference_orbit import (
     ZENO_STATE,
     ZENO_TIME,
 )
+from tests.support.cases import fast
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem, load_reference
 from zeno_orbits.orbits import ONE_ZENO, Orbit
@@ -109,7 +110,7 @@ def test_the_agreement_of_a_coarse_program_is_at_least_its_distance_from_a_simul
     assert 1e-6 < distance <= found.agreement < 1e-2
 
 
-@pytest.mark.parametrize(("restitution", "period"), list(PERIODS.items()))
+@pytest.mark.parametrize(("restitution", "period"), fast(2, list(PERIODS.items())))
 def test_other_restitutions_have_their_declared_periods(
     problem: Problem, restitution: float, period: float
 ) -> None:
@@ -119,7 +120,7 @@ def test_other_restitutions_have_their_declared_periods(
 
 
 @pytest.mark.parametrize(
-    ("parameters", "gains"), [({"R": 2.0}, {}), ({"R": 4.0}, {}), ({}, {"Kp": 4.0})]
+    ("parameters", "gains"), fast(1, [({"R": 2.0}, {}), ({"R": 4.0}, {}), ({}, {"Kp": 4.0})])
 )
 def test_the_orbit_is_where_a_long_simulation_ends(
     problem: Problem, parameters: dict[str, float], gains: dict[str, float]

@@ -12,6 +12,7 @@ import pytest
 from scipy.integrate import DOP853
 from scipy.linalg import expm
 
+from tests.support.cases import fast
 from tests.support.families import BALL, OSCILLATOR
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy, Tolerance
@@ -222,7 +223,7 @@ def _fall_slopes(x: Vector, drag: float, time: float) -> Vector:
     ids=["explicit", "implicit", "SciPy"],
 )
 @pytest.mark.parametrize("until", [0.41, 3.0])
-@pytest.mark.parametrize("parts", [1, 3])
+@pytest.mark.parametrize("parts", fast(1, [1, 3]))
 def test_the_course_of_a_falling_ball_moves_as_its_closed_form(
     run: Run, engine: Engine, until: float, parts: int
 ) -> None:

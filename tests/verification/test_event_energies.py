@@ -14,6 +14,7 @@ import pytest
 from scipy.integrate import quad
 
 import zeno_orbits as zo
+from tests.support.cases import fast
 from zeno_orbits.orbits import OrbitEvent
 
 
@@ -147,7 +148,7 @@ def _pressed(coupling: float, floor: float, wall: float, pressure: float) -> zo.
     )
 
 
-@pytest.mark.parametrize(("coupling", "floor", "wall", "pressure", "section"), IMPULSES)
+@pytest.mark.parametrize(("coupling", "floor", "wall", "pressure", "section"), fast(2, IMPULSES))
 def test_an_impact_that_opens_another_stop_at_the_end_of_a_period_loses_its_energy(
     coupling: float, floor: float, wall: float, pressure: float, section: str
 ) -> None:
@@ -335,7 +336,7 @@ def test_a_ball_that_is_hardly_thrown_is_verified(above: float) -> None:
     assert certificate.energies["impact_loss"] == pytest.approx(lost, rel=1e-12 / above)
 
 
-@pytest.mark.parametrize("above", [1e-5, 3e-6])
+@pytest.mark.parametrize("above", fast(1, [1e-5, 3e-6]))
 @pytest.mark.parametrize("restitution", [pytest.param(0.0, marks=pytest.mark.slow), 0.3, 0.5])
 def test_events_of_a_ball_that_is_hardly_thrown_are_integrated_finer(
     above: float, restitution: float

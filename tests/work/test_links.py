@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.cases import fast
 from tests.support.chores import square
 from tests.support.commands import MISUSE, ask, contents
 from zeno_orbits.errors import CheckpointError, KernelError
@@ -246,7 +247,7 @@ def test_a_command_names_the_option_that_cannot_be_written(
     assert answer.err.startswith(f"zeno-orbits: {option} {bad[option]}: ")
 
 
-@pytest.mark.parametrize("option", ["--plot", "-o"])
+@pytest.mark.parametrize("option", fast(1, ["--plot", "-o"]))
 def test_a_command_names_the_option_whose_disk_is_full(
     option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
