@@ -95,7 +95,8 @@ class Point:
         self._times: dict[Crossing, list[float]] = {RELEASES: [], IMPACTS: []}
         self.way: Approach | None = None
         self._tolerance = accuracy.motion
-        self._log = MotionLog(units=units, usual=usual)
+        elastic = follower.dynamics.restitution >= 1.0
+        self._log = MotionLog(units=units, usual=usual, elastic=elastic)
         self._checked = 0
         self._returns: list[SectionReturn] = []
         self._strikes: list[ImpactRecord] = []
@@ -152,7 +153,7 @@ class Point:
             return None
         self._checked = len(self._log.speeds)
         cycle = self._log.cycle(_EXACT)
-        return None if cycle is None else self._of_cycle(cycle)
+        return None if cycle is None or self._log.drift() else self._of_cycle(cycle)
 
     def _of_cycle(self, cycle: RepeatedCycle) -> Attractor:
         """Return the orbit of repeating impacts, with multipliers if Newton's method converges."""

@@ -36,6 +36,8 @@ _BOUNDED = 0.05
 """Largest error of that, over a turn: distances of regular motions go up and down by turns."""
 _ERROR = 1e-10
 """Local error of the runs that an exponent is taken from."""
+_ROUNDED, _COUNTED = 1e-15, 1e-13
+"""Change of the speed per impact that differs from zero by rounding, and that has no digit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +68,8 @@ class MotionLog:
     Attributes:
         units: Unit of each state.
         usual: Size that each state usually has, ``(n_x,)``.
+        elastic: Whether impacts lose nothing, so that a change per impact below the local error
+            may be an error.
         impacts: The last impacts and their times.
         others: Times of the last Zeno points and releases, with True for a release.
         speeds: Speed of every impact.
@@ -74,6 +78,7 @@ class MotionLog:
 
     units: Sequence[str]
     usual: Vector | float = 1.0
+    elastic: bool = False
     impacts: deque[tuple[float, Impact]] = field(
         default_factory=lambda: deque[tuple[float, Impact]](maxlen=_KEPT)
     )
@@ -143,10 +148,11 @@ class MotionLog:
         if len(speeds) < _FEW or not np.all(speeds > 0.0):
             return 0.0
         logarithms = np.log(speeds)
+        least = _ERROR if self.elastic else _ROUNDED
         for n in range(1, _STRIDES + 1):
             change = (logarithms[n:] - logarithms[:-n]) / n
             mean = float(np.mean(change))
-            if abs(mean) > _ERROR and np.ptp(change) < _STEADY * abs(mean):
+            if abs(mean) > least and np.ptp(change) < _STEADY * abs(mean):
                 return mean
         return 0.0
 
@@ -203,7 +209,8 @@ def verdict(
         return AttractorVerdict(kind=AttractorKind.GROWS)
     if drift:
         word = "slower" if drift < 0.0 else "faster"
-        reason = f"its impacts become steadily {word}, by {abs(drift):.1g} of their speed each"
+        much = f"{abs(drift):.1g}" if abs(drift) > _COUNTED else f"less than {_COUNTED:g}"
+        reason = f"its impacts become steadily {word}, by {much} of their speed each"
         return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason=reason)
     struck = bool(log.times) and log.times[-1] > time / 2
     settings = transient_settings(_ERROR)
@@ -240,7 +247,7 @@ def _later(
     needed = math.log(close) / exponent.value
     if needed > time:
         return None
-    after = MotionLog(units=log.units, usual=log.usual)
+    after = MotionLog(units=log.units, usual=log.usual, elastic=log.elastic)
     for event in watched(dynamics, state, until=needed, error=_ERROR, goes_on=True):
         if isinstance(event, MotionEnd):
             state = event.state
