@@ -10,7 +10,8 @@ speed `v` the depth is :math:`u_m = ((n + 1) v^2 / (2 k))^{1/(n + 1)}` and the t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -22,6 +23,7 @@ import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.one_mass import Motion, one_mass
 from zeno_orbits.arrays import Vector
+from zeno_orbits.maps import AttractorClass, attractors_at
 
 K, V = 3.0, 0.7
 OMEGA, FAR, E = 1.3, 0.5, 0.5
@@ -78,6 +80,18 @@ FORCES: dict[str, tuple[Callable[[Motion], ca.SX], Callable[[float, float], floa
     "pad on the stop": (
         lambda m: -m.x - 0.2 * m.v - 0.5 * (m.x + FAR) ** 1.5,
         lambda x, v: -x - 0.2 * v - 0.5 * max(x + FAR, 0.0) ** 1.5,
+    ),
+    "product on the stop": (
+        lambda m: -m.x - 0.2 * m.v - 0.5 * (m.x + FAR) * ca.sqrt(m.x + FAR),
+        lambda x, v: -x - 0.2 * v - 0.5 * max(x + FAR, 0.0) ** 1.5,
+    ),
+    "root of a cube on the stop": (
+        lambda m: -m.x - 0.2 * m.v - 0.5 * ca.sqrt((m.x + FAR) ** 3),
+        lambda x, v: -x - 0.2 * v - 0.5 * max(x + FAR, 0.0) ** 1.5,
+    ),
+    "product of drag": (
+        lambda m: -m.x - 0.2 * m.v * ca.sqrt(ca.fabs(m.v)),
+        lambda x, v: -x - 0.2 * math.copysign(abs(v) ** 1.5, v),
     ),
     "drag": (
         lambda m: -m.x - 0.2 * ca.sign(m.v) * ca.fabs(m.v) ** 1.5,
@@ -156,6 +170,9 @@ OUTSIDE: dict[str, tuple[Callable[[ca.SX], ca.SX], str]] = {
     "logarithm": (ca.log, r"`log\(x\)` is `log` of -"),
     "angle": (lambda x: ca.acos(x + 1), r"`acos\(\(x\+1\)\)` is `acos` of 1"),
     "pole": (lambda x: -0.01 / x, r"`\(-?0.01/x\)` divides -?0.01 by "),
+    "double pole": (lambda x: -0.01 / x**2, r"`\(-?0.01/sq\(x\)\)` divides -?0.01 by "),
+    "weak pole": (lambda x: -1e-7 / x**2, r"`\(-?1e-07/sq\(x\)\)` divides -?1e-07 by "),
+    "tangent": (lambda x: ca.tan(x + ca.pi / 2), r"`tan\(\(x\+1.57.*\)\)` is `tan` of 1.57"),
 }
 
 
@@ -179,3 +196,57 @@ def test_a_formula_that_is_left_is_named_with_the_state(name: str, far: float) -
         zo.SimulationError, match=rf"the applied force is not finite ahead \(x = .*\): {words}"
     ):
         zo.simulate(problem, until=1.0)
+
+
+def _left(formula: Callable[[ca.SX], ca.SX], *, is_named: bool) -> zo.Problem:
+    """Return a mass that flies to the end of a formula, with a far stop of either kind."""
+
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        x, v = ca.SX.sym("x"), ca.SX.sym("v")
+        gap = x + 100
+        stops = (zo.Stop(name="wall", gap=gap, restitution=p["restitution"]),) if is_named else ()
+        mass = zo.HybridLagrangian.from_energies(
+            q=x,
+            v=v,
+            kinetic=v**2 / 2,
+            potential=ca.SX(0.0),
+            passive_force=0.1 * formula(x),
+            gap=None if is_named else gap,
+            stops=stops,
+        )
+        law = () if is_named else (p["restitution"],)
+        return zo.hybrid_system(mass, zo.no_drive(mass), *law)
+
+    return zo.Problem(
+        name="left",
+        title="One mass",
+        source="tests",
+        state_names=("x", "v"),
+        state_units=("m", "m/s"),
+        parameters=(zo.Quantity.restitution(0.5),),
+        gains=(),
+        model=model,
+        starts=({"x": 0.3, "v": -0.7},),
+        portraits=(("x", "v"),),
+        amplitude_of="x",
+    )
+
+
+@pytest.mark.parametrize("is_named", [False, True])
+@pytest.mark.parametrize("name", [name for name in OUTSIDE if name != "angle"])
+def test_every_way_to_a_motion_names_the_formula_that_it_leaves(
+    name: str, *, is_named: bool
+) -> None:
+    formula, words = OUTSIDE[name]
+    problem = _left(formula, is_named=is_named)
+    told = rf"the passive force is not finite ahead \(x = .*\): .*{words}"
+    with pytest.raises(zo.SimulationError, match=told):
+        zo.simulate(problem, until=1.0)
+    (found,) = attractors_at(problem, [problem.values()])
+    assert found.fate is AttractorClass.FAILED
+    assert re.search(told, found.detail)
+    if is_named:
+        with pytest.raises(zo.SimulationError, match=told):
+            zo.find_event_orbit(problem)
+    else:
+        assert re.search(told, zo.find_orbit(problem).detail)

@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, RunawayError, SimulationError, counted
+from zeno_orbits.errors import (
+    InputError,
+    RunawayError,
+    SimulationError,
+    StepLimitError,
+    counted,
+)
 from zeno_orbits.maps.approach import Approach, is_approached, steps_towards
 from zeno_orbits.maps.attempt import Accuracy
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
@@ -62,6 +68,8 @@ _REMEMBERED = 40
 """Number of the last returns that are compared."""
 _APART = 0.2
 """Factor by which a longer period must reduce the change over a shorter period."""
+_STEADY, _PERIODS, _ROUNDED = 0.1, 12, 1e-15
+"""Relative spread of a steady change, the periods that show it, and a change that is rounding."""
 _TURNS = 32
 """Longest period in the search for motions without events, in turns of the clock."""
 _SAMPLES = 64
@@ -100,6 +108,7 @@ class EventPoint:
         # Returns of one simulation differ by its own errors.
         self._same = max(accuracy.repeats, accuracy.reached)
         self.way: Approach | None = None
+        self._reason = ""
 
     def attractor(self) -> Attractor:
         """Simulate the motion and return its attractor."""
@@ -109,13 +118,11 @@ class EventPoint:
         try:
             while True:
                 time = min(time, self._until)
-                motion, is_cut = simulated_at_most(
-                    self._graph, self._start, until=time, most_steps=steps, settings=settings
-                )
-                found = self._classified(motion)
+                motion, is_cut = self._simulated(time, steps, settings)
+                found = None if motion is None else self._classified(motion)
                 if found is not None:
                     return found
-                if time == self._until and not is_cut:
+                if motion is not None and time == self._until and not is_cut:
                     return self._at_last(motion)
                 if is_cut and steps >= settings.most_steps:
                     most = counted(settings.most_steps, "step")
@@ -135,6 +142,22 @@ class EventPoint:
         except InputError as error:
             detail = f"The start is not admissible: {str(error).partition('must ')[2]}"
             return Attractor(fate=AttractorClass.FAILED, detail=detail)
+
+    def _simulated(
+        self, time: float, steps: int, settings: SimulationSettings
+    ) -> tuple[Execution | None, bool]:
+        """Return the motion until a time or a number of steps, and whether the steps ended it.
+
+        It is None without an event in these steps, if more are allowed: a pole may be ahead.
+        """
+        try:
+            return simulated_at_most(
+                self._graph, self._start, until=time, most_steps=steps, settings=settings
+            )
+        except StepLimitError:
+            if steps >= settings.most_steps:
+                raise
+            return None, True
 
     def _classified(self, motion: Execution) -> Attractor | None:
         """Return the attractor of a motion, if it is known by now."""
@@ -222,6 +245,12 @@ class EventPoint:
         states = np.array([one.state for one in returns[-1 - 2 * n :]])
         scale = scale_of(list(states), self._units, self._usual)
         if not np.max(np.abs(states[n:] - states[:-n]) / scale) < self._same:
+            return None
+        drift = _drift([one.state for one in returns[::-n][:_PERIODS]], scale)
+        if drift:
+            name = self._graph.state_names[drift[0]]
+            much = f"by {drift[1]:.1g} of its size per period"
+            self._reason = f"`{name}` changes steadily, {much}, so the motion does not repeat"
             return None
         self._note_way(returns, n)
         return Attractor(
@@ -321,7 +350,7 @@ class EventPoint:
                 return self._escaped(left)
         if arc.closed and arc.start_time < half:
             return Attractor(fate=AttractorClass.HELD)
-        return Attractor(fate=AttractorClass.UNSETTLED)
+        return Attractor(fate=AttractorClass.UNSETTLED, detail=self._reason)
 
     def _escaped(self, beyond: NDArray[np.bool_]) -> Attractor:
         """Return the escape of the first of some coordinates."""
@@ -340,6 +369,20 @@ def _counted(events: Sequence[Event]) -> list[Event]:
         for phase in phases
         for k in (phase[-1:] if isinstance(events[phase[-1]], ZenoPoint) else phase)
     ]
+
+
+def _drift(passed: Sequence[Vector], scale: Vector) -> tuple[int, float] | None:
+    """Return the state that changes most by equal steps, and the step, relative to its size.
+
+    The changes of a motion that approaches an orbit become smaller, or are rounding.
+    """
+    if len(passed) < _PERIODS:
+        return None
+    steps = np.diff(np.array(passed), axis=0) / scale
+    means = np.abs(np.mean(steps, axis=0))
+    k = int(np.argmax(means))
+    steady = np.ptp(steps[:, k]) < _STEADY * means[k]
+    return (k, float(means[k])) if steady and means[k] > _ROUNDED else None
 
 
 def _count(found: EventReturn, section: str) -> int:

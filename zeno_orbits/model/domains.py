@@ -18,7 +18,6 @@ from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.mistakes import FormulaError
-from zeno_orbits.model.modes import ModeGraph
 from zeno_orbits.model.operations import operation_name, symbols_in
 
 _LONGEST = 60
@@ -36,6 +35,7 @@ _REMEDIES: Mapping[int, str] = {
     ca.OP_ACOS: "keep the argument of `acos` in [-1, 1]",
     ca.OP_ACOSH: "keep the argument of `acosh` at 1 or above",
     ca.OP_ATANH: "keep the argument of `atanh` in (-1, 1)",
+    ca.OP_TAN: "keep the argument of `tan` within one period",
 }
 """Operation to the remedy if its result is not finite."""
 
@@ -110,28 +110,30 @@ def _of_drive(drive: Drive) -> list[NamedFormula]:
 
 
 def undefined_ahead(
-    graph: ModeGraph, sides: tuple[bool, ...], p: ca.SX, states: Sequence[Vector], values: Vector
+    mechanism: HybridLagrangian,
+    drive: Drive,
+    inputs: tuple[ca.SX, ca.SX],
+    states: Sequence[Vector],
+    values: Vector,
 ) -> str:
     """Return what ends a flow: a formula of a mode that is infinite or undefined ahead of a state.
 
     Args:
-        graph: The modes of the machine.
-        sides: The side of every kink.
-        p: Gains and parameters, ``(n_p,)``.
+        mechanism: The mechanism in the mode.
+        drive: The drive in the mode.
+        inputs: Symbols of the state ``(n_x,)``, and of the gains and parameters ``(n_p,)``.
         states: The state, and states on its tangent in the order of time, each ``(n_x,)``.
         values: Values of the gains and parameters.
 
     Returns:
         A clause that names the formula and the state, or an empty text.
     """
-    mechanism, drive, _ = graph.on_branch(sides)
     declared = [*_of_mechanism(mechanism), *_of_drive(drive)]
     declared += _derivatives(mechanism, drive, declared)
-    inputs = [graph.state, p]
     known = ca.vertcat(*inputs)
     for x in states[1:]:
         for one in declared:
-            place = _first_infinite(one.formula, inputs, x, values, before=states[0])
+            place = _first_infinite(one.formula, list(inputs), x, values, before=states[0])
             if place is None:
                 continue
             node, operands = place
@@ -259,11 +261,35 @@ def _first_infinite(
         told = [float(one) for one in operands.full().ravel()]
         if not np.all(np.isfinite(result.full())):
             return node, told
-        if before is not None and node.op() in (ca.OP_DIV, ca.OP_INV):
-            earlier = values(before, p)[1].full().ravel()
-            if float(earlier[-1]) * told[-1] < 0.0:
-                return node, earlier.tolist()
+        if before is not None and _has_pole_between(node, symbols, (before, x), p):
+            return node, values(before, p)[1].full().ravel().tolist()
     return None
+
+
+_EVEN = (ca.OP_SQ, ca.OP_FABS, ca.OP_SQRT, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_NEG, ca.OP_MUL)
+"""Operations that are zero where their first operand is, such as a square without a sign change."""
+
+
+def _has_pole_between(
+    node: Any, symbols: Sequence[ca.SX], ends: tuple[Vector, Vector], p: Vector
+) -> bool:
+    """Return True if a quotient or a tangent has a pole between two states."""
+    operation = node.op()
+    if operation == ca.OP_TAN:
+        found: Any = ca.Function("turns", symbols, [ca.floor(ca.SX(node.dep(0)) / ca.pi + 0.5)])
+        return float(found(ends[0], p)) != float(found(ends[1], p))
+    if operation not in (ca.OP_DIV, ca.OP_INV):
+        return False
+    vanishing, seen = [ca.SX(node.dep(node.n_dep() - 1))], list[ca.SX]()
+    while vanishing:
+        one: Any = vanishing.pop()
+        seen.append(one)
+        if one.op() in _EVEN:
+            count = 2 if one.op() == ca.OP_MUL else 1
+            vanishing += [ca.SX(one.dep(k)) for k in range(count)]
+    signs: Any = ca.Function("signs", symbols, [ca.vertcat(*seen)])
+    before, after = (np.sign(signs(x, p).full().ravel()) for x in ends)
+    return bool(np.any(before * after < 0.0))
 
 
 def require_rising_gap(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -58,6 +58,7 @@ class CompiledSystem:
         state_units: Units of the states of the problem.
         further: Indices of the states of circuits and additional states, except currents of motors.
         is_balanced: Whether all powers are given, so that the energy balance can be checked.
+        source: The completed system, whose formulas messages name, with the symbols of ``p``.
     """
 
     state_names: tuple[str, ...]
@@ -79,6 +80,7 @@ class CompiledSystem:
     state_units: tuple[str, ...] = ()
     further: tuple[int, ...] = ()
     is_balanced: bool = True
+    source: tuple[CompletedSystem, ca.SX] | None = field(default=None, compare=False)
 
     @cached_property
     def differentiable(self) -> DifferentiableFunctions:
@@ -198,6 +200,7 @@ def compile_system(
         motors=function("motors", system.motor_current, system.motor_voltage),
         further=system.further,
         is_balanced=system.drive.is_balanced,
+        source=(system, parameters),
     )
 
 

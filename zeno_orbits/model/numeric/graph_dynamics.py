@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import FlowWithEvent
+from zeno_orbits.model.contact import MULTIPLIER_RATE
 from zeno_orbits.model.domains import undefined_ahead
 from zeno_orbits.model.graph import guard_and_flow, system_of_stop
 from zeno_orbits.model.modes import GraphMode, ModeGraph
@@ -40,6 +41,8 @@ _ZERO = 1e-12
 """Part of a switch's size below which its guard counts as zero."""
 _EQUAL = 1e-9
 """Relative difference below which two stops are one."""
+_NEARER = (1e-6, 1e-8, 1e-10)
+"""Distances from a state, in its sizes, at which derivatives with a limit come nearer to it."""
 _AHEAD, _ROUNDING, _ROUNDINGS = 1e-9, 1e-8, 100.0
 """Part of its own time, and roundings of time, within which a flow that cannot be continued ends.
 
@@ -509,7 +512,9 @@ class GraphDynamics:
         return np.asarray(np.where((armed > 0.0) == (smooth > 0.0), smooth, armed))
 
     def has_infinite_slope(self, x: Vector) -> bool:
-        """Return True if a root of a formula has an infinite derivative at a state, to rounding.
+        """Return True if a root makes a derivative of the motion infinite at a state, to rounding.
+
+        A factor that is zero there may keep it finite, as in ``x * sqrt(x)``.
 
         Args:
             x: The state, ``(n_x,)``.
@@ -518,7 +523,35 @@ class GraphDynamics:
             return False
         found = self.compiled.roots(x, self.p, self.own.states(x.size) + np.abs(x))
         bases, sizes, exponents = (one.full().ravel() for one in found)
-        return bool(np.any((np.abs(bases) <= _EQUAL * sizes) & (exponents < 1.0)))
+        if not np.any((np.abs(bases) <= _EQUAL * sizes) & (exponents < 1.0)):
+            return False
+        steps = np.diag(self.own.states(x.size))
+        return any(self._diverges(x, side * step) for step in steps for side in (1.0, -1.0))
+
+    def _diverges(self, x: Vector, step: Vector) -> bool:
+        """Return True if derivatives grow without limit towards a state.
+
+        Their differences grow in steps that become shorter by the same factor. Those of derivatives
+        with a limit become smaller.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            step: Direction, from the nearest states to the state, ``(n_x,)``.
+        """
+        found: list[Vector] = []
+        for part in _NEARER:
+            near = x + part * step
+            sides = self.sides_at(near, (True,) * len(self.open_mode[1]))
+            known = self.view(((), sides), 0).differentiation
+            if known is None:
+                return True
+            at = known.by(())
+            flow = at.free.linear(near[None, :])[0]
+            # The rate of the contact force is not differentiated.
+            found.append(np.concatenate([flow, at.contact(near)[:MULTIPLIER_RATE]]))
+        first, last = (np.abs(b - a) for a, b in pairwise(found))
+        rounding = _EQUAL * np.max(np.abs(found), axis=0)
+        return bool(np.any(~(last <= np.maximum(first, rounding))))
 
     def undefined_ahead(self, x: Vector, time: float) -> str:
         """Return what ends a flow at a state: a formula that is infinite or undefined ahead.
@@ -532,16 +565,15 @@ class GraphDynamics:
         """
         closed = [k for k, view in enumerate(self.open_views) if self._rests(view, x)]
         own = self.own.time
-        reach = own * _AHEAD + _ROUNDINGS * float(np.spacing(abs(time)))
         for before in (True, False):
             sides = self.sides_at(x, (before,) * len(self.open_mode[1]))
             mode = tuple(closed) if self.stop_names else (), sides
             rate = self.flow(mode).rate(x)[: x.size]
-            steps = np.geomspace(reach * _ROUNDING, reach, 9)
-            ahead = [x + step * rate for step in steps] if np.all(np.isfinite(rate)) else [x]
-            told = undefined_ahead(
-                self.compiled.graph, sides, self.compiled.parameters, [x, *ahead], self.p
-            )
+            ahead = states_ahead(x, rate, own, time)
+            graph = self.compiled.graph
+            mechanism, drive, _ = graph.on_branch(sides)
+            inputs = graph.state, self.compiled.parameters
+            told = undefined_ahead(mechanism, drive, inputs, [x, *ahead], self.p)
             if told:
                 return told
         return ""
@@ -562,3 +594,20 @@ class GraphDynamics:
             if same_gap and float(matrix[j, k]) > (1 - _EQUAL) * np.sqrt(product):
                 return self.stop_names[j], self.stop_names[k]
         return None
+
+
+def states_ahead(x: Vector, rate: Vector, own: float, time: float) -> list[Vector]:
+    """Return states on the tangent of a motion, up to a time that a flow cannot resolve.
+
+    Args:
+        x: The state, ``(n_x,)``.
+        rate: Its rate. If it is not finite, the state itself is returned.
+        own: Characteristic time of the machine [s].
+        time: Time at the state, which determines the rounding of times [s].
+    """
+    reach = own * _AHEAD + _ROUNDINGS * float(np.spacing(abs(time)))
+    steps = np.geomspace(reach * _ROUNDING, reach, 9)
+    if not np.all(np.isfinite(rate)):
+        return [x]
+    with np.errstate(over="ignore"):
+        return [x + step * rate for step in steps]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model.domains import undefined_ahead
 from zeno_orbits.model.modes import GraphMode
-from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics
+from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics, states_ahead
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 
 
@@ -41,9 +42,25 @@ class OneStop(GraphDynamics):
         return self._dynamics
 
     def undefined_ahead(self, x: Vector, time: float) -> str:
-        """Return an empty text: the formulas of a hand-written model are unknown."""
-        del x, time
-        return ""
+        """Return what ends a flow at a state: a formula that is infinite or undefined ahead.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            time: Time there, whose rounding the flow cannot resolve [s].
+
+        Returns:
+            A clause that names the formula and the state. It is empty without such a formula, and
+            for a hand-written model, whose formulas are unknown.
+        """
+        known = None if self._dynamics.formulas is None else self._dynamics.formulas.system.source
+        if known is None:
+            return ""
+        system, parameters = known
+        rests = self._rests(self._dynamics, x)
+        flow = self._dynamics.locked if rests else self._dynamics.free
+        states = states_ahead(x, flow.rate(x)[: x.size], self._dynamics.own.time, time)
+        inputs = system.state, parameters
+        return undefined_ahead(system.mechanism, system.drive, inputs, [x, *states], self.p)
 
     def delassus(self, x: Vector) -> Vector:
         r"""Return :math:`J W J^\top` of the stop, ``(1, 1)``."""

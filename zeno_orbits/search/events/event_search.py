@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError, counted
+from zeno_orbits.errors import InputError, SimulationError, StepLimitError, counted
 from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, own_time
 from zeno_orbits.orbits import (
     EventReturn,
@@ -260,6 +260,13 @@ def _motions(
             motion, is_cut = simulated_at_most(
                 graph, x, until=time, most_steps=steps, settings=settings
             )
+        except StepLimitError as error:
+            # Without an event so far, as before a pole of a formula.
+            if steps < settings.most_steps:
+                steps = min(_MORE * steps, settings.most_steps)
+                continue
+            yield error, False
+            return
         except SimulationError as error:
             yield error, False
             return
