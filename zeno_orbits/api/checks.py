@@ -17,7 +17,6 @@ from zeno_orbits.api.inputs import (
     problem_to_check,
 )
 from zeno_orbits.errors import InputError, finite_number, named_numbers, positive_number
-from zeno_orbits.model import recorded_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import Progress, read_json, silent
 
@@ -165,13 +164,12 @@ def check_certificate(
     Raises:
         InputError: If the file is not a certificate, or its problem is not known.
     """
-    from zeno_orbits.proof import check_proof, replay_proof
+    from zeno_orbits.proof import check_proof, problem_of_certificate, replay_proof
 
     known = None if problem is None else known_problem(problem)
     verdict = check_proof(certificate, known)
     data = read_json(Path(certificate))
-    known = recorded_problem(data["problem"], known, result="certificate")
-    return verdict, replay_proof(data, known)
+    return verdict, replay_proof(data, problem_of_certificate(data, known))
 
 
 @front_door

@@ -539,8 +539,10 @@ def hand_out(
 
 
 def write_json(found: Any, path: Path) -> None:
-    """Write the JSON of a result."""
-    write_whole(path, json_text(found.as_json()) + "\n")
+    """Write the JSON of a result, with the path of its problem file if it records one."""
+    file = getattr(found, "problem_file", None)
+    entry = {} if file is None else {"problem_file": file.relative_to(path.parent)}
+    write_whole(path, json_text({**found.as_json(), **entry}) + "\n")
 
 
 def say_written(options: argparse.Namespace, paths: Sequence[Path]) -> None:

@@ -31,8 +31,8 @@ from zeno_orbits.continuation.setup import (
 from zeno_orbits.continuation.special_points.test_functions import INSIDE
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import ONE_ZENO, Orbit
+from zeno_orbits.model import ParameterValues, Problem, RecordedFile
+from zeno_orbits.orbits import ONE_ZENO, Orbit, digest_of
 from zeno_orbits.search import orbit_at_gains, orbit_by_shooting
 from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import Checked, Progress, silent, to_plain, versions
@@ -145,13 +145,14 @@ def continue_from(
     """
     identity = _identity(start, dispatch)
     if second is None:
-        return _continuation(_families(start, dispatch.claimed(identity)))
+        return _continuation(dispatch.problem, _families(start, dispatch.claimed(identity)))
     setup = start.setup
     plane = plane_of(dispatch.problem, setup.values, setup, second.name, second.box)
     own = {"second": second.name, "box": list(second.box), "kinds": to_plain(second.kinds)}
     dispatch = dispatch.claimed({**identity, **own})
     families = _families(start, dispatch)
-    return _continuation(families, curves_through(dispatch, plane, families, second.kinds))
+    curves = curves_through(dispatch, plane, families, second.kinds)
+    return _continuation(dispatch.problem, families, curves)
 
 
 def clip_to_box(
@@ -218,10 +219,14 @@ def _without_ends(second: SecondParameter) -> SecondParameter:
 
 
 def _continuation(
-    families: list[FollowedFamily], boundaries: tuple[SpecialCurve, ...] = ()
+    problem: Problem, families: list[FollowedFamily], boundaries: tuple[SpecialCurve, ...] = ()
 ) -> Continuation:
     return Continuation(
-        families=tuple(one.family for one in families), boundaries=boundaries, versions=versions()
+        families=tuple(one.family for one in families),
+        boundaries=boundaries,
+        versions=versions(),
+        problem_digest=digest_of(problem),
+        problem_file=RecordedFile.of(problem),
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
+from zeno_orbits.model import RecordedFile
 from zeno_orbits.work import Columns, TableRepr, by_name
 
 FORMAT = 1
@@ -323,11 +324,15 @@ class Continuation(TableRepr):
         families: The family of the start, then the families that branch off.
         boundaries: Curves of special points in two parameters.
         versions: Version by name, of the software that computed it.
+        problem_digest: Digest of the equations of the problem, empty if it is unknown.
+        problem_file: File of the problem, or None if the problem is bundled. Not compared.
     """
 
     families: tuple[Family, ...]
     boundaries: tuple[SpecialCurve, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
+    problem_digest: tuple[float, ...] = ()
+    problem_file: RecordedFile | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         """Return one line per family, and the number of boundaries."""
@@ -344,7 +349,7 @@ class Continuation(TableRepr):
         return _named_of(self.families)
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as the plain data of a family file."""
+        """Return everything as the plain data of a family file, without `problem_file`."""
         main = self.families[0]
         return {
             "format": FORMAT,
@@ -355,6 +360,7 @@ class Continuation(TableRepr):
             "families": [family.as_json() for family in self.families],
             "boundaries": [boundary.as_json() for boundary in self.boundaries],
             "versions": dict(self.versions),
+            **({"problem_digest": list(self.problem_digest)} if self.problem_digest else {}),
         }
 
 

@@ -13,6 +13,7 @@ from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
 from zeno_orbits.maps.mapping import FORMAT, BetweenPoint, Boundary, ParameterMap
 from zeno_orbits.maps.plane import MOST_HALVINGS
 from zeno_orbits.maps.refinement import fine_count
+from zeno_orbits.model import RecordedFile
 from zeno_orbits.work import EntryError, from_plain, read_json, read_object, write_whole
 
 
@@ -22,7 +23,9 @@ def write_map(found: ParameterMap, path: Path) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    text = json.dumps(found.header(), indent=2, allow_nan=False).removesuffix("\n}")
+    file = found.problem_file
+    entry = {} if file is None else {"problem_file": file.relative_to(path.parent)}
+    text = json.dumps({**found.header(), **entry}, indent=2, allow_nan=False).removesuffix("\n}")
     if found.refine:
         text += _listed("between", found.between_json())
     text += _listed("points", [attractor_json(one) for one in found.attractors])
@@ -54,7 +57,7 @@ def read_map(path: Path) -> ParameterMap:
     if number > FORMAT:
         raise MapFileError(path, newer_format(number, FORMAT))
     try:
-        found = _map_of(entries)
+        found = _map_of(entries, path.parent)
     except (KeyError, TypeError, ValueError) as error:
         reason = (
             str(error) if isinstance(error, EntryError) else f"an entry does not fit ({error!r})"
@@ -102,14 +105,15 @@ def _boundary_of(curve: Mapping[str, Any], x: str, y: str) -> Boundary | None:
     return Boundary(name=str(curve["name"]), points=tuple(points))
 
 
-def _map_of(entries: Mapping[str, Any]) -> ParameterMap:
-    """Return the map of plain data.
+def _map_of(entries: Mapping[str, Any], folder: Path) -> ParameterMap:
+    """Return the map of plain data in a folder.
 
     Raises:
         EntryError: If an entry is missing, has a wrong type, or an invalid value.
     """
     apart: dict[str, tuple[Any, ...]] = {"attractors": (), "orbits": (), "between": ()}
     plain = {**entries, **{name: list(nothing) for name, nothing in apart.items()}}
+    file = from_plain(str, plain.pop("problem_file", ""), "problem_file")
     found = from_plain(ParameterMap, plain, finite=True)
     for side, axis in (("x", found.x), ("y", found.y)):
         if axis.count < 2 or not axis.lower < axis.upper:
@@ -125,6 +129,7 @@ def _map_of(entries: Mapping[str, Any]) -> ParameterMap:
         raise EntryError("refine", f"0 to {MOST_HALVINGS}", str(found.refine))
     return replace(
         found,
+        problem_file=RecordedFile.beside(folder, file),
         attractors=tuple(attractors),
         orbits=tuple(attractor_from_json(one, f"orbits[{k}]") for k, one in enumerate(orbits)),
         between=tuple(_between(found, one, f"between[{k}]") for k, one in enumerate(between)),

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,8 @@ from zeno_orbits.maps.attractors import (
 )
 from zeno_orbits.maps.plane import Axis, Plane, require_plane, require_refinement
 from zeno_orbits.maps.refinement import Place, fine_count, inherited, refined
-from zeno_orbits.model import ProblemFile
+from zeno_orbits.model import ProblemFile, RecordedFile
+from zeno_orbits.orbits import digest_of
 from zeno_orbits.simulation import compile_formulas, simulator_in_use
 from zeno_orbits.work import (
     Columns,
@@ -89,6 +90,8 @@ class ParameterMap(TableRepr):
         orbits: The distinct orbits with which motions were compared.
         refine: Number of halvings of cells along boundaries.
         between: The points of the refinement, in the order of their computation.
+        problem_digest: Digest of the equations of the problem, empty in files of earlier versions.
+        problem_file: File of the problem, or None if the problem is bundled. Not compared.
     """
 
     problem: str
@@ -103,6 +106,8 @@ class ParameterMap(TableRepr):
     orbits: tuple[Attractor, ...] = ()
     refine: int = 0
     between: tuple[BetweenPoint, ...] = ()
+    problem_digest: tuple[float, ...] = ()
+    problem_file: RecordedFile | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         """Return one line: the axes, and the number of points per attractor."""
@@ -188,6 +193,7 @@ class ParameterMap(TableRepr):
             "start": dict(self.start),
             "until": self.until,
             "versions": dict(self.versions),
+            **({"problem_digest": list(self.problem_digest)} if self.problem_digest else {}),
             **({"orbits": [attractor_json(one) for one in self.orbits]} if self.orbits else {}),
             **({"refine": self.refine} if self.refine else {}),
         }
@@ -252,6 +258,8 @@ def map_of_plane(
         orbits=tuple(one.attractor for one in plane.known),
         refine=refine,
         between=between,
+        problem_digest=digest_of(problem),
+        problem_file=RecordedFile.of(problem),
     )
 
 

@@ -1,5 +1,6 @@
 from .checker.verdict import ProofVerdict as ProofVerdict
 from .checker.certificate import check_proof as check_proof
+from .checker.certificate import problem_of_certificate as problem_of_certificate
 from .enclosure import EnclosureSettings as EnclosureSettings
 from .enclosure import enclose_one_period as enclose_one_period
 from .period_enclosure import PeriodEnclosure as PeriodEnclosure

@@ -12,7 +12,7 @@ from typing import Any, cast
 import flint
 
 from zeno_orbits.errors import InputError, ProofError
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem, RecordedFile
 from zeno_orbits.proof.arithmetic.balls import (
     ZERO,
     Ball,
@@ -177,10 +177,12 @@ def certificate(
         claims: The claims, with numbers as texts.
     """
     writer = CertificateWriter(system, passes[0][0].places)
+    file = RecordedFile.of(problem)
     return {
         "format": FORMAT,
         "kind": "zeno_orbits proof",
         **_system_data(problem, values, over, system),
+        **({} if file is None else {"problem_file": str(Path(file.path).absolute())}),
         "section": {
             "conditions": ["gap", "gap_rate", "multiplier"],
             "places": list(passes[0][0].places),
@@ -253,10 +255,14 @@ def proof_versions() -> dict[str, str]:
 
 
 def write_certificate(data: Mapping[str, Any], path: Path) -> None:
-    """Write a certificate.
+    """Write a certificate, with the path of its problem file relative to its folder.
 
     Args:
         data: The certificate.
         path: The file.
     """
+    file = data.get("problem_file")
+    if isinstance(file, str) and Path(file).is_absolute():
+        own = RecordedFile(path=file, near=True)
+        data = {**data, "problem_file": own.relative_to(path.parent)}
     write_whole(path, json.dumps(data, separators=(",", ":")) + "\n")

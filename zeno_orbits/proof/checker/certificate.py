@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from zeno_orbits.errors import InputError, shown
+from zeno_orbits.errors import InputError, shortened, shown
 from zeno_orbits.model import Problem, load_problem, recorded_problem
 from zeno_orbits.proof.checker.balls import (
     Array,
@@ -77,7 +77,7 @@ def check_proof(
     given = load_problem(problem) if isinstance(problem, (str, Path)) else problem
     with fitting_together():
         data = _read(certificate)
-        problem = recorded_problem(data["problem"], given, result="certificate")
+        problem = problem_of_certificate(data, given)
         system, over, theorem = read_system(data, problem)
         section = ContactSection.of(system, data["section"])
         passages, verdicts, boxes = list[Passage | str](), list[ClaimVerdict](), list[Box]()
@@ -129,16 +129,35 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
             remedy = "Make one with `zeno-orbits prove ORBIT.json -o FILE`"
             raise InputError(f"File `{path}` is not a certificate. {remedy}.")
     data = cast("Mapping[str, Any]", certificate)
-    optional = ("basin",) if "basin" in data else ()
-    entries(data, *_TOP, *optional)
+    entries(data, *_TOP, *(name for name in ("basin", "problem_file") if name in data))
     kind, bits = (data["format"], data["kind"]), data["bits"]
     if kind != (2, _KIND) or type(bits) is not int or bits not in _BITS:
         known = "The certificate must be of format 2 and of 64 to 1024 bits"
         raise InputError(f"{known}. Prove the orbit again with `zeno-orbits prove`.")
-    if not isinstance(data["problem"], str):
-        told = f"must be a text, but it is {shown(data['problem'])}"
-        raise InputError(f"The certificate's `problem` {told}.")
+    for name in ("problem", "problem_file"):
+        if not isinstance(data.get(name, ""), str):
+            told = f"must be a text, but it is {shown(data[name])}"
+            raise InputError(f"The certificate's `{name}` {told}.")
     return data
+
+
+def problem_of_certificate(data: Mapping[str, Any], given: Problem | None) -> Problem:
+    """Return the problem of a certificate. A file that the certificate names is never run.
+
+    Args:
+        data: The certificate.
+        given: The problem that the caller gives, or None.
+
+    Raises:
+        InputError: If the given problem has another name, or no problem is given and the
+            certificate does not belong to a bundled problem.
+    """
+    file = data.get("problem_file", "")
+    if given is None and file:
+        name, place = shortened(data["problem"]), shortened(Path(file).name)
+        remedy = "pass it with --problem FILE.py (`problem=` in Python)"
+        raise InputError(f"Problem `{name}`: its file `{place}` is not run by itself, {remedy}.")
+    return recorded_problem(data["problem"], given, result="certificate")
 
 
 def _listed(data: Any, name: str) -> list[Any]:
