@@ -78,7 +78,7 @@ class ProblemFileError(InputError):
 
     def __init__(self, path: Path, reason: str, line: int | None = None) -> None:
         where = f"`{path}`" if line is None else f"`{path}`, line {line}"
-        link = " " if reason.startswith("cannot") else ": "
+        link = " " if line is None and reason.startswith("cannot") else ": "
         end = "" if reason.endswith(("?", ".")) else "."
         super().__init__(f"Problem file {where}{link}{reason}{end}")
         self.path, self.line = path, line

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import zeno_orbits as zo
 from tests.support.commands import MISUSE, ask
+from zeno_orbits.model import load_problem
 
 FILE = """\
 import math
@@ -50,6 +55,11 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         ("= -v", "= -math.sin(q)", 8, "Write `ca.sin(q)`"),
         ("= -v", "= -v * float(q)", 8, "Write `ca.sin(q)`, or the symbol"),
         ('p["g"] * q, gap', 'p["g"] * q + math.sin(q), gap', 10, "Write `ca.sin(q)`"),
+        ("= -v", "= -v * np.linalg.inv(np.zeros((2, 2)))[0, 0]", 8, ": Singular matrix."),
+        ("= -v", "= -np.ones(2).reshape(3)", 8, ": cannot reshape array of size 2 into shape (3,)"),
+        ("= -v", "= -(np.ones(2) + np.ones(3))", 8, ": operands could not be broadcast together"),
+        ("= -v", "= -v * np.ones(2)[2]", 8, ": IndexError: index 2 is out of bounds for axis 0"),
+        ("model=model", "model=model(None)", 23, "`model` must be a function of the gains"),
         ('kinetic=p["m"]', 'kinetic=-p["m"]', 10, "mass matrix must be positive definite"),
         ("gap=q", "gap=ca.vertcat(q, q)", 10, "Argument `gap` must be one formula"),
         ("= -v", "= -ca.mtimes(ca.SX(2, 2), ca.SX(3, 1))", 8, "formulas whose shapes do not fit"),
@@ -278,3 +288,58 @@ def test_a_negative_inductance_is_named_with_its_line(
         assert answer.code == MISUSE
         assert f"`flap.py`, line {line}: " in answer.err
         assert said in answer.err
+
+
+def test_an_error_of_a_derivation_names_the_file_and_the_line(tmp_path: Path) -> None:
+    """At the defaults the derivation is sound."""
+    derive = "def derive(p):\n    return {} if p['m'] < 2 else np.linalg.inv(np.zeros((2, 2)))\n\n"
+    text = FILE.replace("PROBLEM =", derive + "PROBLEM =").replace(
+        "gains=()", "gains=(), derive=derive"
+    )
+    file = tmp_path / "derived.py"
+    file.write_text(text)
+    assert ask("simulate", file, "--until", "0.1").code == 0
+    answer = ask("simulate", file, "--until", "0.1", "--set", "m=3")
+    assert answer.code == MISUSE
+    assert answer.err.count("\n") == 1
+    assert "`derive` raises LinAlgError: Singular matrix, derived.py, line 15)" in answer.err
+
+
+def _asks(p: Mapping[str, object]) -> object:
+    return p["absent"]
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        (print, "must return the system of `hybrid_system`, but it returns nothing"),
+        (len, "must return the system of `hybrid_system`, but it returns a `int`"),
+        (isinstance, "must take one argument"),
+        (_asks, "must use declared gains and parameters, but it uses `absent`"),
+    ],
+)
+def test_a_wrong_model_of_a_problem_in_python_is_named(
+    model: Callable[..., Any], said: str
+) -> None:
+    names: Any = {"state_names": ("q", "v"), "state_units": ("m", "m/s")}
+    problem = zo.Problem(
+        **names,
+        name="wrong",
+        title="wrong",
+        source="tests",
+        parameters=(zo.Quantity.restitution(0.5),),
+        gains=(),
+        model=model,
+        starts=({"q": 1.0},),
+        portraits=(("q", "v"),),
+        amplitude_of="q",
+    )
+    with pytest.raises(zo.InputError, match=f"Argument `model` {said}"):
+        zo.simulate(problem, until=1.0)
+
+
+def test_a_system_in_place_of_a_model_is_named() -> None:
+    """As ``model=model(None)`` gives one, if the model uses no parameter."""
+    system: Any = load_problem("bouncing_ball").model(load_problem("bouncing_ball").symbols())
+    with pytest.raises(zo.InputError, match="Argument `model` must be a function, but it is"):
+        replace(load_problem("bouncing_ball"), model=system)

@@ -8,9 +8,10 @@ import math
 import re
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 
@@ -25,6 +26,10 @@ _CONDITION = (
 _NOT_SYMBOLIC = (
     "a formula of the model holds NaN, as `math.sin(q)` or `float(q)` of a symbol give. "
     "Write `ca.sin(q)`, or the symbol"
+)
+_CALLED_MODEL = (
+    "argument `model` must be a function of the gains and parameters, but the file calls it. "
+    "Write `model=model`"
 )
 _JUMP = re.compile(r"Argument `model`: a formula holds `([^`]+)` of the states")
 _ARGUMENTS = re.compile(
@@ -101,6 +106,8 @@ def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
     if isinstance(error, FormulaError):
         return text, _line_of_formula(tree, error)
     text = _about_inductance(text, tree)
+    if isinstance(error, TypeError) and "NoneType" in text and _gives_none(tree):
+        return _CALLED_MODEL, _gives_none(tree)
     line = _line_of_argument(tree, text, _line_in_trace(error, file))
     jump = _JUMP.match(text)
     if jump is not None:
@@ -115,6 +122,16 @@ def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
     if isinstance(error, ValueError):
         return text, line
     return _about_python(error, text), line
+
+
+def _gives_none(tree: ast.AST) -> int | None:
+    """Return the line of an argument `model` that is a call with None, as ``model=model(None)``."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.keyword) and node.arg == "model":
+            given = node.value.args if isinstance(node.value, ast.Call) else []
+            if any(isinstance(one, ast.Constant) and one.value is None for one in given):
+                return node.lineno
+    return None
 
 
 def _about_syntax(error: SyntaxError) -> str:
@@ -309,6 +326,18 @@ def _line_in_trace(error: BaseException, file: Path) -> int | None:
     if lines or error.__cause__ is None:
         return lines[-1] if lines else None
     return _line_in_trace(error.__cause__, file)
+
+
+def place_of(error: BaseException, function: Callable[..., Any]) -> str:
+    """Return the file and the line of a function that raised an error, for a message, or nothing.
+
+    Args:
+        error: The error.
+        function: The function, of a problem file.
+    """
+    code = getattr(function, "__code__", None)
+    line = None if code is None else _line_in_trace(error, Path(code.co_filename))
+    return "" if code is None or line is None else f", {Path(code.co_filename).name}, line {line}"
 
 
 def _tree_of(file: Path) -> ast.AST:

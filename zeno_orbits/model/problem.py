@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,7 @@ from zeno_orbits.model.drawing import DrawingFunction, lines_of
 from zeno_orbits.model.formula_units import unit_of
 from zeno_orbits.model.graph import graph_of_one_stop
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate
+from zeno_orbits.model.mistakes import place_of
 from zeno_orbits.model.modes import ModeGraph
 from zeno_orbits.model.origin import Declared, Origin
 from zeno_orbits.model.quantities import (
@@ -191,7 +192,8 @@ class Problem(Declared):
         it is used.
         """
         try:
-            return self.model(self.symbols()).graph is None
+            system = cast("object", self.model(self.symbols()))
+            return isinstance(system, CompletedSystem) and system.graph is None
         except LookupError:
             return True
         except (ArithmeticError, RuntimeError, TypeError, ValueError):
@@ -441,8 +443,8 @@ class Problem(Declared):
         given = {q.name: parameters[q.name] for q in self.parameters if q.default is not None}
         moved = {name: _MOVED * given[name] or _FROM_ZERO for name in names if name in given}
         try:
-            before, after = self.derive(given), self.derive({**given, **moved})
-        except (ValueError, ArithmeticError):
+            before, after = self._derived(given), self._derived({**given, **moved})
+        except ValueError:
             return derived
         return [name for name in derived if before[name] != after[name]]
 
@@ -587,15 +589,21 @@ class Problem(Declared):
         """Return the derived parameters.
 
         Raises:
-            InputError: If the derivation divides by zero or overflows in double precision.
+            InputError: If the derivation raises an error, such as a division by zero.
         """
         if self.derive is None:
             return {}
+        wanted = f"must be values from which `{self.name}` can derive the others"
         try:
             return self.derive(chosen)
         except ArithmeticError as error:
-            wanted = f"must be values from which `{self.name}` can derive the others"
             raise InputError(f"Argument `parameters` {wanted} ({error}).") from error
+        except InputError:
+            raise
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(".")
+            told = f"`derive` raises {reason}{place_of(error, self.derive)}"
+            raise InputError(f"Argument `parameters` {wanted} ({told}).") from error
 
     def symbols(self) -> dict[str, ca.SX]:
         """Return one symbol for every gain and parameter, in order."""
@@ -714,7 +722,7 @@ def _needs_one_stop(problem: Problem, graph: ModeGraph) -> InputError:
 def _built(problem: Problem) -> tuple[CompletedSystem, dict[str, ca.SX]]:
     """Return the completed system of a problem, and the symbols of its parameters."""
     symbols = problem.symbols()
-    return problem.model(symbols), symbols
+    return built(problem.model, symbols), symbols
 
 
 @lru_cache(maxsize=_MOST)

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, shortened
 from zeno_orbits.model.domains import named_formulas, require_finite, require_rising_gap
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.mistakes import NotSymbolicError, holds_nan
@@ -57,7 +58,7 @@ def built(
     """Return the completed system that a model builds from its symbols.
 
     Raises:
-        ValueError: If the model uses an undeclared name, or returns another type.
+        InputError: If the model uses an undeclared name, or returns another type.
     """
     _require_one_argument(model)
     try:
@@ -65,16 +66,14 @@ def built(
     except KeyError as error:
         if error.args and error.args[0] not in symbols:
             asked = f"but it uses `{error.args[0]}`"
-            raise ValueError(
+            raise InputError(
                 f"Argument `model` must use declared gains and parameters, {asked}."
             ) from error
         raise
     if not isinstance(system, CompletedSystem):
         kind = "nothing" if system is None else f"a `{type(system).__name__}`"
         made = f"but it returns {kind}. Write `return zo.hybrid_system(...)`"
-        raise ValueError(  # noqa: TRY004
-            f"Argument `model` must return the system of `hybrid_system`, {made}."
-        )
+        raise InputError(f"Argument `model` must return the system of `hybrid_system`, {made}.")
     return system
 
 
@@ -82,7 +81,7 @@ def _require_one_argument(model: Callable[..., Any]) -> None:
     """Reject a model that cannot be called with the symbols alone.
 
     Raises:
-        ValueError: If its signature takes no argument, or requires several.
+        InputError: If its signature takes no argument, or requires several.
     """
     try:
         known = inspect.signature(model)
@@ -92,8 +91,9 @@ def _require_one_argument(model: Callable[..., Any]) -> None:
         known.bind({})
     except TypeError:
         wanted = "must take one argument, the gains and parameters by name"
-        raise ValueError(
-            f"Argument `model` {wanted}, but it takes `{known}`. Write `def model(p):`."
+        taken = shortened(str(known))
+        raise InputError(
+            f"Argument `model` {wanted}, but it takes `{taken}`. Write `def model(p):`."
         ) from None
 
 
