@@ -13,6 +13,7 @@ import pytest
 
 import zeno_orbits as zo
 from zeno_orbits.errors import MapFileError
+from zeno_orbits.experiment import RecordedSignal, Recording
 from zeno_orbits.maps import read_map, write_map
 
 PENDULUM = "motor_pendulum"
@@ -80,3 +81,36 @@ def test_a_map_file_with_a_false_head_is_refused(entry: str, value: Any, tmp_pat
     path.write_text(json.dumps({**found.as_json(), entry: value}))
     with pytest.raises(MapFileError):
         read_map(path)
+
+
+@pytest.mark.parametrize("told", [lambda: None, len, dict])
+def test_a_function_for_progress_takes_a_text_and_a_part(told: Any, orbit: zo.Orbit) -> None:
+    with pytest.raises(zo.InputError, match="Argument `on_progress` must"):
+        zo.verify(orbit, on_progress=told)
+
+
+TIMES = np.array([0.0, 1.0, 2.0])
+SOUND: dict[str, Any] = {"source": None, "problem": "ball", "time": TIMES, "signals": ()}
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [
+        ("time", [0.0, 1.0, 2.0]),
+        ("time", "0 1 2"),
+        ("signals", (TIMES,)),
+        ("source", "measured"),
+        ("problem", None),
+        ("notes", "a note"),
+        ("remarks", 3),
+    ],
+)
+def test_a_recording_is_made_of_values_of_the_right_kinds(argument: str, value: Any) -> None:
+    assert Recording(**SOUND).problem == "ball"
+    with pytest.raises(zo.InputError, match=f"Argument `{argument}` must be"):
+        Recording(**{**SOUND, argument: value})
+
+
+def test_a_signal_is_made_of_values_of_the_right_kinds() -> None:
+    with pytest.raises(zo.InputError, match="Argument `values` must be an array of NumPy"):
+        RecordedSignal(name="q", unit="m", values=[0.0, 1.0])  # type: ignore[arg-type]

@@ -17,6 +17,7 @@ from zeno_orbits.errors import (
     InputError,
     did_you_mean,
     number_range,
+    shortened,
     shown,
 )
 from zeno_orbits.model import (
@@ -78,6 +79,8 @@ def front_door(work: Callable[_P, _R]) -> Callable[_P, _R]:
             if name not in known:
                 wrong = f"{work.__name__}() got an unexpected keyword argument {name!r}"
                 raise TypeError(f"{wrong}.{did_you_mean(name, known)}")
+        if tells and "on_progress" in named:
+            _require_progress(named["on_progress"])
         line = line_for_watcher() if tells and "on_progress" not in named else None
         if line is None:
             return work(*given, **named)
@@ -91,6 +94,28 @@ def front_door(work: Callable[_P, _R]) -> Callable[_P, _R]:
     if work.__doc__ and options_of:
         opened.__doc__ = f"{work.__doc__.rstrip()}\n\n    Command line: {options_of}.\n    "
     return shown
+
+
+def _require_progress(told: Any) -> None:
+    """Refuse a function that cannot be called with a text and a finished part.
+
+    Raises:
+        InputError: If its signature does not fit.
+    """
+    if isinstance(told, type):
+        wanted = "must be a function or an object to be called"
+        raise InputError(f"Argument `on_progress` {wanted}, but it is the class `{told.__name__}`.")
+    try:
+        known = signature(told)
+    except (TypeError, ValueError):
+        # It is no function, which the annotation excludes, or it hides its signature.
+        return
+    try:
+        known.bind("", None)
+    except TypeError:
+        wanted = "must take a text and a part from 0 to 1"
+        taken = shortened(str(known))
+        raise InputError(f"Argument `on_progress` {wanted}, but it takes `{taken}`.") from None
 
 
 def _as_shown(known: Signature) -> Signature:

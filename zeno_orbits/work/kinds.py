@@ -179,7 +179,7 @@ def _require(argument: str, value: Any, kinds: tuple[Any, ...]) -> None:
     # A number or mapping of a wrong kind has a message that says why.
     if wanted == [float]:
         any_number(argument, value)
-    if [get_origin(kind) for kind in wanted] == [Mapping]:
+    if [get_origin(kind) for kind in wanted] == [Mapping] and get_args(wanted[0])[1] is not str:
         named_numbers(argument, value)
     words = [_words(kind) for kind in kinds]
     listed = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
@@ -256,10 +256,14 @@ def _words(kind: Any) -> str:
     if origin is Sequence or inner[1:] == (Ellipsis,):
         return f"a sequence with each entry {_words(inner[0])}"
     if origin is not None:
-        return _KINDS_WITH_ENTRIES.get(origin, "a sequence")
+        return _KINDS_WITH_ENTRIES.get(origin.__name__, "a sequence")
     if isinstance(kind, TypeVar):
         return " or ".join(map(_words, kind.__constraints__))
     return f"a `{kind.__name__}`"
 
 
-_KINDS_WITH_ENTRIES: Mapping[Any, str] = {Mapping: "a mapping", Callable: "a function"}
+_KINDS_WITH_ENTRIES: Mapping[str, str] = {
+    "Mapping": "a mapping",
+    "Callable": "a function",
+    "ndarray": "an array of NumPy",
+}

@@ -33,7 +33,7 @@ from zeno_orbits.errors import (
 )
 from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
 from zeno_orbits.model.units import in_si, powers_of
-from zeno_orbits.work import ByValue, checked
+from zeno_orbits.work import ByValue, checked, require_kinds
 from zeno_orbits.work.files import write_pieces
 
 FORMAT = 1
@@ -69,6 +69,10 @@ class RecordedSignal(ByValue):
     unit: str
     values: Vector
 
+    def __post_init__(self) -> None:
+        """Refuse values of a wrong kind."""
+        require_kinds(self)
+
     def __repr__(self) -> str:
         """Return one line: name, unit and number of values."""
         return f"<RecordedSignal {self.name} [{self.unit}]: values={len(self.values)}>"
@@ -95,7 +99,8 @@ class Recording(ByValue):
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse times that do not increase, and signals that do not belong together."""
+        """Refuse wrong kinds, times that do not increase, and signals that do not fit together."""
+        require_kinds(self)
         if self.time.ndim != 1 or len(self.time) < 2 or not np.all(np.diff(self.time) > 0.0):
             raise ValueError("Argument `time` must hold two or more times that increase.")
         names = [signal.name for signal in self.signals]
