@@ -114,3 +114,12 @@ def test_a_recording_is_made_of_values_of_the_right_kinds(argument: str, value: 
 def test_a_signal_is_made_of_values_of_the_right_kinds() -> None:
     with pytest.raises(zo.InputError, match="Argument `values` must be an array of NumPy"):
         RecordedSignal(name="q", unit="m", values=[0.0, 1.0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["nonsense", 3, None, "state", ["period"]])
+def test_a_name_of_nothing_is_refused_by_methods_of_results(name: Any) -> None:
+    ball = zo.load_problem("bouncing_ball")
+    found = zo.parameter_map("bouncing_ball", x=("g", 5, 10, 2), y=("m", 1, 2, 2))
+    for ask in (found.numbers, ball.values().number, ball.place, ball.quantity):
+        with pytest.raises(zo.InputError, match="Argument `name`"):
+            ask(name)

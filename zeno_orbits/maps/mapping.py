@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Rows, Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, shown
 from zeno_orbits.maps.attractors import (
     Attractor,
     AttractorClass,
@@ -33,6 +33,7 @@ from zeno_orbits.work import (
     TableRepr,
     Workers,
     by_name,
+    checked,
     claim_checkpoint,
     open_pool,
     parallel_map,
@@ -144,10 +145,19 @@ class ParameterMap(TableRepr):
         return self.y.count, self.x.count
 
     def numbers(self, name: str) -> Vector:
-        """Return a value of every attractor by its name in ``Attractor``, ``(n_y, n_x)``."""
-        values = [float(getattr(attractor, name)) for attractor in self.attractors]
+        """Return a value of every attractor by its name in ``Attractor``, ``(n_y, n_x)``.
+
+        Raises:
+            InputError: If an attractor has no number of this name.
+        """
+        try:
+            values = [float(getattr(attractor, name)) for attractor in self.attractors]
+        except (AttributeError, TypeError, ValueError) as error:
+            wanted = "must be a number of an attractor, such as `period`"
+            raise InputError(f"Argument `name` {wanted}, but it is {shown(name)}.") from error
         return np.reshape(values, self.shape)
 
+    @checked
     def margin(self, name: str) -> Vector:
         """Return a margin of every attractor, NaN if it is missing, ``(n_y, n_x)``."""
         values = [attractor.margins.get(name, math.nan) for attractor in self.attractors]

@@ -524,7 +524,7 @@ class Problem(Declared):
             InputError: If the name is unknown. The message lists the known names.
         """
         if name not in self.names:
-            raise InputError(unknown(argument, name, self.names))
+            raise InputError(unknown(argument, str(name), self.names))
         return self.names.index(name)
 
     def require_range(

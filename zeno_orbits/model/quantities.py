@@ -171,8 +171,15 @@ class ParameterValues:
         return {**self.gains, **self.parameters}
 
     def number(self, name: str) -> float:
-        """Return a gain or a parameter."""
-        return self.gains[name] if name in self.gains else self.parameters[name]
+        """Return a gain or a parameter.
+
+        Raises:
+            InputError: If the name is unknown.
+        """
+        try:
+            return self.gains[name] if name in self.gains else self.parameters[name]
+        except (KeyError, TypeError):
+            raise InputError(unknown("name", shortened(str(name)), tuple(self.numbers))) from None
 
     def replaced(self, numbers: Mapping[str, float]) -> ParameterValues:
         """Return the values with replacements for some names. Derived values do not change."""
