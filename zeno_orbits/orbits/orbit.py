@@ -16,7 +16,7 @@ from zeno_orbits.model import (
     RecordedFile,
 )
 from zeno_orbits.orbits.digest import digest_of
-from zeno_orbits.orbits.events.sequences import kind_of_events, sequence_of
+from zeno_orbits.orbits.sequences import kind_of_events, sequence_of
 from zeno_orbits.orbits.shape import EventSequence, PhaseKind
 from zeno_orbits.work import Columns, TableRepr, by_name, versions
 

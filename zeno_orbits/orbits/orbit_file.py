@@ -15,8 +15,8 @@ from typing import Any, cast
 
 from zeno_orbits.errors import InputError, OrbitFileError, newer_format, shortened
 from zeno_orbits.model import RecordedFile
-from zeno_orbits.orbits.events.sequences import sequence_of
 from zeno_orbits.orbits.orbit import FORMAT, Orbit, OrbitEvent, OrbitImpact, OrbitPhase
+from zeno_orbits.orbits.sequences import sequence_of
 from zeno_orbits.orbits.shape import EventSequence, PhaseKind
 from zeno_orbits.work import EntryError, checked, from_plain, read_json, write_whole
 

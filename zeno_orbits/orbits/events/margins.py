@@ -17,8 +17,8 @@ from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.orbits.events.section import EventReturn, fall_at
-from zeno_orbits.orbits.events.sequences import orbit_event_name, phases_of_events
 from zeno_orbits.orbits.saddle import Saddle, nearest_saddle
+from zeno_orbits.orbits.sequences import orbit_event_name, phases_of_events
 from zeno_orbits.simulation import (
     Arc,
     Ending,

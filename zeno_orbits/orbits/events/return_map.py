@@ -19,10 +19,6 @@ from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.orbits.events.section import EventReturn, SectionMode, event_return, largest_states
-from zeno_orbits.orbits.events.sequences import (
-    orbit_event_name,
-    phases_of_events,
-)
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.section import (
@@ -32,6 +28,10 @@ from zeno_orbits.orbits.section import (
     Section,
     conditions,
     section_of,
+)
+from zeno_orbits.orbits.sequences import (
+    orbit_event_name,
+    phases_of_events,
 )
 from zeno_orbits.simulation import (
     Arc,

@@ -19,13 +19,6 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics, require_zeno_points
-from zeno_orbits.orbits.events.sequences import (
-    caused_releases,
-    orbit_event_name,
-    phases_of_events,
-    sequence_as_listed,
-    sequence_of,
-)
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.section import (
@@ -36,6 +29,13 @@ from zeno_orbits.orbits.section import (
     conditions_gradient,
     project_to_section,
     section_of,
+)
+from zeno_orbits.orbits.sequences import (
+    caused_releases,
+    orbit_event_name,
+    phases_of_events,
+    sequence_as_listed,
+    sequence_of,
 )
 from zeno_orbits.simulation import (
     Arc,
