@@ -244,7 +244,7 @@ static void keep_tail(Unit *unit) {
     const size_t n_x = (size_t)problem->n_x;
     piece->way = STRAIGHT;
     piece->mode = ZL_FREE;
-    piece->view = (int)arc[12];
+    piece->view = (int)arc[13];
     piece->start = arc[1];
     piece->end = arc[2];
     memcpy(piece->before, arc + ZL_ARC_WIDTH, n_x * sizeof(double));
@@ -273,7 +273,7 @@ static int pass_step(Unit *unit) {
     reached->n_passed++;
     piece->way = late >= 0 ? IMPLICIT : EXPLICIT;
     piece->mode = (int)arc[0];
-    piece->view = (int)arc[12];
+    piece->view = (int)arc[13];
     piece->unit = arc[3];
     piece->leg_start = arc[1];
     piece->offset = row[0];
@@ -284,7 +284,7 @@ static int pass_step(Unit *unit) {
         memcpy(piece->before, row - width + ZL_STEP_WIDTH, (size_t)(n_x + 2) * sizeof(double));
     } else {
         memcpy(piece->before, start, (size_t)n_x * sizeof(double));
-        piece->before[n_x] = 0.0;
+        piece->before[n_x] = arc[12];
         piece->before[n_x + 1] = arc[11];
     }
     memcpy(piece->after, is_last ? start + n_x : row + ZL_STEP_WIDTH, (size_t)n_x * sizeof(double));

@@ -359,8 +359,10 @@ static int launch(Graph *g) {
                               gap[0] <= run->small_gap, graph->limit);
         break;
     case FLIGHT_ARC:
-        status = start_leg_at(&g->m, ZL_FLIGHT, run->start.speed, 1.0,
-                              contact * (1 / settings->gap_acceleration), flight_error(run), 1,
+        if (run->start.height > 0.0) run->start.lift = number_at(&g->m, ZL_LIFT, x);
+        status = start_leg_at(&g->m, ZL_FLIGHT, run->start.speed, run->start.launch,
+                              contact * (1 / settings->gap_acceleration), flight_error(run),
+                              run->start.height <= contact / settings->gap_acceleration,
                               graph->limit);
         break;
     default:
@@ -509,10 +511,27 @@ static int occurs(const Graph *g, int kind, long long index, const double *x) {
     return armed[index] > 0.0;
 }
 
-/* Whether the guard of the stop that the run looks at falls through zero here. */
+/* Whether the present arc is a flight from the stop, whose scaled gap and its rate are exact at its end
+   if the flight of no other stop ends it. */
+static int is_scaled(const Graph *g) {
+    const Graphed *graph = &g->m.run->graph;
+    return graph->kind == FLIGHT_ARC &&
+           !(graph->found >= 0 && g->m.run->watched[graph->found].launched > 0.0);
+}
+
+/* Whether the guard of the stop that the run looks at falls through zero at the end of an arc. */
 static int main_is_zero(const Graph *g, int main, const double *x) {
     const zl_run *run = g->m.run;
     double pair[2];
+    if (is_scaled(g)) {
+        const zl_settings *settings = &run->settings;
+        const double *scaled = run->leg.end + g->whole->n_x;
+        const double apart =
+            lesser(APART * settings->time / run->leg.unit, OF_FLIGHT * run->leg.duration);
+        return scaled[1] < 0.0 &&
+               scaled[0] <= greater(settings->contact / settings->gap_acceleration,
+                                    -scaled[1] * apart);
+    }
     if (main == ZL_RELEASE) {
         evaluate_at(&g->m, ZL_GUARD + ZL_LOCKED, x, pair);
         return is_zero(g, pair, run->settings.contact * run->settings.multiplier);
@@ -606,7 +625,7 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
 }
 
 static int after_other(Graph *g, double time, const double *x, const Other *other,
-                       const double *rate);
+                       const double *rate, const double *scaled);
 static int on_other_side(Graph *g, int k);
 static int land_at(Graph *g, double time, const double *x, double rate);
 static int meet_at(Graph *g, double time, const double *x, double rate);
@@ -666,6 +685,8 @@ static int conclude(Graph *g) {
         x[n_x] > ABOVE * fabs(x[n_x + 1]) * run->leg.duration) {
         /* The way meets the stop where the scaled gap is unaware of it: it is flown again. */
         run->start.has_speed = 0;
+        run->start.height = 0.0;
+        run->start.launch = 1.0;
         return begin_arc(g, FREE_ARC);
     }
     if (other && run->watched[found].launched > 0.0) {
@@ -685,7 +706,7 @@ static int conclude(Graph *g) {
     if (chosen >= 0) {
         const int is_known = chosen == found && run->watched[found].launched > 0.0;
         const Other *last = chosen == found ? other : &g->others.list[chosen];
-        return after_other(g, time, x, last, is_known ? &rate : 0);
+        return after_other(g, time, x, last, is_known ? &rate : 0, is_scaled(g) ? x + n_x : 0);
     }
     run->stage = AT_START;
     if (graph->kind == LOCKED_ARC) {
@@ -745,6 +766,7 @@ static int decide(Graph *g) {
             run->in_hop = 0;
             graph->in_side = 1;
             run->leg.launch = 1.0;
+            run->leg.height = 0.0;
             run->leg.on_guard = 1;
             run->leg.rounding = watched->rounding;
             run->stage = IN_SIDE;
@@ -827,12 +849,12 @@ static int arc_ended(Graph *g) {
 
 /* Switches. */
 
-static int switched(Graph *g, double time, const double *x, int k);
+static int switched(Graph *g, double time, const double *x, int k, const double *scaled);
 
 static int switched_at_start(Graph *g, int k) {
     double x[ZL_MOST];
     memcpy(x, g->m.run->start.state, sizeof x);
-    return switched(g, g->m.run->start.time, x, k);
+    return switched(g, g->m.run->start.time, x, k, 0);
 }
 
 /* The rate of a declared switch's guard along the flow that starts. */
@@ -952,7 +974,7 @@ static int require_continuous(Graph *g, int k, double time, const double *x) {
 #define FIRST_STATE (-1LL)
 
 static int placed(Graph *g, double time, const double *state, long long was_closed, int by_switch,
-                  int flying);
+                  int flying, const double *scaled);
 static int strike(Graph *g, double time, const double *before, double approach);
 
 /* Record the releases of stops that another event opens; 1 if the last of them ends the run. */
@@ -970,8 +992,9 @@ static int are_opened(Graph *g, long long stops, double time, const double *x) {
     return 1;
 }
 
-/* Apply a switch whose guard fell through zero. */
-static int switched(Graph *g, double time, const double *x, int k) {
+/* Apply a switch whose guard fell through zero, within a flight with its scaled gap and rate, if it is
+   one. */
+static int switched(Graph *g, double time, const double *x, int k, const double *scaled) {
     zl_run *run = g->m.run;
     Graphed *graph = &run->graph;
     const zl_graph *table = g->whole->graph;
@@ -990,7 +1013,7 @@ static int switched(Graph *g, double time, const double *x, int k) {
             if (status != GO_ON) return status;
             graph->has_current = 0;
             take_sides(g, after);
-            return placed(g, time, after, closed, k, -1);
+            return placed(g, time, after, closed, k, -1, 0);
         }
     }
     change_side(g, k, x);
@@ -1013,7 +1036,7 @@ static int switched(Graph *g, double time, const double *x, int k) {
             }
         }
     }
-    return placed(g, time, x, closed, -1, is_free ? focus_of(g) : -1);
+    return placed(g, time, x, closed, -1, is_free ? focus_of(g) : -1, scaled);
 }
 
 /* Contact. */
@@ -1220,14 +1243,16 @@ static int meet_at(Graph *g, double time, const double *x, double rate) {
     return GO_ON;
 }
 
-/* The start at a state: each stop with zero gap and rate holds, or opens. */
+/* The start at a state: each stop with zero gap and rate holds, or opens. A flight goes on with its
+   scaled gap and rate, if they are given. */
 static int placed(Graph *g, double time, const double *state, long long was_closed, int by_switch,
-                  int flying) {
+                  int flying, const double *scaled) {
     zl_run *run = g->m.run;
     const zl_graph *table = g->whole->graph;
     const size_t bytes = (size_t)g->whole->n_x * sizeof(double);
     long long still = 0, opening = 0, struck = 0, closed, leaving;
     const int is_first = was_closed == FIRST_STATE;
+    const double unit = run->start.speed;
     double x[ZL_MOST], gap[2];
     int k, n = (int)table->n_stops, focus, status;
     memcpy(x, state, bytes);
@@ -1238,6 +1263,7 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
         /* Of one stop alone, a start is as exact as its user gives it. */
         const double small = has_others(&g->m) ? below : contact;
         int is_on, falls;
+        if (scaled && k == flying) continue;
         gap_of(g, k, x, gap);
         is_on = gap[0] >= -below * settings->gap;
         falls = gap[1] < -small * settings->gap_rate;
@@ -1289,7 +1315,12 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
     evaluate_at(&g->m, ZL_GAP, x, gap);
     start_without_speed(run, ZL_FREE, time);
     memcpy(run->start.state, x, bytes);
-    if (gap[0] <= run->small_gap && gap[1] > run->small_rate) {
+    if (scaled && focus == flying) {
+        run->start.speed = unit;
+        run->start.height = scaled[0];
+        run->start.launch = scaled[1];
+        run->start.has_speed = 1;
+    } else if (gap[0] <= run->small_gap && gap[1] > run->small_rate) {
         run->start.speed = gap[1];
         run->start.has_speed = 1;
     }
@@ -1299,12 +1330,12 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
 /* What follows the event of another guard. `rate` is the gap rate, if it is known better than by the
    state. */
 static int after_other(Graph *g, double time, const double *x, const Other *other,
-                       const double *rate) {
+                       const double *rate, const double *scaled) {
     zl_run *run = g->m.run;
     const long long closed = closed_at_start(g);
     double gap[2];
     run->stage = AT_START;
-    if (other->kind == ZL_SWITCH) return switched(g, time, x, other->index);
+    if (other->kind == ZL_SWITCH) return switched(g, time, x, other->index, scaled);
     run->graph.has_current = 0;
     if (other->kind == ZL_RELEASE) {
         look(g, closed & ~BIT(other->index), other->index);
@@ -1452,7 +1483,7 @@ static int admit_to_graph(Graph *g) {
             return tell(&g->m, ZL_INSIDE, 0.0, x, k);
         }
     }
-    return placed(g, 0.0, x, FIRST_STATE, -1, -1);
+    return placed(g, 0.0, x, FIRST_STATE, -1, -1, 0);
 }
 
 /* Do the next thing: a step, an event, the start of an arc. */

@@ -122,7 +122,7 @@ typedef struct {
 /* Events at one time at most: a switch, and an impact, a Zeno point and two releases of each stop. */
 #define ZL_AT_ONCE(n_stops) (1 + 4 * (n_stops))
 
-enum { ZL_STEP_WIDTH = 2, ZL_ARC_WIDTH = 13, ZL_EVENT_WIDTH = 6, ZL_ESTIMATE_WIDTH = 4 };
+enum { ZL_STEP_WIDTH = 2, ZL_ARC_WIDTH = 14, ZL_EVENT_WIDTH = 6, ZL_ESTIMATE_WIDTH = 4 };
 /* Entries of a record before its states: after a step; at start and end of an arc; before and after
    an event; on the stop and at the limit of an estimate. */
 
@@ -166,10 +166,11 @@ typedef struct {
     long long n_state, index, about[4];
 } zl_detail;
 
-/* Where the next arc starts. Without a speed it is no rescaled flight. */
+/* Where the next arc starts. Without a speed it is no rescaled flight. The scaled gap and its rate are
+   `height` and `launch`: 0 and 1 on the stop. */
 typedef struct {
     long long mode, has_speed, has_impact;
-    double time, speed, lift;
+    double time, speed, height, launch, lift;
     double state[ZL_MOST], plus[ZL_MOST], resting[ZL_MOST], rate[ZL_MOST];
 } zl_start;
 

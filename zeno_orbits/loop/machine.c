@@ -7,6 +7,8 @@ static void start_without_speed(zl_run *run, long long mode, double time) {
     run->start.time = time;
     run->start.has_speed = run->start.has_impact = 0;
     run->start.speed = NAN;
+    run->start.height = 0.0;
+    run->start.launch = 1.0;
     run->stage = AT_START;
 }
 
@@ -62,6 +64,7 @@ static void write_leg(const Machine *m, int ending, double end_time) {
                                           (double)leg->first_polynomial,
                                           (double)leg->n_polynomials,
                                           leg->launch,
+                                          leg->height,
                                           (double)run->graph.view};
     write_arc(m, numbers, run->start.state, leg->end, leg->n_y);
 }
@@ -111,6 +114,7 @@ static void reach(const Machine *m, const Limit *limit, double last_time, double
                                               (double)run->n_rows,
                                               0.0,
                                               (double)run->n_polynomials,
+                                              0.0,
                                               0.0,
                                               0.0,
                                               (double)run->graph.view};
@@ -175,6 +179,8 @@ static int impact(const Machine *m, double time, const double *before, double ap
     start->mode = ZL_FREE;
     start->time = time;
     start->speed = speed;
+    start->height = 0.0;
+    start->launch = 1.0;
     start->has_speed = start->has_impact = 1;
     memcpy(start->state, start->plus, bytes);
     return GO_ON;
@@ -188,6 +194,8 @@ static int landing(const Machine *m, double time, const double *state, double ra
     start->mode = ZL_FREE;
     start->time = time;
     start->speed = rate;
+    start->height = 0.0;
+    start->launch = 1.0;
     start->has_speed = 1;
     start->has_impact = 0;
     memcpy(start->state, state, (size_t)m->problem->n_x * sizeof(double));
@@ -225,8 +233,8 @@ static double late_in(const Machine *m) {
     return has_others(m) ? greater(late, APART * m->run->settings.time) : late;
 }
 
-/* Start a leg of a mode from where the next arc starts, up to a time. A flight is launched at a scaled
-   gap rate of 1, or of 0 where its unit of time is no speed. */
+/* Start a leg of a mode from where the next arc starts, up to a time. A flight from the stop is launched
+   at a scaled gap rate of 1, or of 0 where its unit of time is no speed. */
 static int start_leg_at(const Machine *m, int mode, double unit, double launch, double rounding,
                         double absolute, int on_guard, double until) {
     zl_run *run = m->run;
@@ -235,10 +243,11 @@ static int start_leg_at(const Machine *m, int mode, double unit, double launch, 
     double y[ZL_MOST];
     memcpy(y, start->state, (size_t)m->problem->n_x * sizeof(double));
     if (mode == ZL_FLIGHT) {
-        y[m->problem->n_x] = 0.0;
+        y[m->problem->n_x] = start->height;
         y[m->problem->n_x + 1] = launch;
     }
     run->leg.launch = launch;
+    run->leg.height = start->height;
     run->leg.start_time = start->time;
     run->leg.on_guard = on_guard;
     run->leg.rounding = rounding;
@@ -255,8 +264,9 @@ static int start_leg_at(const Machine *m, int mode, double unit, double launch, 
 static double flight_error(const zl_run *run) {
     const zl_settings *settings = &run->settings;
     const double size = settings->gap_acceleration, lift = fabs(run->start.lift);
+    const int is_known = run->start.has_impact || run->start.height > 0.0;
     double rounding;
-    if (!run->start.has_impact || !(2.0 * run->start.speed <= BRIEF * settings->time * lift))
+    if (!is_known || !(2.0 * run->start.speed <= BRIEF * settings->time * lift))
         return settings->absolute;
     rounding = ROUNDING * size / greater(lift, settings->contact * size);
     return rounding > settings->relative ? rounding : settings->absolute;

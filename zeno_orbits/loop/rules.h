@@ -94,6 +94,7 @@
 
 /* simulation/reference_run.py */
 #define APART 1e-11
+#define OF_FLIGHT 1e-06
 #define CONTINUOUS 1e-06
 #define ONE_SURFACE 1e-06
 #define GROW 4.0

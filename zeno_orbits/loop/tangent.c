@@ -435,7 +435,7 @@ static void carry(Tangent *t, long long arc, int parts, double *times, double *r
     long long k;
     int part;
     memcpy(begin, row + ZL_ARC_WIDTH, (size_t)n_x * sizeof(double));
-    begin[n_x] = 0.0;
+    begin[n_x] = row[12];
     begin[n_x + 1] = row[11];
     step.before = begin;
     for (k = 0; k < n_steps; k++) {

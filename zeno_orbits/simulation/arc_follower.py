@@ -54,7 +54,10 @@ class ArcStart:
         mode: Its mode.
         time: Start time [s].
         state: Start state, ``(n_x,)``.
-        speed: Exact gap rate of a start from the stop, or ``None`` for any other start.
+        speed: Exact gap rate of a start from the stop, which is the unit of a rescaled flight, or
+            ``None`` for any other start.
+        height: Scaled gap at the start of a rescaled flight: above zero within a flight.
+        launch: Scaled gap rate there.
         impact: The impact at the start, if there is one.
         resting: The state projected onto the stop, after an impact.
         hop: A flight that is lower than the rounding of the gap. Its `speed` is only the unit of
@@ -65,6 +68,8 @@ class ArcStart:
     time: float
     state: Vector
     speed: float | None = None
+    height: float = 0.0
+    launch: float = 1.0
     impact: Impact | None = None
     resting: ContactProjection | None = None
     hop: SmallHop | None = None
@@ -206,15 +211,18 @@ class ArcFollower:
         size = own.multiplier if start.mode is Mode.LOCKED else own.gap
         if start.speed is not None:
             size = 1 / own.gap_acceleration
-        launch, tolerance, hop = 1.0, self.tolerance, start.hop
+        launch, tolerance, hop = start.launch, self.tolerance, start.hop
         if hop is not None:
             launch, tolerance = hop.launch, replace(tolerance, absolute=hop.error)
+        elif start.speed is not None and start.height > 0.0:
+            lift = self.dynamics.gap_acceleration(start.state)
+            tolerance = self._over_rounding(lift, start.speed)
         elif start.resting is not None and start.speed is not None:
             tolerance = self._over_rounding(start.resting.gap_acceleration, start.speed)
         limit = min(self.until, self.window)
         leg = Segment(
             flow=flow,
-            y=start.state if start.speed is None else launched(start.state, launch),
+            y=start.state if start.speed is None else launched(start.state, launch, start.height),
             horizon=(limit - start.time) / unit,
             tolerance=tolerance,
             on_guard=on_guard,
@@ -313,8 +321,6 @@ class ArcFollower:
             raise grows_without_end(name, steps, needed, time, y)
 
 
-def launched(x: Vector, rate: float) -> Vector:
-    """Return the state of a rescaled flight at its start, ``(x, 0, rate)``."""
-    y = np.zeros(x.size + 2)
-    y[:-2], y[-1] = x, rate
-    return y
+def launched(x: Vector, rate: float, height: float = 0.0) -> Vector:
+    """Return the state of a rescaled flight at its start, ``(x, height, rate)``."""
+    return np.concatenate([x, (height, rate)])

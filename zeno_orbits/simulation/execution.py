@@ -100,6 +100,11 @@ class Arc(ByValue):
         # A stop without a name is the only one.
         return (closed or ((0,) if self.mode is Mode.LOCKED else ())), sides
 
+    @property
+    def stop_left(self) -> str:
+        """Name of the stop on which a rescaled flight begins, empty for any other arc."""
+        return self.stop if self.stop and float(self.flow_states[0, -2]) == 0.0 else ""
+
     def state_at(self, time: float) -> Vector:
         """Return the state at a time inside the arc, to the accuracy of the integration.
 

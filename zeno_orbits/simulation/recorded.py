@@ -129,14 +129,14 @@ class RecordedRun:
         first = row[binding.ARC_WIDTH : binding.ARC_WIDTH + n_x]
         last = row[binding.ARC_WIDTH + n_x : binding.ARC_WIDTH + n_x + n_y]
         ended = _ENDINGS[int(ending)]
-        *counts, launch, _ = counts
+        *counts, launch, height, _ = counts
         index, first_step, n_steps, first_polynomial, n_polynomials = map(int, counts)
         way: Trajectory | None
         if ended is Ending.ZENO:
             path = self.paths.get(end, ())
             way = SteppedTrajectory(steps=path, duration=duration, end=last) if path else None
         else:
-            begin = np.concatenate([first, (0.0, launch)]) if mode == binding.FLIGHT else first
+            begin = np.concatenate([first, (height, launch)]) if mode == binding.FLIGHT else first
             polynomials = self.record.polynomials[first_polynomial:][:n_polynomials]
             way = LoopTrajectory(
                 flow=_Flow(dynamics, int(mode), unit),
@@ -387,8 +387,9 @@ class LoopTrajectory:
         polynomials = np.zeros((m, binding.STAGES * (n_x + 2)))
         polynomials[:, : binding.STAGES * n_y] = self._polynomials.reshape(m, binding.STAGES * n_y)
         arc = np.zeros((1, binding.ARC_WIDTH + 2 * n_x + 2))
-        launch = self._begin[-1] if n_y > n_x else 0.0
-        arc[0, : binding.ARC_WIDTH] = (mode, 0, 0, unit, self.duration, 0, 0, 0, n, 0, m, launch, 0)
+        height, launch = self._begin[n_x:] if n_y > n_x else (0.0, 0.0)
+        numbers = mode, 0, 0, unit, self.duration, 0, 0, 0, n, 0, m, launch, height, 0
+        arc[0, : binding.ARC_WIDTH] = numbers
         arc[0, binding.ARC_WIDTH :][:n_x] = self._begin[:n_x]
         events = np.zeros((0, binding.EVENT_WIDTH + 2 * n_x))
         return Record(steps=steps, polynomials=polynomials, arcs=arc, events=events)

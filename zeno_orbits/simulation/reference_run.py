@@ -66,6 +66,8 @@ from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit
 
 _APART = 1e-11
 """Times of two events differ at least by this part of the problem's time."""
+_OF_FLIGHT = 1e-6
+"""Part of a rescaled flight by which its impact and another event differ at least."""
 _CONTINUOUS = 1e-6
 """Relative difference of gap accelerations on both sides of a kink, below which it is continuous.
 """
@@ -401,7 +403,7 @@ class ReferenceRun(StopRun):
             self.arcs[-1] = arc = self._named(arc, closed, stop)
             end = found.passage.state
         if arc.ending is not Ending.HORIZON:
-            kind, index = self._event_at(start, arc, guards, closed)
+            kind, index = self._event_at(start, arc, end, guards, closed)
             if found is None and kind is Kind.SWITCH:
                 found = self._at_end(arc, end)
             if found is not None and (kind, index) != (found.kind, found.index):
@@ -487,6 +489,7 @@ class ReferenceRun(StopRun):
             return None
         if found.passage is None:
             return self.on_other_side(start, found.index)
+        scaled = _scaled_gap(start, found, found.passage.state)
         time, x, last = arc.end_time, arc.end_state, float(found.passage.state[-1])
         is_own = start.mode is Mode.FREE and found.index == self.focus
         if found.kind is Kind.GAP and is_own:
@@ -496,7 +499,7 @@ class ReferenceRun(StopRun):
         rate = None
         if found.launched is not None and not found.cut:
             rate = found.launched * last
-        return self.after_other(start, time, x, found.kind, found.index, rate)
+        return self.after_other(start, time, x, found.kind, found.index, rate, scaled)
 
     def after_other(
         self,
@@ -506,6 +509,7 @@ class ReferenceRun(StopRun):
         kind: Kind,
         index: int,
         rate: float | None = None,
+        scaled: tuple[float, float] | None = None,
     ) -> ArcStart | None:
         """Return the next start after the event of another guard.
 
@@ -516,10 +520,11 @@ class ReferenceRun(StopRun):
             kind: Kind of the guard.
             index: Index of the stop or switch.
             rate: Gap rate of the stop, by default that of the state.
+            scaled: Scaled gap and its rate, if the arc is a rescaled flight.
         """
         closed = self._closed(start)
         if kind is Kind.SWITCH:
-            return self._switched(start, time, x, index)
+            return self._switched(start, time, x, index, scaled)
         self.current = None
         if kind is Kind.MULTIPLIER:
             self.look(tuple(k for k in closed if k != index), index)
@@ -787,7 +792,12 @@ class ReferenceRun(StopRun):
         )
 
     def _event_at(
-        self, start: ArcStart, arc: Arc, guards: Sequence[_Guard], closed: tuple[int, ...]
+        self,
+        start: ArcStart,
+        arc: Arc,
+        end: Vector,
+        guards: Sequence[_Guard],
+        closed: tuple[int, ...],
     ) -> tuple[Kind, int]:
         """Return the event at the end of an arc, of all events whose guards are zero there.
 
@@ -813,7 +823,7 @@ class ReferenceRun(StopRun):
                     continue
             if self._is_zero(*self._value(guard, closed, x), guard.rounding):
                 zero.append(event)
-        if found is not None and self._main_is_zero(start, x):
+        if found is not None and self._main_is_zero(start, arc, end):
             zero.append(main)
         events = [event for event in zero if self._occurs(*event, x)]
         impacts = [index for kind, index in events if kind is Kind.GAP]
@@ -861,8 +871,14 @@ class ReferenceRun(StopRun):
         sides = tuple(one ^ (i == k) for i, one in enumerate(self.sides))
         return self.graph.sides_at(x, sides, (k,))
 
-    def _main_is_zero(self, start: ArcStart, x: Vector) -> bool:
-        """Return True if the guard of the stop that the run looks at falls through zero here."""
+    def _main_is_zero(self, start: ArcStart, arc: Arc, end: Vector) -> bool:
+        """Return True if the guard of the run's stop falls through zero at the end of an arc."""
+        x, own, scaled = arc.end_state, self.own, _scaled_gap(start, self.interruption, end)
+        if scaled is not None:
+            # The gap itself may be below its rounding in all of a flight.
+            apart = min(_APART * own.time / arc.time_unit, _OF_FLIGHT * arc.duration)
+            rounding = self.settings.contact / own.gap_acceleration
+            return scaled[1] < 0.0 and scaled[0] <= max(rounding, -scaled[1] * apart)
         if start.mode is Mode.LOCKED:
             value, rate = self.dynamics.multiplier(x), self.dynamics.multiplier_rate(x)
             return self._is_zero(value, rate, self.settings.contact * self.own.multiplier)
@@ -995,8 +1011,22 @@ class ReferenceRun(StopRun):
         else:
             self.sides = self._beyond(switch, x)
 
-    def _switched(self, start: ArcStart, time: float, x: Vector, s: int) -> ArcStart | None:
+    def _switched(
+        self,
+        start: ArcStart,
+        time: float,
+        x: Vector,
+        s: int,
+        scaled: tuple[float, float] | None = None,
+    ) -> ArcStart | None:
         """Apply a switch whose guard fell through zero.
+
+        Args:
+            start: Start of the arc that it ended.
+            time: When [s].
+            x: State there, ``(n_x,)``.
+            s: Index of the switch.
+            scaled: Scaled gap and its rate, if the arc is a rescaled flight, which goes on.
 
         Raises:
             SlidingError: If the flow of the other side points back.
@@ -1023,7 +1053,13 @@ class ReferenceRun(StopRun):
                 if s in before:
                     self._require_slow_decay(s, time, x)
         flying = self.focus if start.mode is Mode.FREE else None
-        return self._placed(time, x, closed, flying=flying)
+        flight = None
+        if scaled is not None:
+            height, launch = scaled
+            flight = ArcStart(
+                mode=Mode.FREE, time=time, state=x, speed=start.speed, height=height, launch=launch
+            )
+        return self._placed(time, x, closed, flying=flying, flight=flight)
 
     def _count_switch(self, time: float, name: str, before: Vector, after: Vector) -> None:
         event = SwitchEvent(time=time, name=name, state_minus=before, state_plus=after)
@@ -1059,6 +1095,7 @@ class ReferenceRun(StopRun):
         *,
         switch: str = "",
         flying: int | None = None,
+        flight: ArcStart | None = None,
     ) -> ArcStart | None:
         """Return the start at a state: each stop with zero gap and rate holds, or opens.
 
@@ -1069,6 +1106,7 @@ class ReferenceRun(StopRun):
                 another run.
             switch: Name of the switch whose reset led to the state, if there is one.
             flying: The stop that the run looked at in a flight, if it was in one.
+            flight: The rest of that flight, if it is rescaled.
 
         Returns:
             The start, or ``None`` if the execution ends with the last of its releases.
@@ -1082,6 +1120,8 @@ class ReferenceRun(StopRun):
         struck: list[int] = []
         contact = self.settings.contact
         for k, name in enumerate(self.graph.stop_names):
+            if flight is not None and k == flying:
+                continue
             view = self._view((), k)
             below = max(START_OFF, contact) if was_closed is None or k in was_closed else contact
             # Of one stop alone, a start is as exact as its user gives it.
@@ -1117,6 +1157,8 @@ class ReferenceRun(StopRun):
             return ArcStart(mode=Mode.LOCKED, time=time, state=x)
         focus = leaving[0] if leaving else self.focus
         self.look(closed, focus)
+        if flight is not None and focus == flying:
+            return replace(flight, state=x)
         rate = self.dynamics.gap_rate(x)
         launches = self.dynamics.gap(x) <= self.small_gap and rate > self.small_rate
         return ArcStart(mode=Mode.FREE, time=time, state=x, speed=rate if launches else None)
@@ -1179,6 +1221,22 @@ class ReferenceRun(StopRun):
                 if not np.any(pulls) and np.all(rates >= -small):
                     return closed
         raise AssertionError("A positive definite matrix has a solution.")
+
+
+def _scaled_gap(
+    start: ArcStart, found: Interruption | None, end: Vector
+) -> tuple[float, float] | None:
+    """Return the scaled gap and its rate at the end of a rescaled flight, or ``None``.
+
+    Args:
+        start: Start of the arc.
+        found: The event that ended it early, if there is one.
+        end: Last state of the flow itself.
+    """
+    is_flight = start.mode is Mode.FREE and start.speed is not None and start.hop is None
+    if not is_flight or (found is not None and found.launched is not None):
+        return None
+    return float(end[-2]), float(end[-1])
 
 
 def _are_coupled(matrix: Vector, j: int, k: int) -> bool:

@@ -329,12 +329,14 @@ class StopRun(ABC):
 
     def rescaled_flight(self, start: ArcStart, speed: float) -> ArcStart | None:
         """Follow one rescaled flight from an impact to the next (theory (2.6))."""
-        arc, end = self.follow_arc(start, self.dynamics.flight(speed), Ending.IMPACT, on_guard=True)
+        on_guard = start.height <= self.settings.contact / self.own.gap_acceleration
+        flight = self.dynamics.flight(speed)
+        arc, end = self.follow_arc(start, flight, Ending.IMPACT, on_guard=on_guard)
         if not self.reaches(arc, Ending.IMPACT):
             return self.interrupted(start, arc)
         if end[-2] > _ABOVE * abs(end[-1]) * arc.duration:
             self.arcs.pop()
-            return self.free_flight(replace(start, speed=None))
+            return self.free_flight(replace(start, speed=None, height=0.0, launch=1.0))
         return self.landing(arc.end_time, arc.end_state, speed * float(end[-1]))
 
     def _zeno_point(

@@ -112,7 +112,7 @@ class SectionMode:
         is_caused = any(event.time == events[-1].time for event in events[:-1])
         # At a release that another event causes, the contact force is not zero.
         is_thrown = kind == "impact" or (kind == "release" and is_caused)
-        stop = first.stop or (left if is_thrown else "")
+        stop = first.stop_left or (left if is_thrown else "")
         released = left if kind == "release" and not is_caused else ""
         return cls(closed=first.closed, sides=first.sides, stop=stop, released=released)
 
@@ -236,10 +236,10 @@ class EventReturn:
         """
         first, graph = self.execution.arcs[0], self.differentiation.graph
         end, n_x = self._derivatives[0].state, len(self.start)
-        if not first.stop:
+        if not first.stop_left:
             return end
         scale = largest_states(self.execution.arcs, graph)
-        view = graph.view(first.mode_in(graph), graph.stop_names.index(first.stop))
+        view = graph.view(first.mode_in(graph), graph.stop_names.index(first.stop_left))
         slopes = conditions_gradient(view, self.differentiation.chosen, IMPACT_ROWS, self.start)
         chart = section_of(slopes[:, :n_x] * scale, self.start, scale)
         back = scale[:, None] * chart.normal

@@ -242,13 +242,26 @@ class EventDerivatives:
         stop = self.stop_of_flight(arc)
         if stop is not None:
             perturbations = self.of_stop(arc, stop)
-            v = np.concatenate([start.state, np.zeros((2, start.state.shape[1]))])
+            v = np.concatenate([start.state, self._scaled(perturbations, arc, start)])
             q = np.concatenate([perturbations.parameters, start.rate[None, :]])
             return perturbations, Mode.FREE, v, q
         rest, some = self.graph.some_stop(mode)
         perturbations = self.at(rest, some)
         flow = Mode.FREE if rest == mode else Mode.LOCKED
         return perturbations, flow, start.state, perturbations.parameters
+
+    def _scaled(
+        self, perturbations: VariationalEquation, arc: Arc, start: SaltationDerivative
+    ) -> Vector:
+        """Return the perturbations of the scaled gap and its rate at a flight's start, ``(2, m)``.
+
+        They do not move on the stop. Off the stop the speed that scales them does not move.
+        """
+        if arc.flow_states[0, -2] == 0.0:
+            return np.zeros((2, start.state.shape[1]))
+        contact = perturbations.differentials.contact(arc.start_state)
+        gap, rate = (change_of(contact[k], start.state) for k in (GAP, GAP_RATE))
+        return np.array([gap / arc.time_unit**2, rate / arc.time_unit])
 
     def stop_of_flight(self, arc: Arc) -> int | None:
         """Return the stop of a rescaled flight, or ``None`` for another arc."""
@@ -295,7 +308,8 @@ class _Walk:
             self._cross(event, arc, arc, caused=flies)
         self._launch(at_start, arc)
         stop = of.stop_of_flight(arc)
-        if start is None and not at_start and stop is not None:
+        is_fresh = start is None and not at_start
+        if is_fresh and stop is not None and arc.flow_states[0, -2] == 0.0:
             self._here = self._left(arc, of.of_stop(arc, stop))
 
     @property
@@ -533,9 +547,10 @@ class _Walk:
         declared = self._of.graph.switch_names[: self._of.graph.n_declared]
         struck = [event.stop for event in events if isinstance(event, Impact)]
         is_kink = [isinstance(e, SwitchEvent) and e.name not in declared for e in events]
-        if not following.stop or following.stop in struck[-1:] or all(is_kink):
+        left = following.stop_left
+        if not left or left in struck[-1:] or all(is_kink):
             return
-        perturbations = self._of.of_stop(following, self._of.index(following.stop))
+        perturbations = self._of.of_stop(following, self._of.index(left))
         self._here = self._on_gap(following.start_state, perturbations)
 
     def _before_impact(

@@ -19,7 +19,7 @@ from zeno_orbits.simulation.execution import Arc, Execution, Mode
 from zeno_orbits.simulation.recorded import LoopTrajectory, recorded_run
 
 _KIND, _TIME, _STOP = 0, 1, 5
-_END, _ENDING, _VIEW = 2, 5, binding.ARC_WIDTH - 1
+_END, _ENDING, _HEIGHT, _VIEW = 2, 5, binding.ARC_WIDTH - 2, binding.ARC_WIDTH - 1
 """Columns of the record: of an event, and of an arc."""
 
 
@@ -90,7 +90,8 @@ def recorded_arcs(
         return None
     record = run.record
     arcs, events = record.arcs[place:], record.events[event:]
-    if arcs[0, _ENDING] == binding.SWITCH:
+    if arcs[0, _ENDING] == binding.SWITCH or arcs[0, _HEIGHT] > 0.0:
+        # A flight goes on after a kink.
         return None
     view = run.views[int(arcs[0, _VIEW])]
     n = _first(arcs[:, _VIEW] != arcs[0, _VIEW])
