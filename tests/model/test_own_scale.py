@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -99,3 +100,46 @@ def test_a_constraint_has_the_size_of_its_terms() -> None:
     # x^2 + y^2 - l^2, then its rate 2 (x x' + y y') with speeds of size 1.
     expected = [2 * 400.0**2, 800.0 * (math.sin(0.5) + math.cos(0.5))]
     assert constraint_sizes(bob, x) == pytest.approx(expected, rel=1e-12)
+
+
+def pressed(p: Mapping[str, ca.SX], *, has_far: bool = True) -> zo.CompletedSystem:
+    """Return a mass that a force presses to a stop, tied by a soft spring to another mass."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    clock = zo.Clock.at(p["omega"])
+    masses = zo.HybridLagrangian.from_energies(
+        q=q,
+        v=v,
+        kinetic=(p["m"] * v[0] ** 2 + v[1] ** 2) / 2,
+        potential=p["F"] * q[0] + p["k"] * (q[1] - q[0]) ** 2 / 2,
+        applied_force=ca.vertcat(0.0, 1e-9 * p["F"] * clock.sine),
+        clock=clock,
+        stops=(
+            zo.Stop(name="near", gap=q[0] + p["d"] - p["e"], restitution=0.5),
+            zo.Stop(name="far", gap=2 * p["d"] - q[0], restitution=0.5),
+        )[: 1 + has_far],
+    )
+    return zo.hybrid_system(masses, zo.no_drive(masses))
+
+
+@pytest.mark.parametrize("omega", [1e-7, 1e3])
+@pytest.mark.parametrize("k", [0.0, 1e-10, 1e-3])
+@pytest.mark.parametrize(("m", "F", "d"), [(1e-9, 1e-2, 1e-6), (1.0, 10.0, 0.1), (1e-6, 1e6, 1e-3)])
+def test_an_open_gap_is_open_however_slow_the_clock_and_the_spring_are(
+    m: float, F: float, d: float, k: float, omega: float
+) -> None:
+    values = {"m": m, "F": F, "d": d, "k": k, "omega": omega, "e": 0.0}
+    problem = machine_of(pressed, line(2) | {"cosine": "1", "sine": "1"}, values)
+    fall = math.sqrt(2 * d * m / F)
+    run = zo.simulate(problem, until=1.1 * fall)
+    # The soft spring delays the impact by a part of about k t^2 / 12 m.
+    assert run.impacts[0].time == pytest.approx(fall, rel=1e-9 + k * fall**2 / m)
+
+
+def test_a_gap_that_is_the_rounding_of_parameters_is_closed() -> None:
+    values = {"m": 1.0, "F": 10.0, "d": 0.1 + 0.2, "k": 0.0, "omega": 1e-3, "e": 0.3}
+    assert 0.0 < values["d"] - values["e"] < 1e-16
+    model = partial(pressed, has_far=False)
+    problem = machine_of(model, line(2) | {"cosine": "1", "sine": "1"}, values)
+    assert problem.graph_dynamics(problem.values()).own.time >= 1.0
+    run = zo.simulate(problem, until=1.0)
+    assert [arc.mode.value for arc in run.arcs] == ["locked"]

@@ -89,7 +89,7 @@
 /* model/numeric/graph_dynamics.py */
 #define SWITCH_ZERO 1e-12
 
-/* model/numeric/admission.py */
+/* model/numeric/own_scale.py */
 #define START_OFF 1e-09
 
 /* simulation/reference_run.py */

@@ -33,7 +33,6 @@ from .library import load_reference as load_reference
 from .library import locate_problem as locate_problem
 from .library import recorded_problem as recorded_problem
 from .drives.motors import MotorBank as MotorBank
-from .numeric.admission import START_OFF as START_OFF
 from .numeric.admission import inside_stop as inside_stop
 from .numeric.admission import require_admissible as require_admissible
 from .numeric.admission import require_start as require_start
@@ -58,6 +57,7 @@ from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
 from .numeric.one_stop import OneStop as OneStop
 from .numeric.one_stop import graph_of as graph_of
 from .numeric.stop_states import ContactProjection as ContactProjection
+from .numeric.own_scale import START_OFF as START_OFF
 from .numeric.own_scale import constraint_sizes as constraint_sizes
 from .numeric.own_scale import own_time as own_time
 from .problem import Problem as Problem

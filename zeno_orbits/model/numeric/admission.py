@@ -9,13 +9,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.numeric.one_stop import graph_of
-from zeno_orbits.model.numeric.own_scale import constraint_sizes
-
-START_OFF = 1e-9
-"""Part of the size of a constraint, a gap or a gap rate by which a first state may miss zero.
-
-A state at an event of another run carries the error of that run.
-"""
+from zeno_orbits.model.numeric.own_scale import START_OFF, constraint_sizes
 
 
 def require_admissible(dynamics: HybridDynamics, x: Vector) -> None:

@@ -61,7 +61,8 @@ def bind(
         starts = compiled.starts(p)
         if not starts:
             return UNIT_SCALES
-        return own_scale(plain, starts, compiled.state_units, compiled.clock, compiled.further)
+        whole = replace(plain, formulas=formulas)
+        return own_scale(whole, starts, compiled.state_units, compiled.clock, compiled.further)
 
     formulas = BoundFormulas(system=compiled, values=p, parts=plain.formula_parts)
     return replace(

@@ -374,6 +374,7 @@ class GraphDynamics:
                 system.clock,
                 system.further,
                 branch,
+                self.open_views,
             )
         return self._scales[stop]
 

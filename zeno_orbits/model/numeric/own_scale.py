@@ -6,9 +6,11 @@ Every threshold for zero and every local error is relative to one of these scale
 largest scale among coordinates with the same unit. The scale of an angle is 1. The scale of a
 velocity is :math:`s / T`, but at most :math:`\max(|v|, |a| T, \sqrt{|a| s})`, since a clock may be
 far faster than the mechanism. If it is far slower, :math:`T` is ten times the time of the slowest
-oscillation. The scale of the gap is its change over such a displacement. Scales far from 1 are
-rounded to powers of a thousand, and all other scales to 1, so a mechanism of usual size has the
-scale 1 in SI units.
+oscillation. :math:`T` is at most a hundred times the longest time in which an open gap of an
+initial state closes, :math:`\sqrt{h / |\ddot h|}`, as a clock or a spring may be far slower than a
+mass on its way to a stop. The scale of the gap is its change over such a displacement. Scales far
+from 1 are rounded to powers of a thousand, and all other scales to 1, so a mechanism of usual size
+has the scale 1 in SI units.
 """
 
 from __future__ import annotations
@@ -21,9 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model.contact import GAP
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.scale import CharacteristicScales
 
+START_OFF = 1e-9
+"""Part of the size of a constraint, a gap or a gap rate by which a first state may miss zero.
+
+A state at an event of another run carries the error of that run.
+"""
 _DAMPED = 1e-3
 """An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
 _EPSILON, _UNSURE, _SWEEPS = 2.0**-52, 1e-3, 4
@@ -37,6 +45,12 @@ _DECADES = 3
 """Other sizes are rounded to powers of ten with exponents that this divides."""
 _SLOWER = 10.0
 """Largest time of a clock that sets the scales, in times of the slowest oscillation."""
+_FALLS = 100.0
+"""Largest time that sets the scales, in times in which the gap of an initial state closes."""
+_AHEAD = 1e-6
+"""Part of a time along the flow, over which the gap rate is differentiated."""
+_PARAMETER = 4 * _EPSILON
+"""Relative rounding of a parameter."""
 _PHASES, _MANY_PHASES = 4, 64
 """Phases of the clock at which the scales are evaluated, of smooth formulas and with kinks."""
 _FIXED = ("rad", "1")
@@ -150,6 +164,7 @@ def own_scale(
     clock: Sequence[int] = (),
     further: Sequence[int] = (),
     branch: Callable[[Vector], HybridDynamics] | None = None,
+    stops: Sequence[HybridDynamics] = (),
 ) -> CharacteristicScales:
     """Return the characteristic scales of a problem, from its initial states.
 
@@ -162,10 +177,11 @@ def own_scale(
         further: Indices of the states of circuits and of additional states.
         branch: Function that returns the system on the branch of its kinks at a state. The default
             is the system itself, which has no kinks.
+        stops: The systems of all stops. The default is the system itself.
     """
     with np.errstate(all="ignore"):
         # A value that overflows gets the scale 1.
-        reach = reach_of(dynamics, starts, units, clock, branch)
+        reach = reach_of(dynamics, starts, units, clock, branch, stops)
         states = _in_phases(np.array(starts, dtype=np.float64), clock, branch is not None)
         inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
         gap, time, pace = (np.float64(one) for one in (reach.gap, reach.time, reach.pace))
@@ -222,6 +238,7 @@ def reach_of(
     units: Sequence[str],
     clock: Sequence[int] = (),
     branch: Callable[[Vector], HybridDynamics] | None = None,
+    stops: Sequence[HybridDynamics] = (),
 ) -> ScaleReach:
     """Return the reach of a problem, which is the scales of `own_scale` before rounding.
 
@@ -232,6 +249,7 @@ def reach_of(
         clock: Indices of the clock in the state. The scales are evaluated at four phases of the
             clock.
         branch: As for `own_scale`.
+        stops: As for `own_scale`.
     """
     states = _in_phases(np.array(starts, dtype=np.float64), clock, branch is not None)
     n_q = dynamics.n_q
@@ -245,6 +263,13 @@ def reach_of(
         time = min(turn, np.float64(_SLOWER * own)) if own else turn
     else:
         time = np.float64(_swing(places, accelerations) or _slowest(dynamics, states[0]))
+    seen = slice(None, None, max(1, len(states) // (_PHASES * len(starts))))
+    fall = max(
+        _closing_time(one, x, rate, _alike(places, units), float(time))
+        for x, rate in zip(states[seen], rates[seen], strict=True)
+        for one in stops or (dynamics,)
+    )
+    time = np.float64(min(time, _FALLS * fall) if fall else time)
     largest = np.maximum(np.maximum(places, velocities * time), accelerations * time * time)
     largest = _alike(largest, units)
     gap = np.float64(max(_gap_reach(dynamics, x, largest) for x in states))
@@ -276,6 +301,50 @@ def _alike(sizes: Vector, units: Sequence[str], fixed: float = 1.0) -> Vector:
         if unit in _FIXED:
             found[same] = fixed or found[same]
     return found
+
+
+def _closing_time(
+    dynamics: HybridDynamics, x: Vector, rate: Vector, places: Vector, time: float
+) -> float:
+    """Return the time in which an open gap closes [s], or 0 for a closed gap or without motion.
+
+    A gap is closed if it is rounding relative to its coordinates or its parameters.
+
+    Args:
+        dynamics: The system.
+        x: A state, ``(n_x,)``.
+        rate: The rate of the state, ``(n_x,)``.
+        places: Sizes of the coordinates, ``(n_q,)``.
+        time: A time that is long if it is much longer [s].
+    """
+    if not 0.0 < time < math.inf:
+        return 0.0
+    gap, speed, after = dynamics.gap(x), abs(dynamics.gap_rate(x)), _AHEAD * time * rate
+    moved = np.tile(x, (len(places), 1))
+    moved[:, : len(places)] += np.diag(places)
+    if not gap > START_OFF * max(abs(dynamics.gap(one) - gap) for one in moved):
+        return 0.0
+    change = abs(dynamics.gap_rate(x + after) - dynamics.gap_rate(x - after))
+    lift = change / (2 * _AHEAD * time)
+    fall = min(
+        math.sqrt(gap / lift) if lift > 0.0 else math.inf, gap / speed if speed else math.inf
+    )
+    if not fall < math.inf or (_FALLS * fall < time and not gap > _rounding(dynamics, x)):
+        return 0.0
+    return fall
+
+
+def _rounding(dynamics: HybridDynamics, x: Vector) -> float:
+    """Return the change of the gap at a state by the rounding of the parameters."""
+    if dynamics.formulas is None:
+        return 0.0
+    system, p = dynamics.formulas.system, np.asarray(dynamics.formulas.values, dtype=np.float64)
+    gap, total = dynamics.gap(x), 0.0
+    for k in np.flatnonzero(p):
+        near = p.copy()
+        near[k] *= 1.0 + _PARAMETER
+        total += abs(float(system.contact(x, near).full()[GAP, 0]) - gap)
+    return total
 
 
 def _swing(places: Vector, accelerations: Vector) -> float:
