@@ -151,3 +151,14 @@ def test_the_zeno_time_of_a_low_drop_moves_with_its_height() -> None:
     step = 1e-4 * height
     times = [zeno_time(0.3, 3e3, height + sign * step) for sign in (1, -1)]
     assert slope == pytest.approx((times[0] - times[1]) / (2 * step), rel=1e-7)
+
+
+@pytest.mark.parametrize("height", [1e-7, 1e-9, 1e-11])
+@pytest.mark.parametrize("ceiling", [False, True], ids=["one stop", "two stops"])
+@pytest.mark.parametrize("how", ["fabs", "fmax"])
+def test_a_start_just_above_a_stop_is_no_contact(how: str, ceiling: bool, height: float) -> None:
+    machine = ball(ceiling, DRAG[how])
+    motion = zo.simulate(machine, until=1.0, start={"q": height}, parameters={"e": 0.4})
+    (zeno,) = (one for one in motion.events if isinstance(one, ZenoPoint))
+    assert motion.impacts[0].approach_rate == pytest.approx(-math.sqrt(2 * G * height), rel=1e-7)
+    assert zeno.time == pytest.approx(zeno_time(0.4, 0.1, height), rel=1e-8)

@@ -1262,12 +1262,14 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
         const double below = was_closed & BIT(k) ? greater(START_OFF, contact) : contact;
         /* Of one stop alone, a start is as exact as its user gives it. */
         const double small = has_others(&g->m) ? below : contact;
+        /* An open gap of a first state is as exact as its user gives it. */
+        const double apart = is_first ? contact : small;
         int is_on, falls;
         if (scaled && k == flying) continue;
         gap_of(g, k, x, gap);
         is_on = gap[0] >= -below * settings->gap;
         falls = gap[1] < -small * settings->gap_rate;
-        if (gap[0] > small * settings->gap || (k == flying && !(is_on && falls))) continue;
+        if (gap[0] > apart * settings->gap || (k == flying && !(is_on && falls))) continue;
         if (is_on && fabs(gap[1]) <= small * settings->gap_rate)
             still |= BIT(k);
         else if (is_on && gap[1] > 0.0)

@@ -1129,7 +1129,9 @@ class ReferenceRun(StopRun):
             gap, rate = view.gap(x), view.gap_rate(x)
             is_on = gap >= -below * view.own.gap
             falls = rate < -small * view.own.gap_rate
-            if gap > small * view.own.gap or (k == flying and not (is_on and falls)):
+            # An open gap of a first state is as exact as its user gives it.
+            apart = contact if was_closed is None else small
+            if gap > apart * view.own.gap or (k == flying and not (is_on and falls)):
                 continue
             if is_on and abs(rate) <= small * view.own.gap_rate:
                 still.append(k)
