@@ -20,6 +20,7 @@ from scipy.linalg import expm
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.mechanisms import machine_of
+from zeno_orbits.simulation import EventDerivatives
 
 ca: Any = casadi
 
@@ -151,6 +152,92 @@ def test_kinks_of_other_states_that_meet_are_refused(name: str) -> None:
 
 
 # A release at a kink.
+
+
+DRAGS = {
+    "fabs": (lambda v: -0.2 * ca.fabs(v) * v, 0.2, 0.2),
+    "if_else": (lambda v: ca.if_else(v > 0, -0.2, 0.1) * v**2, 0.2, 0.1),
+    "fmax": (lambda v: -0.2 * ca.fmax(v, 0) ** 2, 0.2, 0.0),
+}
+"""Drags whose kink is the rest of their mass, with their factors on the way up and down."""
+
+
+def thrown(names: tuple[str, ...], jump: float, *, rests: bool) -> zo.Problem:
+    """Return masses with a drag each and a force that jumps at rest.
+
+    Args:
+        names: Drag of each mass.
+        jump: Size of the jump of every force.
+        rests: Whether every mass rests on the one below. Otherwise they are apart.
+    """
+    n = len(names)
+
+    def model(_: Mapping[str, Any]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
+        drags = [DRAGS[name][0](v[k]) - jump * ca.sign(v[k]) for k, name in enumerate(names)]
+        press = 50 * (q[n - 1] - q[0]) if rests else 0.0
+        gaps = [q[0] + 1, *(q[k] - (q[k - 1] if rests else -1) for k in range(1, n))]
+        mechanism = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.sumsqr(v) / 2,
+            potential=G * ca.sum1(q) + press,
+            passive_force=ca.vertcat(*drags),
+            stops=tuple(
+                zo.Stop(name=f"s{k}", gap=gap, restitution=0.5) for k, gap in enumerate(gaps)
+            ),
+        )
+        return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
+
+    states = {f"x{k}": "m" for k in range(n)} | {f"v{k}": "m/s" for k in range(n)}
+    return machine_of(model, states, {})
+
+
+def _thrown_speed(speed: float, up: float, down: float, jump: float, time: float) -> float:
+    """Return the speed of a mass that is thrown up, by ``tan`` and ``tanh``."""
+    rising, falling = G + jump, G - jump
+    apex = math.atan(speed * math.sqrt(up / rising)) / math.sqrt(up * rising)
+    if down == 0.0:
+        return -falling * (time - apex)
+    return -math.sqrt(falling / down) * math.tanh(math.sqrt(falling * down) * (time - apex))
+
+
+THROWN = [("fabs", "fabs"), ("if_else", "fmax"), ("fmax", "fabs", "if_else")]
+
+
+@pytest.mark.parametrize("jump", [0.0, 0.7])
+@pytest.mark.parametrize("names", THROWN)
+def test_kinks_at_rest_of_masses_in_contact_are_crossed_together(
+    names: tuple[str, ...], jump: float
+) -> None:
+    n, until = len(names), 0.3
+    problem = thrown(names, jump, rests=True)
+    run = zo.simulate(problem, until=until, start={f"v{k}": 1.0 for k in range(n)})
+    up, down = (sum(DRAGS[name][side] for name in names) / n for side in (1, 2))
+    speed = _thrown_speed(1.0, up, down, jump, until)
+    assert run.end_state[n:] == pytest.approx(n * [speed], abs=LOCATED)
+    assert {arc.closed for arc in run.arcs} == {tuple(f"s{k}" for k in range(1, n))}
+    graph, settings = problem.graph_dynamics(problem.values()), zo.SimulationSettings()
+    *_, last = EventDerivatives(graph, (), settings.tolerance).passages(run)
+    # All masses are thrown faster together.
+    near = [_thrown_speed(1.0 + step, up, down, jump, until) for step in (1e-5, -1e-5)]
+    found = last.end.state[n:, n : 2 * n].sum(axis=1)
+    assert found == pytest.approx(n * [(near[0] - near[1]) / 2e-5], abs=1e-8)
+
+
+@pytest.mark.parametrize("name", DRAGS)
+def test_kinks_that_leave_the_flow_as_it_is_may_meet(name: str) -> None:
+    until = 0.3
+    run = zo.simulate(thrown((name, name), 0.0, rests=False), until=until, start={"v0": 1, "v1": 1})
+    _, up, down = DRAGS[name]
+    speed = _thrown_speed(1.0, up, down, 0.0, until)
+    assert run.end_state[2:] == pytest.approx([speed, speed], abs=LOCATED)
+
+
+def test_jumps_that_meet_by_chance_are_refused() -> None:
+    # Masses that are thrown a little faster meet their jumps one after the other.
+    with pytest.raises(zo.SimultaneousEventsError, match="coincide"):
+        zo.simulate(thrown(("fabs", "fabs"), 0.7, rests=False), until=0.3, start={"v0": 1, "v1": 1})
 
 
 def pull(clock: zo.Clock) -> Any:

@@ -107,6 +107,8 @@ RULES: dict[str, float] = {
     "OF_FLIGHT": reference_run._OF_FLIGHT,
     "CONTINUOUS": reference_run._CONTINUOUS,
     "ONE_SURFACE": reference_run._ONE_SURFACE,
+    "SHIFT": reference_run._SHIFT,
+    "SAME": reference_run._SAME,
     "GROW": reference_run._GROW,
     "SHORTEST": reference_run._SHORTEST,
     "SPENT": reference_run._SPENT,

@@ -416,30 +416,39 @@ static int is_zero(const Graph *g, const double *pair, double rounding) {
     return pair[1] < 0.0 && pair[0] <= greater(rounding, -pair[1] * APART * g->m.run->settings.time);
 }
 
-/* Whether the surfaces of two kinks touch at a state where both fall, so that their slopes are in the
-   ratio of their rates. The order of both events then has no effect to first order. */
-static int is_one_surface(const Graph *g, const Other *one, const Other *other, const double *x) {
+/* Whether the surfaces of two kinks touch at a state where both fall, so that their slopes along the
+   closed stops are in the ratio of their rates. The order of both events then has no effect to first
+   order. */
+static int is_one_surface(Graph *g, const Other *one, const Other *other, const double *x) {
     const zl_graph *graph = g->whole->graph;
-    const long long n_x = g->whole->n_x, n = graph->n_switches;
-    double given[2 * ZL_MOST + ZL_GUARDS], told[3 * ZL_GUARDS], a[2], b[2];
-    double largest = 0.0, difference = 0.0;
+    const long long closed = closed_at_start(g);
+    double a[2], b[2], largest = 0.0, difference = 0.0;
     long long k;
     tape_run(one->value, one->registers, x, a);
     tape_run(other->value, other->registers, x, b);
-    memcpy(given, x, (size_t)n_x * sizeof(double));
-    for (k = 0; k < n_x; k++) given[n_x + k] = 0.0;
-    for (k = 0; k < n - graph->n_declared; k++)
-        given[2 * n_x + k] = (double)(g->m.run->graph.sides >> k & 1);
-    for (k = 0; k < n_x; k++) {
-        double first, second;
+    for (k = 0; k < g->whole->n_x; k++) {
+        const double shift = SHIFT * (settings_of(g, 0)->sizes[k] + fabs(x[k]));
+        double first = 0.0, second = 0.0;
+        int j, sign;
         /* The clock has one direction, which the rates contain. */
         if (graph->first_clock <= k && k < graph->end_clock) continue;
-        given[n_x + k] = settings_of(g, 0)->sizes[k] + fabs(x[k]);
-        shared(g, &graph->switches, graph->switches_place, given, told);
-        given[n_x + k] = 0.0;
-        first = fabs(told[n + one->index] * b[1]);
-        second = fabs(told[n + other->index] * a[1]);
-        largest = greater(largest, first);
+        for (sign = 1; sign >= -1; sign -= 2) {
+            double moved[ZL_MOST], pair[2];
+            memcpy(moved, x, sizeof moved);
+            moved[k] += sign * shift;
+            for (j = 0; j < graph->n_stops; j++)
+                if (closed & BIT(j)) {
+                    const Machine m = holding(g, closed, j);
+                    to_stop(&m, moved, moved);
+                }
+            tape_run(one->value, one->registers, moved, pair);
+            first += sign * pair[0];
+            tape_run(other->value, other->registers, moved, pair);
+            second += sign * pair[0];
+        }
+        first *= b[1];
+        second *= a[1];
+        largest = greater(largest, fabs(first));
         difference = greater(difference, fabs(first - second));
     }
     return difference <= ONE_SURFACE * largest;
@@ -450,7 +459,7 @@ static int is_kink(const Graph *g, const Other *other) {
 }
 
 /* The first kink that falls where a kink fell, on one surface: both are crossed by one event. */
-static const Other *first_of_surface(const Graph *g, const Other *fell, const double *x) {
+static const Other *first_of_surface(Graph *g, const Other *fell, const double *x) {
     const Other *other;
     if (!is_kink(g, fell)) return fell;
     for (other = g->others.list; other != fell; other++) {
@@ -464,7 +473,7 @@ static const Other *first_of_surface(const Graph *g, const Other *fell, const do
 }
 
 /* Whether a kink is crossed by the event of the kink that fell. */
-static int is_on_surface_of_found(const Graph *g, const Other *other, const double *x) {
+static int is_on_surface_of_found(Graph *g, const Other *other, const double *x) {
     const long long found = g->m.run->graph.found;
     const Other *fell = found < 0 ? 0 : &g->others.list[found];
     return fell && is_kink(g, fell) && is_kink(g, other) && is_one_surface(g, other, fell, x);
@@ -562,17 +571,53 @@ static int opens_beyond(Graph *g, int kink, long long stops, double const *x) {
     return all_open;
 }
 
+/* The flow of the mode that the present sides and some closed stops have, at a state. */
+static void flow_at(Graph *g, long long closed, const double *x, double *rate) {
+    int k = (int)g->whole->graph->n_stops - 1;
+    Machine m;
+    while (k >= 0 && !(closed & BIT(k))) k--;
+    m = k < 0 ? view_at(g, 0, g->m.run->graph.sides, focus_of(g)) : holding(g, closed, k);
+    evaluate_at(&m, ZL_RATE + (k < 0 ? ZL_FREE : ZL_LOCKED), x, rate);
+}
+
+/* Whether kinks that fall together leave the flow as it is, each alone and all of them. Their order then
+   has no effect. */
+static int leave_flow(Graph *g, long long kinks, const double *x) {
+    Graphed *graph = &g->m.run->graph;
+    const zl_settings *settings = settings_of(g, 0);
+    const long long sides = graph->sides, closed = closed_at_start(g);
+    const int first = (int)g->whole->graph->n_declared, n = (int)g->whole->graph->n_switches;
+    double before[ZL_MOST], after[ZL_MOST];
+    int k, alone, same = 1;
+    long long i;
+    flow_at(g, closed, x, before);
+    for (alone = 1; alone >= 0; alone--) {
+        for (k = first; k < n; k++) {
+            if (!(kinks & BIT(k))) continue;
+            change_side(g, k, x);
+            flow_at(g, closed, x, after);
+            for (i = 0; i < g->whole->n_x; i++)
+                if (!(fabs(after[i] - before[i]) <=
+                      SAME * (settings->sizes[i] / settings->time + fabs(before[i]))))
+                    same = 0;
+            if (alone) graph->sides = sides;
+        }
+    }
+    graph->sides = sides;
+    return same;
+}
+
 /* Find the event at the end of an arc, of all events whose guards are zero there: its place in the
    list of the others, or -1 for the stop that the run looks at. A switch that is not armed, or rises,
    is no event. A kink changes no state, and an impact does not depend on it. Impacts on stops that
-   are not coupled change nothing for each other. A kink comes before a release that takes place on
-   both of its sides. */
+   are not coupled change nothing for each other, nor do kinks that leave the flow as it is. A kink
+   comes before a release that takes place on both of its sides. */
 static int event_at_end(Graph *g, int main, double time, const double *x, long long *chosen) {
     const zl_run *run = g->m.run;
     const zl_graph *graph = g->whole->graph;
     const long long found = run->graph.found, focus = run->graph.focus;
     long long places[ZL_GUARDS + 1], kinds[ZL_GUARDS + 1], indices[ZL_GUARDS + 1];
-    long long struck = 0, opened = 0;
+    long long struck = 0, opened = 0, switches = 0;
     int n = 0, k, all_commute = 1, first = -1, n_switches = 0, kink = -1;
     for (k = -2; k <= g->others.n; k++) {
         /* What fell comes first, the stop that the run looks at last. */
@@ -607,6 +652,7 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
         if (kinds[n] == ZL_RELEASE) opened |= BIT(indices[n]);
         if (kinds[n] == ZL_SWITCH) {
             n_switches++;
+            switches |= BIT(indices[n]);
             kink = n;
         }
         n++;
@@ -618,6 +664,7 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
         *chosen = places[kink];
         return GO_ON;
     }
+    if (n_switches == n && all_commute && leave_flow(g, switches, x)) return GO_ON;
     if (first < 0 || !all_commute)
         return coincide(g, (int)kinds[0], indices[0], (int)kinds[1], indices[1], time, x);
     *chosen = places[first];

@@ -97,6 +97,8 @@
 #define OF_FLIGHT 1e-06
 #define CONTINUOUS 1e-06
 #define ONE_SURFACE 1e-06
+#define SHIFT 1e-06
+#define SAME 1e-09
 #define GROW 4.0
 #define SHORTEST 0.001
 #define SPENT 1000.0

@@ -90,6 +90,10 @@ _ACCUMULATED = 1e-3
 
 _ONE_SURFACE = 1e-6
 """Relative difference between the slopes of two kinks, over their rates, that is rounding."""
+_SHIFT = 1e-6
+"""Relative shift of a state by which slopes of kinks along closed stops are found."""
+_SAME = 1e-9
+"""Relative difference of two flows that is rounding."""
 _LOW, _SLOW = 1e-9, 3e-5
 """Gap and gap rate over the problem's own, below which a flight beside another has few digits."""
 _COUPLED = 1e-12
@@ -384,7 +388,7 @@ class ReferenceRun(StopRun):
         try:
             guards = list(self._guards(start, closed))
             found = self._earliest(guards, arc)
-            self.interruption = self._first_of_surface(guards, found, start.state.size)
+            self.interruption = self._first_of_surface(guards, found, closed, start.state.size)
         except SimulationError:
             # The arc does not reach its end.
             self.arcs.pop()
@@ -720,7 +724,11 @@ class ReferenceRun(StopRun):
         return None
 
     def _first_of_surface(
-        self, guards: Sequence[_Guard], found: Interruption | None, n_x: int
+        self,
+        guards: Sequence[_Guard],
+        found: Interruption | None,
+        closed: Sequence[int],
+        n_x: int,
     ) -> Interruption | None:
         """Return the event of the first kink that falls where a kink fell, on one surface."""
         if found is None or found.passage is None or not self._is_kink(found):
@@ -731,21 +739,54 @@ class ReferenceRun(StopRun):
         for one in kinks[: kinks.index(fell)]:
             value, rate = one.flow.guard(x)
             falls = not one.on_guard and self._is_zero(value, rate, one.rounding)
-            if falls and self._is_one_surface(one, fell, x):
+            if falls and self._is_one_surface(one, fell, closed, x):
                 return replace(found, index=one.index)
         return found
 
-    def _is_one_surface(self, one: _Guard, other: _Guard, x: Vector) -> bool:
+    def _is_one_surface(self, one: _Guard, other: _Guard, closed: Sequence[int], x: Vector) -> bool:
         """Return True if the surfaces of two kinks touch at a state where both fall.
 
-        Their slopes are then in the ratio of their rates, and the order of both events has no
-        effect to first order.
+        Their slopes along the closed stops are then in the ratio of their rates, and the order of
+        both events has no effect to first order.
         """
-        _, rate = one.flow.guard(x)
-        _, other_rate = other.flow.guard(x)
-        slopes = self.graph.slopes(x, self.sides)
-        first, second = np.abs(slopes[one.index] * other_rate), np.abs(slopes[other.index] * rate)
-        return bool(np.max(np.abs(first - second)) <= _ONE_SURFACE * np.max(first))
+        (_, rate), (_, other_rate) = one.flow.guard(x), other.flow.guard(x)
+        sizes = self.graph.own.states(x.size) + np.abs(x)
+        largest = difference = 0.0
+        for k in range(x.size):
+            if k in self.graph.first.clock:
+                # It has one direction, which the rates contain.
+                continue
+            slope = other_slope = 0.0
+            for sign in (1, -1):
+                moved = x.copy()
+                moved[k] += sign * (_SHIFT * sizes[k])
+                for j in closed:
+                    moved = self._holding(tuple(closed), j).on_stop(moved)
+                slope += sign * one.flow.guard(moved)[0]
+                other_slope += sign * other.flow.guard(moved)[0]
+            first, second = slope * other_rate, other_slope * rate
+            largest = max(largest, abs(first))
+            difference = max(difference, abs(first - second))
+        return difference <= _ONE_SURFACE * largest
+
+    def _leave_flow(self, kinks: Sequence[int], closed: tuple[int, ...], x: Vector) -> bool:
+        """Return True if kinks that fall together leave the flow as it is, alone and together.
+
+        Their order then has no effect.
+        """
+
+        def rate(sides: tuple[bool, ...]) -> Vector:
+            if closed:
+                return self.graph.view((closed[:-1], sides), closed[-1]).locked.rate(x)
+            return self.graph.view(((), sides), self.focus).free.rate(x)
+
+        before, own = rate(self.sides), self.graph.own
+        small = _SAME * (own.states(x.size) / own.time + np.abs(before))
+        sides, every = self.sides, list[tuple[bool, ...]]()
+        for kink in sorted(kinks):
+            sides = self._beyond(kink, x, sides)
+            every += [self._beyond(kink, x), sides]
+        return all(bool(np.all(np.abs(rate(one) - before) <= small)) for one in every)
 
     def _is_kink(self, event: _Guard | Interruption) -> bool:
         return event.kind is Kind.SWITCH and event.index >= self.graph.n_declared
@@ -803,8 +844,9 @@ class ReferenceRun(StopRun):
 
         A switch that is not armed, or rises, is no event. A kink changes no state, and an impact
         does not depend on it: its side is taken after the impact. Impacts on stops that are not
-        coupled change nothing for each other, so their order has no effect. A kink comes before a
-        release that takes place on both of its sides.
+        coupled change nothing for each other, so their order has no effect, nor has that of kinks
+        that leave the flow as it is. A kink comes before a release that takes place on both of its
+        sides.
 
         Raises:
             SimultaneousEventsError: If the order of two events matters. It names both events.
@@ -819,7 +861,7 @@ class ReferenceRun(StopRun):
                 continue
             if found is not None and self._is_kink(found) and self._is_kink(guard):
                 first = next(one for one in guards if (one.kind, one.index) == fell)
-                if self._is_one_surface(guard, first, x):
+                if self._is_one_surface(guard, first, closed, x):
                     continue
             if self._is_zero(*self._value(guard, closed, x), guard.rounding):
                 zero.append(event)
@@ -831,6 +873,9 @@ class ReferenceRun(StopRun):
             return (events or zero)[0]
         kinks = [index for kind, index in events if kind is Kind.SWITCH]
         if not impacts and self._opens_beyond(kinks, events, closed, x):
+            return Kind.SWITCH, kinks[0]
+        are_kinks = len(kinks) == len(events) and min(kinks) >= self.graph.n_declared
+        if are_kinks and self._leave_flow(kinks, closed, x):
             return Kind.SWITCH, kinks[0]
         if not impacts or not all(
             kind is Kind.GAP or (kind is Kind.SWITCH and index >= self.graph.n_declared)
@@ -865,10 +910,18 @@ class ReferenceRun(StopRun):
                 return False
         return True
 
-    def _beyond(self, kink: int, x: Vector) -> tuple[bool, ...]:
-        """Return the sides of all kinks beyond one of them, which is zero at a state."""
+    def _beyond(
+        self, kink: int, x: Vector, before: tuple[bool, ...] | None = None
+    ) -> tuple[bool, ...]:
+        """Return the sides of all kinks beyond one of them, which is zero at a state.
+
+        Args:
+            kink: The kink.
+            x: The state, ``(n_x,)``.
+            before: The sides before it, by default the present sides.
+        """
         k = kink - self.graph.n_declared
-        sides = tuple(one ^ (i == k) for i, one in enumerate(self.sides))
+        sides = tuple(one ^ (i == k) for i, one in enumerate(before or self.sides))
         return self.graph.sides_at(x, sides, (k,))
 
     def _main_is_zero(self, start: ArcStart, arc: Arc, end: Vector) -> bool:
