@@ -99,9 +99,18 @@ static int mode_on_stop(const Machine *m, const double *x) {
 /* Record a Zeno point and the tail that leads to it, an arc without steps. */
 static void reach(const Machine *m, const Limit *limit, double last_time, double last_speed) {
     zl_run *run = m->run;
+    Graphed *graph = &run->graph;
+    long long k, n = 0;
     const double tail = limit->time - last_time;
     const double told[3] = {limit->error, tail, last_speed};
     double state[ZL_MOST];
+    /* Its impacts have come to their limit: they no longer come in turn with others. */
+    for (k = 0; k < graph->n_turn; k++)
+        if (graph->turn_stops[k] != graph->focus) {
+            graph->turn_times[n] = graph->turn_times[k];
+            graph->turn_stops[n++] = graph->turn_stops[k];
+        }
+    graph->n_turn = n;
     write_event(m, ZL_ZENO, limit->time, told, limit->state, limit->state);
     if (limit->time > last_time) {
         const double numbers[ZL_ARC_WIDTH] = {ZL_FREE,

@@ -117,6 +117,14 @@ class Accumulations:
                 what = f"events of the switch `{name}` come"
                 raise accumulate_together(stop, what, time, x)
 
+    def forget(self, stop: str) -> None:
+        """Forget the impacts on a stop, which have come to their limit.
+
+        Args:
+            stop: Name of the stop.
+        """
+        self.impacts = tuple(one for one in self.impacts if one[1] != stop)
+
     def is_in_corner(self, scale: float) -> bool:
         """Return True if the last impacts on several stops nearly coincide.
 

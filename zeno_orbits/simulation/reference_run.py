@@ -303,6 +303,7 @@ class ReferenceRun(StopRun):
     def reach(self, limit: ZenoLimit, last: Impact, last_speed: float) -> None:
         """Record a Zeno point."""
         self.seen.require_no_switches(limit.time, self.stop_name, limit.state, self.own.time)
+        self.seen.forget(self.stop_name)
         n_arcs = len(self.arcs)
         StopRun.reach(self, limit, last, last_speed)
         if len(self.arcs) > n_arcs:
