@@ -582,10 +582,10 @@ static void flow_at(Graph *g, long long closed, const double *x, double *rate) {
 
 /* Whether kinks that fall together leave the flow as it is, each alone and all of them. Their order then
    has no effect. */
-static int leave_flow(Graph *g, long long kinks, const double *x) {
+static int leave_flow(Graph *g, long long kinks, long long closed, const double *x) {
     Graphed *graph = &g->m.run->graph;
     const zl_settings *settings = settings_of(g, 0);
-    const long long sides = graph->sides, closed = closed_at_start(g);
+    const long long sides = graph->sides;
     const int first = (int)g->whole->graph->n_declared, n = (int)g->whole->graph->n_switches;
     double before[ZL_MOST], after[ZL_MOST];
     int k, alone, same = 1;
@@ -664,7 +664,8 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
         *chosen = places[kink];
         return GO_ON;
     }
-    if (n_switches == n && all_commute && leave_flow(g, switches, x)) return GO_ON;
+    if (n_switches == n && all_commute && leave_flow(g, switches, closed_at_start(g), x))
+        return GO_ON;
     if (first < 0 || !all_commute)
         return coincide(g, (int)kinds[0], indices[0], (int)kinds[1], indices[1], time, x);
     *chosen = places[first];
@@ -1191,18 +1192,20 @@ static long long kept_closed(Graph *g, const double *x) {
     return 0;
 }
 
-/* Whether the stops of the last impacts have zero gap and gap rate to the accuracy of a flight. */
+/* Whether a stop has zero gap and gap rate to the accuracy of a flight. */
+static int rests(Graph *g, int stop, const double *x) {
+    const zl_settings *settings = settings_of(g, stop);
+    double gap[2];
+    gap_of(g, stop, x, gap);
+    return gap[0] <= LOW * settings->gap && fabs(gap[1]) <= SLOW * settings->gap_rate;
+}
+
+/* The same of the stops of the last impacts. */
 static int they_rest(Graph *g, const double *x) {
     const Graphed *graph = &g->m.run->graph;
-    long long stops = 0, k;
-    for (k = 0; k < graph->n_turn; k++) stops |= BIT(graph->turn_stops[k]);
-    for (k = 0; k < g->whole->graph->n_stops; k++) {
-        const zl_settings *settings = settings_of(g, (int)k);
-        double gap[2];
-        if (!(stops & BIT(k))) continue;
-        gap_of(g, (int)k, x, gap);
-        if (!(gap[0] <= LOW * settings->gap && fabs(gap[1]) <= SLOW * settings->gap_rate)) return 0;
-    }
+    long long k;
+    for (k = 0; k < graph->n_turn; k++)
+        if (!rests(g, (int)graph->turn_stops[k], x)) return 0;
     return 1;
 }
 
@@ -1229,6 +1232,161 @@ static int strike_again(Graph *g, double time) {
     return GO_ON;
 }
 
+/* Whether impacts on stops accumulate at some gap accelerations. */
+static int accumulate(Graph *g, long long stops, const double *lifts) {
+    int k, fits = 1;
+    for (k = 0; k < g->whole->graph->n_stops; k++)
+        if ((stops & BIT(k)) && !(lifts[k] < 0.0 && settings_of(g, k)->restitution < 1.0)) fits = 0;
+    return fits;
+}
+
+/* The time to the Zeno point of each stop at a constant gap acceleration, and the speed after its next
+   impact. The stop that the run looks at is struck now. The longest time is returned. */
+static double ways_to_rest(Graph *g, long long stops, const double *lifts, const double *x,
+                           double approach, double *ways, double *speeds) {
+    double longest = 0.0;
+    int k;
+    for (k = 0; k < g->whole->graph->n_stops; k++) {
+        const double e = settings_of(g, k)->restitution;
+        double pair[2], speed;
+        if (!(stops & BIT(k))) continue;
+        gap_of(g, k, x, pair);
+        pair[0] = greater(pair[0], 0.0);
+        if (k == focus_of(g)) {
+            pair[0] = 0.0;
+            pair[1] = approach;
+        }
+        speed = sqrt(pair[1] * pair[1] - 2.0 * lifts[k] * pair[0]);
+        speeds[k] = e * speed;
+        ways[k] = (pair[1] + speed) / -lifts[k] + 2.0 * speeds[k] / (-lifts[k] * (1.0 - e));
+        longest = greater(longest, ways[k]);
+    }
+    return longest;
+}
+
+/* The state after a short time on closed stops, by the midpoint rule. */
+static void held_for(Graph *g, long long closed, const double *x, double time, double *after) {
+    const long long n_x = g->whole->n_x;
+    double rate[ZL_MOST], middle[ZL_MOST];
+    long long i;
+    flow_at(g, closed, x, rate);
+    for (i = 0; i < n_x; i++) middle[i] = x[i] + time / 2.0 * rate[i];
+    flow_at(g, closed, middle, rate);
+    for (i = 0; i < n_x; i++) after[i] = x[i] + time * rate[i];
+}
+
+/* Whether no guard beside closed stops has fallen at a state, and no kink jumps. */
+static int clear_beside(Graph *g, long long closed, const double *x) {
+    const zl_graph *table = g->whole->graph;
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], pair[2];
+    int k;
+    for (k = 0; k < table->n_stops; k++) {
+        if (closed & BIT(k)) continue;
+        gap_of(g, k, x, pair);
+        if (!(pair[0] > 0.0)) return 0;
+    }
+    switches_at(g, x, formulas, levels, 0);
+    for (k = 0; k < table->n_switches; k++) {
+        const double small = SPENT * levels[k];
+        if (!((is_above(g, k) ? formulas[k] : -formulas[k]) > -small)) return 0;
+        if (fabs(formulas[k]) <= small &&
+            (k < table->n_declared || !leave_flow(g, BIT(k), closed, x)))
+            return 0;
+    }
+    return 1;
+}
+
+/* Go to the Zeno points of several stops at rest, one of which is struck: `ReferenceRun._limit_of_each`.
+   They are not coupled, and their gap accelerations are constant but for a linear change. */
+static int limit_of_each(Graph *g, double time, const double *before, double approach, int *done) {
+    zl_run *run = g->m.run;
+    Graphed *graph = &run->graph;
+    const zl_graph *table = g->whole->graph;
+    const int n = (int)table->n_stops;
+    const size_t bytes = (size_t)g->whole->n_x * sizeof(double);
+    double lifts[ZL_STOPS] = {0.0}, means[ZL_STOPS] = {0.0}, rough[ZL_STOPS] = {0.0};
+    double ways[ZL_STOPS] = {0.0}, speeds[ZL_STOPS] = {0.0}, rested[ZL_MOST], longest;
+    long long stops = 0, closed, found, left;
+    Limit limit;
+    int k, status;
+    *done = 0;
+    if (!(-SLOW * run->settings.gap_rate <= approach && approach < 0.0)) return GO_ON;
+    for (k = 0; k < n; k++)
+        if (!((graph->rest | BIT(graph->focus)) & BIT(k)) && rests(g, k, before)) stops |= BIT(k);
+    if (!stops) return GO_ON;
+    stops |= BIT(graph->focus);
+    closed = stops | graph->rest;
+    if (require_apart(g, stops, graph->rest, time, before) != GO_ON) return GO_ON;
+    for (k = 0; k < n; k++)
+        if (stops & BIT(k)) {
+            const Machine m = view_at(g, graph->rest, graph->sides, k);
+            lifts[k] = number_at(&m, ZL_LIFT, before);
+        }
+    if (!accumulate(g, stops, lifts)) return GO_ON;
+    longest = ways_to_rest(g, stops, lifts, before, approach, rough, speeds);
+    memcpy(rested, before, bytes);
+    for (k = 0; k < n; k++)
+        if (closed & BIT(k)) {
+            const Machine m = holding(g, closed, k);
+            to_stop(&m, rested, rested);
+        }
+    held_for(g, closed, rested, longest, limit.state);
+    for (k = 0; k < n; k++)
+        if (stops & BIT(k)) {
+            const Machine m = view_at(g, graph->rest, graph->sides, k);
+            means[k] = (lifts[k] + number_at(&m, ZL_LIFT, limit.state)) / 2;
+        }
+    if (!accumulate(g, stops, means)) return GO_ON;
+    longest = ways_to_rest(g, stops, means, before, approach, ways, speeds);
+    held_for(g, closed, rested, longest, limit.state);
+    limit.time = time + longest;
+    limit.error = 0.0;
+    for (k = 0; k < n; k++)
+        if (stops & BIT(k))
+            limit.error = greater(limit.error, fabs(ways[k] - rough[k]) /
+                                                   (run->settings.time + limit.time));
+    if (!(limit.error <= SPLIT && limit.time < run->settings.until &&
+          clear_beside(g, closed, limit.state)))
+        return GO_ON;
+    status = contact_set(g, limit.time, limit.state, closed, &found);
+    if (status != GO_ON) return status;
+    if (found != closed) return GO_ON;
+    status = may_reach(&g->m, &limit);
+    if (status != GO_ON) return status;
+    *done = 1;
+    for (left = stops; left;) {
+        int first = -1;
+        double state[ZL_MOST], told[3];
+        for (k = 0; k < n; k++)
+            if ((left & BIT(k)) && (first < 0 || ways[k] < ways[first])) first = k;
+        left &= ~BIT(first);
+        told[0] = limit.error;
+        told[1] = ways[first];
+        told[2] = speeds[first];
+        held_for(g, closed, rested, ways[first], state);
+        write_event_of(&g->m, ZL_ZENO, first, time + ways[first], told, state, state);
+    }
+    {
+        const double numbers[ZL_ARC_WIDTH] = {
+            ZL_FREE, time, limit.time, 1.0, longest, ZL_ZENO, (double)run->n_impacts,
+            (double)run->n_rows, 0.0, (double)run->n_polynomials, 0.0, 0.0, 0.0,
+            (double)graph->view};
+        write_arc(&g->m, numbers, rested, limit.state, g->whole->n_x);
+    }
+    for (k = 0, left = 0; k < graph->n_turn; k++)
+        if (!(stops & BIT(graph->turn_stops[k]))) {
+            graph->turn_times[left] = graph->turn_times[k];
+            graph->turn_stops[left++] = graph->turn_stops[k];
+        }
+    graph->n_turn = left;
+    graph->has_current = 0;
+    for (k = n - 1; !(closed & BIT(k));) k--;
+    look(g, closed & ~BIT(k), k);
+    start_without_speed(run, ZL_LOCKED, limit.time);
+    memcpy(run->start.state, limit.state, bytes);
+    return GO_ON;
+}
+
 /* Apply the reset map in the mode that its impulses determine. */
 static int strike(Graph *g, double time, const double *before, double approach) {
     zl_run *run = g->m.run;
@@ -1237,8 +1395,11 @@ static int strike(Graph *g, double time, const double *before, double approach) 
     const long long was = graph->rest, n_x = g->whole->n_x, focus = BIT(graph->focus);
     long long closed, candidates, held = focus;
     double given[ZL_MOST + 1], landed[3 * ZL_MOST + 2];
-    int status;
-    if (see_impact(&g->m, time) && they_rest(g, before)) return in_turn(&g->m, time, before);
+    int status, done, comes_in_turn;
+    comes_in_turn = see_impact(&g->m, time) && they_rest(g, before);
+    status = limit_of_each(g, time, before, approach, &done);
+    if (status != GO_ON || done) return status;
+    if (comes_in_turn) return in_turn(&g->m, time, before);
     graph->split_before = graph->split_present;
     graph->split_present = 0;
     if (approach < 0.0) {

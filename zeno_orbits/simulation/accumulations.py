@@ -48,27 +48,22 @@ class Accumulations:
     impacts: tuple[tuple[float, str], ...] = ()
     switches: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
 
-    def see_impact(
-        self, time: float, stop: str, x: Vector, at_rest: Callable[[set[str]], bool]
-    ) -> None:
-        """Record an impact, unless impacts accumulate on several stops in turn.
+    def see_impact(self, time: float, stop: str, at_rest: Callable[[set[str]], bool]) -> bool:
+        """Record an impact, and return True if impacts accumulate on several stops in turn.
+
+        Such impacts become ever more frequent at stops at rest.
 
         Args:
             time: When [s].
             stop: Name of the stop.
-            x: State before it, ``(n_x,)``.
             at_rest: Whether all stops with these names have zero gap and gap rate there, to the
                 accuracy of a flight.
-
-        Raises:
-            SimultaneousEventsError: If such impacts become ever more frequent at stops at rest.
         """
         self.impacts = (*self.impacts[1 - _IN_TURN :], (time, stop))
         if not self._in_turn:
-            return
+            return False
         (first, _), (middle, _) = self.impacts[0], self.impacts[len(self.impacts) // 2]
-        if time - middle < middle - first and at_rest({name for _, name in self.impacts}):
-            raise self.in_turn(time, x)
+        return time - middle < middle - first and at_rest({name for _, name in self.impacts})
 
     def see_switch(self, time: float, name: str, x: Vector, scale: float) -> None:
         """Record an event of a declared switch, unless such events accumulate.
@@ -117,13 +112,13 @@ class Accumulations:
                 what = f"events of the switch `{name}` come"
                 raise accumulate_together(stop, what, time, x)
 
-    def forget(self, stop: str) -> None:
-        """Forget the impacts on a stop, which have come to their limit.
+    def forget(self, *stops: str) -> None:
+        """Forget the impacts on stops, which have come to their limit.
 
         Args:
-            stop: Name of the stop.
+            stops: Names of the stops.
         """
-        self.impacts = tuple(one for one in self.impacts if one[1] != stop)
+        self.impacts = tuple(one for one in self.impacts if one[1] not in stops)
 
     def is_in_corner(self, scale: float) -> bool:
         """Return True if the last impacts on several stops nearly coincide.

@@ -43,7 +43,7 @@ from zeno_orbits.model import START_OFF, GraphDynamics, GraphMode, HybridDynamic
 from zeno_orbits.simulation.accumulations import Accumulations
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart, launched
 from zeno_orbits.simulation.event_rules import stop_holds
-from zeno_orbits.simulation.events import EventKind, Impact, Release, SwitchEvent
+from zeno_orbits.simulation.events import EventKind, Impact, Release, SwitchEvent, ZenoPoint
 from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode, named
 from zeno_orbits.simulation.interruptions import (
     accumulate_together,
@@ -540,9 +540,14 @@ class ReferenceRun(StopRun):
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map in the mode that its impulses determine."""
         before = self.rest
-        self.seen.see_impact(
-            time, self.stop_name, state_minus, lambda stops: self._rest(stops, state_minus)
+        in_turn = self.seen.see_impact(
+            time, self.stop_name, lambda stops: self._rest(stops, state_minus)
         )
+        together = self._limit_of_each(time, state_minus, approach_rate)
+        if together is not None:
+            return together
+        if in_turn:
+            raise self.seen.in_turn(time, state_minus)
         self.split_by = self.split_by[1], frozenset()
         if approach_rate < 0.0:
             self.look(self._kept(state_minus), self.focus)
@@ -569,6 +574,136 @@ class ReferenceRun(StopRun):
             and abs(view.gap_rate(x)) <= _SLOW * view.own.gap_rate
             for view in views
         )
+
+    def _limit_of_each(self, time: float, x: Vector, approach_rate: float) -> ArcStart | None:
+        """Go to the Zeno points of several stops at rest, one of which is struck.
+
+        The stops are so near to rest that their gap accelerations are constant but for a linear
+        change. They are not coupled, so each comes to rest by its own law.
+
+        Args:
+            time: When [s].
+            x: State before the impact, ``(n_x,)``.
+            approach_rate: Gap rate before it.
+
+        Returns:
+            The start of the contact at the last limit, or ``None`` if there are no such stops, or
+            the limits are not determined.
+        """
+        if not -_SLOW * self.own.gap_rate <= approach_rate < 0.0:
+            return None
+        beside = self._open_beside(self.rest)
+        stops = [k for k in beside if self._rest([self.graph.stop_names[k]], x)]
+        if not stops:
+            return None
+        stops = sorted((*stops, self.focus))
+        closed = tuple(sorted((*self.rest, *stops)))
+        if self._coupled(stops, self.rest, x) is not None:
+            return None
+        lifts = [self._view(self.rest, k).gap_acceleration(x) for k in stops]
+        if not self._accumulates(stops, lifts):
+            return None
+        rough = self._ways_to_rest(stops, lifts, x, approach_rate)
+        rested = x
+        for k in closed:
+            rested = self._holding(closed, k).on_stop(rested)
+        longest = max(way for way, _ in rough)
+        end = self._held(closed, rested, longest)
+        means = [
+            (lift + self._view(self.rest, k).gap_acceleration(end)) / 2
+            for k, lift in zip(stops, lifts, strict=True)
+        ]
+        if not self._accumulates(stops, means):
+            return None
+        ways = self._ways_to_rest(stops, means, x, approach_rate)
+        longest = max(way for way, _ in ways)
+        end, last = self._held(closed, rested, longest), time + longest
+        error = 0.0
+        for (way, _), (first, _) in zip(ways, rough, strict=True):
+            error = max(error, abs(way - first) / (self.own.time + last))
+        if not (error <= _SPLIT and last < self.follower.until and self._clear_beside(closed, end)):
+            return None
+        if self._contact_set(last, end, closed) != closed:
+            return None
+        self.seen.require_no_switches(last, self.stop_name, end, self.own.time)
+        self.seen.forget(*(self.graph.stop_names[k] for k in stops))
+        for (way, speed), k in sorted(zip(ways, stops, strict=True), key=lambda one: one[0][0]):
+            self.events.append(
+                ZenoPoint(
+                    time=time + way,
+                    state=self._held(closed, rested, way),
+                    limit_error=error,
+                    tail=way,
+                    last_speed=speed,
+                    stop=self.graph.stop_names[k],
+                )
+            )
+        tail = Arc(
+            mode=Mode.FREE,
+            start_time=time,
+            end_time=last,
+            start_state=rested,
+            end_state=end,
+            ending=Ending.ZENO,
+            impact_index=self.n_impacts,
+            time_unit=1.0,
+            trajectory=None,
+        )
+        self.arcs.append(self._named(tail, self.rest))
+        self.current = None
+        self.look(closed[:-1], closed[-1])
+        return ArcStart(mode=Mode.LOCKED, time=last, state=end)
+
+    def _accumulates(self, stops: Sequence[int], lifts: Sequence[float]) -> bool:
+        """Return True if impacts on stops accumulate at these gap accelerations."""
+        return all(
+            lift < 0.0 and self._view(self.rest, k).restitution < 1.0
+            for k, lift in zip(stops, lifts, strict=True)
+        )
+
+    def _ways_to_rest(
+        self, stops: Sequence[int], lifts: Sequence[float], x: Vector, approach_rate: float
+    ) -> list[tuple[float, float]]:
+        """Return the time to the Zeno point of each stop, and the speed after its next impact.
+
+        Args:
+            stops: The stops, one of which is struck now.
+            lifts: Gap acceleration of each, which is constant.
+            x: The state, ``(n_x,)``.
+            approach_rate: Gap rate of the stop that is struck.
+        """
+        ways: list[tuple[float, float]] = []
+        for k, lift in zip(stops, lifts, strict=True):
+            view = self._view(self.rest, k)
+            is_struck = k == self.focus
+            gap = 0.0 if is_struck else max(view.gap(x), 0.0)
+            rate = approach_rate if is_struck else view.gap_rate(x)
+            speed = math.sqrt(rate * rate - 2.0 * lift * gap)
+            after = view.restitution * speed
+            way = (rate + speed) / -lift + 2.0 * after / (-lift * (1.0 - view.restitution))
+            ways.append((way, after))
+        return ways
+
+    def _held(self, closed: tuple[int, ...], x: Vector, time: float) -> Vector:
+        """Return the state after a short time on closed stops, by the midpoint rule."""
+        rate = self._holding(closed, closed[-1]).locked.rate
+        return x + time * rate(x + (time / 2.0) * rate(x))
+
+    def _clear_beside(self, closed: Sequence[int], x: Vector) -> bool:
+        """Return True if no guard beside closed stops has fallen at a state, and no kink jumps."""
+        for k in range(len(self.graph.stop_names)):
+            if k not in closed and not self._view((), k).gap(x) > 0.0:
+                return False
+        guards, levels, _ = self.graph.guards(x, self.sides)
+        for s, above in enumerate(self._signs()):
+            value, small = float(guards[s]), _SPENT * float(levels[s])
+            if not (value if above else -value) > -small:
+                return False
+            if abs(value) <= small and (
+                s < self.graph.n_declared or not self._leave_flow([s], tuple(closed), x)
+            ):
+                return False
+        return True
 
     def _opened_by_impact(self, after: ArcStart, closed: tuple[int, ...]) -> ArcStart:
         """Return the start after an impact whose change of forces opens closed stops."""
@@ -952,8 +1087,17 @@ class ReferenceRun(StopRun):
         Raises:
             SimultaneousEventsError: If two stops are coupled.
         """
+        pair = self._coupled(struck, closed, x)
+        if pair is not None:
+            one, other = (self._event_of(Kind.GAP, k) for k in pair)
+            raise coincide(one, other, time, x)
+
+    def _coupled(
+        self, struck: Sequence[int], closed: Sequence[int], x: Vector
+    ) -> tuple[int, int] | None:
+        """Return two of some stops that are coupled, directly or by closed stops, if there are."""
         if len(struck) < 2:
-            return
+            return None
         matrix = self.graph.coupling(x)
         for place, first in enumerate(struck):
             reached, new = {first}, {first}
@@ -965,8 +1109,8 @@ class ReferenceRun(StopRun):
                 reached |= new
             for second in struck[place + 1 :]:
                 if second in reached:
-                    one, other = (self._event_of(Kind.GAP, k) for k in (first, second))
-                    raise coincide(one, other, time, x)
+                    return first, second
+        return None
 
     def _value(self, guard: _Guard, closed: tuple[int, ...], x: Vector) -> tuple[float, float]:
         """Return a guard and its rate at a state."""
