@@ -120,6 +120,7 @@ RULES: dict[str, float] = {
     "ACCUMULATED": reference_run._ACCUMULATED,
     "LOW": reference_run._LOW,
     "SLOW": reference_run._SLOW,
+    "LOST": reference_run._LOST,
     "COUPLED": reference_run._COUPLED,
     "IN_TURN": accumulations._IN_TURN,
     "IN_ROW": accumulations._IN_ROW,

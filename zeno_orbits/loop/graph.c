@@ -607,6 +607,15 @@ static int leave_flow(Graph *g, long long kinks, long long closed, const double 
     return same;
 }
 
+/* Whether a gap that counts as zero closes at that time: where impacts come on several stops in turn,
+   its rounding may close it too early. */
+static int is_resolved(const Graph *g, const double *gap) {
+    const zl_run *run = g->m.run;
+    const double lost = LOST * (gap[1] * gap[1] / run->settings.gap_acceleration);
+    return !(come_in_turn(&run->graph) &&
+             gap[0] > greater(-gap[1] * APART * run->settings.time, lost));
+}
+
 /* Find the event at the end of an arc, of all events whose guards are zero there: its place in the
    list of the others, or -1 for the stop that the run looks at. A switch that is not armed, or rises,
    is no event. A kink changes no state, and an impact does not depend on it. Impacts on stops that
@@ -637,6 +646,7 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
             else
                 tape_run(other->value, other->registers, x, pair);
             if (!is_zero(g, pair, watched->rounding)) continue;
+            if (other->kind == ZL_IMPACT && !is_resolved(g, pair)) return in_turn(&g->m, time, x);
         }
         if (other && !occurs(g, other->kind, other->index, x)) continue;
         if (other && place != found && is_on_surface_of_found(g, other, x)) continue;
@@ -1226,6 +1236,7 @@ static int strike_again(Graph *g, double time) {
             continue;
         status = require_apart(g, BIT(run->graph.focus) | BIT(k), closed, time, x);
         if (status != GO_ON) return status;
+        if (!is_resolved(g, gap)) return in_turn(&g->m, time, x);
         look(g, closed, k);
         return strike(g, time, x, gap[1]);
     }

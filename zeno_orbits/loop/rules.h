@@ -110,6 +110,7 @@
 #define ACCUMULATED 0.001
 #define LOW 1e-09
 #define SLOW 3e-05
+#define LOST 1e-05
 #define COUPLED 1e-12
 
 /* simulation/accumulations.py */

@@ -60,7 +60,7 @@ class Accumulations:
                 accuracy of a flight.
         """
         self.impacts = (*self.impacts[1 - _IN_TURN :], (time, stop))
-        if not self._in_turn:
+        if not self.come_in_turn:
             return False
         (first, _), (middle, _) = self.impacts[0], self.impacts[len(self.impacts) // 2]
         return time - middle < middle - first and at_rest({name for _, name in self.impacts})
@@ -126,7 +126,7 @@ class Accumulations:
         Args:
             scale: The problem's time [s].
         """
-        if not self._in_turn:
+        if not self.come_in_turn:
             return False
         return self.impacts[-1][0] - self.impacts[-2][0] < _CORNER * scale
 
@@ -152,7 +152,7 @@ class Accumulations:
         return max(last, default=-np.inf) + _SOON * scale
 
     @property
-    def _in_turn(self) -> bool:
+    def come_in_turn(self) -> bool:
         """True if the last impacts are on several stops in turn."""
         names = [name for _, name in self.impacts]
         changes = sum(one != other for one, other in pairwise(names))

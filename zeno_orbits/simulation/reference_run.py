@@ -96,6 +96,8 @@ _SAME = 1e-9
 """Relative difference of two flows that is rounding."""
 _LOW, _SLOW = 1e-9, 3e-5
 """Gap and gap rate over the problem's own, below which a flight beside another has few digits."""
+_LOST = 1e-5
+"""Part of the height of a flight that rounding may take from it, where impacts come in turn."""
 _COUPLED = 1e-12
 """Entry of `J W J^T`, over the roots of its diagonal entries, above which two stops are coupled."""
 
@@ -729,6 +731,7 @@ class ReferenceRun(StopRun):
                 view.gap(x), rate, self.settings.contact * view.own.gap
             ):
                 self._require_apart(sorted((self.focus, k)), closed, time, x)
+                self._require_resolved(view.gap(x), rate, time, x)
                 self.look(closed, k)
                 return self.impact(time, x, rate)
         return after
@@ -999,7 +1002,10 @@ class ReferenceRun(StopRun):
                 first = next(one for one in guards if (one.kind, one.index) == fell)
                 if self._is_one_surface(guard, first, closed, x):
                     continue
-            if self._is_zero(*self._value(guard, closed, x), guard.rounding):
+            value, rate = self._value(guard, closed, x)
+            if self._is_zero(value, rate, guard.rounding):
+                if guard.kind is Kind.GAP:
+                    self._require_resolved(value, rate, arc.end_time, x)
                 zero.append(event)
         if found is not None and self._main_is_zero(start, arc, end):
             zero.append(main)
@@ -1091,6 +1097,16 @@ class ReferenceRun(StopRun):
         if pair is not None:
             one, other = (self._event_of(Kind.GAP, k) for k in pair)
             raise coincide(one, other, time, x)
+
+    def _require_resolved(self, gap: float, rate: float, time: float, x: Vector) -> None:
+        """Refuse a gap that only its rounding closes where impacts come on several stops in turn.
+
+        Raises:
+            SimultaneousEventsError: If the stop would be struck too early.
+        """
+        lost = _LOST * (rate * rate / self.own.gap_acceleration)
+        if self.seen.come_in_turn and gap > max(-rate * _APART * self.own.time, lost):
+            raise self.seen.in_turn(time, x)
 
     def _coupled(
         self, struck: Sequence[int], closed: Sequence[int], x: Vector
