@@ -283,7 +283,7 @@ def test_false_orbits_are_refused_with_the_residual_that_explains_it() -> None:
     ("change", "words"),
     [
         ({"events": []}, "at least one event"),
-        ({"period": 0.0}, "positive `period`"),
+        ({"period": 0.0}, "`period` must be positive"),
         ({"sequence": ["zeno stop"]}, "its `sequence` is `zeno stop`"),
         ({"period": 1.0}, "not at the end of its `period`"),
         ({"start_state": None}, "start_state"),

@@ -45,6 +45,7 @@ def _orbit(*hits: float, **parts: Any) -> Any:
     named = {
         "problem": "toy",
         "period": 2.0,
+        "has_phases": True,
         "impacts": [SimpleNamespace(time=time) for time in hits],
         "parameters": {"restitution": 0.25},
         "gains": {},
