@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import MISUSE, NO, YES, ask
+from zeno_orbits.report.terminal import print_stability
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -89,6 +92,17 @@ def test_a_section_that_is_a_point_has_no_multipliers() -> None:
     assert "No multipliers: every period passes a section that is a point." in answer.out
     assert "Every small disturbance vanishes within 1 period" in answer.out
     assert "nan" not in answer.out
+
+
+def test_a_multiplier_of_unknown_error_promises_no_decay(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    found = zo.floquet_multipliers(_file("impact_oscillator"))
+    print_stability(replace(found, values=(0j, 0j), errors=(math.inf, math.inf), slowest=None))
+    said = capsys.readouterr().out
+    assert said.startswith("Orbit of impact_oscillator: undecided, spectral radius unknown")
+    assert "vanishes" not in said
+    assert "The errors of the multipliers leave open whether a disturbance decays." in said
 
 
 def test_the_data_are_those_of_python(here: Path) -> None:

@@ -149,10 +149,10 @@ def test_sizes_are_largest_moduli_and_never_nearly_zero():
     # A thousandth of the others of its unit, and of nothing else.
     one_unit = scale_of([np.array([5.0, 0.0, 1e-4, 2.0])], ("m", "m", "A", "m"))
     assert one_unit == pytest.approx([5.0, 5e-3, 1e-4, 2.0], rel=1e-15)
-    # Below a thousandth of a millionth of all others it is rounding, and has their size.
-    lone = [192e-9, 128 * 1e-9, 64e-9, 0.0, 128.0]
+    # Below a ten-millionth of all others it is the error of a time, and has their size.
+    lone = [192e-7, 128 * 1e-7, 64e-7, 0.0, 128.0]
     alone = scale_of([np.array(lone)], ("m", "A", "rad", "V", "m/s"))
-    assert alone.tolist() == [192e-9, 128.0, 128.0, 128.0, 128.0]
+    assert alone.tolist() == [192e-7, 128.0, 128.0, 128.0, 128.0]
     assert scale_of([np.zeros(2)], ("m", "A")).tolist() == [1.0, 1.0]
 
 

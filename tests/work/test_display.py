@@ -135,9 +135,10 @@ def test_a_map_is_a_table_of_its_points() -> None:
 def test_orbit_certificate_search_and_trade_are_tables(
     orbit: zo.Orbit, certificate: zo.OrbitCertificate, found: SearchResult
 ) -> None:
-    impacts = orbit.to_pandas()
-    assert list(impacts.time) == [impact.time for impact in orbit.impacts]
-    assert list(impacts.dtheta2) == [impact.state_minus["dtheta2"] for impact in orbit.impacts]
+    events = orbit.to_pandas()
+    assert list(events.event) == [event.name for event in orbit.events]
+    assert list(events.time) == [event.time for event in orbit.events]
+    assert list(events.dtheta2) == [event.state["dtheta2"] for event in orbit.events]
     checks = certificate.to_pandas().set_index("name")
     assert {name: checks.residual[name] for name in checks.index} == dict(certificate.residuals)
     assert checks.passed.all()

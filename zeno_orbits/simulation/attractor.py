@@ -51,7 +51,7 @@ STEADY = 1e-3
 
 _NEAR_ZERO = 1e-3
 """A state smaller than this part of the largest of its unit is measured against that part."""
-_ROUNDING = 1e-6
+_ROUNDING = 1e-7
 """A state smaller than this part of all others is zero but for the error of an impact's time."""
 _STILL = 1e-6
 """Rates below this part of the largest rates belong to a motion at rest."""

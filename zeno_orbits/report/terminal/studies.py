@@ -178,7 +178,8 @@ def print_recovery(found: Recovery) -> None:
 def print_stability(found: Stability) -> None:
     """Print the stability of an orbit: verdict, multipliers, return map and time to recover."""
     error = f" +- {found.error:.0e}" if found.spectral_radius else ""
-    radius = f"spectral radius {found.spectral_radius:.6g}{error}"
+    size = f"{found.spectral_radius:.6g}{error}" if math.isfinite(found.error) else "unknown"
+    radius = f"spectral radius {size}"
     print_lines([f"Orbit of {found.problem}: {found.verdict}, {radius}"])
     if not found.values:
         print_lines(["No multipliers: every period passes a section that is a point."])
@@ -215,14 +216,16 @@ def _print_return_map(found: Stability) -> None:
 
 def recovery_words(found: Stability) -> list[str]:
     """Return the slowest direction of an orbit and its times as sentences."""
-    slow = found.slowest
-    if slow is None:
+    slow, lines = found.slowest, list[str]()
+    if slow is None and found.stable:
         wait = counted(round(found.periods_to(0.5)), "period")
         return [f"Every small disturbance vanishes within {wait}, to rounding."]
-    which = "Fastest growth" if found.unstable else "Slowest direction"
-    lines = [f"{which}: {slow.words}"]
-    if math.isfinite(slow.periods_per_turn):
-        lines.append(f"The disturbance turns once in {slow.periods_per_turn:.4g} periods.")
+    if slow is not None:
+        which = "Fastest growth" if found.unstable else "Slowest direction"
+        lines.append(f"{which}: {slow.words}")
+        if math.isfinite(slow.periods_per_turn):
+            turn = f"{slow.periods_per_turn:.4g}"
+            lines.append(f"The disturbance turns once in {turn} periods.")
     times = [
         f"{name} in {periods:.4g} periods ({periods * found.period:.4g} s)"
         for name, periods in found.milestones.items()
