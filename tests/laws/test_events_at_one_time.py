@@ -6,7 +6,7 @@ Each truth is a closed form, or flights that this file integrates itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal, localcontext
 from typing import Any
@@ -206,6 +206,51 @@ def test_impacts_that_accumulate_on_uncoupled_stops_have_a_limit_each(
     assert run.end_state.tolist() == [0.0, 0.0, 0.0, 0.0]
     times = [event.time for event in run.events]
     assert times == sorted(times)
+
+
+def at_rest_after(times: Sequence[float], e: Sequence[float]) -> dict[str, float]:
+    """Return the heights from which masses come to rest at given times."""
+    return {
+        f"x{k}": G / 2 * (time * (1 - one) / (1 + one)) ** 2
+        for k, (time, one) in enumerate(zip(times, e, strict=True))
+    }
+
+
+@pytest.mark.parametrize(
+    ("e", "times"),
+    [
+        ((0.544788062428101, 0.6965553594097043), (1.0000144636506272, 0.9999966359237445)),
+        (
+            (0.6665088072217578, 0.2322941970871144, 0.6013463591146928),
+            (1.0000618326325692, 0.9999915491498421, 1.0000000092792625),
+        ),
+    ],
+)
+def test_a_low_flight_keeps_its_height_when_another_mass_strikes(
+    e: tuple[float, ...], times: tuple[float, ...]
+) -> None:
+    # One mass is lower than 1e-12 m, in the midst of a flight, when another strikes.
+    run = zo.simulate(masses(e), until=2.0, start=at_rest_after(times, e))
+    expected = {f"s{k}": time for k, time in enumerate(times)}
+    assert zeno_times(run) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_uncoupled_stops_have_their_own_limits_or_are_refused_by_name() -> None:
+    random, refused = np.random.default_rng(20261129), 0
+    for _ in range(60):
+        n = int(random.integers(2, 4))
+        e = tuple(random.uniform(0.1, 0.7, n).tolist())
+        apart = 10 ** random.uniform(-9, -0.5, n) * random.choice([-1, 1], n)
+        times = tuple((1 + apart).tolist())
+        try:
+            run = zo.simulate(masses(e), until=2.5, start=at_rest_after(times, e))
+        except zo.SimultaneousEventsError:
+            refused += 1
+            continue
+        expected = {f"s{k}": time for k, time in enumerate(times)}
+        assert zeno_times(run) == pytest.approx(expected, abs=1e-8)
+    assert refused <= 6
 
 
 def test_limits_that_meet_have_no_derivatives() -> None:

@@ -258,11 +258,15 @@ static int take_guards(Graph *g) {
         if (other->kind == ZL_RELEASE) {
             watched->rounding = contact * settings->multiplier;
         } else if (other->kind == ZL_IMPACT) {
-            double gap[2];
+            double gap[2], lost;
             gap_of(g, other->index, run->start.state, gap);
             value = gap[0];
             watched->rounding = contact * settings->gap;
-            if (value <= watched->rounding && gap[1] > contact * settings->gap_rate) {
+            lost = LOST * (gap[1] * gap[1] / settings->gap_acceleration);
+            if (come_in_turn(&run->graph) && value > lost) {
+                /* Its flight is under way: to launch it again would take its height from it. */
+                watched->rounding = lesser(watched->rounding, lost);
+            } else if (value <= watched->rounding && gap[1] > contact * settings->gap_rate) {
                 watched->launched = gap[1];
                 watched->rounding = contact / settings->gap_acceleration;
                 is_clear = 0;

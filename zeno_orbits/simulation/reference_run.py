@@ -798,14 +798,18 @@ class ReferenceRun(StopRun):
             yield _Guard(Kind.MULTIPLIER, j, view.locked, x, None, on_guard, rounding)
         for k in self._open_beside(closed):
             view = self.graph.view(mode, k)
-            on_guard, rate = view.gap(x) <= contact * view.own.gap, view.gap_rate(x)
-            if on_guard and rate > contact * view.own.gap_rate:
+            gap, rate, rounding = view.gap(x), view.gap_rate(x), contact * view.own.gap
+            lost = _LOST * (rate * rate / view.own.gap_acceleration)
+            if self.seen.come_in_turn and gap > lost:
+                # Its flight is under way: to launch it again would take its height from it.
+                rounding = min(rounding, lost)
+                yield _Guard(Kind.GAP, k, view.free, x, None, gap <= rounding, rounding)
+            elif gap <= rounding and rate > contact * view.own.gap_rate:
                 rounding = contact / view.own.gap_acceleration
                 flight, y = view.flight(rate), launched(x, 1.0)
                 yield _Guard(Kind.GAP, k, flight, y, rate, True, rounding)
             else:
-                rounding = contact * view.own.gap
-                yield _Guard(Kind.GAP, k, view.free, x, None, on_guard, rounding)
+                yield _Guard(Kind.GAP, k, view.free, x, None, gap <= rounding, rounding)
         values, levels, _ = self.graph.guards(x, self.sides)
         unknown = np.flatnonzero(np.isnan(values))
         if unknown.size:
