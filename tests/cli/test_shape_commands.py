@@ -85,6 +85,7 @@ def _twice(data: dict[str, Any]) -> None:
     later = json.loads(json.dumps(data["events"]))
     for event in later:
         event["time"] += turn
+    data["events"][-1]["after"] = data["start_state"]
     data |= {"events": data["events"] + later, "period": 2 * turn, "shape": "impact*6"}
     data["sequence"] *= 2
 

@@ -28,6 +28,8 @@ from zeno_orbits.orbits import (
     new_orbit,
     orbit_from_json,
     read_orbit,
+    same_equations,
+    sequence_of,
     write_orbit,
 )
 from zeno_orbits.verification import OrbitCertificate, with_certificate
@@ -191,19 +193,15 @@ def test_any_finite_numbers_and_names_come_back(
 @given(
     times=st.lists(POSITIVE, min_size=1, max_size=4),
     state=NAMED,
-    after=st.none() | NAMED,
     name=st.sampled_from(["impact a", "zeno b", "release a", "switch edge"]),
 )
 def test_events_of_any_finite_numbers_come_back(
     tmp_path: Path,
     times: list[float],
     state: dict[str, float],
-    after: dict[str, float] | None,
     name: str,
 ) -> None:
-    events = tuple(
-        OrbitEvent(name=name, time=time, state=state, after=after) for time in sorted(times)
-    )
+    events = tuple(OrbitEvent(name=name, time=time, state=state) for time in sorted(times))
     original = replace(SMALL, phases_as=None, events=events, start_state=state, period=max(times))
     again = _round_trip(original, tmp_path)
     assert again == original
@@ -744,6 +742,36 @@ def test_a_last_event_beside_the_end_of_the_period_is_refused(tmp_path: Path) ->
     path = tmp_path / "orbit.json"
     path.write_text(json.dumps(SMALL.as_json() | {"period": 3.0}))
     assert read_orbit(path) == replace(SMALL, period=3.0)
+
+
+@pytest.mark.parametrize(("place", "entry"), [(0, "name"), (1, "name"), (2, "after"), (0, "after")])
+def test_names_and_states_after_that_the_shape_does_not_have_are_refused(
+    tmp_path: Path, place: int, entry: str
+) -> None:
+    data = SMALL.as_json()
+    event = data["events"][place]
+    event[entry] = STATE if entry == "after" else event["name"].replace("stop", "lower")
+    data["sequence"] = list(sequence_of([one["name"] for one in data["events"]]))
+    assert "its `shape` is `zeno`, but its events are" in _refusal(tmp_path, json.dumps(data))
+
+
+def test_a_state_after_an_event_needs_a_shape(tmp_path: Path) -> None:
+    data = replace(SMALL, phases_as=None).as_json()
+    data["events"][0]["after"] = STATE
+    assert "an event has `after`, which needs a `shape`" in _refusal(tmp_path, json.dumps(data))
+
+
+def test_an_orbit_without_events_has_no_section() -> None:
+    with pytest.raises(InputError, match="must have an event"):
+        _ = replace(SMALL, events=(), phases_as=None).section
+
+
+def test_an_undefined_number_of_an_older_digest_is_no_difference() -> None:
+    known = (1.0, 2.0, 3.0, 0.0, 5.0, 6.0)
+    assert same_equations(known, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    assert not same_equations(known, (1.0, 2.0, 3.0, 4.0, 5.0, 6.1))
+    # A graph has a zero where it has no switch.
+    assert not same_equations(4 * known, 4 * (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
 
 
 def test_events_out_of_order_are_refused(tmp_path: Path) -> None:

@@ -7,16 +7,18 @@ law, as if the simulator had this law wrong.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.mechanisms import machine_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult
 from zeno_orbits.model import GraphDynamics, HybridDynamics, StateLimit, load_problem
@@ -226,6 +228,44 @@ def test_a_wrong_second_model_fails_alone(tmp_path: Path) -> None:
 # False data.
 
 
+def _dragged() -> zo.Problem:
+    """Return a forced mass with quadratic drag. Its sine is small at every kink of the drag."""
+
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v, clock = ca.SX.sym("q"), ca.SX.sym("v"), zo.Clock.at(p["omega"])
+        mass = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=v**2 / 2,
+            potential=135 * q**2 / 2,
+            passive_force=-0.28 * v - 0.145 * ca.fabs(v) * v,
+            applied_force=4.2 * clock.cosine,
+            clock=clock,
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass))
+
+    units = {"q": "m", "v": "m/s", "cosine": "1", "sine": "1"}
+    return machine_of(model, units, {"omega": 1.15})
+
+
+def test_a_state_that_is_small_at_the_events_has_its_size_between_them() -> None:
+    problem = _dragged()
+    orbit = zo.find_event_orbit(problem)
+    assert max(abs(event.state["sine"]) for event in orbit.events) < 0.01
+    assert zo.verify(orbit, problem=problem).passed
+
+
+def test_a_height_that_is_zero_at_the_events_has_its_size_between_them() -> None:
+    table = zo.find_event_orbit("vibrating_table")
+    run = zo.simulate("vibrating_table", start=table.start_state, until=table.period)
+    highest = float(np.max(run.sampled()[1][:, 0]))
+    last = table.events[-1]
+    state = {**last.state, "height": last.state["height"] + 1e-7 * highest}
+    false = replace(table, events=(*table.events[:-1], replace(last, state=state)))
+    assert zo.verify(table, settings=QUICK).passed
+    assert zo.verify(false, settings=QUICK).failed == ("events",)
+
+
 @pytest.mark.parametrize("name", [MACHINES[0], *SLOWLY[1:]])
 @pytest.mark.parametrize("of", ["time", "state"])
 def test_every_event_of_a_file_is_compared(name: str, of: str) -> None:
@@ -273,6 +313,14 @@ def test_impacts_that_the_check_does_not_resolve_obey_the_law_of_the_tail(name: 
     assert zo.verify(continued(0.2), settings=QUICK).failed == ("events",)
     fewer = replace(orbit, events=(*orbit.events[: zeno - 1], *orbit.events[zeno:]))
     assert zo.verify(fewer, settings=QUICK).passed
+
+
+@pytest.mark.parametrize("values", [{}, {"mass": 1.0}])
+def test_values_that_are_missing_or_unknown_are_refused(values: dict[str, float]) -> None:
+    orbit = _orbit("clapper")
+    false = {**orbit.parameters, **values} if values else {}
+    with pytest.raises(zo.InputError, match="must have the parameters of its problem"):
+        zo.verify(replace(orbit, parameters=false), settings=QUICK)
 
 
 def test_a_machine_of_another_kind_is_refused() -> None:

@@ -25,8 +25,8 @@ FORMAT = 3
 
 _STOP = "stop"
 """Name of a stop that is not named."""
-_ENDS = {True: ["zeno", "release"], False: []}
-"""Kinds of the events after the impacts of a phase, by whether contact follows."""
+_ENDS = {True: [f"zeno {_STOP}", f"release {_STOP}"], False: list[str]()}
+"""Events after the impacts of a phase, by whether contact follows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +157,13 @@ class Orbit(TableRepr):
 
     @property
     def section(self) -> str:
-        """Name of the event at which the period starts and ends."""
+        """Name of the event at which the period starts and ends.
+
+        Raises:
+            InputError: If there is no event.
+        """
+        if not self.events:
+            raise InputError("Argument `orbit` must have an event, but it has none.")
         return self.events[-1].name
 
     @property
@@ -355,11 +361,14 @@ def _phases(
     for kind in shape.phases:
         # An impact that the stop throws off is a phase. Other impacts belong to a Zeno point.
         most = len(left) if kind.holds else 1
-        impacts = [*takewhile(lambda event: event.word == "impact", left[:most])]
+        impacts = [*takewhile(lambda event: event.name == f"impact {_STOP}", left[:most])]
         ends = left[len(impacts) :][:2] if kind.holds else []
-        if [event.word for event in ends] != _ENDS[kind.holds] or not (ends or impacts):
+        if [event.name for event in ends] != _ENDS[kind.holds] or not (ends or impacts):
             break
-        last = (impacts + ends)[-1]
+        *others, last = impacts + ends
+        begins = not kind.holds and len(found) + 1 < len(shape.phases)
+        if (last.after is not None) != begins or any(one.after is not None for one in others):
+            break
         zeno = ends[0] if ends else None
         found.append(
             OrbitPhase(
@@ -383,8 +392,9 @@ def _events(phases: Sequence[OrbitPhase], period: float) -> tuple[OrbitEvent, ..
     """Return the events of phases of one stop, which is named `stop`."""
     found: list[OrbitEvent] = []
     ends = [(phase.start_time, phase.start_state) for phase in phases[1:]]
-    for phase, (time, state) in zip(phases, [*ends, (period, phases[0].start_state)], strict=True):
-        after = None if phase.kind.holds else state
+    ends.append((period, phases[0].start_state))
+    for k, (phase, (time, state)) in enumerate(zip(phases, ends, strict=True), 1):
+        after = None if phase.kind.holds or k == len(phases) else state
         found += [
             OrbitEvent(name=f"impact {_STOP}", time=one.time, state=one.state_minus, after=after)
             for one in phase.impacts

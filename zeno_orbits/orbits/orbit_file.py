@@ -224,6 +224,8 @@ def _with_events(orbit: Orbit, listed: _Listed, shape: str) -> Orbit:
     _require_order(listed)
     if kinds is None and listed.events[-1].time != orbit.period:
         raise _ContradictionError("its last event is not at the end of its `period`")
+    if kinds is None and any(event.after is not None for event in listed.events):
+        raise _ContradictionError("an event has `after`, which needs a `shape`")
     if kinds is not None:
         try:
             _ = found.phases

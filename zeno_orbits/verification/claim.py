@@ -66,11 +66,7 @@ def claim_of(orbit: Orbit, problem: Problem) -> Claim:
         raise InputError(message)
     for k, phase in enumerate(orbit.phases):
         _require_impacts(phase, "" if len(orbit.phases) == 1 else f" in phase {k + 1}")
-    for name, values, known in (
-        ("gains", orbit.gains, [gain.name for gain in problem.gains]),
-        ("parameters", orbit.parameters, [quantity.name for quantity in problem.parameters]),
-    ):
-        _require_same(values, known, f"must have the {name} of its problem")
+    require_values(orbit, problem)
 
     def vector(named: Mapping[str, float], where: str) -> Vector:
         _require_same(named, problem.state_names, f"must have all states in `{where}`")
@@ -99,6 +95,23 @@ def claim_of(orbit: Orbit, problem: Problem) -> Claim:
         ),
         end=(finite_number("period", last.time), vector(last.state, "events")),
     )
+
+
+def require_values(orbit: Orbit, problem: Problem) -> None:
+    """Reject an orbit that lacks a value of its problem, or has another.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+
+    Raises:
+        InputError: If its gains or parameters have other names.
+    """
+    for name, values, known in (
+        ("gains", orbit.gains, [gain.name for gain in problem.gains]),
+        ("parameters", orbit.parameters, [quantity.name for quantity in problem.parameters]),
+    ):
+        _require_same(values, known, f"must have the {name} of its problem")
 
 
 def _require_same(names: Iterable[str], known: Iterable[str], wanted: str) -> None:

@@ -28,7 +28,15 @@ from zeno_orbits.orbits import (
     phases_of_events,
     sequence_of,
 )
-from zeno_orbits.simulation import Arc, Event, Impact, Release, ZenoPoint, state_before
+from zeno_orbits.simulation import (
+    Arc,
+    Event,
+    Impact,
+    Release,
+    ZenoPoint,
+    scale_of,
+    state_before,
+)
 from zeno_orbits.verification.event_energies import kept_stops, struck_view
 from zeno_orbits.verification.integration import distance
 from zeno_orbits.verification.residuals import impact_laws, unseen_misses
@@ -60,6 +68,21 @@ class IntegratedPeriod:
     start: float
     end: float
     state: Vector
+
+
+def sizes_along(period: IntegratedPeriod, graph: GraphDynamics, problem: Problem) -> Vector:
+    """Return the size of each state along a period, ``(n_x,)``.
+
+    A state that nearly vanishes has a part of the size of the others of its unit.
+
+    Args:
+        period: The period.
+        graph: The graph of modes.
+        problem: The problem, for the units of the states.
+    """
+    n_x = len(graph.state_names)
+    along = [np.max(np.abs(arc.flow_states[:, :n_x]), axis=0) for arc in period.arcs]
+    return scale_of(along, problem.state_units, graph.own.states(n_x))
 
 
 def claimed(problem: Problem, event: OrbitEvent) -> Claimed:

@@ -27,7 +27,6 @@ from zeno_orbits.orbits import (
     event_return,
     extrapolated,
     is_one_sided,
-    largest_states,
     multipliers_of_return,
     orbit_event_name,
     other_equations,
@@ -46,6 +45,7 @@ from zeno_orbits.simulation import (
     state_before,
 )
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
+from zeno_orbits.verification.claim import require_values
 from zeno_orbits.verification.cross_checks import (
     Accumulation,
     PeriodEnergies,
@@ -62,6 +62,7 @@ from zeno_orbits.verification.event_residuals import (
     event_impact_laws,
     event_misses,
     guards_along,
+    sizes_along,
 )
 from zeno_orbits.verification.integration import decisive, distance, error_by_repetition
 from zeno_orbits.verification.residuals import escapes_of
@@ -120,13 +121,13 @@ def verify_events(
     """
     asked = settings or VerificationSettings()
     finite_number("period", orbit.period)
+    require_values(orbit, problem)
     graph = dynamics or problem.graph_dynamics(orbit.values(problem))
-    start = np.array(problem.state_vector(orbit.start_state))
     on_progress("integrating the orbit", None)
     said = [claimed(problem, event) for event in orbit.events]
 
     def observed(simulation: SimulationSettings) -> _Observation:
-        return _observe(graph, orbit, start, said, replace(asked, simulation=simulation))
+        return _observe(graph, orbit, problem, said, replace(asked, simulation=simulation))
 
     seen, simulation = decisive(observed, _worst, asked.simulation, asked.tolerance)
     settings = replace(asked, simulation=simulation)
@@ -190,7 +191,7 @@ def _cross_checks(
     on_progress: Progress,
 ) -> _CrossChecks:
     first, simulation = seen.periods[0], settings.simulation
-    period, scale = first.end - first.start, largest_states(first.arcs, graph)
+    period, scale = first.end - first.start, sizes_along(first, graph, problem)
     on_progress("sampling all guards", None)
     again = sampled_guards(graph, first.arcs, period)
     residuals = {name: max(size, seen.residuals[name]) for name, size in again.items()}
@@ -265,17 +266,18 @@ def _elastic(orbit: Orbit, graph: GraphDynamics) -> str:
 def _observe(
     graph: GraphDynamics,
     orbit: Orbit,
-    start: Vector,
+    problem: Problem,
     said: Sequence[Claimed],
     settings: VerificationSettings,
 ) -> _Observation:
     """Return the periods of an orbit with their residuals, and the error of the integration."""
+    start = np.array(problem.state_vector(orbit.start_state))
     periods, arcs, trouble = _periods(graph, orbit, start, settings.simulation, settings.n_periods)
     residuals: dict[str, float] = dict.fromkeys(("events", "closure", "period"), math.inf)
     if not periods:
         return _Observation(periods=(), arcs=(), trouble=trouble, residuals=residuals)
-    first, scale = periods[0], largest_states(periods[0].arcs, graph)
-    blur = time_blur(first.arcs, graph, orbit.period)
+    first, scale = periods[0], sizes_along(periods[0], graph, problem)
+    blur = time_blur(first.arcs, graph, orbit.period, scale)
 
     def beyond_rounding(miss: float) -> float:
         return max(0.0, miss - blur)

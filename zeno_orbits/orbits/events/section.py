@@ -447,7 +447,7 @@ def largest_states(arcs: Sequence[Arc], graph: GraphDynamics) -> Vector:
     return graph.own.not_zero(largest)
 
 
-def time_blur(arcs: Sequence[Arc], graph: GraphDynamics, period: float) -> float:
+def time_blur(arcs: Sequence[Arc], graph: GraphDynamics, period: float, sizes: Vector) -> float:
     r"""Return the relative deviation of states that the rounding of times explains.
 
     It is :math:`\max_i 4\,\varepsilon(T)\,|\dot x_i| / s_i` at the ends of arcs, with the spacing
@@ -458,6 +458,7 @@ def time_blur(arcs: Sequence[Arc], graph: GraphDynamics, period: float) -> float
         arcs: The arcs of a period.
         graph: The graph of modes.
         period: The period [s].
+        sizes: Size of each state, ``(n_x,)``.
     """
     n_x = len(graph.state_names)
     rates = np.zeros(n_x)
@@ -465,7 +466,7 @@ def time_blur(arcs: Sequence[Arc], graph: GraphDynamics, period: float) -> float
         flow = graph.flow(arc.mode_in(graph))
         for x in (arc.start_state, arc.end_state):
             rates = np.maximum(rates, np.abs(flow.rate(np.asarray(x))[:n_x]))
-    return float(np.max(_SPACINGS * np.spacing(period) * rates / largest_states(arcs, graph)))
+    return float(np.max(_SPACINGS * np.spacing(period) * rates / sizes))
 
 
 def fall_at(
@@ -551,7 +552,9 @@ def closed_return(
             change *= 0.5 / size
         x = found.start + change
     arcs = () if best is None else best.execution.arcs
-    if best is None or best_size > max(1e-10, time_blur(arcs, graph, best.period)):
+    if best is None or best_size > max(
+        1e-10, time_blur(arcs, graph, best.period, largest_states(arcs, graph))
+    ):
         raise SimulationError(
             "Newton's method does not converge to a periodic orbit: the motion may repeat after "
             "more returns, or not at all",
