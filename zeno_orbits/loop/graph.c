@@ -420,12 +420,10 @@ static int is_zero(const Graph *g, const double *pair, double rounding) {
     return pair[1] < 0.0 && pair[0] <= greater(rounding, -pair[1] * APART * g->m.run->settings.time);
 }
 
-/* Whether the surfaces of two kinks touch at a state where both fall, so that their slopes along the
-   closed stops are in the ratio of their rates. The order of both events then has no effect to first
-   order. */
-static int is_one_surface(Graph *g, const Other *one, const Other *other, const double *x) {
+/* Whether the surfaces of two kinks touch along closed stops. */
+static int is_one_along(Graph *g, const Other *one, const Other *other, const double *x,
+                        long long closed) {
     const zl_graph *graph = g->whole->graph;
-    const long long closed = closed_at_start(g);
     double a[2], b[2], largest = 0.0, difference = 0.0;
     long long k;
     tape_run(one->value, one->registers, x, a);
@@ -456,6 +454,36 @@ static int is_one_surface(Graph *g, const Other *one, const Other *other, const 
         difference = greater(difference, fabs(first - second));
     }
     return difference <= ONE_SURFACE * largest;
+}
+
+/* Whether the surfaces of two kinks touch at a state where both fall, so that their slopes, or those
+   along the closed stops, are in the ratio of their rates. The order of both events then has no effect to
+   first order. */
+static int is_one_surface(Graph *g, const Other *one, const Other *other, const double *x) {
+    const zl_graph *graph = g->whole->graph;
+    const long long n_x = g->whole->n_x, n = graph->n_switches, closed = closed_at_start(g);
+    double given[2 * ZL_MOST + ZL_GUARDS], told[3 * ZL_GUARDS], a[2], b[2];
+    double largest = 0.0, difference = 0.0;
+    long long k;
+    tape_run(one->value, one->registers, x, a);
+    tape_run(other->value, other->registers, x, b);
+    memcpy(given, x, (size_t)n_x * sizeof(double));
+    for (k = 0; k < n_x; k++) given[n_x + k] = 0.0;
+    for (k = 0; k < n - graph->n_declared; k++)
+        given[2 * n_x + k] = (double)(g->m.run->graph.sides >> k & 1);
+    for (k = 0; k < n_x; k++) {
+        double first, second;
+        /* The clock has one direction, which the rates contain. */
+        if (graph->first_clock <= k && k < graph->end_clock) continue;
+        given[n_x + k] = settings_of(g, 0)->sizes[k] + fabs(x[k]);
+        shared(g, &graph->switches, graph->switches_place, given, told);
+        given[n_x + k] = 0.0;
+        first = fabs(told[n + one->index] * b[1]);
+        second = fabs(told[n + other->index] * a[1]);
+        largest = greater(largest, first);
+        difference = greater(difference, fabs(first - second));
+    }
+    return difference <= ONE_SURFACE * largest || (closed && is_one_along(g, one, other, x, closed));
 }
 
 static int is_kink(const Graph *g, const Other *other) {

@@ -19,8 +19,6 @@ import numpy as np
 
 from zeno_orbits.model.operations import operation_name, symbols_in
 
-_TINY = 1e-100
-"""Base of a power below which it is linear."""
 _DEPTH = 32
 """Depth to which two conditions are compared."""
 _POINTS, _SAME = 4, 1e-13
@@ -316,12 +314,8 @@ class _Walk:
         is_kept = is_kept or (is_chosen and _is_positive(base.written, zero=True))
         if not is_kept and all(_factor(base.written, one, -2.0) == 0.0 for one in self.decided):
             return power
-        # Its derivatives at zero are finite numbers, so that a factor zero there makes them zero.
-        size = self.made(ca.OP_ADD, [self.made(ca.OP_FABS, [base]), self.number(_TINY)])
-        less = self.made(ca.OP_SUB, [exponent, self.number(1.0)])
-        odd = self.made(ca.OP_MUL, [base, self.made(ca.OP_POW, [size, less])])
-        if operation == ca.OP_SQRT:
-            odd = self.made(ca.OP_DIV, [base, self.made(operation, [size])])
+        turn, size = (self.made(sign, [base]) for sign in (ca.OP_SIGN, ca.OP_FABS))
+        odd = self.made(ca.OP_MUL, [turn, self.made(operation, [size, *parts[1:]])])
         smooth, slopes = odd.smooth, odd.slopes
         if not is_number:
             # A power that turns out to have a pole stays as it is.

@@ -889,9 +889,18 @@ class ReferenceRun(StopRun):
     def _is_one_surface(self, one: _Guard, other: _Guard, closed: Sequence[int], x: Vector) -> bool:
         """Return True if the surfaces of two kinks touch at a state where both fall.
 
-        Their slopes along the closed stops are then in the ratio of their rates, and the order of
-        both events has no effect to first order.
+        Their slopes, or those along the closed stops, are then in the ratio of their rates, and the
+        order of both events has no effect to first order.
         """
+        (_, rate), (_, other_rate) = one.flow.guard(x), other.flow.guard(x)
+        slopes = self.graph.slopes(x, self.sides)
+        first, second = np.abs(slopes[one.index] * other_rate), np.abs(slopes[other.index] * rate)
+        if np.max(np.abs(first - second)) <= _ONE_SURFACE * np.max(first):
+            return True
+        return bool(closed) and self._is_one_along(one, other, closed, x)
+
+    def _is_one_along(self, one: _Guard, other: _Guard, closed: Sequence[int], x: Vector) -> bool:
+        """Return True if the surfaces of two kinks touch along closed stops."""
         (_, rate), (_, other_rate) = one.flow.guard(x), other.flow.guard(x)
         sizes = self.graph.own.states(x.size) + np.abs(x)
         largest = difference = 0.0

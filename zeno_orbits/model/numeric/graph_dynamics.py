@@ -404,6 +404,23 @@ class GraphDynamics:
             return np.zeros(0), np.zeros(0), np.zeros(0)
         return self._switches(x, self.own.states(x.size) + np.abs(x), sides)
 
+    def slopes(self, x: Vector, sides: tuple[bool, ...]) -> Vector:
+        """Return sizes of the derivatives of all guards with respect to the states.
+
+        Those with respect to the clock are zero: it has one direction, which the rates contain.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            sides: The side of every kink.
+
+        Returns:
+            The changes of the guards over the size of each state, ``(n_switches, n_x)``.
+        """
+        every = self.own.states(x.size) + np.abs(x)
+        every[list(self.compiled.system(self.open_mode, 0).clock)] = 0.0
+        sizes = np.diag(every)
+        return np.transpose([self._switches(x, size, sides)[1] for size in sizes]) / _ZERO
+
     def sides_at(
         self, x: Vector, before: tuple[bool, ...], crossed: Sequence[int] = ()
     ) -> tuple[bool, ...]:
