@@ -322,5 +322,11 @@ class ArcFollower:
 
 
 def launched(x: Vector, rate: float, height: float = 0.0) -> Vector:
-    """Return the state of a rescaled flight at its start, ``(x, height, rate)``."""
+    """Return the state of a rescaled flight at its start, ``(x, height, rate)``.
+
+    Args:
+        x: The state, ``(n_x,)``.
+        rate: The scaled gap rate, 1 on the stop.
+        height: The scaled gap, 0 on the stop.
+    """
     return np.concatenate([x, (height, rate)])
