@@ -238,6 +238,11 @@ static void find_others(Graph *g) {
     g->others.n = (int)(other - g->others.list);
 }
 
+/* The gap that rounding may take from a flight with a gap rate. */
+static double lost_by_rounding(double rate, const zl_settings *settings) {
+    return LOST * (rate * rate / settings->gap_acceleration);
+}
+
 /* Take all guards at the start of an arc; 0 unless each is above its rounding, or a switch on zero. */
 static int take_guards(Graph *g) {
     zl_run *run = g->m.run;
@@ -262,7 +267,7 @@ static int take_guards(Graph *g) {
             gap_of(g, other->index, run->start.state, gap);
             value = gap[0];
             watched->rounding = contact * settings->gap;
-            lost = LOST * (gap[1] * gap[1] / settings->gap_acceleration);
+            lost = lost_by_rounding(gap[1], settings);
             if (come_in_turn(&run->graph) && value > lost) {
                 /* Its flight is under way: to launch it again would take its height from it. */
                 watched->rounding = lesser(watched->rounding, lost);
@@ -643,9 +648,9 @@ static int leave_flow(Graph *g, long long kinks, long long closed, const double 
    its rounding may close it too early. */
 static int is_resolved(const Graph *g, const double *gap) {
     const zl_run *run = g->m.run;
-    const double lost = LOST * (gap[1] * gap[1] / run->settings.gap_acceleration);
     return !(come_in_turn(&run->graph) &&
-             gap[0] > greater(-gap[1] * APART * run->settings.time, lost));
+             gap[0] > greater(-gap[1] * APART * run->settings.time,
+                              lost_by_rounding(gap[1], &run->settings)));
 }
 
 /* Find the event at the end of an arc, of all events whose guards are zero there: its place in the

@@ -39,7 +39,14 @@ from zeno_orbits.integrators import (
     Termination,
     follow_steps,
 )
-from zeno_orbits.model import START_OFF, GraphDynamics, GraphMode, HybridDynamics, require_start
+from zeno_orbits.model import (
+    START_OFF,
+    CharacteristicScales,
+    GraphDynamics,
+    GraphMode,
+    HybridDynamics,
+    require_start,
+)
 from zeno_orbits.simulation.accumulations import Accumulations
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart, launched
 from zeno_orbits.simulation.event_rules import stop_holds
@@ -799,7 +806,7 @@ class ReferenceRun(StopRun):
         for k in self._open_beside(closed):
             view = self.graph.view(mode, k)
             gap, rate, rounding = view.gap(x), view.gap_rate(x), contact * view.own.gap
-            lost = _LOST * (rate * rate / view.own.gap_acceleration)
+            lost = _lost(rate, view.own)
             if self.seen.come_in_turn and gap > lost:
                 # Its flight is under way: to launch it again would take its height from it.
                 rounding = min(rounding, lost)
@@ -1117,8 +1124,9 @@ class ReferenceRun(StopRun):
         Raises:
             SimultaneousEventsError: If the stop would be struck too early.
         """
-        lost = _LOST * (rate * rate / self.own.gap_acceleration)
-        if self.seen.come_in_turn and gap > max(-rate * _APART * self.own.time, lost):
+        if self.seen.come_in_turn and gap > max(
+            -rate * _APART * self.own.time, _lost(rate, self.own)
+        ):
             raise self.seen.in_turn(time, x)
 
     def _coupled(
@@ -1450,6 +1458,11 @@ class ReferenceRun(StopRun):
                 if not np.any(pulls) and np.all(rates >= -small):
                     return closed
         raise AssertionError("A positive definite matrix has a solution.")
+
+
+def _lost(rate: float, own: CharacteristicScales) -> float:
+    """Return the gap that rounding may take from a flight with a gap rate."""
+    return _LOST * (rate * rate / own.gap_acceleration)
 
 
 def _scaled_gap(
