@@ -84,6 +84,8 @@ class _Observation:
     """The integrated orbit.
 
     Attributes:
+        start: Claimed start, ``(n_x,)``.
+        scale: Size of each state along the first period, ``(n_x,)``, empty without a period.
         periods: The periods, empty if the first one is not finished.
         arcs: All arcs.
         trouble: Reason for an early end, else empty.
@@ -91,6 +93,8 @@ class _Observation:
         integration_error: Relative difference from an integration at a looser tolerance.
     """
 
+    start: Vector
+    scale: Vector
     periods: tuple[IntegratedPeriod, ...]
     arcs: tuple[Arc, ...]
     trouble: str
@@ -190,18 +194,17 @@ def _cross_checks(
     settings: VerificationSettings,
     on_progress: Progress,
 ) -> _CrossChecks:
-    first, simulation = seen.periods[0], settings.simulation
-    period, scale = first.end - first.start, sizes_along(first, graph, problem)
+    first, start, simulation = seen.periods[0], seen.start, settings.simulation
+    period = first.end - first.start
     on_progress("sampling all guards", None)
     again = sampled_guards(graph, first.arcs, period)
     residuals = {name: max(size, seen.residuals[name]) for name, size in again.items()}
     on_progress("cutting the impact sequences", None)
     accumulations, enough = list(_accumulations(graph, first, seen.arcs)), settings.tolerance / 10.0
-    sweep = delta_sweep(graph, accumulations, scale, settings.cuts, simulation, enough)
+    sweep = delta_sweep(graph, accumulations, seen.scale, settings.cuts, simulation, enough)
     if sweep:
         residuals["delta_sweep"] = sweep[-1].error
     on_progress("integrating the powers", None)
-    start = np.array(problem.state_vector(orbit.start_state))
     found = _energies(graph, orbit, start, simulation)
     if is_balanced(graph):
         residuals["energy_balance"] = found.imbalance if found else math.inf
@@ -275,7 +278,10 @@ def _observe(
     periods, arcs, trouble = _periods(graph, orbit, start, settings.simulation, settings.n_periods)
     residuals: dict[str, float] = dict.fromkeys(("events", "closure", "period"), math.inf)
     if not periods:
-        return _Observation(periods=(), arcs=(), trouble=trouble, residuals=residuals)
+        nothing = np.zeros(0)
+        return _Observation(
+            start=start, scale=nothing, periods=(), arcs=(), trouble=trouble, residuals=residuals
+        )
     first, scale = periods[0], sizes_along(periods[0], graph, problem)
     blur = time_blur(first.arcs, graph, orbit.period, scale)
 
@@ -302,6 +308,8 @@ def _observe(
 
     error = error_by_repetition(difference, settings.simulation, settings.tolerance)
     return _Observation(
+        start=start,
+        scale=scale,
         periods=tuple(periods),
         arcs=arcs,
         trouble=trouble,

@@ -97,7 +97,7 @@ def _run_report(options: argparse.Namespace) -> int:
             recovery=options.recovery,
             on_progress=progress,
         )
-        proved = None if not orbit.has_phases else proof_of(options, orbit, problem)
+        proved = proof_of(options, orbit, problem) if orbit.has_phases else None
         progress("writing the page")
         subject = replace(
             subject,

@@ -54,7 +54,7 @@ def default_rig(
     if problem.rig is not None:
         return problem.rig
     if orbit is not None:
-        state = orbit.start_state if not orbit.has_phases else orbit.release_state
+        state = orbit.release_state if orbit.has_phases else orbit.start_state
         start = problem.state_vector(state)
         return Rig(contact=_stop(problem, orbit.values(problem), start, orbit.period))
     known = values or problem.values()

@@ -90,7 +90,7 @@ def plot_comparison(
 
 def _start_of(found: Comparison) -> str:
     """Return the event at which the orbit's period starts."""
-    return found.orbit.section if not found.orbit.has_phases else "release"
+    return "release" if found.orbit.has_phases else found.orbit.section
 
 
 def _draw_signal(

@@ -344,17 +344,15 @@ def event_orbit_of(problem: Problem, values: ParameterValues, found: EventReturn
         values: Its parameter values.
         found: The return.
     """
-    events = (
+    events = [
         OrbitEvent(
             name=orbit_event_name(event),
             time=event.time,
             state=named(problem, state_before(event)),
         )
         for event in found.events
-    )
+    ]
     start = named(problem, found.start)
-    orbit = orbit_of_events(
-        problem, values, period=found.period, start_state=start, events=tuple(events)
-    )
+    orbit = orbit_of_events(problem, values, period=found.period, start_state=start, events=events)
     multipliers = multipliers_of_return(problem.graph_dynamics(values), found)
     return replace(orbit, floquet_multipliers=multipliers)
