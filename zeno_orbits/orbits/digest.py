@@ -25,8 +25,8 @@ _SAME = 1e-6
 _SIZES = (0.1, 1.0, 10.0, 100.0)
 """Sizes of the states at which the formulas of a graph are evaluated."""
 _SPREAD = (math.sqrt(5) - 1) / 2
-_FUNCTIONS = 6
-"""Number of functions of a machine with one stop."""
+_FUNCTIONS, _IMPULSE = 6, 3
+"""Number of functions of a machine with one stop, and the place of the impulse."""
 
 
 @lru_cache(maxsize=64)
@@ -91,13 +91,12 @@ def _defined(entries: Any) -> Vector:
 def same_equations(digest: Sequence[float], other: Sequence[float]) -> bool:
     """Return True if two digests belong to the same equations.
 
-    A zero of a machine with one stop is no number of a formula: the formula was undefined there.
+    The impulse of a machine with one stop is never zero. Where a digest says so, it was undefined.
     """
-    pairs = [*zip(digest, other, strict=False)]
-    if len(pairs) == _FUNCTIONS:
-        pairs = [(a, b) for a, b in pairs if a != 0.0 != b]
     return len(digest) == len(other) and all(
-        math.isclose(a, b, rel_tol=_SAME, abs_tol=_SAME) for a, b in pairs
+        math.isclose(a, b, rel_tol=_SAME, abs_tol=_SAME)
+        or (len(digest) == _FUNCTIONS and k == _IMPULSE and 0.0 in (a, b))
+        for k, (a, b) in enumerate(zip(digest, other, strict=True))
     )
 
 
